@@ -1,0 +1,1 @@
+"""A scan sequence becomes bytes on a wire: one contract, several drivers."""

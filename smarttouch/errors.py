@@ -1,0 +1,33 @@
+"""The errors a user can meet. Each message says what, which number, and the remedy."""
+
+
+class SmartTouchError(Exception):
+    """Base of every error this package raises on purpose."""
+
+
+class ProfileError(SmartTouchError):
+    """A profile cannot be found, read or believed."""
+
+
+class SensorError(SmartTouchError):
+    """A source of frames cannot be opened or has failed."""
+
+
+class DesignError(SmartTouchError):
+    """No kernel exists for what was asked."""
+
+
+class ScheduleError(SmartTouchError):
+    """A tactile image cannot be turned into a scan sequence."""
+
+
+class SafetyError(SmartTouchError):
+    """A scan sequence breaks a limit; nothing of it was sent."""
+
+
+class BoardError(SmartTouchError):
+    """A board cannot be opened, refused a command, or is gone."""
+
+
+class RecordingError(SmartTouchError):
+    """A recording cannot be written or read."""

@@ -1,0 +1,1 @@
+"""A frame becomes a tactile image: binarized, and mapped onto the electrodes."""

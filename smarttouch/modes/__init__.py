@@ -1,0 +1,1 @@
+"""Which current pattern stimulates one afferent class alone."""

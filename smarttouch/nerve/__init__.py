@@ -1,0 +1,1 @@
+"""The physics under the skin: potentials, afferent pathways, the activating function."""

@@ -1,0 +1,195 @@
+"""What makes a scan sequence safe, proved on the sequence itself."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import SafetyError
+from smarttouch.profile import (
+    CEILING_CHARGE_UC,
+    CEILING_MA,
+    CEILING_PULSE_US,
+    SHORTEST_RAMP_S,
+    Profile,
+)
+from smarttouch.scan.sequence import ScanSequence
+
+
+@dataclass(frozen=True)
+class SafetyLimits:
+    """What no sequence may exceed.
+
+    Raises
+    ------
+    SafetyError
+        If one of them is above the project's own ceilings.
+    """
+
+    electrodes: int
+    current_ma: float
+    pulse_us: float
+    charge_uc: float
+    rate_hz: float
+    duty: float
+    ramp_s: float
+    full_ma: float
+    """The strongest current at intensity 1; intensity bounds current in proportion."""
+
+    def __post_init__(self) -> None:
+        for name, value, ceiling in (
+            ("current_ma", self.current_ma, CEILING_MA),
+            ("pulse_us", self.pulse_us, CEILING_PULSE_US),
+            ("charge_uc", self.charge_uc, CEILING_CHARGE_UC),
+            ("full_ma", self.full_ma, self.current_ma),
+        ):
+            if not 0 < value <= ceiling:
+                raise SafetyError(f"limit {name} = {value} must be above 0 and at most {ceiling}")
+        if not self.ramp_s >= SHORTEST_RAMP_S:
+            raise SafetyError(f"limit ramp_s = {self.ramp_s} must be at least {SHORTEST_RAMP_S}")
+
+    @classmethod
+    def of(cls, profile: Profile) -> "SafetyLimits":
+        limits = profile.limits
+        return cls(
+            electrodes=len(profile.electrodes),
+            current_ma=limits.current_ma,
+            pulse_us=limits.pulse_us,
+            charge_uc=limits.charge_uc,
+            rate_hz=limits.rate_hz,
+            duty=limits.duty,
+            ramp_s=limits.ramp_s,
+            full_ma=float(profile.threshold_ma.max()) * profile.perception.comfort_ratio,
+        )
+
+
+class SafetyGate:
+    """Proves sequences one after another; remembers the last for the slew limit.
+
+    Parameters
+    ----------
+    limits : SafetyLimits
+        What to hold every sequence to.
+    """
+
+    def __init__(self, limits: SafetyLimits) -> None:
+        self.limits = limits
+        self._intensity = 0.0
+        self._time_ns: int | None = None
+
+    def prove(self, sequence: ScanSequence) -> None:
+        """Raise unless the sequence keeps every limit.
+
+        Checked: array sizes, charge balance of every slot, current, pulse
+        width, charge per pulse, current against stated intensity, rate, duty,
+        that the slots fit the period, and the rise of intensity since the
+        sequence before.
+
+        Raises
+        ------
+        SafetyError
+            Naming the limit, the slot and electrode, and by how much.
+        """
+        self._prove_shape(sequence)
+        self._prove_timing(sequence)
+        if sequence.slots:
+            self._prove_pulses(sequence)
+        self._prove_slew(sequence)
+        self._intensity = sequence.intensity
+        self._time_ns = sequence.time_ns
+
+    def _prove_shape(self, sequence: ScanSequence) -> None:
+        currents, slots = sequence.current_ua, sequence.slots
+        if currents.dtype != np.int16 or currents.shape != (slots, self.limits.electrodes):
+            raise SafetyError(
+                f"currents are {currents.dtype} {currents.shape}, must be int16 "
+                f"({slots}, {self.limits.electrodes})"
+            )
+        for name in ("width_us", "discharge_us", "site"):
+            values = getattr(sequence, name)
+            if values.dtype != np.uint16 or values.shape != (slots,):
+                raise SafetyError(f"{name} is {values.dtype} {values.shape}, must be uint16 (S,)")
+
+    def _prove_timing(self, sequence: ScanSequence) -> None:
+        if sequence.period_us <= 0 or sequence.rate_hz > self.limits.rate_hz * (1 + 1e-9):
+            raise SafetyError(
+                f"a period of {sequence.period_us} µs is faster than the limit of "
+                f"{self.limits.rate_hz:g} Hz"
+            )
+        pulses = int(sequence.width_us.sum(dtype=np.int64))
+        busy = pulses + int(sequence.discharge_us.sum(dtype=np.int64))
+        if busy > sequence.period_us:
+            raise SafetyError(
+                f"{sequence.slots} slots take {busy} µs, longer than the period of "
+                f"{sequence.period_us} µs: lower the rate"
+            )
+        if pulses > self.limits.duty * sequence.period_us:
+            raise SafetyError(
+                f"current flows {pulses / sequence.period_us:.0%} of the time, above the "
+                f"limit of {self.limits.duty:.0%}: lower the rate"
+            )
+
+    def _prove_pulses(self, sequence: ScanSequence) -> None:
+        limits, currents, widths = self.limits, sequence.current_ua, sequence.width_us
+        sums = currents.sum(axis=1, dtype=np.int32)
+        if sums.any():
+            slot = int(np.argmax(np.abs(sums)))
+            raise SafetyError(
+                f"slot {slot} is out of balance by {int(sums[slot])} µA: currents must sum to zero"
+            )
+        width = int(widths.max())
+        if width > limits.pulse_us or int(widths.min()) == 0:
+            raise SafetyError(
+                f"pulse widths run from {int(widths.min())} to {width} µs: they must be above 0 "
+                f"and at most {limits.pulse_us:g} µs"
+            )
+        peaks = _peak_ua(currents)
+        peak = int(peaks.max())
+        if peak > limits.current_ma * 1000:
+            slot = int(np.argmax(peaks))
+            electrode = int(np.argmax(np.abs(currents[slot].astype(np.int32))))
+            raise SafetyError(
+                f"slot {slot}, electrode {electrode}: {peak / 1000:.3f} mA is above the limit of "
+                f"{limits.current_ma:g} mA"
+            )
+        charges = peaks * widths
+        charge = int(charges.max())
+        if charge > limits.charge_uc * 1e6:
+            raise SafetyError(
+                f"slot {int(np.argmax(charges))}: {charge / 1e6:.3f} µC is above the limit of "
+                f"{limits.charge_uc:g} µC per pulse"
+            )
+        # Rounding every electrode to whole µA may shift the one that keeps the balance.
+        allowed = sequence.intensity * limits.full_ma * 1000 + limits.electrodes / 2 + 1
+        if peak > allowed:
+            raise SafetyError(
+                f"slot {int(np.argmax(peaks))}: {peak / 1000:.3f} mA is more than intensity "
+                f"{sequence.intensity:.3f} allows, {allowed / 1000:.3f} mA"
+            )
+
+    def _prove_slew(self, sequence: ScanSequence) -> None:
+        if not 0 <= sequence.intensity <= 1:
+            raise SafetyError(f"intensity {sequence.intensity} must lie between 0 and 1")
+        if self._time_ns is not None and sequence.time_ns <= self._time_ns:
+            raise SafetyError(
+                f"sequence at {sequence.time_ns} ns does not follow the one at {self._time_ns} ns"
+            )
+        allowed = self._intensity + _LEEWAY
+        if self._time_ns is not None:
+            allowed += (sequence.time_ns - self._time_ns) / 1e9 / self.limits.ramp_s
+        if sequence.intensity > allowed:
+            raise SafetyError(
+                f"intensity rises from {self._intensity:.3f} to {sequence.intensity:.3f}: "
+                f"zero to full must take {self.limits.ramp_s:g} s or more"
+            )
+
+
+_LEEWAY = 1e-6
+"""Rounding of the ramp's sum."""
+
+
+def _peak_ua(currents: NDArray[np.int16]) -> NDArray[np.int64]:
+    # int16's most negative value has no positive twin: widen before negating.
+    high = currents.max(axis=1).astype(np.int64)
+    low = currents.min(axis=1).astype(np.int64)
+    return np.maximum(high, -low)

@@ -1,0 +1,65 @@
+"""The scan sequence: everything a board will do for one frame, as data."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class ScanSequence:
+    """One pass over the active points of a tactile image.
+
+    Slots follow one another without a gap; each is a pulse followed by a
+    short circuit of all electrodes. After the last slot the electrodes stay
+    shorted until ``period_us`` is over.
+
+    Attributes
+    ----------
+    current_ua : ndarray, (S, E) int16, µA
+        Current of every electrode in every slot; **positive is cathodic**,
+        negative anodic, zero insulated. On a board with one source it is the
+        nominal division of the source's current.
+    width_us : ndarray, (S,) uint16, µs
+        Pulse width of each slot.
+    discharge_us : ndarray, (S,) uint16, µs
+        Short circuit after each pulse.
+    site : ndarray, (S,) uint16
+        Electrode whose point each slot stimulates.
+    period_us : int, µs
+        Length of the whole sequence.
+    intensity : float, in [0, 1]
+        Pressure gate times soft start that the currents were scaled with.
+    time_ns : int
+        Time of the frame it came from.
+    """
+
+    current_ua: NDArray[np.int16]
+    width_us: NDArray[np.uint16]
+    discharge_us: NDArray[np.uint16]
+    site: NDArray[np.uint16]
+    period_us: int
+    intensity: float
+    time_ns: int
+
+    @property
+    def slots(self) -> int:
+        return len(self.width_us)
+
+    @property
+    def electrodes(self) -> int:
+        return int(self.current_ua.shape[1])
+
+    @property
+    def rate_hz(self) -> float:
+        return 1e6 / self.period_us
+
+    @property
+    def state(self) -> NDArray[np.int8]:
+        """State of each electrode in each slot: 1 cathode, −1 anode, 0 insulated."""
+        return np.sign(self.current_ua).astype(np.int8)
+
+    @property
+    def source_ua(self) -> NDArray[np.int32]:
+        """What the source delivers in each slot, (S,) µA."""
+        return np.asarray(np.abs(self.current_ua.astype(np.int32)).sum(axis=1) // 2)

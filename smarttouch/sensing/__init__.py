@@ -1,0 +1,1 @@
+"""Where frames come from: a finger over a page, and later cameras and files."""
