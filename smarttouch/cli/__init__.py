@@ -1,0 +1,47 @@
+"""The command line: one module per command, heavy imports only inside them."""
+
+import os
+import sys
+
+import typer
+
+from smarttouch.cli.design import design
+from smarttouch.cli.live import live
+from smarttouch.cli.profiles import profiles
+from smarttouch.errors import SmartTouchError
+
+app = typer.Typer(
+    name="smarttouch",
+    help="Touch what a sensor sees: print becomes current in the skin of a fingertip.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+app.command()(live)
+app.command()(profiles)
+app.command()(design)
+
+
+def main() -> None:
+    """Run the command line; what a user can cause ends in one sentence and exit 2."""
+    try:
+        app()
+    except SmartTouchError as error:
+        _say(str(error))
+        sys.exit(2)
+    except BrokenPipeError:
+        # Whoever read our output has gone; there is nobody to tell.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except Exception as error:
+        if os.environ.get("SMARTTOUCH_TRACEBACK"):
+            raise
+        _say(
+            f"internal error, {type(error).__name__}: {error}; all electrodes are off "
+            "(set SMARTTOUCH_TRACEBACK=1 to see where)"
+        )
+        sys.exit(1)
+
+
+def _say(sentence: str) -> None:
+    print("smarttouch: " + " ".join(sentence.split()), file=sys.stderr)

@@ -1,0 +1,232 @@
+"""``smarttouch live``: from a sensor to current in the skin."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from smarttouch.boards.board import Board, BoardReport
+    from smarttouch.live import Tally
+    from smarttouch.profile import Profile
+    from smarttouch.sensing.frame import Sensor
+
+
+def live(
+    sensor: Annotated[
+        str | None,
+        typer.Option(metavar="URL", help="page:FILE or text:STRING; a sample page if not given."),
+    ] = None,
+    board: Annotated[str, typer.Option(metavar="URL", help="emulator: or link:PORT")] = "emulator:",
+    profile: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Device and finger; see: smarttouch profiles")
+    ] = "electric-mouse",
+    mode: Annotated[str, typer.Option(metavar="RA|SAI", help="Which afferents to reach.")] = "RA",
+    rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Sequences a second; the profile's if none.")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(metavar="S", help="Longest run, wall time.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the virtual finger's and sensor's noise.")] = 0,
+    dpi: Annotated[
+        float | None, typer.Option(help="Resolution of a page file that does not say.")
+    ] = None,
+    page_width_mm: Annotated[float | None, typer.Option(help="Or the width of its page.")] = None,
+    speed: Annotated[
+        float, typer.Option(metavar="MM/S", help="Of the virtual finger along a line.")
+    ] = 40.0,
+    path: Annotated[
+        Path | None,
+        typer.Option(metavar="CSV", help="A recorded path: time_s,x_mm,y_mm,angle_deg,force_n"),
+    ] = None,
+    light_on_dark: Annotated[bool, typer.Option(help="Print is lighter than paper.")] = False,
+    felt: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="Draw the page and what the skin got.")
+    ] = None,
+    record: Annotated[Path | None, typer.Option(metavar="MCAP", help="Keep the run.")] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures of the run.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option(help="Show nothing but errors.")] = False,
+) -> None:
+    """Let a finger feel what a sensor sees, until the page ends or Ctrl-C."""
+    import contextlib
+    import tempfile
+
+    from smarttouch.boards.board import make_board
+    from smarttouch.cli.screen import Screen, bank_progress
+    from smarttouch.errors import SmartTouchError
+    from smarttouch.live import Sent, StopRequest, Tally, run, stop_on_signals
+    from smarttouch.modes.bank import load_bank
+    from smarttouch.pipeline import Pipeline
+    from smarttouch.profile import load_profile
+    from smarttouch.resources import data_folder
+    from smarttouch.scan.safety import SafetyLimits
+    from smarttouch.sensing import open_sensor
+
+    primary = _primary(mode)
+    if seconds is not None and not seconds > 0:
+        raise SmartTouchError(f"--seconds {seconds:g} must be above 0")
+    chosen = load_profile(profile)
+    for output in (felt, record, json_file):
+        _require_folder(output)
+    if felt is not None and not board.startswith("emulator:"):
+        raise SmartTouchError(
+            f"--felt needs a board that reports every pulse, and {board!r} does not: "
+            "use --board emulator:"
+        )
+    stop, tally = StopRequest(), Tally()
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(stop_on_signals(stop))
+        source = stack.enter_context(
+            open_sensor(
+                sensor or f"page:{data_folder('sample_images') / 'page.png'}",
+                chosen,
+                seed=seed,
+                dpi=dpi,
+                page_width_mm=page_width_mm,
+                speed_mm_s=speed,
+                path=path,
+                light_on_dark=light_on_dark,
+            )
+        )
+        with bank_progress(quiet) as progress:
+            bank = load_bank(chosen, progress)
+        pipeline = Pipeline(chosen, bank, primary, rate, light_on_dark)
+        options: dict[str, Any] = {"output": chosen.output.kind}
+        drawing = None
+        if felt is not None:
+            books = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="smarttouch-")))
+            options["books"] = books
+            drawing = _drawing(source, chosen, bank.receptor[primary])
+        display = make_board(board, SafetyLimits.of(chosen), **options)
+        observers = [] if drawing is None else [drawing.watch]
+        if record is not None:
+            recorder = _recorder(record, chosen, {"sensor": source.title, "board": board}, seed)
+            stack.callback(recorder.close)
+            observers.append(
+                lambda sent: recorder.record(sent, display.acknowledged, display.refused)
+            )
+        report: BoardReport | None = None
+        ended = "fault"
+        try:
+            with display:
+                screen = Screen(source, chosen, primary, board, display, tally, quiet)
+
+                def show(sent: Sent) -> None:
+                    screen.show(sent)
+
+                with screen:
+                    run(
+                        source,
+                        pipeline,
+                        display,
+                        stop=stop,
+                        tally=tally,
+                        seconds=seconds,
+                        observers=[*observers, show],
+                    )
+                report = display.report()
+            ended = stop.reason or "end of the page"
+        finally:
+            figures = _figures(tally, source, display, report, pipeline.period_us, ended)
+            if json_file is not None:
+                _write_json(json_file, figures)
+        if felt is not None and drawing is not None:
+            from smarttouch.boards.emulator.books import read_delivered
+
+            numbers, _, current_ua = read_delivered(books)
+            drawing.deliver(numbers, current_ua)
+            drawing.save(
+                felt,
+                source.page.grey,  # type: ignore[attr-defined]  # _drawing has made sure
+                f"What the skin got: {primary.name} pulses delivered at the finger's positions",
+            )
+    if not quiet:
+        screen.summarize(figures, [each for each in (felt, record, json_file) if each is not None])
+
+
+def _primary(mode: str) -> Any:
+    from smarttouch.errors import SmartTouchError
+    from smarttouch.primary import Primary
+
+    if mode.upper() not in ("RA", "SAI"):
+        raise SmartTouchError(f"--mode {mode!r} is not offered: choose RA or SAI")
+    return Primary[mode.upper()]
+
+
+def _require_folder(path: Path | None) -> None:
+    from smarttouch.errors import SmartTouchError
+
+    if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
+        raise SmartTouchError(f"cannot write {path}: give a file in a folder that exists")
+
+
+def _drawing(source: "Sensor", profile: "Profile", receptor: Any) -> Any:
+    from smarttouch.errors import SmartTouchError
+    from smarttouch.felt import FeltImage
+
+    page = getattr(source, "page", None)
+    if page is None:
+        raise SmartTouchError(f"--felt needs a page to draw beside, and {source.title} has none")
+    height, width = page.grey.shape
+    size_mm = (width * page.mm_per_pixel, height * page.mm_per_pixel)
+    return FeltImage(profile.electrodes, receptor, profile.optics.magnification, size_mm)
+
+
+def _recorder(path: Path, profile: "Profile", settings: dict[str, str], seed: int) -> Any:
+    from smarttouch import __version__
+    from smarttouch.recording import Recorder
+
+    about = {
+        **settings,
+        "seed": str(seed),
+        "version": __version__,
+        "profile": profile.model_dump_json(),
+    }
+    return Recorder(path, about)
+
+
+def _figures(
+    tally: "Tally",
+    source: "Sensor",
+    board: "Board",
+    report: "BoardReport | None",
+    asked_period_us: int,
+    ended: str,
+) -> dict[str, Any]:
+    """Return what ``--json`` writes; the board's own figures are null after a fault."""
+    return {
+        "ended": ended,
+        "seconds": tally.seconds,
+        "frames": tally.frames,
+        "sequences": tally.frames,
+        "slots": tally.slots,
+        "pulses": report and report.pulses,
+        "acknowledged": board.acknowledged,
+        "refused": board.refused,
+        "dropped_frames": source.dropped_frames,
+        "late_frames": tally.late,
+        "rate_asked_hz": 1e6 / asked_period_us,
+        "rate_hz": tally.frames / tally.seconds if tally.seconds else 0.0,
+        "lowest_rate_hz": tally.lowest_rate_hz if tally.frames else None,
+        "slowed_sequences": tally.slowed,
+        "latency_us": tally.latency(),
+        "max_current_ma": report and report.max_current_ma,
+        "max_charge_uc": report and report.max_charge_uc,
+        "max_net_charge_uc": report and report.max_net_charge_uc,
+        "emulator_violations": report and report.violations,
+        "active_fraction": tally.active / tally.frames if tally.frames else 0.0,
+    }
+
+
+def _write_json(path: Path, figures: dict[str, Any]) -> None:
+    import json
+
+    from smarttouch.errors import SmartTouchError
+
+    try:
+        path.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise SmartTouchError(f"cannot write {path}: {error.strerror}") from None

@@ -1,0 +1,240 @@
+"""The terminal while a finger reads: sensor, electrodes, pressure, rate, limits."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rich.columns import Columns
+from rich.console import Console, Group
+from rich.live import Live
+from rich.panel import Panel
+from rich.progress import Progress
+from rich.table import Table
+from rich.text import Text
+
+from smarttouch.boards.board import Board
+from smarttouch.live import Sent, Tally
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+from smarttouch.sensing.frame import Sensor
+
+_SENSOR_ROWS = 16
+_REFRESH_PER_S = 10
+
+
+@contextmanager
+def bank_progress(quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
+    """Yield what shows how many sites of a kernel bank are designed; None if quiet."""
+    if quiet:
+        yield None
+        return
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = None
+
+        def advance(done: int, total: int) -> None:
+            nonlocal task
+            if task is None:
+                task = bar.add_task("Designing kernels", total=total)
+            bar.update(task, completed=done, total=total)
+
+        yield advance
+
+
+class Screen:
+    """Shows a run as it goes, from a thread of its own, and sums it up.
+
+    On anything but a terminal only the summary is printed; when quiet, nothing.
+    """
+
+    def __init__(
+        self,
+        source: Sensor,
+        profile: Profile,
+        primary: Primary,
+        url: str,
+        board: Board,
+        tally: Tally,
+        quiet: bool,
+    ) -> None:
+        self._source, self._profile, self._primary = source, profile, primary
+        self._url, self._board, self._tally = url, board, tally
+        self._console = Console()
+        self._latest: Sent | None = None
+        self._layout = _ArrayLayout(profile)
+        self._live: Live | None = None
+        if not quiet and self._console.is_terminal:
+            self._live = Live(
+                console=self._console,
+                get_renderable=self._render,
+                refresh_per_second=_REFRESH_PER_S,
+                transient=True,
+            )
+
+    def __enter__(self) -> Self:
+        if self._live is not None:
+            # Drawing must not hold the loop up for a whole default interval of 5 ms.
+            self._interval = sys.getswitchinterval()
+            sys.setswitchinterval(0.0005)
+            self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+            sys.setswitchinterval(self._interval)
+
+    def show(self, sent: Sent) -> None:
+        """Keep the newest; the screen's own thread draws it when it gets to it."""
+        self._latest = sent
+
+    def _render(self) -> Group | Text:
+        sent = self._latest
+        if sent is None:
+            return Text("waiting for the first frame")
+        sensor = Panel(_grey(sent.step.frame.image), title="sensor sees", expand=False)
+        electrodes = Panel(
+            self._layout.draw(_felt_ma(sent)),
+            title=f"{self._primary.name} electrodes",
+            expand=False,
+        )
+        return Group(
+            Text(f"{self._source.title}  →  {self._profile.title}  →  {self._url}", style="bold"),
+            Columns([sensor, electrodes, Panel(self._numbers(sent), title="now", expand=False)]),
+            Text("Ctrl-C ends with all electrodes at zero.", style="dim"),
+        )
+
+    def _numbers(self, sent: Sent) -> Table:
+        frame, sequence, tally = sent.step.frame, sent.step.sequence, self._tally
+        limits, force = self._profile.limits, self._profile.force
+        peak_ma = float(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0)) / 1000
+        charge_uc = peak_ma * float(sequence.width_us.max(initial=0)) / 1000
+        pose = frame.pose
+        length = "" if self._source.duration_s is None else f" of {self._source.duration_s:.0f}"
+        rows = (
+            ("time", f"{frame.time_ns / 1e9:5.1f}{length} s"),
+            ("finger", f"x {pose.x_mm:5.1f}  y {pose.y_mm:5.1f} mm"),
+            ("pressure", f"{_bar(frame.force_n / force.full_n)} {frame.force_n:.2f} N"),
+            ("intensity", f"{_bar(sequence.intensity)} {sequence.intensity:.2f}"),
+            ("rate", f"{sequence.rate_hz:.0f} Hz, {sequence.slots} slots"),
+            ("latency", f"{sent.latency_us:.0f} µs, frame to last byte"),
+            (
+                "current",
+                f"{_bar(peak_ma / limits.current_ma)} {peak_ma:.2f}/{limits.current_ma} mA",
+            ),
+            (
+                "charge",
+                f"{_bar(charge_uc / limits.charge_uc)} {charge_uc:.2f}/{limits.charge_uc} µC",
+            ),
+            ("board", f"{self._board.acknowledged} of {tally.frames} acknowledged"),
+        )
+        table = Table.grid(padding=(0, 1))
+        for name, value in rows:
+            table.add_row(Text(name, style="dim"), Text(value))
+        return table
+
+    def summarize(self, figures: dict[str, Any], files: list[Path]) -> None:
+        """Print how the run went."""
+        latency = figures["latency_us"]
+        net_pc = 1e6 * (figures["max_net_charge_uc"] or 0)
+        lines = [
+            f"Ended after {figures['seconds']:.1f} s ({figures['ended']}): all electrodes off.",
+            f"  {figures['frames']} frames, {figures['slots']} slots, "
+            f"{figures['acknowledged']} sequences acknowledged, "
+            f"{figures['dropped_frames']} frames dropped",
+            f"  {figures['rate_hz']:.1f} Hz of {figures['rate_asked_hz']:.1f} asked"
+            + self._slowed(figures)
+            + f"; frame to last byte {latency['p50']:.0f} µs median, {latency['p99']:.0f} µs p99",
+            f"  strongest pulse {figures['max_current_ma']:.2f} mA, "
+            f"{figures['max_charge_uc']:.3f} µC; net charge left at worst {net_pc:.3g} pC; "
+            f"{figures['emulator_violations']} violations by the board's books",
+        ]
+        lines += [f"  wrote {path}" for path in files]
+        for line in lines:
+            self._console.print(line, soft_wrap=True, highlight=False)
+
+    @staticmethod
+    def _slowed(figures: dict[str, Any]) -> str:
+        if not figures["slowed_sequences"]:
+            return ""
+        return (
+            f" ({figures['slowed_sequences']} sequences did not fit and were slowed, "
+            f"at most to {figures['lowest_rate_hz']:.1f} Hz)"
+        )
+
+
+def _felt_ma(sent: Sent) -> NDArray[np.float32]:
+    """Return the current at the point each slot stimulates, (E,) mA; 0 where none is."""
+    sequence = sent.step.sequence
+    felt = np.zeros(sequence.electrodes, np.float32)
+    strongest = np.abs(sequence.current_ua.astype(np.float32)).max(axis=1, initial=0)
+    felt[sequence.site] = strongest / 1000
+    return felt
+
+
+def _bar(part: float, width: int = 10) -> str:
+    filled = round(max(0.0, min(1.0, part)) * width)
+    return "█" * filled + "░" * (width - filled)
+
+
+def _grey(image: NDArray[np.uint8]) -> Text:
+    """Draw an image in half blocks, two rows of pixels to a line."""
+    height, width = image.shape
+    columns = max(2, min(64, round(2 * _SENSOR_ROWS * width / height)))
+    small = cv2.resize(image, (columns, 2 * _SENSOR_ROWS), interpolation=cv2.INTER_AREA)
+    text = Text()
+    for upper, lower in zip(small[::2], small[1::2], strict=True):
+        for above, below in zip(upper.tolist(), lower.tolist(), strict=True):
+            style = f"rgb({above},{above},{above}) on rgb({below},{below},{below})"
+            text.append("▀", style=style)
+        text.append("\n")
+    text.right_crop(1)
+    return text
+
+
+class _ArrayLayout:
+    """Where each electrode stands on a canvas of characters, whatever its array."""
+
+    def __init__(self, profile: Profile) -> None:
+        position = profile.electrodes.position_mm
+        step_x, step_y = _finest(position[:, 0]), _finest(position[:, 1])
+        self._column = np.rint((position[:, 0] - position[:, 0].min()) / step_x).astype(int)
+        self._row = np.rint((position[:, 1] - position[:, 1].min()) / step_y).astype(int)
+        self._width = 3 if step_x >= step_y else 2
+        self._full_ma = float(profile.threshold_ma.max()) * profile.perception.comfort_ratio
+
+    def draw(self, current_ma: NDArray[np.float32]) -> Text:
+        cells = [
+            [(" " * self._width, "")] * (int(self._column.max()) + 1)
+            for _ in range(int(self._row.max()) + 1)
+        ]
+        for row, column, current in zip(
+            self._row.tolist(), self._column.tolist(), current_ma.tolist(), strict=True
+        ):
+            part = min(1.0, current / self._full_ma)
+            mark = "·" if part == 0 else "○◔◑◕●"[min(4, int(part * 5))]
+            glow = round(90 + 165 * part)
+            style = "grey42" if part == 0 else f"rgb({glow},{round(glow * 0.75)},40)"
+            cells[row][column] = (mark.ljust(self._width), style)
+        text = Text()
+        for line in cells:
+            for mark, style in line:
+                text.append(mark, style=style)
+            text.append("\n")
+        text.right_crop(1)
+        return text
+
+
+def _finest(values: NDArray[np.float64]) -> float:
+    steps = np.diff(np.unique(values.round(6)))
+    return float(steps.min()) if steps.size else 1.0

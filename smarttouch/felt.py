@@ -1,0 +1,133 @@
+"""What the skin got, drawn beside the page that the finger passed over."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from smarttouch.electrodes import ElectrodeArray
+from smarttouch.errors import SmartTouchError
+from smarttouch.live import Sent
+from smarttouch.sensing.frame import Pose
+
+FINEST_MM = 0.1
+"""Finest dot of the picture, on the page."""
+SILENT = 0.1
+"""Part of a full activation below which nothing is drawn."""
+
+
+class FeltImage:
+    """Puts delivered pulses back together at the finger poses of their frames.
+
+    Each delivered slot activates receptors under the electrodes; how much is
+    the activating function at their nodes. At every place on the page the
+    picture shows the strongest answer of each pass, averaged over the
+    electrodes that passed over it.
+
+    Parameters
+    ----------
+    electrodes : ElectrodeArray
+        The E electrodes.
+    receptor : ndarray, (E, E)
+        Activating function at the receptor under electrode r for unit current
+        (cathodic) at electrode e.
+    magnification : float
+        Millimeters on the array for one on the page.
+    page_mm : tuple of float, mm
+        Width and height of the page.
+    """
+
+    def __init__(
+        self,
+        electrodes: ElectrodeArray,
+        receptor: NDArray[np.float32],
+        magnification: float,
+        page_mm: tuple[float, float],
+    ) -> None:
+        self._position_mm = electrodes.position_mm / magnification
+        self._cell_mm = (
+            electrodes.cell_mm[0] / magnification,
+            electrodes.cell_mm[1] / magnification,
+        )
+        self._receptor = receptor
+        self._pixel_mm = max(FINEST_MM, max(page_mm) / 4000)
+        shape = (
+            int(np.ceil(page_mm[1] / self._pixel_mm)) + 1,
+            int(np.ceil(page_mm[0] / self._pixel_mm)) + 1,
+        )
+        self._touch = np.zeros(shape, np.float32)
+        self._passes = np.zeros(shape, np.float32)
+        self._poses: dict[int, Pose] = {}
+
+    def watch(self, sent: Sent) -> None:
+        """Remember where the finger was for a sequence, if it touched."""
+        if sent.step.sequence.intensity > 0:
+            self._poses[sent.number] = sent.step.frame.pose
+
+    def deliver(self, numbers: NDArray[np.uint32], current_ua: NDArray[np.int16]) -> None:
+        """Add delivered slots.
+
+        Parameters
+        ----------
+        numbers : ndarray, (N,)
+            The sequence each slot belongs to.
+        current_ua : ndarray, (N, E) int16, µA
+            Delivered current, positive cathodic.
+        """
+        answers = np.maximum(current_ua.astype(np.float32) @ self._receptor.T, 0)
+        starts = np.flatnonzero(np.diff(numbers, prepend=-1) != 0)
+        strongest = np.maximum.reduceat(answers, starts, axis=0) if len(starts) else answers
+        by_number = dict(zip(numbers[starts].tolist(), strongest, strict=True))
+        silent = np.zeros(len(self._position_mm), np.float32)
+        for number, pose in self._poses.items():
+            self._add(pose, by_number.get(number, silent))
+
+    def _add(self, pose: Pose, answer: NDArray[np.float32]) -> None:
+        cos, sin = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
+        x, y = self._position_mm[:, 0], self._position_mm[:, 1]
+        column = np.rint((pose.x_mm + x * cos - y * sin) / self._pixel_mm).astype(np.intp)
+        row = np.rint((pose.y_mm + x * sin + y * cos) / self._pixel_mm).astype(np.intp)
+        rows, columns = self._touch.shape
+        on = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        np.add.at(self._touch, (row[on], column[on]), answer[on])
+        np.add.at(self._passes, (row[on], column[on]), 1)
+
+    def picture(self) -> NDArray[np.uint8]:
+        """Return the touch as ink on paper, (H, W) uint8 at `pixel_mm`; 255 is nothing."""
+        kernel = tuple(max(1, round(side / self._pixel_mm)) for side in self._cell_mm)
+        touch = cv2.blur(self._touch, kernel)
+        passes = cv2.blur(self._passes, kernel)
+        mean = np.divide(touch, passes, out=np.zeros_like(touch), where=passes > 1e-6)
+        felt = mean[mean > 0]
+        full = float(np.percentile(felt, 98)) if felt.size else 1.0
+        strength = np.clip((mean / full - SILENT) / (1 - SILENT), 0, 1)
+        return np.asarray(255 * (1 - strength), np.uint8)
+
+    def save(self, path: Path, page: NDArray[np.uint8], caption: str) -> None:
+        """Write the page with the touch below it as one PNG.
+
+        Raises
+        ------
+        SmartTouchError
+            If the file cannot be written.
+        """
+        touch = self.picture()
+        height, width = touch.shape
+        scale = min(1.0, 1400 / width) if width >= 700 else 700 / width
+        size = (round(width * scale), round(height * scale))
+        margin, label = 24, 34
+        sheet = Image.new("L", (size[0] + 2 * margin, 2 * (size[1] + label) + 3 * margin), 226)
+        draw = ImageDraw.Draw(sheet)
+        font = ImageFont.load_default(17)
+        rows = ((page, "The page, as it lies under the finger"), (touch, caption))
+        for index, (image, text) in enumerate(rows):
+            top = margin + index * (size[1] + label + margin // 2)
+            draw.text((margin, top), text, fill=40, font=font)
+            method = Image.Resampling.LANCZOS
+            sheet.paste(Image.fromarray(image).resize(size, method), (margin, top + label - 6))
+        try:
+            sheet.save(path, format="PNG")
+        except OSError as error:
+            raise SmartTouchError(f"cannot write {path}: {error.strerror or error}") from None

@@ -1,0 +1,88 @@
+"""Ink or paper: a threshold that stays silent over blank paper."""
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+CONTRAST_GUARD = 45.0
+"""Grey levels that the darkest part must lie below the white to be print."""
+GREY_GUARD = 0.41
+"""Print is mostly ink or paper; more of the patch than this in between is noise."""
+INK_LEVEL = 0.7
+"""Darker than this part of the white is ink."""
+WHITE_DECAY_PER_S = 0.8
+"""How fast the tracked white may fall: slow enough to cross a black headline."""
+_SAMPLES = 32
+"""Rows and columns of the sample on which the guards are judged."""
+
+
+class Binarizer:
+    """Tells ink from paper, frame after frame.
+
+    A threshold taken from each frame by itself (Otsu's) must call something
+    ink even on blank paper. Here the white of the paper is tracked from frame
+    to frame, ink is what is darker than a fixed part of it, and two guards
+    keep the whole patch silent: the darkest part must differ from the white,
+    and most of the patch must be one or the other. Seen through a 5 mm patch,
+    1 in 100 places of a photographed page has more than 0.37 of its area in
+    between; dense noise of any grain has 0.43 and more.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns of the images to come.
+    light_on_dark : bool
+        Take light for ink and dark for paper.
+    """
+
+    def __init__(self, shape: tuple[int, int], light_on_dark: bool = False) -> None:
+        self._inverted = np.empty(shape, np.uint8) if light_on_dark else None
+        self._smooth = np.empty(shape, np.uint8)
+        self._ink = np.empty(shape, np.uint8)
+        steps = [max(1, side // _SAMPLES) for side in shape]
+        self._sampled = (slice(None, None, steps[0]), slice(None, None, steps[1]))
+        count = self._smooth[self._sampled].size
+        self._darkest = int(0.02 * count)
+        self._brightest = int(0.95 * count)
+        self._white = 0.0
+        self._time_ns = 0
+
+    def ink(self, image: NDArray[np.uint8], time_ns: int, touching: bool) -> NDArray[np.uint8]:
+        """Return 255 where there is ink, 0 elsewhere; overwritten by the next call.
+
+        Parameters
+        ----------
+        image : ndarray, (H, W) uint8
+            Of the shape given at the start.
+        time_ns : int
+            Time of the frame; sets how far the white may have fallen.
+        touching : bool
+            A lifted finger may land anywhere: its white is taken as it comes.
+        """
+        if self._inverted is not None:
+            image = cv2.bitwise_not(image, dst=self._inverted)
+        smooth = cv2.blur(image, (3, 3), dst=self._smooth)
+        ranked = np.sort(smooth[self._sampled].ravel())
+        dark, bright = float(ranked[self._darkest]), float(ranked[self._brightest])
+        white = self._track_white(bright, time_ns, touching)
+        if white - dark < CONTRAST_GUARD or _between(ranked, dark, bright) > GREY_GUARD:
+            self._ink.fill(0)
+            return self._ink
+        cv2.threshold(smooth, INK_LEVEL * white, 255, cv2.THRESH_BINARY_INV, dst=self._ink)
+        return self._ink
+
+    def _track_white(self, bright: float, time_ns: int, touching: bool) -> float:
+        elapsed_s = max(0, time_ns - self._time_ns) / 1e9
+        self._time_ns = time_ns
+        floor = self._white * math.exp(-WHITE_DECAY_PER_S * elapsed_s) if touching else 0.0
+        self._white = max(bright, floor)
+        return self._white
+
+
+def _between(ranked: NDArray[np.uint8], dark: float, bright: float) -> float:
+    """Return the part of sorted grey levels in the middle four tenths of their range."""
+    edges = (dark + 0.3 * (bright - dark), dark + 0.7 * (bright - dark))
+    low, high = np.searchsorted(ranked, edges)
+    return float(high - low) / len(ranked)

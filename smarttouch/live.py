@@ -1,0 +1,186 @@
+"""The loop: one clock, absolute deadlines, and an orderly end whatever happens."""
+
+import gc
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import FrameType
+from typing import Protocol
+
+import numpy as np
+
+from smarttouch.boards.board import Board
+from smarttouch.pipeline import Pipeline, Step
+from smarttouch.sensing.frame import Sensor
+
+SPIN_NS = 300_000
+"""The end of each wait is spun: a sleep alone wakes 0.1 to 0.2 ms late."""
+
+
+@dataclass
+class StopRequest:
+    """Set from a signal, another thread or the keyboard to end a run."""
+
+    event: threading.Event = field(default_factory=threading.Event)
+    reason: str = ""
+
+    def ask(self, reason: str) -> None:
+        # The first reason is the true one: a second Ctrl-C changes nothing.
+        self.reason = self.reason or reason
+        self.event.set()
+
+
+@contextmanager
+def stop_on_signals(stop: StopRequest) -> Iterator[None]:
+    """Let SIGINT, SIGTERM and SIGHUP end the run in order."""
+    names = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM", signal.SIGHUP: "SIGHUP"}
+
+    def ask(number: int, _frame: FrameType | None) -> None:
+        stop.ask(names[signal.Signals(number)])
+
+    before = {number: signal.signal(number, ask) for number in names}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class Clock(Protocol):
+    """What the loop knows of time; tests give it one of their own."""
+
+    def now_ns(self) -> int: ...
+
+    def wait_until(self, deadline_ns: int, stop: threading.Event) -> None: ...
+
+
+class MonotonicClock:
+    """The machine's monotonic clock: sleeps to a deadline, then spins the last bit."""
+
+    def now_ns(self) -> int:
+        return time.perf_counter_ns()
+
+    def wait_until(self, deadline_ns: int, stop: threading.Event) -> None:
+        left = deadline_ns - self.now_ns()
+        if left > SPIN_NS and stop.wait((left - SPIN_NS) / 1e9):
+            return
+        while self.now_ns() < deadline_ns:
+            pass
+
+
+@dataclass(frozen=True)
+class Sent:
+    """One frame that went out."""
+
+    step: Step
+    number: int
+    """The board's number of its sequence."""
+    latency_us: float
+    """From the frame in hand to the last byte written."""
+
+
+@dataclass
+class Tally:
+    """What a run adds up to, kept as it goes."""
+
+    frames: int = 0
+    slots: int = 0
+    slowed: int = 0
+    """Sequences longer than the period asked for."""
+    lowest_rate_hz: float = float("inf")
+    late: int = 0
+    """Frames that came more than a period after their time."""
+    active: float = 0.0
+    latency_us: list[float] = field(default_factory=list)
+    seconds: float = 0.0
+
+    def count(self, sent: Sent, asked_period_us: int) -> None:
+        sequence = sent.step.sequence
+        self.frames += 1
+        self.slots += sequence.slots
+        self.slowed += sequence.period_us > asked_period_us
+        self.lowest_rate_hz = min(self.lowest_rate_hz, sequence.rate_hz)
+        activation = sent.step.tactile.activation
+        self.active += np.count_nonzero(activation.any(axis=0)) / activation.shape[1]
+        self.latency_us.append(sent.latency_us)
+
+    def latency(self) -> dict[str, float]:
+        """Return p50, p99 and maximum latency, µs."""
+        if not self.latency_us:
+            return {"p50": 0.0, "p99": 0.0, "max": 0.0}
+        p50, p99 = np.percentile(self.latency_us, (50, 99))
+        return {"p50": float(p50), "p99": float(p99), "max": max(self.latency_us)}
+
+
+def run(
+    sensor: Sensor,
+    pipeline: Pipeline,
+    board: Board,
+    *,
+    stop: StopRequest,
+    tally: Tally,
+    seconds: float | None = None,
+    observers: Sequence[Callable[[Sent], None]] = (),
+    clock: Clock | None = None,
+) -> None:
+    """Let the finger feel what the sensor sees until the sensor ends.
+
+    The sensor is asked for a frame at each deadline; the next deadline is one
+    sequence later, so a frame that needs longer to scan lowers the rate and
+    nothing queues. A late loop moves its schedule and never hurries.
+
+    Parameters
+    ----------
+    sensor, pipeline, board
+        An open sensor, a fresh pipeline, an open board. The caller closes them.
+    stop : StopRequest
+        Ends the run early, and says why.
+    tally : Tally
+        Filled as the run goes, so that it is there after a fault.
+    seconds : float, optional
+        Longest run by the clock.
+    observers : sequence of callable
+        Told of every frame sent.
+    clock : Clock, optional
+        The machine's if not given.
+    """
+    clock = clock or MonotonicClock()
+    pipeline.warm_up()
+    gc.collect()
+    gc.freeze()
+    start = clock.now_ns()
+    elapsed = 0
+    shift = 0
+    try:
+        while not stop.event.is_set():
+            clock.wait_until(start + elapsed + shift, stop.event)
+            if stop.event.is_set():
+                break
+            now = clock.now_ns()
+            tally.seconds = (now - start) / 1e9
+            if seconds is not None and tally.seconds >= seconds:
+                stop.ask(f"{seconds:g} s are over")
+                break
+            frame = sensor.read(elapsed)
+            if frame is None:
+                break
+            in_hand = clock.now_ns()
+            step = pipeline.process(frame)
+            number = board.send(step.sequence)
+            sent = Sent(step, number, (clock.now_ns() - in_hand) / 1000)
+            tally.count(sent, pipeline.period_us)
+            for observe in observers:
+                observe(sent)
+            period_ns = step.sequence.period_us * 1000
+            late = now - (start + elapsed + shift)
+            if late > period_ns:
+                tally.late += 1
+                shift += late
+            elapsed += period_ns
+        board.drain()
+        tally.seconds = (clock.now_ns() - start) / 1e9
+    finally:
+        gc.unfreeze()

@@ -1,0 +1,70 @@
+"""Ink is found, blank paper and noise stay silent."""
+
+import numpy as np
+import pytest
+
+from smarttouch.imaging.binarize import Binarizer
+
+SECOND = 10**9
+
+
+@pytest.fixture
+def binarizer():
+    return Binarizer((64, 64))
+
+
+def share(mask):
+    return float((mask > 0).mean())
+
+
+def test_a_bar_of_ink(binarizer, patch):
+    ink = binarizer.ink(patch(24, 40), 0, True)
+    assert ink[:, 26:38].all()
+    assert not ink[:, :22].any()
+    assert not ink[:, 42:].any()
+
+
+@pytest.mark.parametrize("paper", [60, 128, 200, 255])
+def test_blank_paper_of_any_grey(binarizer, paper):
+    image = np.full((64, 64), paper, np.uint8)
+    noise = np.random.default_rng(1).normal(0, 3, image.shape)
+    assert share(binarizer.ink(np.clip(image + noise, 0, 255).astype(np.uint8), 0, True)) == 0
+
+
+@pytest.mark.parametrize("grain", [1, 2, 3])
+@pytest.mark.parametrize("seed", range(10))
+def test_noise_of_any_grain(binarizer, grain, seed):
+    rng = np.random.default_rng(seed)
+    coarse = rng.integers(0, 256, (64 // grain + 1, 64 // grain + 1), np.uint8)
+    noise = np.kron(coarse, np.ones((grain, grain), np.uint8))[:64, :64]
+    assert share(binarizer.ink(np.ascontiguousarray(noise), 0, True)) <= 0.02
+
+
+def test_white_is_remembered_over_a_black_area(binarizer, patch):
+    binarizer.ink(patch(0, 0), 0, True)
+    black = patch(0, 64)
+    assert share(binarizer.ink(black, SECOND // 10, True)) == 1
+    assert share(binarizer.ink(black, SECOND, True)) == 1
+
+
+def test_dimming_light_stays_silent(binarizer):
+    for tenth in range(20):
+        grey = round(230 - 8 * tenth)
+        image = np.full((64, 64), grey, np.uint8)
+        assert share(binarizer.ink(image, tenth * SECOND // 10, True)) == 0
+
+
+def test_a_lifted_finger_forgets_the_white(binarizer, patch):
+    binarizer.ink(patch(0, 0, paper=255), 0, True)
+    dim = np.full((64, 64), 100, np.uint8)
+    assert share(binarizer.ink(dim, 1, False)) == 0
+
+
+def test_light_on_dark(patch):
+    negative = 255 - patch(24, 40)
+    ink = Binarizer((64, 64), light_on_dark=True).ink(negative, 0, True)
+    assert np.array_equal(ink, Binarizer((64, 64)).ink(patch(24, 40), 0, True))
+
+
+def test_tiny_frames_work():
+    assert Binarizer((2, 2)).ink(np.zeros((2, 2), np.uint8), 0, True).shape == (2, 2)

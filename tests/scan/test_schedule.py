@@ -1,0 +1,103 @@
+"""One slot for each active point, balanced, spread, and within the period."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.errors import ScheduleError
+from smarttouch.imaging.tactile_image import TactileImage
+from smarttouch.modes.bank import load_bank
+from smarttouch.primary import Primary
+from smarttouch.profile import load_profile, profile_names
+from smarttouch.scan.safety import SafetyGate, SafetyLimits
+from smarttouch.scan.schedule import PointScan, spread_order
+
+
+def tactile(activation, time_ns=10**9, primary=Primary.RA):
+    rows = np.zeros((3, len(activation)), np.float32)
+    rows[primary] = activation
+    return TactileImage(rows, time_ns, 1.0)
+
+
+def started(profile):
+    gate = SafetyGate(SafetyLimits.of(profile))
+    scan = PointScan(profile, load_bank(profile), Primary.RA, 20.0)
+    gate.prove(scan.schedule(tactile(np.zeros(len(profile.electrodes)), 0), 0.0))
+    return gate
+
+
+@pytest.mark.parametrize("name", profile_names())
+@given(data=st.data())
+def test_every_sequence_of_every_profile_is_safe(name, data):
+    profile = load_profile(name)
+    bank = load_bank(profile)
+    primary = data.draw(st.sampled_from(sorted(bank.weights)))
+    level = st.floats(0, 1, width=32)
+    count = len(profile.electrodes)
+    seed = data.draw(st.integers(0, 2**32 - 1))
+    density, intensity = data.draw(level), data.draw(level)
+    rng = np.random.default_rng(seed)
+    activation = rng.random(count, np.float32) * (rng.random(count) < density)
+    scan = PointScan(profile, bank, primary, profile.pulse.rate_hz)
+    sequence = scan.schedule(tactile(activation, primary=primary), intensity)
+    started(profile).prove(sequence)
+    assert not sequence.current_ua.sum(axis=1).any()
+    assert set(sequence.site) <= set(np.flatnonzero(activation))
+
+
+def test_full_activation_gets_the_comfortable_current_and_faint_the_threshold(profile, bank):
+    activation = np.zeros(64)
+    activation[[9, 50]] = 1.0, 1e-6
+    sequence = PointScan(profile, bank, Primary.RA, 50).schedule(tactile(activation), 1.0)
+    peak = dict(zip(sequence.site.tolist(), np.abs(sequence.current_ua).max(axis=1), strict=True))
+    assert peak[9] == pytest.approx(2400, abs=32)
+    assert peak[50] == pytest.approx(1200, abs=32)
+
+
+def test_ra_is_anodic_at_its_point(profile, bank):
+    activation = np.zeros(64)
+    activation[27] = 1.0
+    sequence = PointScan(profile, bank, Primary.RA, 50).schedule(tactile(activation), 1.0)
+    assert sequence.current_ua[0, 27] == sequence.current_ua[0].min() < 0
+    assert sequence.state[0, 27] == -1
+
+
+def test_no_intensity_no_slots(profile, bank):
+    scan = PointScan(profile, bank, Primary.RA, 50)
+    assert scan.schedule(tactile(np.ones(64)), 0.0).slots == 0
+
+
+def test_rate_is_kept_where_it_fits_and_lowered_where_not(profile, bank):
+    scan = PointScan(profile, bank, Primary.RA, 100)
+    few = np.zeros(64)
+    few[:33] = 1
+    assert scan.schedule(tactile(few), 1.0).rate_hz == pytest.approx(100)
+    all_on = scan.schedule(tactile(np.ones(64)), 1.0)
+    assert all_on.period_us == 64 * 300
+
+
+def test_switched_boards_never_lose_an_electrode_to_rounding():
+    profile = load_profile("kajimoto-61")
+    scan = PointScan(profile, load_bank(profile), Primary.RA, 50)
+    for intensity in (0.001, 0.01, 0.02, 0.05, 0.3, 1.0):
+        state = scan.schedule(tactile(np.ones(61)), intensity).state
+        assert np.all(state != 0)
+    assert len(state) == 61
+
+
+@pytest.mark.parametrize("rate", [0, -1, 1000, float("nan")])
+def test_impossible_rates(profile, bank, rate):
+    with pytest.raises(ScheduleError, match="rate"):
+        PointScan(profile, bank, Primary.RA, rate)
+
+
+@given(st.integers(0, 1100))
+def test_spread_order_is_a_permutation(count):
+    assert sorted(spread_order(count)) == list(range(count))
+
+
+@pytest.mark.parametrize("count", [9, 16, 25, 64, 144])
+def test_successive_points_are_apart(count):
+    steps = np.abs(np.diff(spread_order(count)))
+    assert steps.min() >= count // 4

@@ -1,0 +1,106 @@
+"""Profiles are found by name, and refused with file, key and remedy."""
+
+import math
+
+import numpy as np
+import pytest
+
+from smarttouch.electrodes import KAJIMOTO_61_ROWS
+from smarttouch.errors import ProfileError
+from smarttouch.profile import load_profile, profile_names
+from smarttouch.resources import data_folder
+
+SHIPPED = {
+    "electric-mouse": 64,
+    "smarttouch-4x4": 16,
+    "line-7": 7,
+    "line-8": 8,
+    "kajimoto-61": 61,
+    "optacon-24x6": 144,
+}
+
+
+def test_all_are_shipped():
+    assert set(profile_names()) == set(SHIPPED)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped(name):
+    profile = load_profile(name)
+    assert len(profile.electrodes) == SHIPPED[name] == len(profile.threshold_ma)
+    distance = profile.electrodes.distance_mm + np.eye(SHIPPED[name]) * 1e9
+    assert distance.min() == pytest.approx(profile.electrodes.pitch_mm)
+    assert profile.electrodes.position_mm.mean(axis=0) == pytest.approx([0, 0])
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_files_say_what_they_are(name):
+    assert (data_folder("calibration") / f"{name}.toml").read_text(encoding="utf-8")[0] == "#"
+
+
+def test_hexagon_order_is_the_board_s():
+    """Index rises as x falls and as y falls (y up): 0 at (.5, .866), 60 at (-.5, -.866)."""
+    electrodes = load_profile("kajimoto-61").electrodes
+    unit = electrodes.position_mm / (4 * electrodes.pitch_mm) * [1, -1]
+    assert unit[0] == pytest.approx([0.5, math.sqrt(3) / 2])
+    assert unit[30] == pytest.approx([0, 0])
+    assert unit[60] == pytest.approx([-0.5, -math.sqrt(3) / 2])
+    assert sum(KAJIMOTO_61_ROWS) == 61
+
+
+@pytest.fixture
+def edited(tmp_path):
+    def edit(*changes):
+        text = (data_folder("calibration") / "electric-mouse.toml").read_text(encoding="utf-8")
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new, 1)
+        path = tmp_path / "mine.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return edit
+
+
+def test_a_file_of_one_s_own(edited):
+    assert load_profile(edited(("rows = 8", "rows = 4"))).array.rows == 4
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("pitch_x_mm", "pitch_z_mm", "unknown key 'array.pitch_z_mm'|'array.pitch_x_mm' is mis"),
+        ("[skin]", "surprise = 1\n[skin]", "unknown key 'array.surprise'"),
+        ("rows = 8", "rows = -1", "array.rows = -1"),
+        ("rows = 8", "", "'array.rows' is missing"),
+        ('layout = "grid"', 'layout = "ring"', "array"),
+        ("threshold_ma = 1.2", "threshold_ma = [1.2, 1.3]", "lists 2 electrodes.*has 64"),
+        ("threshold_ma = 1.2", "threshold_ma = nan", "perception.threshold_ma"),
+        ("comfort_ratio = 2.0", "comfort_ratio = 4.5", "above limits.current_ma"),
+        ("comfort_ratio = 2.0", "comfort_ratio = 2.5", "0.600 µC, above limits.charge_uc"),
+        ("current_ma = 5.0", "current_ma = 50.0", "limits.current_ma = 50.0"),
+        ("charge_uc = 0.5", "charge_uc = 0.6", "limits.charge_uc = 0.6"),
+        ("ramp_s = 0.5", "ramp_s = 0.1", "limits.ramp_s = 0.1"),
+        ("full_n = 0.9", "full_n = 0.1", "full_n 0.1 must exceed contact_n"),
+        ('medium = "half-space"', 'medium = "plane"', "does not go with array.layout"),
+        ("[array]", "[array", "not a readable TOML"),
+    ],
+)
+def test_refusals(edited, old, new, words):
+    path = edited((old, new))
+    with pytest.raises(ProfileError, match=words) as caught:
+        load_profile(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_name():
+    with pytest.raises(ProfileError, match="no profile 'nothing'.*electric-mouse"):
+        load_profile("nothing")
+
+
+def test_not_text(tmp_path):
+    path = tmp_path / "x.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ProfileError, match="not a readable TOML"):
+        load_profile(path)
