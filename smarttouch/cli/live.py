@@ -55,6 +55,7 @@ def live(
     import tempfile
 
     from smarttouch.boards.board import make_board
+    from smarttouch.cli.files import parse_mode, require_folder, write_json
     from smarttouch.cli.screen import Screen, bank_progress
     from smarttouch.errors import SmartTouchError
     from smarttouch.live import Sent, StopRequest, Tally, run, stop_on_signals
@@ -65,12 +66,12 @@ def live(
     from smarttouch.scan.safety import SafetyLimits
     from smarttouch.sensing import open_sensor
 
-    primary = _primary(mode)
+    primary = parse_mode(mode)
     if seconds is not None and not seconds > 0:
         raise SmartTouchError(f"--seconds {seconds:g} must be above 0")
     chosen = load_profile(profile)
     for output in (felt, record, json_file):
-        _require_folder(output)
+        require_folder(output)
     if felt is not None and not board.startswith("emulator:"):
         raise SmartTouchError(
             f"--felt needs a board that reports every pulse, and {board!r} does not: "
@@ -132,7 +133,7 @@ def live(
         finally:
             figures = _figures(tally, source, display, report, pipeline.period_us, ended)
             if json_file is not None:
-                _write_json(json_file, figures)
+                write_json(json_file, figures)
         if felt is not None and drawing is not None:
             from smarttouch.boards.emulator.books import read_delivered
 
@@ -145,22 +146,6 @@ def live(
             )
     if not quiet:
         screen.summarize(figures, [each for each in (felt, record, json_file) if each is not None])
-
-
-def _primary(mode: str) -> Any:
-    from smarttouch.errors import SmartTouchError
-    from smarttouch.primary import Primary
-
-    if mode.upper() not in ("RA", "SAI"):
-        raise SmartTouchError(f"--mode {mode!r} is not offered: choose RA or SAI")
-    return Primary[mode.upper()]
-
-
-def _require_folder(path: Path | None) -> None:
-    from smarttouch.errors import SmartTouchError
-
-    if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
-        raise SmartTouchError(f"cannot write {path}: give a file in a folder that exists")
 
 
 def _drawing(source: "Sensor", profile: "Profile", receptor: Any) -> Any:
@@ -219,14 +204,3 @@ def _figures(
         "emulator_violations": report and report.violations,
         "active_fraction": tally.active / tally.frames if tally.frames else 0.0,
     }
-
-
-def _write_json(path: Path, figures: dict[str, Any]) -> None:
-    import json
-
-    from smarttouch.errors import SmartTouchError
-
-    try:
-        path.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise SmartTouchError(f"cannot write {path}: {error.strerror}") from None

@@ -42,7 +42,7 @@ class PointScan:
                 f"a rate of {rate_hz:g} Hz is not possible: it must be above 0 and at most the "
                 f"profile's limit of {profile.limits.rate_hz:g} Hz"
             )
-        weights = np.asarray(bank.weights[primary], np.float32)
+        weights = np.asarray(bank.kernels(primary), np.float32)
         full_ua = profile.threshold_ma * profile.perception.comfort_ratio * 1000
         self._primary = primary
         self._kernels_ua = weights * full_ua[:, None]

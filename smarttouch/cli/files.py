@@ -1,0 +1,29 @@
+"""What the commands share: modes by name, and files to write."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from smarttouch.errors import SmartTouchError
+from smarttouch.primary import Primary
+
+
+def parse_mode(mode: str) -> Primary:
+    """Return the primary that ``--mode`` names."""
+    if mode.upper() not in ("RA", "SAI"):
+        raise SmartTouchError(f"--mode {mode!r} is not offered: choose RA or SAI")
+    return Primary[mode.upper()]
+
+
+def require_folder(path: Path | None) -> None:
+    """Raise before any work is done if a file could not be written in the end."""
+    if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
+        raise SmartTouchError(f"cannot write {path}: give a file in a folder that exists")
+
+
+def write_json(path: Path, figures: Any) -> None:
+    """Write figures as JSON."""
+    try:
+        path.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise SmartTouchError(f"cannot write {path}: {error.strerror}") from None

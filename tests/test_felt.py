@@ -1,0 +1,77 @@
+"""The picture of what was felt shows current where it was delivered."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from smarttouch.errors import SmartTouchError
+from smarttouch.felt import FeltImage
+from smarttouch.live import Sent
+from smarttouch.pipeline import Step
+from smarttouch.scan.sequence import ScanSequence
+from smarttouch.sensing.frame import Frame, Pose
+
+
+@pytest.fixture
+def drawing(profile):
+    """An array whose receptors answer only to anodic current of their own electrode."""
+    return FeltImage(profile.electrodes, -np.eye(64, dtype=np.float32), 3.2, (30.0, 20.0))
+
+
+def at(number, x, y, angle=0.0, intensity=1.0):
+    frame = Frame(np.zeros((2, 2), np.uint8), number, Pose(x, y, angle), 1.0)
+    empty = np.zeros(0, np.uint16)
+    sequence = ScanSequence(
+        np.zeros((0, 64), np.int16), empty, empty, empty, 20_000, intensity, number
+    )
+    return Sent(Step(frame, None, sequence), number, 1.0)
+
+
+def slot(electrode, current_ua=-2000):
+    current = np.zeros((1, 64), np.int16)
+    current[0, electrode] = current_ua
+    return current
+
+
+def darkest(picture):
+    rows, columns = np.nonzero(picture == picture.min())
+    return columns.mean() * 0.1, rows.mean() * 0.1
+
+
+def test_a_pulse_is_drawn_where_the_electrode_was(drawing):
+    drawing.watch(at(1, 12.0, 9.0))
+    drawing.deliver(np.array([1], np.uint32), slot(0))
+    assert darkest(drawing.picture()) == pytest.approx((12.0 - 7 / 3.2, 9.0 - 7 / 3.2), abs=0.11)
+
+
+def test_the_array_turns_with_the_finger(drawing):
+    drawing.watch(at(1, 12.0, 9.0, angle=np.pi / 2))
+    drawing.deliver(np.array([1], np.uint32), slot(0))
+    assert darkest(drawing.picture()) == pytest.approx((12.0 + 7 / 3.2, 9.0 - 7 / 3.2), abs=0.11)
+
+
+def test_cathodic_current_is_not_what_ra_feels(drawing):
+    drawing.watch(at(1, 12.0, 9.0))
+    drawing.deliver(np.array([1], np.uint32), slot(0, 2000))
+    assert drawing.picture().min() == 255
+
+
+def test_nothing_delivered_nothing_drawn(drawing):
+    drawing.watch(at(1, 12.0, 9.0))
+    drawing.deliver(np.empty(0, np.uint32), np.empty((0, 64), np.int16))
+    assert drawing.picture().min() == 255
+
+
+def test_off_the_page_is_left_out(drawing):
+    drawing.watch(at(1, -50.0, 900.0))
+    drawing.deliver(np.array([1], np.uint32), slot(0))
+    assert drawing.picture().min() == 255
+
+
+def test_save(drawing, tmp_path):
+    page = np.full((200, 300), 255, np.uint8)
+    drawing.save(tmp_path / "felt.png", page, "caption")
+    with Image.open(tmp_path / "felt.png") as sheet:
+        assert sheet.width > 700
+    with pytest.raises(SmartTouchError, match="cannot write"):
+        drawing.save(tmp_path / "none" / "felt.png", page, "caption")

@@ -1,0 +1,203 @@
+"""The loop ends in order, whatever happens in it."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from smarttouch.boards.board import Board, BoardReport, Capabilities
+from smarttouch.live import StopRequest, Tally, run
+from smarttouch.pipeline import Pipeline
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.sensing.frame import Frame, Pose
+
+
+class FakeClock:
+    """Time that passes only when someone waits, and as much as is asked."""
+
+    def __init__(self, lateness_ns=()):
+        self.time_ns = 5_000
+        self.lateness_ns = list(lateness_ns)
+        self.deadlines = []
+
+    def now_ns(self):
+        return self.time_ns
+
+    def wait_until(self, deadline_ns, stop):
+        self.deadlines.append(deadline_ns - 5_000)
+        late = self.lateness_ns.pop(0) if self.lateness_ns else 0
+        self.time_ns = max(self.time_ns, deadline_ns) + late
+
+
+class Bars:
+    """A sensor over black bars."""
+
+    title, duration_s, dropped_frames = "bars", 1.0, 0
+
+    def __init__(self, frames=100, fails_at=None):
+        self.times, self.frames, self.fails_at = [], frames, fails_at
+
+    def read(self, time_ns):
+        if self.fails_at == len(self.times):
+            raise RuntimeError("the sensor broke")
+        if len(self.times) == self.frames:
+            return None
+        self.times.append(time_ns)
+        image = np.full((64, 64), 220, np.uint8)
+        image[:, 20:30] = 20
+        return Frame(image, time_ns, Pose(0, 0), 1.0)
+
+
+class MemoryBoard(Board):
+    """Keeps what it gets; the contract's own code is what is tested."""
+
+    def __init__(self, profile):
+        super().__init__(SafetyLimits.of(profile))
+        self.sequences, self.calls = [], []
+
+    def _open(self):
+        self.capabilities = Capabilities(64, "weighted", 5.0, 1024, 100.0, "memory")
+        self.calls.append("open")
+
+    def _send(self, sequence):
+        self.sequences.append(sequence)
+        return len(self.sequences)
+
+    def _stop(self):
+        self.calls.append("stop")
+
+    def _close(self):
+        self.calls.append("close")
+
+    def report(self):
+        return BoardReport(len(self.sequences), 0, 0, 0, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture
+def board(profile):
+    return MemoryBoard(profile)
+
+
+@pytest.fixture
+def pipeline(profile, bank):
+    return Pipeline(profile, bank)
+
+
+def test_frames_are_asked_for_at_absolute_deadlines(pipeline, board):
+    sensor, clock, tally = Bars(50), FakeClock(), Tally()
+    with board:
+        run(sensor, pipeline, board, stop=StopRequest(), tally=tally, clock=clock)
+    assert clock.deadlines == [i * 20_000_000 for i in range(51)]
+    assert sensor.times == clock.deadlines[:50]
+    assert len(board.sequences) == tally.frames == 50
+    assert board.calls == ["open", "stop", "close"]
+
+
+def test_a_late_loop_moves_its_schedule_and_never_hurries(pipeline, board):
+    clock, tally = FakeClock([0, 0, 65_000_000]), Tally()
+    with board:
+        run(Bars(5), pipeline, board, stop=StopRequest(), tally=tally, clock=clock)
+    assert tally.late == 1
+    assert np.diff(clock.deadlines).min() == 20_000_000
+    assert clock.deadlines[3] - clock.deadlines[2] == 85_000_000
+
+
+def test_a_little_lateness_does_not_add_up(pipeline, board):
+    clock = FakeClock([3_000_000] * 20)
+    with board:
+        run(Bars(20), pipeline, board, stop=StopRequest(), tally=Tally(), clock=clock)
+    assert clock.deadlines == [i * 20_000_000 for i in range(21)]
+
+
+def test_same_frames_same_sequences(profile, bank):
+    runs = []
+    for _ in range(2):
+        with MemoryBoard(profile) as board:
+            run(
+                Bars(30),
+                Pipeline(profile, bank),
+                board,
+                stop=StopRequest(),
+                tally=Tally(),
+                clock=FakeClock(),
+            )
+        runs.append([s.current_ua.tobytes() + s.site.tobytes() for s in board.sequences])
+    assert runs[0] == runs[1]
+    assert any(runs[0])
+
+
+def test_seconds_end_it(pipeline, board):
+    stop, tally = StopRequest(), Tally()
+    with board:
+        run(Bars(), pipeline, board, stop=stop, tally=tally, seconds=0.5, clock=FakeClock())
+    assert tally.frames == 25
+    assert "0.5 s" in stop.reason
+
+
+def test_a_stop_request_ends_it_before_the_next_frame(pipeline, board):
+    stop, tally = StopRequest(), Tally()
+
+    def after_ten(_):
+        if tally.frames == 10:
+            stop.ask("enough")
+            stop.ask("too late to be the reason")
+
+    with board:
+        run(
+            Bars(),
+            pipeline,
+            board,
+            stop=stop,
+            tally=tally,
+            observers=[after_ten],
+            clock=FakeClock(),
+        )
+    assert tally.frames == 10
+    assert stop.reason == "enough"
+
+
+@pytest.mark.parametrize("stage", ["sensor", "pipeline", "board", "observer"])
+def test_an_exception_in_any_stage_ends_at_zero(monkeypatch, pipeline, board, stage):
+    def broken(*_):
+        raise RuntimeError("the stage broke")
+
+    sensor = Bars(fails_at=3 if stage == "sensor" else None)
+    if stage == "board":
+        monkeypatch.setattr(board, "_send", broken)
+    if stage == "pipeline":
+        monkeypatch.setattr(pipeline, "process", broken)
+    observers = [broken] if stage == "observer" else []
+    with pytest.raises(RuntimeError, match="broke"), board:
+        run(
+            sensor,
+            pipeline,
+            board,
+            stop=StopRequest(),
+            tally=Tally(),
+            observers=observers,
+            clock=FakeClock(),
+        )
+    assert board.calls == ["open", "stop", "close"]
+
+
+def test_soft_start_from_the_first_frame(pipeline, board):
+    with board:
+        run(Bars(40), pipeline, board, stop=StopRequest(), tally=Tally(), clock=FakeClock())
+    intensity = [sequence.intensity for sequence in board.sequences]
+    assert intensity[0] == 0
+    assert intensity[25] == pytest.approx(1.0)
+    assert np.diff(intensity).max() <= 0.0401
+
+
+def test_tally_of_an_empty_run():
+    assert Tally().latency() == {"p50": 0.0, "p99": 0.0, "max": 0.0}
+
+
+def test_stopping_is_safe_from_another_thread(pipeline, board):
+    stop = StopRequest()
+    with board:
+        thread = threading.Thread(target=stop.ask, args=("other thread",))
+        thread.start()
+        thread.join()
+        run(Bars(), pipeline, board, stop=stop, tally=Tally(), clock=FakeClock())
+    assert board.sequences == []
