@@ -69,6 +69,9 @@ class MemoryBoard(Board):
     def _close(self):
         self.calls.append("close")
 
+    def drain(self, timeout_s=1.0):
+        self.calls.append("drain")
+
     def report(self):
         return BoardReport(len(self.sequences), 0, 0, 0, 0.0, 0.0, 0.0)
 
@@ -90,7 +93,7 @@ def test_frames_are_asked_for_at_absolute_deadlines(pipeline, board):
     assert clock.deadlines == [i * 20_000_000 for i in range(51)]
     assert sensor.times == clock.deadlines[:50]
     assert len(board.sequences) == tally.frames == 50
-    assert board.calls == ["open", "stop", "close"]
+    assert board.calls == ["open", "drain", "stop", "close"]
 
 
 def test_a_late_loop_moves_its_schedule_and_never_hurries(pipeline, board):

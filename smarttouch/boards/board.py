@@ -109,6 +109,7 @@ class Board(ABC):
             finally:
                 self._close()
 
+    @abstractmethod
     def drain(self, timeout_s: float = 1.0) -> None:
         """Wait until everything sent has been delivered, or the time is over."""
 

@@ -113,7 +113,9 @@ def design_kernel(problem: Problem, site: int, spill: float | None = SPILL) -> K
 
     Among equally selective kernels the one of least total current is taken,
     then the mean over the site's own symmetries, so that the answer does not
-    depend on the solver.
+    depend on the solver. Where electrodes stand closer than afferents lie
+    deep, no kernel meets the bound on spill; it is then raised to a tenth
+    above the least that is possible, and `Kernel.own_spill` says so.
 
     Parameters
     ----------
@@ -139,6 +141,8 @@ def design_kernel(problem: Problem, site: int, spill: float | None = SPILL) -> K
     rows = np.vstack([problem.other / scale, far])
     equal = np.vstack([target / scale, np.ones(count)])
     programme = _Programme(rows, len(problem.other), spill or 0.0, equal, _describe(problem, site))
+    if spill is not None and not programme.is_feasible():
+        programme.loosen()
     best = programme.most_selective()
     weights = programme.least_current(best)
     mirrors = [move for move in problem.symmetries if move[site] == site]
@@ -189,6 +193,19 @@ class _Programme:
         self._rows, self._others, self._spill = rows, others, spill
         self._equal, self._description = equal, description
         self._chosen = np.unique(np.linspace(0, len(rows) - 1, _ROWS_AT_ONCE).astype(np.intp))
+
+    def is_feasible(self) -> bool:
+        """Return whether any kernel keeps the bound on spill."""
+        return self._least_spill() <= self._spill
+
+    def loosen(self) -> None:
+        """Raise the bound on spill to a tenth above the least possible."""
+        self._spill = 1.1 * self._least_spill()
+
+    def _least_spill(self) -> float:
+        own = self._rows[self._others :]
+        least = _Programme(own, len(own), 0.0, self._equal, self._description)
+        return least.most_selective() if len(own) else 0.0
 
     def most_selective(self) -> float:
         """Return the smallest worst other."""

@@ -1,0 +1,160 @@
+"""How a finger moves over a page: line by line, or as it was recorded."""
+
+import csv
+import math
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from smarttouch.errors import SensorError
+from smarttouch.profile import Profile
+from smarttouch.sensing.frame import Pose
+from smarttouch.sensing.page_image import Page
+from smarttouch.sensing.text_lines import TextLine, find_lines
+
+RETURN_MM_S = 200.0
+"""Speed of the lifted finger on its way to the next line."""
+SETTLE_S = 0.6
+"""A finger rests at the start of a line while intensity ramps up."""
+LIFT_S = 0.15
+FASTEST_MM_S = 500.0
+_PRESS = 1.1
+"""Reading force, of the profile's full force."""
+_WAVER = 0.08
+"""Slow variation of the reading force."""
+_COLUMNS = ("time_s", "x_mm", "y_mm", "angle_deg", "force_n")
+
+
+class Path2D(Protocol):
+    """Where the finger is, and how hard it presses, at any time."""
+
+    duration_s: float
+
+    def at(self, time_s: float) -> tuple[Pose, float]:
+        """Return the pose and the force in newtons."""
+
+
+class ReadingPath:
+    """Reads the lines of a page one after another; a page without lines in strips.
+
+    Parameters
+    ----------
+    page : Page
+        What is read.
+    profile : Profile
+        Field of view and force.
+    speed_mm_s : float, mm/s
+        Speed along a line.
+    seed : int
+        Of the force's slow variation.
+    light_on_dark : bool
+        For light print on dark paper.
+    """
+
+    def __init__(
+        self,
+        page: Page,
+        profile: Profile,
+        speed_mm_s: float,
+        seed: int = 0,
+        light_on_dark: bool = False,
+    ) -> None:
+        if not 0 < speed_mm_s <= FASTEST_MM_S:
+            raise SensorError(
+                f"--speed {speed_mm_s:g} must be above 0 and at most {FASTEST_MM_S:g} mm/s"
+            )
+        field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
+        lines = find_lines(page, light_on_dark) or [
+            TextLine(0, page.size_mm[1], 0, page.size_mm[0])
+        ]
+        self.lines = [sweep for line in lines for sweep in _sweeps(line, field[1])]
+        self._force_n = _PRESS * profile.force.full_n
+        self._phases = np.random.default_rng(seed).uniform(0, 2 * math.pi, 2)
+        rows = []
+        time_s = 0.0
+        for line in self.lines:
+            y = (line.top_mm + line.bottom_mm) / 2
+            start, end = line.left_mm - field[0] / 2, line.right_mm + field[0] / 2
+            if rows:
+                x_before, y_before = rows[-1][1:3]
+                time_s += math.hypot(start - x_before, y - y_before) / RETURN_MM_S
+            rows.append((time_s, start, y, 0.0))
+            rows.append((time_s + LIFT_S, start, y, 1.0))
+            sweep_at = time_s + SETTLE_S
+            rows.append((sweep_at, start, y, 1.0))
+            time_s = sweep_at + (end - start) / speed_mm_s
+            rows.append((time_s - LIFT_S / 3, end - LIFT_S / 3 * speed_mm_s, y, 1.0))
+            rows.append((time_s, end, y, 0.0))
+        self._table = np.array(rows)
+        self.duration_s = time_s
+
+    def at(self, time_s: float) -> tuple[Pose, float]:
+        """Return the pose and the force in newtons."""
+        times = self._table[:, 0]
+        x, y, press = (float(np.interp(time_s, times, self._table[:, k])) for k in (1, 2, 3))
+        slow = sum(
+            math.sin(2 * math.pi * rate * time_s + phase)
+            for rate, phase in zip((0.7, 1.9), self._phases, strict=True)
+        )
+        return Pose(x, y), press * self._force_n * (1 + _WAVER / 2 * slow)
+
+
+class RecordedPath:
+    """A path from a CSV file with the columns time_s, x_mm, y_mm, angle_deg, force_n.
+
+    Raises
+    ------
+    SensorError
+        If the file is missing or wrong; it says in which line.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            with path.open(newline="", encoding="utf-8-sig") as file:
+                rows = list(csv.reader(file))
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            reason = getattr(error, "strerror", None) or "it is not a text table"
+            raise SensorError(f"cannot read the path {path}: {reason}") from None
+        if not rows or tuple(cell.strip() for cell in rows[0]) != _COLUMNS:
+            raise SensorError(f"{path} must begin with the line {','.join(_COLUMNS)}")
+        table = [_numbers(path, number, row) for number, row in enumerate(rows[1:], 2) if row]
+        if len(table) < 2:
+            raise SensorError(f"{path} has {len(table)} points: a path needs at least two")
+        self._table = np.array(table)
+        steps = np.diff(self._table[:, 0])
+        if (steps <= 0).any():
+            number = int(np.argmax(steps <= 0)) + 3
+            raise SensorError(f"{path}, line {number}: time must rise from line to line")
+        self._start_s = float(self._table[0, 0])
+        self.duration_s = float(self._table[-1, 0]) - self._start_s
+
+    def at(self, time_s: float) -> tuple[Pose, float]:
+        """Return the pose and the force in newtons."""
+        times = self._table[:, 0] - self._start_s
+        x, y, angle, force = (
+            float(np.interp(time_s, times, self._table[:, column])) for column in range(1, 5)
+        )
+        return Pose(x, y, math.radians(angle)), force
+
+
+def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
+    """Cut a line that is taller than the field into strips."""
+    tall = line.bottom_mm - line.top_mm
+    # A field over: ascenders that just stick out need no second pass.
+    count = max(1, math.ceil(tall / height_mm - 0.15))
+    step = tall / count
+    return [
+        TextLine(line.top_mm + k * step, line.top_mm + (k + 1) * step, line.left_mm, line.right_mm)
+        for k in range(count)
+    ]
+
+
+def _numbers(path: Path, number: int, row: list[str]) -> list[float]:
+    try:
+        values = [float(cell) for cell in row]
+    except ValueError:
+        values = []
+    if len(values) != len(_COLUMNS) or not all(map(math.isfinite, values)):
+        raise SensorError(f"{path}, line {number}: needs {len(_COLUMNS)} numbers, has {row}")
+    return values
