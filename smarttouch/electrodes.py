@@ -108,4 +108,4 @@ def lines(count: int, pitch_mm: float, width_mm: float, length_mm: float) -> Ele
 
 
 def _centered(count: int, pitch: float) -> NDArray[np.float64]:
-    return (np.arange(count) - (count - 1) / 2) * pitch
+    return np.asarray((np.arange(count) - (count - 1) / 2) * pitch, np.float64)

@@ -1,4 +1,4 @@
-"""What the skin got, drawn beside the page that the finger passed over."""
+"""What the skin felt, drawn beside the page that the finger passed over."""
 
 from pathlib import Path
 
@@ -7,51 +7,49 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from smarttouch.electrodes import ElectrodeArray
 from smarttouch.errors import SmartTouchError
 from smarttouch.live import Sent
+from smarttouch.modes.bank import KernelBank
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
 from smarttouch.sensing.frame import Pose
 
 FINEST_MM = 0.1
 """Finest dot of the picture, on the page."""
-SILENT = 0.1
-"""Part of a full activation below which nothing is drawn."""
 
 
 class FeltImage:
     """Puts delivered pulses back together at the finger poses of their frames.
 
-    Each delivered slot activates receptors under the electrodes; how much is
-    the activating function at their nodes. At every place on the page the
-    picture shows the strongest answer of each pass, averaged over the
-    electrodes that passed over it.
+    Each delivered slot activates the receptors under the electrodes; how much
+    is the activating function at their nodes. An answer counts from the
+    detection threshold on, and is 1 at the strongest comfortable pulse. At
+    every place of the page the picture shows the mean over the electrodes
+    that passed it.
 
     Parameters
     ----------
-    electrodes : ElectrodeArray
-        The E electrodes.
-    receptor : ndarray, (E, E)
-        Activating function at the receptor under electrode r for unit current
-        (cathodic) at electrode e.
-    magnification : float
-        Millimeters on the array for one on the page.
+    profile : Profile
+        Array, thresholds and magnification.
+    bank : KernelBank
+        Its kernels, for what a full pulse does, and its receptors.
+    primary : Primary
+        Whose receptors are asked.
     page_mm : tuple of float, mm
         Width and height of the page.
     """
 
     def __init__(
-        self,
-        electrodes: ElectrodeArray,
-        receptor: NDArray[np.float32],
-        magnification: float,
-        page_mm: tuple[float, float],
+        self, profile: Profile, bank: KernelBank, primary: Primary, page_mm: tuple[float, float]
     ) -> None:
+        electrodes, magnification = profile.electrodes, profile.optics.magnification
         self._position_mm = electrodes.position_mm / magnification
-        self._cell_mm = (
-            electrodes.cell_mm[0] / magnification,
-            electrodes.cell_mm[1] / magnification,
-        )
-        self._receptor = receptor
+        self._cell_mm = tuple(side / magnification for side in electrodes.cell_mm)
+        self._receptor = bank.receptor[primary]
+        ratio = profile.perception.comfort_ratio
+        full_ua = profile.threshold_ma * ratio * 1000
+        self._full = full_ua * (self._receptor * bank.kernels(primary)).sum(axis=1)
+        self._threshold = 1 / ratio
         self._pixel_mm = max(FINEST_MM, max(page_mm) / 4000)
         shape = (
             int(np.ceil(page_mm[1] / self._pixel_mm)) + 1,
@@ -76,8 +74,9 @@ class FeltImage:
         current_ua : ndarray, (N, E) int16, µA
             Delivered current, positive cathodic.
         """
-        answers = np.maximum(current_ua.astype(np.float32) @ self._receptor.T, 0)
-        starts = np.flatnonzero(np.diff(numbers, prepend=-1) != 0)
+        activation = (current_ua.astype(np.float32) @ self._receptor.T) / self._full
+        answers = np.clip((activation - self._threshold) / (1 - self._threshold), 0, 1)
+        starts = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
         strongest = np.maximum.reduceat(answers, starts, axis=0) if len(starts) else answers
         by_number = dict(zip(numbers[starts].tolist(), strongest, strict=True))
         silent = np.zeros(len(self._position_mm), np.float32)
@@ -95,15 +94,12 @@ class FeltImage:
         np.add.at(self._passes, (row[on], column[on]), 1)
 
     def picture(self) -> NDArray[np.uint8]:
-        """Return the touch as ink on paper, (H, W) uint8 at `pixel_mm`; 255 is nothing."""
-        kernel = tuple(max(1, round(side / self._pixel_mm)) for side in self._cell_mm)
+        """Return the touch as ink on paper, (H, W) uint8; 255 is nothing, 0 the strongest."""
+        kernel = [max(1, round(side / self._pixel_mm)) for side in self._cell_mm]
         touch = cv2.blur(self._touch, kernel)
         passes = cv2.blur(self._passes, kernel)
         mean = np.divide(touch, passes, out=np.zeros_like(touch), where=passes > 1e-6)
-        felt = mean[mean > 0]
-        full = float(np.percentile(felt, 98)) if felt.size else 1.0
-        strength = np.clip((mean / full - SILENT) / (1 - SILENT), 0, 1)
-        return np.asarray(255 * (1 - strength), np.uint8)
+        return np.asarray(np.rint(255 * (1 - np.clip(mean, 0, 1))), np.uint8)
 
     def save(self, path: Path, page: NDArray[np.uint8], caption: str) -> None:
         """Write the page with the touch below it as one PNG.
@@ -115,18 +111,18 @@ class FeltImage:
         """
         touch = self.picture()
         height, width = touch.shape
-        scale = min(1.0, 1400 / width) if width >= 700 else 700 / width
+        scale = min(max(1.0, 900 / width), 1400 / width)
         size = (round(width * scale), round(height * scale))
-        margin, label = 24, 34
+        margin, label = 24, 28
         sheet = Image.new("L", (size[0] + 2 * margin, 2 * (size[1] + label) + 3 * margin), 226)
         draw = ImageDraw.Draw(sheet)
         font = ImageFont.load_default(17)
         rows = ((page, "The page, as it lies under the finger"), (touch, caption))
         for index, (image, text) in enumerate(rows):
-            top = margin + index * (size[1] + label + margin // 2)
+            top = margin + index * (size[1] + label + margin)
             draw.text((margin, top), text, fill=40, font=font)
             method = Image.Resampling.LANCZOS
-            sheet.paste(Image.fromarray(image).resize(size, method), (margin, top + label - 6))
+            sheet.paste(Image.fromarray(image).resize(size, method), (margin, top + label))
         try:
             sheet.save(path, format="PNG")
         except OSError as error:

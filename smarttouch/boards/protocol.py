@@ -270,4 +270,4 @@ def _pack_states(signs: NDArray[np.int16]) -> bytes:
 def _unpack_states(packed: NDArray[np.uint8], electrodes: int) -> NDArray[np.int8]:
     codes = (packed[..., None] >> np.array([0, 2, 4, 6], np.uint8)) & 3
     flat = codes.reshape(len(packed), -1)[:, :electrodes]
-    return np.array([0, 1, -1, 2], np.int8)[flat]
+    return np.asarray(np.array([0, 1, -1, 2], np.int8)[flat])

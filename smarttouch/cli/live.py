@@ -8,6 +8,8 @@ import typer
 if TYPE_CHECKING:
     from smarttouch.boards.board import Board, BoardReport
     from smarttouch.live import Tally
+    from smarttouch.modes.bank import KernelBank
+    from smarttouch.primary import Primary
     from smarttouch.profile import Profile
     from smarttouch.sensing.frame import Sensor
 
@@ -100,7 +102,7 @@ def live(
         if felt is not None:
             books = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="smarttouch-")))
             options["books"] = books
-            drawing = _drawing(source, chosen, bank.receptor[primary])
+            drawing = _drawing(source, chosen, bank, primary)
         display = make_board(board, SafetyLimits.of(chosen), **options)
         observers = [] if drawing is None else [drawing.watch]
         if record is not None:
@@ -142,22 +144,20 @@ def live(
             drawing.save(
                 felt,
                 source.page.grey,  # type: ignore[attr-defined]  # _drawing has made sure
-                f"What the skin got: {primary.name} pulses delivered at the finger's positions",
+                f"What the skin got: {primary.name} pulses as delivered, where the finger was",
             )
     if not quiet:
         screen.summarize(figures, [each for each in (felt, record, json_file) if each is not None])
 
 
-def _drawing(source: "Sensor", profile: "Profile", receptor: Any) -> Any:
+def _drawing(source: "Sensor", profile: "Profile", bank: "KernelBank", primary: "Primary") -> Any:
     from smarttouch.errors import SmartTouchError
     from smarttouch.felt import FeltImage
 
     page = getattr(source, "page", None)
     if page is None:
         raise SmartTouchError(f"--felt needs a page to draw beside, and {source.title} has none")
-    height, width = page.grey.shape
-    size_mm = (width * page.mm_per_pixel, height * page.mm_per_pixel)
-    return FeltImage(profile.electrodes, receptor, profile.optics.magnification, size_mm)
+    return FeltImage(profile, bank, primary, page.size_mm)
 
 
 def _recorder(path: Path, profile: "Profile", settings: dict[str, str], seed: int) -> Any:

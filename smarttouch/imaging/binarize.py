@@ -62,8 +62,9 @@ class Binarizer:
             A lifted finger may land anywhere: its white is taken as it comes.
         """
         if self._inverted is not None:
-            image = cv2.bitwise_not(image, dst=self._inverted)
-        smooth = cv2.blur(image, (3, 3), dst=self._smooth)
+            image = np.asarray(cv2.bitwise_not(image, dst=self._inverted), np.uint8)
+        smooth = self._smooth
+        cv2.blur(image, (3, 3), dst=smooth)
         ranked = np.sort(smooth[self._sampled].ravel())
         dark, bright = float(ranked[self._darkest]), float(ranked[self._brightest])
         white = self._track_white(bright, time_ns, touching)

@@ -5,7 +5,7 @@ import math
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import coo_array, csr_array
 
 from smarttouch.electrodes import ElectrodeArray
 from smarttouch.profile import Optics
@@ -105,8 +105,7 @@ def _aperture_matrix(
     electrode = np.broadcast_to(np.arange(len(electrodes))[:, None], seen.shape)
     pixel = (row * columns + column).astype(np.int64)
     share = np.full(int(seen.sum()), 1 / (255 * across * down), np.float32)
-    return csr_array(
-        (share, (electrode[seen], pixel[seen])),
-        shape=(len(electrodes), rows * columns),
-        dtype=np.float32,
+    entries = coo_array(
+        (share, (electrode[seen], pixel[seen])), shape=(len(electrodes), rows * columns)
     )
+    return entries.tocsr()

@@ -10,7 +10,7 @@ may reach at most `SPILL` of the target: on a grid the paper's programme alone
 lets neighbors of the same class nearly fire.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,7 +81,7 @@ class Problem:
         """Return the own-class rows farther than one pitch from a site's target."""
         electrodes = self.profile.electrodes
         away = np.linalg.norm(self._own_position_mm - electrodes.position_mm[site], axis=1)
-        return self._own[away > electrodes.pitch_mm + 1e-9]
+        return np.asarray(self._own[away > electrodes.pitch_mm + 1e-9])
 
     def representative(self, site: int) -> tuple[int, NDArray[np.intp]]:
         """Return the site that stands for this one, and the way from it to here."""
@@ -245,7 +245,7 @@ class _Programme:
         self,
         cost: Array,
         equal: Array,
-        bounds: list[tuple[float | None, float | None]],
+        bounds: Sequence[tuple[float | None, float | None]],
         limited: Callable[[NDArray[np.intp]], tuple[Array, Array]],
         read: Callable[[Array], tuple[Array, float]],
     ) -> Array:

@@ -192,4 +192,4 @@ def _peak_ua(currents: NDArray[np.int16]) -> NDArray[np.int64]:
     # int16's most negative value has no positive twin: widen before negating.
     high = currents.max(axis=1).astype(np.int64)
     low = currents.min(axis=1).astype(np.int64)
-    return np.maximum(high, -low)
+    return np.asarray(np.maximum(high, -low))

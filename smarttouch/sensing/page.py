@@ -151,7 +151,7 @@ def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float]:
     surface = cv2.GaussianBlur(
         surface, (0, 0), BLUR_MM / surface_mm, borderType=cv2.BORDER_REPLICATE
     )
-    return surface, surface_mm
+    return np.asarray(surface, np.uint8), surface_mm
 
 
 def _light(shape: tuple[int, int]) -> NDArray[np.float32]:

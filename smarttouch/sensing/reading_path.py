@@ -71,7 +71,7 @@ class ReadingPath:
         self.lines = [sweep for line in lines for sweep in _sweeps(line, field[1])]
         self._force_n = _PRESS * profile.force.full_n
         self._phases = np.random.default_rng(seed).uniform(0, 2 * math.pi, 2)
-        rows = []
+        rows: list[tuple[float, float, float, float]] = []
         time_s = 0.0
         for line in self.lines:
             y = (line.top_mm + line.bottom_mm) / 2

@@ -10,7 +10,6 @@ import os
 import pty
 import select
 import signal
-import sys
 import time
 from pathlib import Path
 from types import FrameType
@@ -114,4 +113,4 @@ def _write(master: int, data: bytes) -> bytes:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
