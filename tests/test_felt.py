@@ -7,7 +7,9 @@ from PIL import Image
 from smarttouch.errors import SmartTouchError
 from smarttouch.felt import FeltImage
 from smarttouch.live import Sent
+from smarttouch.modes.bank import KernelBank
 from smarttouch.pipeline import Step
+from smarttouch.primary import Primary
 from smarttouch.scan.sequence import ScanSequence
 from smarttouch.sensing.frame import Frame, Pose
 
@@ -15,7 +17,12 @@ from smarttouch.sensing.frame import Frame, Pose
 @pytest.fixture
 def drawing(profile):
     """An array whose receptors answer only to anodic current of their own electrode."""
-    return FeltImage(profile.electrodes, -np.eye(64, dtype=np.float32), 3.2, (30.0, 20.0))
+    own = -np.eye(64, dtype=np.float32)
+    nothing = np.zeros(64, np.float32)
+    bank = KernelBank(
+        {Primary.RA: own}, {Primary.RA: nothing}, {Primary.RA: nothing}, {Primary.RA: own}
+    )
+    return FeltImage(profile, bank, Primary.RA, (30.0, 20.0))
 
 
 def at(number, x, y, angle=0.0, intensity=1.0):
@@ -54,6 +61,22 @@ def test_cathodic_current_is_not_what_ra_feels(drawing):
     drawing.watch(at(1, 12.0, 9.0))
     drawing.deliver(np.array([1], np.uint32), slot(0, 2000))
     assert drawing.picture().min() == 255
+
+
+def test_below_threshold_nothing_is_felt(drawing):
+    drawing.watch(at(1, 12.0, 9.0))
+    drawing.deliver(np.array([1], np.uint32), slot(0, -1200))
+    assert drawing.picture().min() == 255
+
+
+def test_a_full_pulse_is_black_and_a_weaker_one_grey(drawing):
+    drawing.watch(at(1, 8.0, 9.0))
+    drawing.watch(at(2, 20.0, 9.0))
+    currents = np.vstack([slot(0, -2400), slot(0, -1800)])
+    drawing.deliver(np.array([1, 2], np.uint32), currents)
+    picture = drawing.picture()
+    assert picture.min() == 0
+    assert abs(int(picture[:, 150:].min()) - 128) <= 2
 
 
 def test_nothing_delivered_nothing_drawn(drawing):

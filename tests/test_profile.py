@@ -95,7 +95,7 @@ def test_refusals(edited, old, new, words):
 
 
 def test_unknown_name():
-    with pytest.raises(ProfileError, match="no profile 'nothing'.*electric-mouse"):
+    with pytest.raises(ProfileError, match=r"no profile 'nothing'.*electric-mouse"):
         load_profile("nothing")
 
 

@@ -65,6 +65,11 @@ class Board(ABC):
 
     def open(self) -> None:
         """Connect, shake hands, and put all electrodes at zero."""
+        if self._opened:
+            raise BoardError("the board is open already: close it first")
+        # A new run starts from zero intensity, and its time may start anew.
+        self._gate = SafetyGate(self._gate.limits)
+        self._stopped.clear()
         self._open()
         self._opened = True
 

@@ -1,5 +1,6 @@
 """Driver of boards that speak our own protocol over a serial line."""
 
+import contextlib
 import os
 import threading
 import time
@@ -21,6 +22,10 @@ SILENCE_S = 0.5
 ANSWER_S = 1.0
 IN_FLIGHT = 2
 """Sequences sent but not yet acknowledged."""
+PIECE = 4096
+"""Bytes written at once: a stop waits for one piece, not for a whole packet."""
+_LINE_ERRORS = (OSError, serial.SerialException, TypeError)
+"""What pyserial raises when a port vanishes, or is closed by another thread."""
 
 
 def open_link(rest: str, limits: SafetyLimits, **options: Any) -> "LinkBoard":
@@ -54,7 +59,10 @@ class LinkBoard(Board):
         self._in_flight: set[int] = set()
         self._fault: str | None = None
         self._closing = threading.Event()
-        self._writing = threading.Lock()
+        # Reentrant: a signal handler may call stop while its own thread is writing.
+        self._writing = threading.RLock()
+        self._overtaken = False
+        self._serial: serial.SerialBase | None = None
         self._news = threading.Condition()
         self._answers: dict[int, Packet] = {}
         self._threads: list[threading.Thread] = []
@@ -63,8 +71,8 @@ class LinkBoard(Board):
 
     def _open(self) -> None:
         self._closing.clear()
-        self._stopped.clear()
         self._fault = None
+        self._overtaken = False
         self._in_flight.clear()
         self._answers.clear()
         self._serial = self._open_port()
@@ -107,15 +115,29 @@ class LinkBoard(Board):
         return self._number
 
     def _stop(self) -> None:
-        if self._fault is None:
+        # From here on there are no heartbeats: without an answer the board's watchdog ends it.
+        self._overtaken = True
+        if self._serial is None:
+            return
+        if self._fault is not None:
+            with contextlib.suppress(*_LINE_ERRORS):
+                self._serial.write(b"\0" + protocol.encode(Kind.STOP))
+            return
+        try:
             self._ask(Kind.STOP, Kind.STOPPED)
+        except BoardError:
+            # A board that is gone has been told of, or will be at the next send.
+            if self._fault is None:
+                raise
 
     def _close(self) -> None:
         self._closing.set()
         for thread in self._threads:
             if thread is not threading.current_thread():
                 thread.join(ANSWER_S)
-        self._serial.close()
+        if self._serial is not None:
+            with contextlib.suppress(*_LINE_ERRORS):
+                self._serial.close()
 
     def report(self) -> BoardReport:
         return BoardReport(*self._status()[:-1])
@@ -176,7 +198,8 @@ class LinkBoard(Board):
     def _ask(self, question: Kind, answer: Kind) -> Packet:
         with self._news:
             self._answers.pop(answer, None)
-        self._write(protocol.encode(question))
+        # The zero in front ends whatever half packet stands on the line.
+        self._write(b"\0" + protocol.encode(question))
         with self._news:
             self._news.wait_for(
                 lambda: self._fault is not None or answer in self._answers, ANSWER_S
@@ -199,9 +222,13 @@ class LinkBoard(Board):
         if not self._writing.acquire(timeout=ANSWER_S):
             raise BoardError(f"the line to {self._port_name} is blocked: check the cable")
         try:
-            self._serial.write(packet)
+            assert self._serial is not None
+            for start in range(0, len(packet), PIECE):
+                if self._overtaken and len(packet) > PIECE:
+                    raise BoardError("the board was stopped: open it again before sending")
+                self._serial.write(packet[start : start + PIECE])
             self._last_written = time.monotonic()
-        except (OSError, serial.SerialException) as error:
+        except _LINE_ERRORS as error:
             self._fail(f"cannot be written to ({_reason(error)})")
             self._raise_fault()
         finally:
@@ -211,8 +238,9 @@ class LinkBoard(Board):
         deframer = protocol.Deframer()
         while not self._closing.is_set():
             try:
+                assert self._serial is not None
                 data = self._serial.read(self._serial.in_waiting or 1)
-            except (OSError, serial.SerialException, TypeError) as error:
+            except _LINE_ERRORS as error:
                 if not self._closing.is_set():
                     self._fail(f"has vanished ({_reason(error)})")
                 return
@@ -241,11 +269,13 @@ class LinkBoard(Board):
         if reason in (Refusal.UNSAFE, Refusal.MALFORMED):
             text = packet.payload[1:].decode("utf-8", "replace")
             self._fault = self._fault or f"refused sequence {packet.number} as unsafe: {text}"
+        elif reason == Refusal.STOPPED and not self._overtaken:
+            self._fault = self._fault or "has been stopped or started anew by someone else"
 
     def _keep_alive(self) -> None:
         beat = protocol.encode(Kind.HEARTBEAT)
         while not self._closing.wait(HEARTBEAT_S / 4):
-            if self._fault is not None:
+            if self._fault is not None or self._overtaken:
                 return
             if time.monotonic() - self._last_written > HEARTBEAT_S:
                 try:

@@ -77,6 +77,7 @@ OUTPUTS: tuple[Output, ...] = get_args(Output)
 
 CAPABILITIES = struct.Struct("<HBHHH")
 REPORT = struct.Struct("<IIQIdddB")
+_U16_MAX = 0xFFFF
 _HEAD = struct.Struct("<BBI")
 _CRC = struct.Struct("<I")
 _SEQUENCE = struct.Struct("<IHHB")
@@ -161,8 +162,16 @@ def encode_sequence(
     site: NDArray[np.uint16],
     current_ua: NDArray[np.int16],
 ) -> bytes:
-    """Return a SEQUENCE packet; the columns are those of a scan sequence."""
+    """Return a SEQUENCE packet; the columns are those of a scan sequence.
+
+    Raises
+    ------
+    BoardError
+        If it is larger than a packet, or needs a stronger source than the wire can say.
+    """
     slots, electrodes = current_ua.shape
+    if slots > _U16_MAX:
+        raise BoardError(f"{slots} slots are above the limit of {_U16_MAX}: scan fewer points")
     switched = output != "weighted"
     parts = [
         _SEQUENCE.pack(period_us, slots, electrodes, switched),
@@ -171,8 +180,14 @@ def encode_sequence(
         _u16(site),
     ]
     if switched:
-        source = np.maximum(current_ua, 0).sum(axis=1, dtype=np.uint16)
-        parts += [_u16(source), _pack_states(np.sign(current_ua))]
+        source = np.maximum(current_ua, 0).sum(axis=1, dtype=np.int64)
+        strongest = int(source.max(initial=0))
+        if strongest > _U16_MAX:
+            raise BoardError(
+                f"a slot asks {strongest / 1000:.1f} mA of one source, the wire carries at most "
+                f"{_U16_MAX / 1000:.1f} mA: lower the currents"
+            )
+        parts += [_u16(source.astype(np.uint16)), _pack_states(np.sign(current_ua))]
     else:
         parts.append(current_ua.astype("<i2", copy=False).tobytes())
     return encode(Kind.SEQUENCE, number, b"".join(parts))
@@ -260,14 +275,15 @@ def _u16(values: NDArray[np.uint16]) -> bytes:
 
 def _pack_states(signs: NDArray[np.int16]) -> bytes:
     slots, electrodes = signs.shape
-    codes = np.zeros((slots, -(-electrodes // 4) * 4), np.uint8)
+    row = -(-electrodes // 4)
+    codes = np.zeros((slots, row * 4), np.uint8)
     codes[:, :electrodes] = np.where(signs < 0, 2, signs)
-    four = codes.reshape(slots, -1, 4)
+    four = codes.reshape(slots, row, 4)
     packed = four[..., 0] | four[..., 1] << 2 | four[..., 2] << 4 | four[..., 3] << 6
     return bytes(packed.tobytes())
 
 
 def _unpack_states(packed: NDArray[np.uint8], electrodes: int) -> NDArray[np.int8]:
     codes = (packed[..., None] >> np.array([0, 2, 4, 6], np.uint8)) & 3
-    flat = codes.reshape(len(packed), -1)[:, :electrodes]
+    flat = codes.reshape(len(packed), packed.shape[1] * 4)[:, :electrodes]
     return np.asarray(np.array([0, 1, -1, 2], np.int8)[flat])

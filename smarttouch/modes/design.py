@@ -25,8 +25,8 @@ from smarttouch.profile import Profile
 
 SPILL = 0.2
 """Most own-class activation beyond one pitch, of the target's."""
-_ROWS_AT_ONCE = 200
-_TOLERANCE = 1e-9
+_ROWS_AT_ONCE = 400
+_TOLERANCE = 1e-7
 
 Array = NDArray[np.float64]
 
@@ -141,9 +141,11 @@ def design_kernel(problem: Problem, site: int, spill: float | None = SPILL) -> K
     rows = np.vstack([problem.other / scale, far])
     equal = np.vstack([target / scale, np.ones(count)])
     programme = _Programme(rows, len(problem.other), spill or 0.0, equal, _describe(problem, site))
-    if spill is not None and not programme.is_feasible():
+    try:
+        best = programme.most_selective()
+    except DesignError:
         programme.loosen()
-    best = programme.most_selective()
+        best = programme.most_selective()
     weights = programme.least_current(best)
     mirrors = [move for move in problem.symmetries if move[site] == site]
     return problem.judge(np.mean([weights[move] for move in mirrors], axis=0), site)
@@ -194,18 +196,11 @@ class _Programme:
         self._equal, self._description = equal, description
         self._chosen = np.unique(np.linspace(0, len(rows) - 1, _ROWS_AT_ONCE).astype(np.intp))
 
-    def is_feasible(self) -> bool:
-        """Return whether any kernel keeps the bound on spill."""
-        return self._least_spill() <= self._spill
-
     def loosen(self) -> None:
         """Raise the bound on spill to a tenth above the least possible."""
-        self._spill = 1.1 * self._least_spill()
-
-    def _least_spill(self) -> float:
         own = self._rows[self._others :]
         least = _Programme(own, len(own), 0.0, self._equal, self._description)
-        return least.most_selective() if len(own) else 0.0
+        self._spill = 1.1 * least.most_selective() if len(own) else 0.0
 
     def most_selective(self) -> float:
         """Return the smallest worst other."""
@@ -259,7 +254,7 @@ class _Programme:
             if answer.status != 0:
                 raise DesignError(
                     f"no kernel for {self._description}: {answer.message.split('.')[0].lower()} "
-                    f"(own-class bound {self._spill:g}); loosen the bound or change the array"
+                    "; change the array, or the depths of its profile"
                 )
             weights, worst = read(np.asarray(answer.x))
             excess = self._rows @ weights

@@ -14,6 +14,8 @@ _BACKGROUND_MM = 8.0
 """Wider than any stroke: what is left after closing with it is paper."""
 _INK = 0.75
 """Darker than this part of the paper is ink."""
+_MOST_INK = 0.6
+"""A page with more ink than this carries no text that could be told apart."""
 _LEAST_HEIGHT_MM = 0.8
 
 
@@ -36,7 +38,7 @@ def find_lines(page: Page, light_on_dark: bool = False) -> list[TextLine]:
     ink, pixel_mm = _ink(page, light_on_dark)
     profile = cv2.blur(ink.mean(axis=1, dtype=np.float32)[:, None], (1, 3)).ravel()
     crowded = float(np.percentile(profile, 90))
-    if crowded < 0.002:
+    if crowded < 0.002 or ink.mean() > _MOST_INK:
         return []
     lines = []
     for top, bottom in _runs(profile > 0.12 * crowded):

@@ -74,7 +74,15 @@ class Ours:
         self.time_ns += FULL_NS
         sequence = self.pipeline.process(frame).sequence
         self.gate.prove(sequence)
-        return LinkPacket(sequence)
+        return encode_sequence(
+            1,
+            "weighted",
+            sequence.period_us,
+            sequence.width_us,
+            sequence.discharge_us,
+            sequence.site,
+            sequence.current_ua,
+        )
 
 
 class Plain:

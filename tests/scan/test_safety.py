@@ -93,7 +93,7 @@ def test_the_most_negative_current_is_not_mistaken_for_a_small_one():
 
 
 def test_nothing_may_come_on_at_the_start():
-    with pytest.raises(SafetyError, match="rises from 0.000"):
+    with pytest.raises(SafetyError, match=r"rises from 0.000"):
         SafetyGate(LIMITS).prove(sequence([[-24, 24, 0, 0]], intensity=0.01, time_ns=0))
 
 
@@ -101,7 +101,7 @@ def test_a_refused_sequence_does_not_count_as_the_one_before():
     gate = warmed()
     with pytest.raises(SafetyError):
         gate.prove(sequence([[-2400, 2400, 0, 1]], time_ns=SECOND))
-    with pytest.raises(SafetyError, match="rises from 0.000"):
+    with pytest.raises(SafetyError, match=r"rises from 0.000"):
         gate.prove(sequence(GOOD, time_ns=SECOND // 10))
 
 
@@ -115,9 +115,7 @@ def test_limits_stay_under_the_ceilings(change):
 
 
 @given(
-    st.lists(
-        st.lists(st.integers(-32768, 32767), min_size=4, max_size=4), min_size=1, max_size=4
-    ),
+    st.lists(st.lists(st.integers(-32768, 32767), min_size=4, max_size=4), min_size=1, max_size=4),
     st.integers(0, 400),
     st.integers(1, 30_000),
 )

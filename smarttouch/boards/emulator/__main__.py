@@ -94,6 +94,9 @@ def _read(master: int, timeout_s: float) -> bytes | None:
         if not select.select([master], [], [], timeout_s)[0]:
             return b""
         return os.read(master, 65536)
+    except BlockingIOError:
+        # A hang-up looks readable; the host has opened the port since.
+        return b""
     except OSError as error:
         if error.errno == errno.EIO:
             return None

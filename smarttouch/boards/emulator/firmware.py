@@ -110,6 +110,9 @@ class Firmware:
     def _answer(self, packet: Packet, now_ns: int) -> bytes:
         match packet.kind:
             case Kind.HELLO:
+                # A new host starts from zero, whatever the one before left.
+                if self._plan:
+                    self.zero("hello", now_ns)
                 self._stopped = False
                 return protocol.encode(Kind.CAPABILITIES, 0, self._capabilities())
             case Kind.SEQUENCE:

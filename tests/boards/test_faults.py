@@ -1,0 +1,230 @@
+"""Whatever breaks, the electrodes end at zero and the user hears one sentence."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+
+import pytest
+
+from smarttouch.boards.emulator.books import read_state
+from smarttouch.boards.emulator.driver import open_emulator
+from smarttouch.boards.link import open_link
+from smarttouch.errors import BoardError
+
+HOST = """
+import sys, time
+import numpy as np
+from smarttouch.boards.emulator.driver import open_emulator
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.scan.sequence import ScanSequence
+
+limits = SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
+column = np.full(600, 100, np.uint16)
+current = np.tile(np.array([700] + [-100] * 7, np.int16), (600, 1))
+board = open_emulator("", limits, books=sys.argv[1])
+board.open()
+for step in range(10_000):
+    quiet = current * (step > 0)
+    board.send(ScanSequence(quiet, column, column // 2, column * 0, 200_000, float(step > 0),
+                            step * 10**9))
+    print(board.process_id, flush=True)
+    time.sleep(0.15)
+"""
+
+
+def sentence(error):
+    text = str(error.value)
+    assert "\n" not in text
+    return text
+
+
+def send_on(board, make_sequence, pause_s=0.02):
+    for step in range(1, 50):
+        board.send(make_sequence(step))
+        time.sleep(pause_s)
+
+
+def wait_for(condition, timeout_s=10.0):
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "it never came true"
+        time.sleep(0.02)
+
+
+def test_a_killed_host_leaves_all_electrodes_shorted(tmp_path):
+    with subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(HOST), str(tmp_path)],
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as host:
+        lines = [host.stdout.readline() for _ in range(3)]
+        emulator = int(lines[-1])
+        host.kill()
+        host.wait()
+    wait_for(lambda: read_state(tmp_path)["reason"] in ("silence", "host closed"))
+    state = read_state(tmp_path)
+    assert state["state"] == "shorted"
+    assert 0 <= state["zero_after_ms"] < 150
+    assert state["violations"] == 0
+    wait_for(lambda: not alive(emulator))
+
+
+def alive(process_id):
+    try:
+        os.kill(process_id, 0)
+    except ProcessLookupError:
+        return False
+    with open(f"/proc/{process_id}/stat") as file:  # noqa: PTH123
+        return file.read().rpartition(")")[2].split()[0] != "Z"
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+def test_a_killed_board_is_told_of_at_the_next_send(make_limits, make_sequence):
+    with open_emulator("", make_limits()) as board:
+        board.send(make_sequence(0))
+        board.drain()
+        os.kill(board.process_id, signal.SIGKILL)
+        with pytest.raises(BoardError, match=r"1 sequences acknowledged.*shorts all") as error:
+            send_on(board, make_sequence)
+        assert "/dev/" in sentence(error)
+
+
+def test_a_killed_board_can_be_closed(make_limits):
+    with open_emulator("", make_limits()) as board:
+        os.kill(board.process_id, signal.SIGKILL)
+    assert board.refused == 0
+
+
+def test_a_board_that_hangs_is_told_of(make_limits, make_sequence):
+    with open_emulator("", make_limits()) as board:
+        board.send(make_sequence(0))
+        board.drain()
+        os.kill(board.process_id, signal.SIGSTOP)
+        try:
+            with pytest.raises(BoardError) as error:
+                send_on(board, make_sequence, 0.05)
+            assert sentence(error)
+        finally:
+            os.kill(board.process_id, signal.SIGCONT)
+
+
+def test_sigterm_and_no_ctrl_c_ends_the_board(tmp_path, start_emulator):
+    process, _ = start_emulator(f"--books={tmp_path}")
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.2)
+    assert process.poll() is None
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(5) == 0
+    assert (read_state(tmp_path)["state"], read_state(tmp_path)["reason"]) == ("shorted", "signal")
+
+
+def test_a_board_without_a_host_ends_by_itself(make_limits, start_emulator):
+    process, port = start_emulator("--linger=0.1")
+    with open_link(port, make_limits()):
+        pass
+    assert process.wait(5) == 0
+
+
+def test_a_busy_port_is_named(make_limits, start_emulator):
+    _, port = start_emulator()
+    with (
+        open_link(port, make_limits()),
+        pytest.raises(BoardError, match=f"{port}.*in use") as error,
+    ):
+        open_link(port, make_limits()).open()
+    sentence(error)
+
+
+def test_a_missing_port_is_named(make_limits):
+    with pytest.raises(BoardError, match=r"/dev/nowhere.*no such port"):
+        open_link("/dev/nowhere", make_limits()).open()
+
+
+def test_a_link_needs_a_port(make_limits):
+    with pytest.raises(BoardError, match="needs a port"):
+        open_link("", make_limits())
+
+
+def test_another_board_than_the_profiles_is_refused(make_limits, start_emulator):
+    _, port = start_emulator()
+    with pytest.raises(BoardError, match="8 electrodes, the profile 9"):
+        open_link(port, make_limits(9)).open()
+    with pytest.raises(BoardError, match="weighted, the profile needs three-state"):
+        open_link(port, make_limits(), output="three-state").open()
+
+
+def test_a_silent_port_is_told_of(make_limits):
+    master, slave = os.openpty()
+    try:
+        with pytest.raises(BoardError, match=r"does not answer|silent"):
+            open_link(os.ttyname(slave), make_limits()).open()
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+def test_a_board_that_someone_else_stopped_is_told_of(make_limits, make_sequence):
+    from smarttouch.boards.protocol import Kind, encode
+
+    with open_emulator("", make_limits()) as board:
+        board.send(make_sequence(0))
+        board._serial.write(encode(Kind.STOP))
+        with pytest.raises(BoardError, match="someone else"):
+            send_on(board, make_sequence)
+
+
+def test_stopping_before_opening_is_fine(make_limits):
+    board = open_link("/dev/nowhere", make_limits())
+    board.stop()
+
+
+def test_a_stop_overtakes_a_long_packet(make_limits, make_sequence, monkeypatch):
+    """From another thread, while a send is halfway through its bytes."""
+    with open_emulator("", make_limits()) as board:
+        board.send(make_sequence(0))
+        board.drain()
+        write, halfway, raised = board._serial.write, threading.Event(), []
+
+        def slowly(data):
+            time.sleep(0.005)
+            halfway.set()
+            return write(data)
+
+        def send():
+            try:
+                board.send(make_sequence(1, slots=4000, period_us=3_000_000))
+            except BoardError as error:
+                raised.append(str(error))
+
+        monkeypatch.setattr(board._serial, "write", slowly)
+        thread = threading.Thread(target=send)
+        thread.start()
+        assert halfway.wait(5)
+        board.stop()
+        thread.join(5)
+        assert not thread.is_alive()
+        assert "stopped" in raised[0]
+        assert board.report().slots == 0
+
+
+def test_a_signal_handler_may_stop_in_the_middle_of_a_send(make_limits, make_sequence, monkeypatch):
+    with open_emulator("", make_limits()) as board:
+        board.send(make_sequence(0))
+        board.drain()
+        write, calls = board._serial.write, []
+
+        def interrupted(data):
+            calls.append(len(data))
+            sent = write(data)
+            if len(calls) == 1:
+                board.stop()
+            return sent
+
+        monkeypatch.setattr(board._serial, "write", interrupted)
+        with pytest.raises(BoardError, match="stopped"):
+            board.send(make_sequence(1, slots=4000, period_us=3_000_000))
+        assert board.report().slots == 0

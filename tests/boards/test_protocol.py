@@ -1,0 +1,115 @@
+"""What is encoded is what is decoded, and no bytes can hurt a receiver."""
+
+import contextlib
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from smarttouch.boards import protocol
+from smarttouch.boards.protocol import Deframer, Kind, decode_sequence, encode_sequence
+from smarttouch.errors import BoardError
+
+u16 = st.integers(0, 65535)
+currents = hnp.arrays(
+    np.int16,
+    st.tuples(st.integers(0, 6), st.integers(1, 11)),
+    elements=st.integers(-5000, 5000),
+)
+
+
+def only(packets):
+    (packet,) = packets
+    return packet
+
+
+def columns(current, seed=0):
+    slots = len(current)
+    random = np.random.default_rng(seed)
+    return [random.integers(0, 65536, slots).astype(np.uint16) for _ in range(3)]
+
+
+@given(current=currents, number=st.integers(0, 2**32 - 1), period=st.integers(0, 2**32 - 1))
+def test_weighted_survives_the_wire(current, number, period):
+    width, discharge, site = columns(current)
+    data = encode_sequence(number, "weighted", period, width, discharge, site, current)
+    packet = only(Deframer().feed(data))
+    assert (packet.kind, packet.number) == (Kind.SEQUENCE, number)
+    wire = decode_sequence(packet.payload)
+    assert (wire.period_us, wire.electrodes) == (period, current.shape[1])
+    for got, sent in ((wire.width_us, width), (wire.discharge_us, discharge), (wire.site, site)):
+        np.testing.assert_array_equal(got, sent)
+    np.testing.assert_array_equal(wire.current_ua, current)
+
+
+@pytest.mark.parametrize("output", ["three-state", "one-against-all"])
+@given(current=currents)
+def test_switched_survives_the_wire(output, current):
+    data = encode_sequence(7, output, 9000, *columns(current), current)
+    wire = decode_sequence(only(Deframer().feed(data)).payload)
+    np.testing.assert_array_equal(wire.state, np.sign(current))
+    np.testing.assert_array_equal(wire.source_ua, np.maximum(current, 0).sum(axis=1))
+
+
+def test_a_source_beyond_the_wire_is_refused_and_never_wraps():
+    current = np.array([[5000] * 14 + [-5000] * 14], np.int16)
+    with pytest.raises(BoardError, match="source"):
+        encode_sequence(1, "three-state", 9000, *columns(current), current)
+
+
+@pytest.mark.parametrize(("slots", "electrodes"), [(2049, 1024), (70_000, 1)])
+def test_a_packet_beyond_the_limit_is_refused(slots, electrodes):
+    current = np.zeros((slots, electrodes), np.int16)
+    with pytest.raises(BoardError, match=r"scan fewer points"):
+        encode_sequence(1, "weighted", 9000, *columns(current), current)
+
+
+@given(pieces=st.lists(st.binary(max_size=60)))
+def test_any_bytes_are_survived_and_the_next_packet_is_found(pieces):
+    deframer = Deframer()
+    for piece in pieces:
+        list(deframer.feed(piece))
+    packets = list(deframer.feed(b"\0" + protocol.encode(Kind.STOP, 3)))
+    assert (packets[-1].kind, packets[-1].number) == (Kind.STOP, 3)
+
+
+@given(cuts=st.lists(st.integers(0, 200), max_size=5))
+def test_packets_may_come_in_any_pieces(cuts):
+    data = b"".join(protocol.encode(Kind.HEARTBEAT, number, bytes(30)) for number in range(4))
+    edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
+    deframer = Deframer()
+    numbers = [
+        packet.number
+        for start, end in itertools.pairwise(edges)
+        for packet in deframer.feed(data[start:end])
+    ]
+    assert numbers == [0, 1, 2, 3]
+    assert deframer.errors == 0
+
+
+@given(st.binary(max_size=80))
+def test_decoding_a_payload_gives_a_sequence_or_a_value_error(payload):
+    with contextlib.suppress(ValueError):
+        decode_sequence(payload)
+
+
+@given(position=st.integers(0, 40), flip=st.integers(1, 255))
+def test_a_changed_byte_is_an_error_and_no_packet(position, flip):
+    data = bytearray(protocol.encode(Kind.SEQUENCE, 9, bytes(range(1, 31))))
+    data[position % (len(data) - 1)] ^= flip
+    deframer = Deframer()
+    assert list(deframer.feed(bytes(data))) == []
+    list(deframer.feed(b"\0"))
+    assert deframer.errors >= 1
+
+
+def test_an_endless_packet_does_not_fill_the_memory():
+    deframer = Deframer()
+    for _ in range(12):
+        list(deframer.feed(b"\x01" * 2**20))
+    assert len(deframer._waiting) <= protocol.LARGEST_PACKET * 1.1
+    assert list(deframer.feed(b"\0")) == []
+    assert len(list(deframer.feed(protocol.encode(Kind.STOP)))) == 1

@@ -1,0 +1,80 @@
+"""The installed program, run as a user runs it."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PROGRAM = Path(sys.executable).with_name("smarttouch")
+
+
+@pytest.fixture
+def program(tmp_path):
+    """Return a runner of the program in an empty folder."""
+
+    def run(*arguments, timeout=100):
+        return subprocess.run(
+            [PROGRAM, *map(str, arguments)],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            stdin=subprocess.DEVNULL,
+            check=False,
+        )
+
+    return run
+
+
+@pytest.fixture
+def start_program(tmp_path):
+    """Return a starter of the program; what still runs at the end is killed."""
+    running = []
+
+    def start(*arguments):
+        process = subprocess.Popen(
+            [PROGRAM, *map(str, arguments)],
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        )
+        running.append(process)
+        return process
+
+    yield start
+    for process in running:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def start_emulator(tmp_path):
+    """Return a starter of board emulators: their process, port and books."""
+    running = []
+
+    def start(electrodes=64):
+        books = tmp_path / f"books{len(running)}"
+        books.mkdir()
+        process = subprocess.Popen(
+            [
+                sys.executable,
+                "-m",
+                "smarttouch.boards.emulator",
+                f"--electrodes={electrodes}",
+                f"--books={books}",
+                "--linger=0.5",
+            ],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        running.append(process)
+        return process, process.stdout.readline().strip(), books
+
+    yield start
+    for process in running:
+        process.kill()
+        process.communicate()

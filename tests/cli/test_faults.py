@@ -1,0 +1,121 @@
+"""However a run ends, the electrodes are off and the host says one clear sentence."""
+
+import os
+import signal
+import sys
+import time
+
+import pytest
+
+from smarttouch import cli
+from smarttouch.boards.emulator.books import read_state
+from smarttouch.pipeline import Pipeline
+
+PATIENCE_S = 20
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        if condition():
+            return
+        time.sleep(0.02)
+    raise AssertionError("it did not happen")
+
+
+@pytest.fixture
+def running(start_program, start_emulator):
+    """A run that delivers pulses to an emulator of its own."""
+    emulator, port, books = start_emulator()
+    host = start_program("live", "--board", f"link:{port}", "--json", "run.json")
+    wait_for(lambda: read_state(books)["slots"] > 50)
+    return host, emulator, books
+
+
+def ending(host):
+    output, errors = host.communicate(timeout=PATIENCE_S)
+    assert "Traceback" not in errors
+    return host.returncode, output, errors
+
+
+@pytest.mark.parametrize(
+    ("number", "name"),
+    [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP")],
+)
+def test_signals_end_in_order(running, number, name):
+    host, emulator, books = running
+    host.send_signal(number)
+    code, output, errors = ending(host)
+    assert (code, errors) == (0, "")
+    assert f"({name}): all electrodes off." in output
+    emulator.wait(PATIENCE_S)
+    state = read_state(books)
+    assert (state["state"], state["reason"]) == ("shorted", "stop")
+
+
+def test_the_host_is_killed(running):
+    host, emulator, books = running
+    host.kill()
+    emulator.wait(PATIENCE_S)
+    state = read_state(books)
+    assert state["state"] == "shorted"
+    assert state["reason"] in ("host closed", "silence")
+    assert state["zero_after_ms"] <= 150
+
+
+def test_the_host_hangs(running):
+    """Stopped in its tracks, with the port still open: the board's watchdog ends it."""
+    host, _, books = running
+    host.send_signal(signal.SIGSTOP)
+    time.sleep(0.5)
+    state = read_state(books)
+    assert state["state"] == "shorted"
+    slots = state["slots"]
+    time.sleep(0.3)
+    assert read_state(books)["slots"] == slots
+
+
+def test_the_board_dies_and_its_port_with_it(running, tmp_path):
+    host, emulator, _ = running
+    emulator.kill()
+    code, _, errors = ending(host)
+    assert code == 2
+    assert errors.count("\n") == 1
+    assert errors.startswith("smarttouch: the board at /dev/pts/")
+    assert "it shorts all electrodes within 100 ms" in errors
+    assert '"ended": "fault"' in (tmp_path / "run.json").read_text()
+
+
+def test_the_board_falls_silent(running):
+    host, emulator, _ = running
+    os.kill(emulator.pid, signal.SIGSTOP)
+    code, _, errors = ending(host)
+    os.kill(emulator.pid, signal.SIGCONT)
+    assert code == 2
+    assert errors.count("\n") == 1
+
+
+@pytest.mark.parametrize("stage", ["pipeline", "screen"])
+def test_an_exception_in_a_stage(monkeypatch, capsys, start_emulator, stage):
+    emulator, port, books = start_emulator()
+    calls = []
+
+    def broken(*_):
+        calls.append(1)
+        raise RuntimeError("the stage\nbroke")
+
+    if stage == "pipeline":
+        monkeypatch.setattr(Pipeline, "warm_up", lambda _: None)
+        monkeypatch.setattr(Pipeline, "process", broken)
+    else:
+        monkeypatch.setattr("smarttouch.cli.screen.Screen.show", broken)
+    monkeypatch.setattr(sys, "argv", ["smarttouch", "live", "--board", f"link:{port}"])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    errors = capsys.readouterr().err
+    assert calls
+    assert caught.value.code == 1
+    assert errors.startswith("smarttouch: internal error, RuntimeError: the stage broke; all")
+    assert errors.count("\n") == 1
+    emulator.wait(PATIENCE_S)
+    assert read_state(books)["state"] == "shorted"

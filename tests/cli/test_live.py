@@ -1,0 +1,175 @@
+"""From a page to the emulator's books, through the installed program."""
+
+import base64
+import json
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from PIL import Image
+from skimage import data
+
+from smarttouch.profile import profile_names
+from smarttouch.resources import data_folder
+
+KEYS = {
+    "frames",
+    "sequences",
+    "slots",
+    "pulses",
+    "acknowledged",
+    "dropped_frames",
+    "rate_asked_hz",
+    "rate_hz",
+    "latency_us",
+    "max_current_ma",
+    "max_charge_uc",
+    "max_net_charge_uc",
+    "emulator_violations",
+    "active_fraction",
+}
+
+
+def figures_of(path):
+    return json.loads(path.read_text())
+
+
+def messages(path, topic):
+    with path.open("rb") as file:
+        return [
+            json.loads(message.data)
+            for _, _, message in make_reader(file).iter_messages(topics=[topic])
+        ]
+
+
+def assert_safe(figures, current_ma=5.0, charge_uc=0.5):
+    assert figures["acknowledged"] == figures["sequences"] == figures["frames"] > 0
+    assert figures["emulator_violations"] == figures["refused"] == 0
+    assert 0 < figures["max_current_ma"] <= current_ma
+    assert 0 < figures["max_charge_uc"] <= charge_uc
+    assert figures["max_net_charge_uc"] < 1e-3
+
+
+def ink_agreement(sheet):
+    """Correlation of the two halves of a felt picture, page and touch."""
+    grey = 255.0 - np.asarray(Image.open(sheet).convert("L"), float)
+    half = grey.shape[0] // 2
+    page, touch = grey[40 : half - 20], grey[half + 30 : half + 30 + half - 60]
+    touch = touch[: len(page)]
+    best = 0.0
+    for shift in range(-12, 13):
+        moved = np.roll(touch, shift, axis=0)
+        best = max(best, float(np.corrcoef(page.ravel(), moved.ravel())[0, 1]))
+    return best
+
+
+def test_the_sample_page(program, tmp_path):
+    done = program(
+        "live", "--speed", 160, "--felt", "felt.png", "--json", "run.json", "--record", "run.mcap"
+    )
+    assert done.returncode == 0, done.stderr
+    assert "(end of the page): all electrodes off." in done.stdout
+    figures = figures_of(tmp_path / "run.json")
+    assert set(figures) >= KEYS
+    assert set(figures["latency_us"]) == {"p50", "p99", "max"}
+    assert_safe(figures)
+    assert ink_agreement(tmp_path / "felt.png") > 0.5
+    sequences = messages(tmp_path / "run.mcap", "/sequence")
+    assert len(sequences) == figures["frames"]
+    assert sum(sequence["slots"] for sequence in sequences) == figures["slots"]
+    for topic in ("/frame", "/finger", "/tactile", "/board"):
+        assert len(messages(tmp_path / "run.mcap", topic)) == figures["frames"]
+
+
+def test_a_photographed_page(program, tmp_path):
+    Image.fromarray(data.page()).save(tmp_path / "page.png")
+    options = ("--page-width-mm", 110, "--speed", 200, "--quiet")
+    done = program("live", "--sensor", "page:page.png", *options, "--json", "run.json")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    figures = figures_of(tmp_path / "run.json")
+    assert_safe(figures)
+    assert 0.1 < figures["active_fraction"] < 0.5
+
+
+BLANK = {
+    "white": np.full((400, 800), 255, np.uint8),
+    "gradient": np.tile(np.linspace(90, 220, 800), (400, 1)).astype(np.uint8),
+    "noise": np.random.default_rng(0).integers(0, 256, (400, 800), np.uint8),
+    "coarse noise": np.kron(
+        np.random.default_rng(1).integers(0, 256, (100, 200), np.uint8), np.ones((4, 4), np.uint8)
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BLANK)
+def test_blank_pages_are_silent(program, tmp_path, name):
+    Image.fromarray(BLANK[name]).save(tmp_path / "blank.png")
+    options = ("--dpi", 300, "--speed", 120, "--quiet", "--json", "run.json")
+    done = program("live", "--sensor", "page:blank.png", *options)
+    assert done.returncode == 0, done.stderr
+    assert figures_of(tmp_path / "run.json")["active_fraction"] <= 0.02
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_every_profile_runs(program, tmp_path, name):
+    done = program(
+        "live",
+        "--sensor=text:Hello",
+        f"--profile={name}",
+        "--speed=60",
+        "--felt=felt.png",
+        "--json=run.json",
+    )
+    assert done.returncode == 0, done.stderr
+    assert_safe(figures_of(tmp_path / "run.json"))
+    assert (tmp_path / "felt.png").stat().st_size > 1000
+
+
+def test_sai_and_light_on_dark(program, tmp_path):
+    page = data_folder("sample_images") / "light_on_dark.png"
+    options = ("--mode=sai", "--light-on-dark", "--speed=300", "--json=run.json")
+    done = program("live", f"--sensor=page:{page}", *options)
+    assert done.returncode == 0, done.stderr
+    assert_safe(figures_of(tmp_path / "run.json"))
+
+
+def recorded(program, tmp_path, name, seed):
+    options = ("--sensor=text:same", "--speed=80", f"--seed={seed}", f"--record={name}")
+    done = program("live", *options, "--quiet")
+    assert done.returncode == 0, done.stderr
+    sequences = messages(tmp_path / name, "/sequence")
+    return [
+        (entry["site"], entry["period_us"], base64.b64decode(entry["current_ua"]))
+        for entry in sequences
+    ]
+
+
+def test_same_seed_same_sequences(program, tmp_path):
+    first = recorded(program, tmp_path, "a.mcap", 5)
+    assert first == recorded(program, tmp_path, "b.mcap", 5)
+    assert first != recorded(program, tmp_path, "c.mcap", 6)
+
+
+def test_seconds(program, tmp_path):
+    done = program("live", "--seconds", 1, "--json", "run.json")
+    assert "(1 s are over)" in done.stdout
+    assert 20 <= figures_of(tmp_path / "run.json")["frames"] <= 51
+
+
+def test_recorded_path(program, tmp_path):
+    rows = "0,5,11,0,0\n0.1,5,11,0,1\n1,40,11,0,1\n"
+    (tmp_path / "p.csv").write_text("time_s,x_mm,y_mm,angle_deg,force_n\n" + rows)
+    done = program("live", "--path", "p.csv", "--json", "run.json", "--record", "run.mcap")
+    assert done.returncode == 0, done.stderr
+    finger = messages(tmp_path / "run.mcap", "/finger")
+    assert (finger[0]["x_mm"], finger[0]["force_n"]) == (5, 0)
+    assert figures_of(tmp_path / "run.json")["slots"] > 0
+
+
+def test_light_touch_no_current(program, tmp_path):
+    rows = "0,5,11,0,0.1\n1,40,11,0,0.1\n"
+    (tmp_path / "p.csv").write_text("time_s,x_mm,y_mm,angle_deg,force_n\n" + rows)
+    program("live", "--path", "p.csv", "--json", "run.json")
+    figures = figures_of(tmp_path / "run.json")
+    assert figures["slots"] == 0
+    assert figures["active_fraction"] > 0.05

@@ -1,0 +1,121 @@
+"""Banks: shipped ones are current, and no broken file is believed."""
+
+import numpy as np
+import pytest
+
+from smarttouch.errors import DesignError
+from smarttouch.modes import bank as banks
+from smarttouch.modes.bank import load_bank, problem_hash, shipped_bank, write_bank
+from smarttouch.modes.design import Problem, design_kernel
+from smarttouch.primary import Primary
+from smarttouch.profile import load_profile, profile_names
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setattr("platformdirs.user_cache_path", lambda _: tmp_path / "cache")
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def no_design(monkeypatch):
+    def refuse(*_):
+        raise AssertionError("designed although a bank was there")
+
+    monkeypatch.setattr(banks, "design_bank", refuse)
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_shipped_banks_answer_their_profiles(name, cache, no_design):
+    profile = load_profile(name)
+    bank = load_bank(profile)
+    count = len(profile.electrodes)
+    for primary, weights in bank.weights.items():
+        assert weights.shape == bank.receptor[primary].shape == (count, count)
+        assert np.abs(weights.sum(axis=1, dtype=float)).max() < 1e-5
+        assert np.abs(weights).max(axis=1) == pytest.approx(np.ones(count))
+        own = np.diag(weights)
+        assert np.all(own < 0) if primary is Primary.RA else np.all(own > 0)
+    assert not cache.exists()
+
+
+@pytest.mark.parametrize("name", ["electric-mouse", "line-7", "line-8"])
+def test_weighted_kernels_are_confined(name):
+    bank = load_bank(load_profile(name))
+    for spill in bank.own_spill.values():
+        assert spill.max() <= 0.2 + 1e-5
+
+
+@pytest.mark.parametrize(("primary", "site"), [(Primary.RA, 0), (Primary.SAI, 27)])
+def test_shipped_kernels_can_be_reproduced(profile, bank, primary, site):
+    kernel = design_kernel(Problem(profile, primary), site)
+    assert bank.weights[primary][site] == pytest.approx(kernel.weights, abs=1e-4)
+    assert bank.worst_other[primary][site] == pytest.approx(kernel.worst_other, abs=1e-6)
+
+
+def test_three_states_share_one_source():
+    bank = load_bank(load_profile("smarttouch-4x4"))
+    for weights in bank.weights.values():
+        for row in weights:
+            assert row[row > 0] == pytest.approx(1 / (row > 0).sum())
+            assert row[row < 0] == pytest.approx(-1 / (row < 0).sum())
+
+
+def test_one_against_all_offers_its_polarity_only():
+    bank = load_bank(load_profile("kajimoto-61"))
+    row = bank.kernels(Primary.RA)[30]
+    assert row[30] == -1
+    assert np.delete(row, 30) == pytest.approx(np.full(60, 1 / 60))
+    with pytest.raises(DesignError, match=r"mode SAI is not possible.*offers RA"):
+        bank.kernels(Primary.SAI)
+
+
+@pytest.fixture
+def mine():
+    """A profile that no bank is shipped for."""
+    profile = load_profile("smarttouch-4x4")
+    table = profile.model_dump()
+    table["name"] = "mine"
+    table["array"] |= {"rows": 2, "columns": 3, "pitch_x_mm": 1.8}
+    return type(profile).model_validate(table)
+
+
+def test_a_profile_of_one_s_own_is_designed_once(cache, mine, monkeypatch):
+    told = []
+    first = load_bank(mine, lambda done, total: told.append((done, total)))
+    assert told[-1][0] == told[-1][1] > 0
+    monkeypatch.setattr(banks, "design_bank", None)
+    again = load_bank(mine)
+    for primary in first.weights:
+        assert np.array_equal(first.weights[primary], again.weights[primary])
+
+
+@pytest.mark.parametrize("junk", [b"", b"PK\x03\x04 not really", b"\0" * 100])
+def test_a_broken_cache_is_designed_anew(cache, mine, junk):
+    cache.mkdir()
+    path = cache / f"{problem_hash(mine)}.npz"
+    path.write_bytes(junk)
+    assert Primary.RA in load_bank(mine).weights
+    assert path.stat().st_size > 500
+
+
+def test_a_bank_of_another_problem_is_not_taken(tmp_path, mine):
+    write_bank(tmp_path / "x.npz", load_profile("line-7"), load_bank(load_profile("line-7")))
+    assert banks._read(tmp_path / "x.npz", problem_hash(mine)) is None
+
+
+def test_an_unwritable_cache_is_no_error(tmp_path, mine, monkeypatch):
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setattr("platformdirs.user_cache_path", lambda _: tmp_path / "file" / "cache")
+    assert Primary.RA in load_bank(mine).weights
+
+
+def test_optics_and_force_do_not_matter_to_kernels(profile):
+    moved = profile.model_copy(
+        update={"optics": profile.optics.model_copy(update={"rotation_deg": 5.0})}
+    )
+    assert problem_hash(moved) == problem_hash(profile)
+
+
+def test_shipped_banks_lie_where_the_package_looks():
+    assert shipped_bank("electric-mouse").is_file()

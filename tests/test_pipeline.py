@@ -1,0 +1,58 @@
+"""Frame in, safe sequence out, and nothing remembered that should not be."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.pipeline import Pipeline
+from smarttouch.primary import Primary
+from smarttouch.scan.safety import SafetyGate, SafetyLimits
+from smarttouch.sensing.frame import Frame, Pose
+
+
+def test_a_bar_fires_the_electrodes_over_it(profile, bank, make_frame, patch):
+    pipeline = Pipeline(profile, bank)
+    pipeline.process(make_frame(patch(), 0))
+    step = pipeline.process(make_frame(patch(24, 40), 10**9))
+    active = step.tactile.activation[Primary.RA].reshape(8, 8) > 0
+    assert active[:, 3:5].all()
+    assert not active[:, [0, 1, 6, 7]].any()
+    assert sorted(step.sequence.site) == list(np.flatnonzero(active.ravel()))
+    assert not step.tactile.activation[Primary.SAI].any()
+
+
+def test_warming_up_changes_nothing(profile, bank, make_frame, patch):
+    plain, warmed = Pipeline(profile, bank), Pipeline(profile, bank)
+    warmed.warm_up()
+    for time_ns in (0, 10**9):
+        one, other = (p.process(make_frame(patch(), time_ns)).sequence for p in (plain, warmed))
+        assert np.array_equal(one.current_ua, other.current_ua)
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0, 2**32 - 1),
+            st.integers(1, 10**9),
+            st.floats(-1, 20) | st.just(float("nan")),
+        ),
+        min_size=1,
+        max_size=8,
+    )
+)
+def test_whatever_the_sensor_says_is_safe(profile, bank, moments):
+    pipeline, gate = Pipeline(profile, bank), SafetyGate(SafetyLimits.of(profile))
+    time_ns = 0
+    for seed, wait, force in moments:
+        rng = np.random.default_rng(seed)
+        image = rng.integers(0, 256, (16, 16), np.uint8).repeat(4, 0).repeat(4, 1)
+        gate.prove(pipeline.process(Frame(image, time_ns, Pose(0, 0), force)).sequence)
+        time_ns += wait
+
+
+def test_frames_of_another_size_are_taken(profile, bank, make_frame, patch):
+    pipeline = Pipeline(profile, bank)
+    pipeline.process(make_frame(patch(), 0))
+    large = patch(24, 40).repeat(10, 1).repeat(7, 0)
+    step = pipeline.process(make_frame(large, 10**9))
+    assert (step.tactile.activation[Primary.RA].reshape(8, 8)[:, 3:5] > 0).all()
