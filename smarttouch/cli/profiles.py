@@ -9,19 +9,17 @@ def profiles() -> None:
     from smarttouch.profile import DEFAULT_PROFILE, load_profile, profile_names
     from smarttouch.resources import data_folder
 
-    table = Table(title="Profiles", title_justify="left")
-    for heading in ("name", "what it is", "electrodes", "board", "pulse", "rate"):
-        table.add_column(heading)
+    table = Table(box=None, pad_edge=False)
+    for heading in ("name", "what it is", "board"):
+        table.add_column(heading, no_wrap=heading == "name")
     for name in profile_names():
         profile = load_profile(name)
         star = " (default)" if name == DEFAULT_PROFILE else ""
+        pulse = profile.pulse
         table.add_row(
             name + star,
             profile.title,
-            str(len(profile.electrodes)),
-            profile.output.kind,
-            f"{profile.pulse.width_us} µs",
-            f"{profile.pulse.rate_hz:g} Hz",
+            f"{profile.output.kind}, {pulse.width_us} µs, {pulse.rate_hz:g} Hz",
         )
     console = Console()
     console.print(table)

@@ -34,16 +34,19 @@ def bank_progress(quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
     if quiet:
         yield None
         return
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = None
+    bar = Progress(console=Console(stderr=True), transient=True)
+    task = bar.add_task("Designing kernels")
 
-        def advance(done: int, total: int) -> None:
-            nonlocal task
-            if task is None:
-                task = bar.add_task("Designing kernels", total=total)
-            bar.update(task, completed=done, total=total)
+    def advance(done: int, total: int) -> None:
+        # Most runs find a bank ready: nothing is shown unless there is work.
+        bar.start()
+        bar.update(task, completed=done, total=total)
 
+    try:
         yield advance
+    finally:
+        if bar.live.is_started:
+            bar.stop()
 
 
 class Screen:

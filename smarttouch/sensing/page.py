@@ -22,6 +22,9 @@ NOISE_LEVELS = 2.0
 _SHADE = 0.1
 """How much darker the corners of the patch are lit than its middle."""
 _SLOPE = 0.03
+_MARGIN_MM = 4.0
+_MARGIN_BLUR_MM = 1.0
+"""Paper beyond the page's edges: wide enough for a patch, without the page's texture."""
 _MOST_PIXELS = 60_000_000
 
 
@@ -87,7 +90,7 @@ class PageSensor:
             optics.field_width_mm / optics.sensor_columns / OVERSAMPLING,
             optics.field_height_mm / optics.sensor_rows / OVERSAMPLING,
         )
-        self._surface, self._surface_mm = _surface(page, min(self._pixel_mm))
+        self._surface, self._surface_mm, self._margin = _surface(page, min(self._pixel_mm))
         fine = (self._shape[0] * OVERSAMPLING, self._shape[1] * OVERSAMPLING)
         self._fine = np.empty(fine, np.uint8)
         self._coarse = np.empty(self._shape, np.uint8)
@@ -103,8 +106,8 @@ class PageSensor:
         rows, columns = self._fine.shape
         to_page = np.array(
             [
-                [cos * step_x, -sin * step_y, pose.x_mm / self._surface_mm - 0.5],
-                [sin * step_x, cos * step_y, pose.y_mm / self._surface_mm - 0.5],
+                [cos * step_x, -sin * step_y, pose.x_mm / self._surface_mm + self._margin - 0.5],
+                [sin * step_x, cos * step_y, pose.y_mm / self._surface_mm + self._margin - 0.5],
             ]
         )
         to_page[:, 2] -= to_page[:, :2] @ [(columns - 1) / 2, (rows - 1) / 2]
@@ -139,8 +142,8 @@ class PageSensor:
         self.close()
 
 
-def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float]:
-    """Return the page through the optics' blur, about as fine as it is sampled."""
+def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float, int]:
+    """Return the page through the optics' blur, its scale, and the margin around it."""
     height, width = page.grey.shape
     scale = page.mm_per_pixel / finest_mm
     scale = min(scale, np.sqrt(_MOST_PIXELS / (height * width)))
@@ -151,7 +154,14 @@ def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float]:
     surface = cv2.GaussianBlur(
         surface, (0, 0), BLUR_MM / surface_mm, borderType=cv2.BORDER_REPLICATE
     )
-    return np.asarray(surface, np.uint8), surface_mm
+    # Beyond its edges the paper goes on, in the grey it has there.
+    margin = round(_MARGIN_MM / surface_mm)
+    paper = cv2.GaussianBlur(
+        surface, (0, 0), _MARGIN_BLUR_MM / surface_mm, borderType=cv2.BORDER_REPLICATE
+    )
+    whole = cv2.copyMakeBorder(paper, margin, margin, margin, margin, cv2.BORDER_REPLICATE)
+    whole[margin:-margin, margin:-margin] = surface
+    return np.asarray(whole, np.uint8), surface_mm, margin
 
 
 def _light(shape: tuple[int, int]) -> NDArray[np.float32]:

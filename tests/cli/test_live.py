@@ -95,8 +95,8 @@ BLANK = {
     "white": np.full((400, 800), 255, np.uint8),
     "gradient": np.tile(np.linspace(90, 220, 800), (400, 1)).astype(np.uint8),
     "noise": np.random.default_rng(0).integers(0, 256, (400, 800), np.uint8),
-    "coarse noise": np.kron(
-        np.random.default_rng(1).integers(0, 256, (100, 200), np.uint8), np.ones((4, 4), np.uint8)
+    "coarser noise": np.kron(
+        np.random.default_rng(1).integers(0, 256, (200, 400), np.uint8), np.ones((2, 2), np.uint8)
     ),
 }
 

@@ -64,11 +64,8 @@ def _serve(firmware: Firmware, master: int, linger_s: float) -> None:
         if data is None:
             if alone_since is None:
                 alone_since = now
-                firmware.advance(now)
-                if firmware.busy:
-                    firmware.zero("host closed", now)
+                firmware.hang_up(now)
                 firmware.books.write()
-            firmware.advance(now)
             if now > alone_since + linger_s * 1e9:
                 break
             time.sleep(0.002)

@@ -74,6 +74,13 @@ class Firmware:
         if now_ns >= deadline_ns and self._plan:
             self.zero("silence", now_ns)
 
+    def hang_up(self, now_ns: int) -> None:
+        """The host has closed the line; the next one has to say HELLO."""
+        self.advance(now_ns)
+        if not self._stopped:
+            self.zero("host closed", now_ns)
+            self._stopped = True
+
     def zero(self, reason: str, now_ns: int) -> None:
         """Drop everything that waits and short all electrodes."""
         self._plan.clear()
