@@ -114,8 +114,9 @@ def design_kernel(problem: Problem, site: int, spill: float | None = SPILL) -> K
     Among equally selective kernels the one of least total current is taken,
     then the mean over the site's own symmetries, so that the answer does not
     depend on the solver. Where electrodes stand closer than afferents lie
-    deep, no kernel meets the bound on spill; it is then raised to a tenth
-    above the least that is possible, and `Kernel.own_spill` says so.
+    deep, the bound on spill cannot be met, or only by losing the target; the
+    larger of worst other and spill is then made as small as it gets, and
+    `Kernel.own_spill` says what is left.
 
     Parameters
     ----------
@@ -140,12 +141,22 @@ def design_kernel(problem: Problem, site: int, spill: float | None = SPILL) -> K
     far = np.empty((0, count)) if spill is None else problem.own_beyond_a_pitch(site) / scale
     rows = np.vstack([problem.other / scale, far])
     equal = np.vstack([target / scale, np.ones(count)])
-    programme = _Programme(rows, len(problem.other), spill or 0.0, equal, _describe(problem, site))
+    others, description = len(problem.other), _describe(problem, site)
     try:
+        programme = _Programme(rows, others, spill or 0.0, equal, description)
         best = programme.most_selective()
     except DesignError:
-        programme.loosen()
-        best = programme.most_selective()
+        best = np.inf
+    if spill is not None and best > spill:
+        evenly = _Programme(rows, len(rows), 0.0, equal, description)
+        shared = evenly.most_selective()
+        if shared < best - 1e-6:
+            programme, best = evenly, shared
+    if best == np.inf:
+        raise DesignError(
+            f"no kernel for {description}: the target cannot be activated; change the array, "
+            "or the depths of its profile"
+        )
     weights = programme.least_current(best)
     mirrors = [move for move in problem.symmetries if move[site] == site]
     return problem.judge(np.mean([weights[move] for move in mirrors], axis=0), site)
@@ -195,12 +206,6 @@ class _Programme:
         self._rows, self._others, self._spill = rows, others, spill
         self._equal, self._description = equal, description
         self._chosen = np.unique(np.linspace(0, len(rows) - 1, _ROWS_AT_ONCE).astype(np.intp))
-
-    def loosen(self) -> None:
-        """Raise the bound on spill to a tenth above the least possible."""
-        own = self._rows[self._others :]
-        least = _Programme(own, len(own), 0.0, self._equal, self._description)
-        self._spill = 1.1 * least.most_selective() if len(own) else 0.0
 
     def most_selective(self) -> float:
         """Return the smallest worst other."""

@@ -92,11 +92,11 @@ def test_a_photographed_page(program, tmp_path):
 
 
 BLANK = {
-    "white": np.full((400, 800), 255, np.uint8),
-    "gradient": np.tile(np.linspace(90, 220, 800), (400, 1)).astype(np.uint8),
-    "noise": np.random.default_rng(0).integers(0, 256, (400, 800), np.uint8),
+    "white": np.full((180, 600), 255, np.uint8),
+    "gradient": np.tile(np.linspace(90, 220, 600), (180, 1)).astype(np.uint8),
+    "noise": np.random.default_rng(0).integers(0, 256, (180, 600), np.uint8),
     "coarser noise": np.kron(
-        np.random.default_rng(1).integers(0, 256, (200, 400), np.uint8), np.ones((2, 2), np.uint8)
+        np.random.default_rng(1).integers(0, 256, (90, 300), np.uint8), np.ones((2, 2), np.uint8)
     ),
 }
 
