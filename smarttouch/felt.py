@@ -13,6 +13,7 @@ from smarttouch.modes.bank import KernelBank
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.sensing.frame import Pose
+from smarttouch.sensing.page_image import Page
 
 FINEST_MM = 0.1
 """Finest dot of the picture, on the page."""
@@ -35,13 +36,12 @@ class FeltImage:
         Its kernels, for what a full pulse does, and its receptors.
     primary : Primary
         Whose receptors are asked.
-    page_mm : tuple of float, mm
-        Width and height of the page.
+    page : Page
+        What the finger passed over.
     """
 
-    def __init__(
-        self, profile: Profile, bank: KernelBank, primary: Primary, page_mm: tuple[float, float]
-    ) -> None:
+    def __init__(self, profile: Profile, bank: KernelBank, primary: Primary, page: Page) -> None:
+        self._page, self._primary = page, primary
         electrodes, magnification = profile.electrodes, profile.optics.magnification
         self._position_mm = electrodes.position_mm / magnification
         self._cell_mm = tuple(side / magnification for side in electrodes.cell_mm)
@@ -50,11 +50,9 @@ class FeltImage:
         full_ua = profile.threshold_ma * ratio * 1000
         self._full = full_ua * (self._receptor * bank.kernels(primary)).sum(axis=1)
         self._threshold = 1 / ratio
-        self._pixel_mm = max(FINEST_MM, max(page_mm) / 4000)
-        shape = (
-            int(np.ceil(page_mm[1] / self._pixel_mm)) + 1,
-            int(np.ceil(page_mm[0] / self._pixel_mm)) + 1,
-        )
+        width_mm, height_mm = page.size_mm
+        self._pixel_mm = max(FINEST_MM, max(width_mm, height_mm) / 4000)
+        shape = (round(height_mm / self._pixel_mm), round(width_mm / self._pixel_mm))
         self._touch = np.zeros(shape, np.float32)
         self._passes = np.zeros(shape, np.float32)
         self._poses: dict[int, Pose] = {}
@@ -101,7 +99,7 @@ class FeltImage:
         mean = np.divide(touch, passes, out=np.zeros_like(touch), where=passes > 1e-6)
         return np.asarray(np.rint(255 * (1 - np.clip(mean, 0, 1))), np.uint8)
 
-    def save(self, path: Path, page: NDArray[np.uint8], caption: str) -> None:
+    def save(self, path: Path) -> None:
         """Write the page with the touch below it as one PNG.
 
         Raises
@@ -117,7 +115,10 @@ class FeltImage:
         sheet = Image.new("L", (size[0] + 2 * margin, 2 * (size[1] + label) + 3 * margin), 226)
         draw = ImageDraw.Draw(sheet)
         font = ImageFont.load_default(17)
-        rows = ((page, "The page, as it lies under the finger"), (touch, caption))
+        rows = (
+            (self._page.grey, "The page, as it lies under the finger"),
+            (touch, f"What the skin got: {self._primary.name} pulses where the finger was"),
+        )
         for index, (image, text) in enumerate(rows):
             top = margin + index * (size[1] + label + margin)
             draw.text((margin, top), text, fill=40, font=font)

@@ -12,6 +12,7 @@ from smarttouch.pipeline import Step
 from smarttouch.primary import Primary
 from smarttouch.scan.sequence import ScanSequence
 from smarttouch.sensing.frame import Frame, Pose
+from smarttouch.sensing.page_image import Page
 
 
 @pytest.fixture
@@ -22,7 +23,7 @@ def drawing(profile):
     bank = KernelBank(
         {Primary.RA: own}, {Primary.RA: nothing}, {Primary.RA: nothing}, {Primary.RA: own}
     )
-    return FeltImage(profile, bank, Primary.RA, (30.0, 20.0))
+    return FeltImage(profile, bank, Primary.RA, Page(np.full((200, 300), 255, np.uint8), 0.1))
 
 
 def at(number, x, y, angle=0.0, intensity=1.0):
@@ -92,9 +93,8 @@ def test_off_the_page_is_left_out(drawing):
 
 
 def test_save(drawing, tmp_path):
-    page = np.full((200, 300), 255, np.uint8)
-    drawing.save(tmp_path / "felt.png", page, "caption")
+    drawing.save(tmp_path / "felt.png")
     with Image.open(tmp_path / "felt.png") as sheet:
         assert sheet.width > 700
     with pytest.raises(SmartTouchError, match="cannot write"):
-        drawing.save(tmp_path / "none" / "felt.png", page, "caption")
+        drawing.save(tmp_path / "none" / "felt.png")

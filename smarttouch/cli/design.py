@@ -29,7 +29,7 @@ def design(
 ) -> None:
     """Show the kernels of a profile: current patterns that reach one class of afferents."""
     from smarttouch.cli.files import parse_mode, require_folder, write_json
-    from smarttouch.cli.screen import bank_progress
+    from smarttouch.cli.progress import bank_progress
     from smarttouch.errors import DesignError
     from smarttouch.modes.bank import design_bank, load_bank, write_bank
     from smarttouch.profile import load_profile

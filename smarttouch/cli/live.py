@@ -58,9 +58,10 @@ def live(
 
     from smarttouch.boards.board import make_board
     from smarttouch.cli.files import parse_mode, require_folder, write_json
-    from smarttouch.cli.screen import Screen, bank_progress
+    from smarttouch.cli.progress import bank_progress
+    from smarttouch.cli.screen import Screen
     from smarttouch.errors import SmartTouchError
-    from smarttouch.live import Sent, StopRequest, Tally, run, stop_on_signals
+    from smarttouch.live import StopRequest, Tally, run, stop_on_signals
     from smarttouch.modes.bank import load_bank
     from smarttouch.pipeline import Pipeline
     from smarttouch.profile import load_profile
@@ -81,7 +82,6 @@ def live(
         )
     stop, tally = StopRequest(), Tally()
     with contextlib.ExitStack() as stack:
-        stack.enter_context(stop_on_signals(stop))
         source = stack.enter_context(
             open_sensor(
                 sensor or f"page:{data_folder('sample_images') / 'page.png'}",
@@ -96,6 +96,8 @@ def live(
         )
         with bank_progress(quiet) as progress:
             bank = load_bank(chosen, progress)
+        # Until here an interrupt may end the program at once: no board is open.
+        stack.enter_context(stop_on_signals(stop))
         pipeline = Pipeline(chosen, bank, primary, rate, light_on_dark)
         options: dict[str, Any] = {"output": chosen.output.kind}
         drawing = None
@@ -116,10 +118,6 @@ def live(
         try:
             with display:
                 screen = Screen(source, chosen, primary, board, display, tally, quiet)
-
-                def show(sent: Sent) -> None:
-                    screen.show(sent)
-
                 with screen:
                     run(
                         source,
@@ -128,7 +126,7 @@ def live(
                         stop=stop,
                         tally=tally,
                         seconds=seconds,
-                        observers=[*observers, show],
+                        observers=[*observers, screen.show],
                     )
                 report = display.report()
             ended = stop.reason or "end of the page"
@@ -141,11 +139,7 @@ def live(
 
             numbers, _, current_ua = read_delivered(books)
             drawing.deliver(numbers, current_ua)
-            drawing.save(
-                felt,
-                source.page.grey,  # type: ignore[attr-defined]  # _drawing has made sure
-                f"What the skin got: {primary.name} pulses as delivered, where the finger was",
-            )
+            drawing.save(felt)
     if not quiet:
         screen.summarize(figures, [each for each in (felt, record, json_file) if each is not None])
 
@@ -157,7 +151,7 @@ def _drawing(source: "Sensor", profile: "Profile", bank: "KernelBank", primary: 
     page = getattr(source, "page", None)
     if page is None:
         raise SmartTouchError(f"--felt needs a page to draw beside, and {source.title} has none")
-    return FeltImage(profile, bank, primary, page.size_mm)
+    return FeltImage(profile, bank, primary, page)
 
 
 def _recorder(path: Path, profile: "Profile", settings: dict[str, str], seed: int) -> Any:

@@ -1,8 +1,6 @@
 """The terminal while a finger reads: sensor, electrodes, pressure, rate, limits."""
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -14,7 +12,6 @@ from rich.columns import Columns
 from rich.console import Console, Group
 from rich.live import Live
 from rich.panel import Panel
-from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
@@ -26,27 +23,6 @@ from smarttouch.sensing.frame import Sensor
 
 _SENSOR_ROWS = 16
 _REFRESH_PER_S = 10
-
-
-@contextmanager
-def bank_progress(quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """Yield what shows how many sites of a kernel bank are designed; None if quiet."""
-    if quiet:
-        yield None
-        return
-    bar = Progress(console=Console(stderr=True), transient=True)
-    task = bar.add_task("Designing kernels")
-
-    def advance(done: int, total: int) -> None:
-        # Most runs find a bank ready: nothing is shown unless there is work.
-        bar.start()
-        bar.update(task, completed=done, total=total)
-
-    try:
-        yield advance
-    finally:
-        if bar.live.is_started:
-            bar.stop()
 
 
 class Screen:
