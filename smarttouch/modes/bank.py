@@ -158,7 +158,8 @@ def write_bank(path: Path, profile: Profile, bank: KernelBank) -> None:
 def _read(path: Path, key: str) -> KernelBank | None:
     """Return the bank in a file if it answers this very problem."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # Opened here: numpy leaves a file that is no archive open behind it.
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             if str(file["key"]) != key:
                 return None
             columns: dict[str, dict[Primary, NDArray[np.float32]]] = {name: {} for name in _FIELDS}
