@@ -16,6 +16,8 @@ from smarttouch.boards.board import Board
 from smarttouch.pipeline import Pipeline, Step
 from smarttouch.sensing.frame import Sensor
 
+STALL_NS = 100_000_000
+"""After such a delay the board may have fallen silent: intensity starts from zero again."""
 SPIN_NS = 300_000
 """The end of each wait is spun: a sleep alone wakes 0.1 to 0.2 ms late."""
 
@@ -164,6 +166,9 @@ def run(
             if seconds is not None and tally.seconds >= seconds:
                 stop.ask(f"{seconds:g} s are over")
                 break
+            late = now - (start + elapsed + shift)
+            if late > STALL_NS:
+                pipeline.restart_softly()
             frame = sensor.read(elapsed)
             if frame is None:
                 break
@@ -175,7 +180,6 @@ def run(
             for observe in observers:
                 observe(sent)
             period_ns = step.sequence.period_us * 1000
-            late = now - (start + elapsed + shift)
             if late > period_ns:
                 tally.late += 1
                 shift += late

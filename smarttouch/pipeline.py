@@ -66,6 +66,10 @@ class Pipeline:
         intensity = self._soft_start.follow(wanted, frame.time_ns)
         return Step(frame, tactile, self._scan.schedule(tactile, intensity))
 
+    def restart_softly(self) -> None:
+        """Let intensity rise from zero again, after the skin has felt nothing for a while."""
+        self._soft_start.restart()
+
     def warm_up(self) -> None:
         """Run a printed frame through a twin of this pipeline, which is then thrown away.
 

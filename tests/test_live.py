@@ -105,6 +105,16 @@ def test_a_late_loop_moves_its_schedule_and_never_hurries(pipeline, board):
     assert clock.deadlines[3] - clock.deadlines[2] == 85_000_000
 
 
+def test_after_a_stall_nothing_comes_on_suddenly(pipeline, board):
+    clock = FakeClock([0] * 40 + [150_000_000])
+    with board:
+        run(Bars(60), pipeline, board, stop=StopRequest(), tally=Tally(), clock=clock)
+    intensity = [sequence.intensity for sequence in board.sequences]
+    assert intensity[39] == 1
+    assert intensity[40] <= 0.041
+    assert np.diff(intensity[40:]).max() <= 0.041
+
+
 def test_a_little_lateness_does_not_add_up(pipeline, board):
     clock = FakeClock([3_000_000] * 20)
     with board:

@@ -41,3 +41,7 @@ class SoftStart:
         self._time_ns = time_ns
         self._intensity = min(wanted, self._intensity + elapsed_s / self._ramp_s)
         return self._intensity
+
+    def restart(self) -> None:
+        """Begin again from zero."""
+        self._intensity = 0.0
