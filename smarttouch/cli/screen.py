@@ -135,8 +135,8 @@ class Screen:
             + self._slowed(figures)
             + f"; frame to last byte {latency['p50']:.0f} µs median, {latency['p99']:.0f} µs p99",
             f"  strongest pulse {figures['max_current_ma']:.2f} mA, "
-            f"{figures['max_charge_uc']:.3f} µC; net charge left at worst {net_pc:.3g} pC; "
-            f"{figures['emulator_violations']} violations by the board's books",
+            f"{figures['max_charge_uc']:.3f} µC; net charge left {net_pc:.3g} pC at worst",
+            f"  {figures['emulator_violations']} violations by the board's own books",
         ]
         lines += [f"  wrote {path}" for path in files]
         for line in lines:
