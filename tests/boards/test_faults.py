@@ -7,6 +7,7 @@ import sys
 import textwrap
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -78,8 +79,8 @@ def alive(process_id):
         os.kill(process_id, 0)
     except ProcessLookupError:
         return False
-    with open(f"/proc/{process_id}/stat") as file:  # noqa: PTH123
-        return file.read().rpartition(")")[2].split()[0] != "Z"
+    stat = Path(f"/proc/{process_id}/stat").read_text(encoding="utf-8")
+    return stat.rpartition(")")[2].split()[0] != "Z"
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
@@ -228,3 +229,12 @@ def test_a_signal_handler_may_stop_in_the_middle_of_a_send(make_limits, make_seq
         with pytest.raises(BoardError, match="stopped"):
             board.send(make_sequence(1, slots=4000, period_us=3_000_000))
         assert board.report().slots == 0
+
+
+def test_heartbeats_keep_an_idle_board(make_limits, make_sequence):
+    """Longer without a sequence than either end bears silence."""
+    with open_emulator("", make_limits()) as board:
+        time.sleep(0.8)
+        board.send(make_sequence(0))
+        board.drain()
+        assert board.report().sequences == 1
