@@ -54,9 +54,9 @@ class Board(ABC):
 
     capabilities: Capabilities
     acknowledged: int = 0
-    """Sequences the board has confirmed."""
+    """Sequences the board has begun to deliver."""
     refused: int = 0
-    """Sequences the board has declined (it was busy)."""
+    """Sequences the board has declined or dropped."""
 
     def __init__(self, limits: SafetyLimits) -> None:
         self._gate = SafetyGate(limits)

@@ -20,8 +20,8 @@ HEARTBEAT_S = 0.04
 SILENCE_S = 0.5
 """Silence of the board, which answers every heartbeat, after which it counts as gone."""
 ANSWER_S = 1.0
-IN_FLIGHT = 2
-"""Sequences sent but not yet acknowledged."""
+IN_FLIGHT = 1
+"""Sequences sent but not yet begun: the board has one place for those."""
 PIECE = 4096
 """Bytes written at once: a stop waits for one piece, not for a whole packet."""
 _LINE_ERRORS = (OSError, serial.SerialException, TypeError)

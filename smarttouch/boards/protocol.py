@@ -28,8 +28,9 @@ Board to host:
 0x81 CAPABILITIES u16 electrodes, u8 output (0 weighted, 1 three-state, 2 one
                   against all), u16 largest current µA, u16 most slots, u16
                   time to zero ms, then the firmware's name in UTF-8
-0x82 ACK          none: the sequence will be, or is being, executed
-0x83 NAK          u8 reason (1 busy, 2 malformed, 3 unsafe, 4 stopped), UTF-8
+0x82 ACK          none: the sequence has begun, the next one may be sent
+0x83 NAK          u8 reason (1 busy, 2 malformed, 3 unsafe, 4 stopped, 5 dropped
+                  in silence), UTF-8
 0x84 ALIVE        none
 0x85 REPORT       u32 sequences, u32 slots, u64 pulses, u32 violations,
                   f64 largest current mA, f64 largest charge µC, f64 largest
@@ -49,9 +50,11 @@ SEQUENCE::
 
 A board executes a sequence once: slot after slot, each a pulse and then all
 electrodes shorted, and shorted until the period is over. It holds one more
-while it executes one; a third is refused as busy. It checks every sequence
-itself and refuses what breaks its own limits. When nothing has come from the
-host for 100 ms it drops everything and shorts all electrodes.
+while it executes one; a third is refused as busy. So a host that waits for the
+ACK of each before it sends the next is paced by the board, whosever clock is
+slow. It checks every sequence itself and refuses what breaks its own limits.
+When nothing has come from the host for 100 ms it drops everything and shorts
+all electrodes.
 """
 
 import struct
@@ -106,6 +109,7 @@ class Refusal(IntEnum):
     MALFORMED = 2
     UNSAFE = 3
     STOPPED = 4
+    SILENCE = 5
 
 
 @dataclass(frozen=True)

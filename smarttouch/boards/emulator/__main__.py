@@ -19,6 +19,7 @@ from smarttouch.boards.emulator.firmware import Firmware
 from smarttouch.boards.protocol import OUTPUTS
 
 _WRITE_EVERY_NS = 50_000_000
+_LONGEST_STEP_NS = 10_000_000
 
 
 def main() -> None:
@@ -54,13 +55,13 @@ def _serve(firmware: Firmware, master: int, linger_s: float) -> None:
         ended.append(number)
 
     signal.signal(signal.SIGTERM, end)
-    now = time.monotonic_ns()
+    clock = _BoardClock()
+    now = clock.now_ns()
     alone_since: int | None = now + int(8e9)
     written_ns, pending = now, b""
     while True:
-        now = time.monotonic_ns()
         data = _read(master, 0.001 if firmware.busy else 0.004)
-        now = time.monotonic_ns()
+        now = clock.now_ns()
         if data is None:
             if alone_since is None:
                 alone_since = now
@@ -74,7 +75,7 @@ def _serve(firmware: Firmware, master: int, linger_s: float) -> None:
             pending += firmware.feed(data, now)
         else:
             alone_since = None
-            firmware.advance(now)
+            pending += firmware.advance(now)
         pending = _write(master, pending)
         if ended:
             firmware.zero("signal", now)
@@ -83,6 +84,24 @@ def _serve(firmware: Firmware, master: int, linger_s: float) -> None:
             firmware.books.write()
             written_ns = now
     firmware.books.write()
+
+
+class _BoardClock:
+    """The board's time, which stands still while the machine runs other processes.
+
+    Hardware is never kept waiting; what plays it is, and must not take its own
+    absence for the host's silence, nor for pulses delivered.
+    """
+
+    def __init__(self) -> None:
+        self._lost = 0
+        self._last = time.monotonic_ns()
+
+    def now_ns(self) -> int:
+        now = time.monotonic_ns()
+        self._lost += max(0, now - self._last - _LONGEST_STEP_NS)
+        self._last = now
+        return now - self._lost
 
 
 def _read(master: int, timeout_s: float) -> bytes | None:

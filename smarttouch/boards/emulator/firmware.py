@@ -28,9 +28,11 @@ class _Running:
     number: int
     sequence: WireSequence
     current_ua: NDArray[np.float64]
+    start_ns: int
     starts_ns: NDArray[np.int64]
     end_ns: int
     done: int = 0
+    begun: bool = False
 
 
 class Firmware:
@@ -54,29 +56,43 @@ class Firmware:
         self._stopped = True
         self._heard_ns = 0
         self._shorted_since_ns = 0
+        self._answers: list[bytes] = []
 
     @property
     def busy(self) -> bool:
         return bool(self._plan)
 
     def feed(self, data: bytes, now_ns: int) -> bytes:
-        """Take bytes from the host; return the answers."""
-        self.advance(now_ns)
+        """Take bytes from the host; return what there is to answer."""
+        self._advance(now_ns)
         self._heard_ns = now_ns
-        answers = b"".join(self._answer(packet, now_ns) for packet in self._deframer.feed(data))
+        for packet in self._deframer.feed(data):
+            self._answers.append(self._answer(packet, now_ns))
         self.books.framing_errors = self._deframer.errors
+        return self._take_answers()
+
+    def advance(self, now_ns: int) -> bytes:
+        """Do all that is due, and fall silent with the host; return what there is to answer."""
+        self._advance(now_ns)
+        return self._take_answers()
+
+    def _take_answers(self) -> bytes:
+        answers = b"".join(self._answers)
+        self._answers.clear()
         return answers
 
-    def advance(self, now_ns: int) -> None:
-        """Do all that is due, and fall silent with the host."""
+    def _advance(self, now_ns: int) -> None:
         deadline_ns = self._heard_ns + protocol.SILENCE_MS * 1_000_000
         self._execute(min(now_ns, deadline_ns))
         if now_ns >= deadline_ns and self._plan:
+            dropped = [running.number for running in self._plan if not running.begun]
             self.zero("silence", now_ns)
+            self._answers += [_refuse(number, Refusal.SILENCE, "dropped") for number in dropped]
 
     def hang_up(self, now_ns: int) -> None:
         """The host has closed the line; the next one has to say HELLO."""
-        self.advance(now_ns)
+        self._advance(now_ns)
+        self._answers.clear()
         if not self._stopped:
             self.zero("host closed", now_ns)
             self._stopped = True
@@ -90,6 +106,9 @@ class Firmware:
     def _execute(self, until_ns: int) -> None:
         while self._plan:
             running = self._plan[0]
+            if not running.begun and running.start_ns <= until_ns:
+                running.begun = True
+                self._answers.append(protocol.encode(Kind.ACK, running.number))
             due = int(np.searchsorted(running.starts_ns, until_ns, side="right"))
             for slot in range(running.done, due):
                 self._deliver(running, slot)
@@ -136,26 +155,26 @@ class Firmware:
 
     def _accept(self, packet: Packet, now_ns: int) -> bytes:
         if self._stopped:
-            return _refuse(packet, Refusal.STOPPED, "stopped; say HELLO first")
+            return _refuse(packet.number, Refusal.STOPPED, "stopped; say HELLO first")
         if len(self._plan) >= 2:
-            return _refuse(packet, Refusal.BUSY, "one executing and one waiting")
+            return _refuse(packet.number, Refusal.BUSY, "one executing and one waiting")
         try:
             sequence = protocol.decode_sequence(packet.payload)
         except ValueError as error:
             self.books.violations += 1
-            return _refuse(packet, Refusal.MALFORMED, str(error))
+            return _refuse(packet.number, Refusal.MALFORMED, str(error))
         current = self._currents(sequence)
         complaint = self._complaint(sequence, current)
         if complaint or current is None:
             self.books.violations += 1
-            return _refuse(packet, Refusal.UNSAFE, complaint or "no currents")
+            return _refuse(packet.number, Refusal.UNSAFE, complaint or "no currents")
         start_ns = max(now_ns, self._plan[-1].end_ns) if self._plan else now_ns
         lengths = sequence.width_us.astype(np.int64) + sequence.discharge_us
         starts_ns = start_ns + 1000 * (np.cumsum(lengths) - lengths)
         end_ns = start_ns + 1000 * sequence.period_us
-        self._plan.append(_Running(packet.number, sequence, current, starts_ns, end_ns))
+        self._plan.append(_Running(packet.number, sequence, current, start_ns, starts_ns, end_ns))
         self._execute(now_ns)
-        return protocol.encode(Kind.ACK, packet.number)
+        return b""
 
     def _currents(self, sequence: WireSequence) -> NDArray[np.float64] | None:
         """Return what will flow, (S, E) µA; a source divides equally among equal electrodes."""
@@ -228,5 +247,5 @@ class Firmware:
         )
 
 
-def _refuse(packet: Packet, reason: Refusal, text: str) -> bytes:
-    return protocol.encode(Kind.NAK, packet.number, bytes([reason]) + text.encode())
+def _refuse(number: int, reason: Refusal, text: str) -> bytes:
+    return protocol.encode(Kind.NAK, number, bytes([reason]) + text.encode())

@@ -37,16 +37,27 @@ class Rig:
             number, output or self.output, period, column * width, column * discharge,
             column, current,
         )  # fmt: skip
-        (answer,) = self.feed(now_ms, data)
-        assert answer.number == number
-        return answer
+        return self.feed(now_ms, data)
 
     def reason(self, *arguments, **options):
-        answer = self.send(*arguments, **options)
-        return Refusal(answer.payload[0]) if answer.kind == Kind.NAK else None
+        for answer in self.send(*arguments, **options):
+            if answer.kind == Kind.NAK:
+                return Refusal(answer.payload[0])
+        return None
+
+    def advance(self, now_ms):
+        answers = Deframer().feed(self.board.advance(int(now_ms * MS)))
+        return [(answer.kind, answer.number) for answer in answers]
 
 
 GOOD = [[300, -100, -100, -100], [-100, 300, -100, -100]]
+
+
+def test_what_has_begun_is_acknowledged_once():
+    rig = Rig()
+    (answer,) = rig.send(0, GOOD, number=7)
+    assert (answer.kind, answer.number) == (Kind.ACK, 7)
+    assert rig.advance(5) == rig.advance(11) == []
 
 
 def test_slots_come_one_after_another():
@@ -67,9 +78,9 @@ def test_one_executes_one_waits_a_third_is_busy():
     assert rig.reason(0, GOOD, number=1) is None
     assert rig.reason(1, GOOD, number=2) is None
     assert rig.reason(2, GOOD, number=3) is Refusal.BUSY
-    rig.board.advance(int(9.99 * MS))
+    assert rig.advance(9.99) == []
     assert rig.books.slots == 2
-    rig.board.advance(int(10.01 * MS))
+    assert rig.advance(10.01) == [(Kind.ACK, 2)]
     assert rig.books.slots == 3
     assert rig.reason(10.5, GOOD, number=4) is None
 
@@ -103,7 +114,7 @@ def test_silence_shorts_everything():
     rig.send(1, GOOD, number=2)
     rig.board.advance(99 * MS)
     assert rig.books.state == "driving"
-    rig.board.advance(103 * MS)
+    assert rig.advance(103) == [(Kind.NAK, 2)]
     assert (rig.books.state, rig.books.reason) == ("shorted", "silence")
     assert rig.books.zero_after_ms == pytest.approx(102)
     delivered = rig.books.slots
