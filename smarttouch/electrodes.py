@@ -1,5 +1,6 @@
 """Electrode arrays: where the electrodes are and what they look like."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -7,7 +8,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-Shape = Literal["disc", "line"]
+from smarttouch.errors import ProfileError
+
+Shape = Literal["point", "disc", "annulus", "rectangle"]
+
+COINCIDENT_MM = 1e-3
+"""Electrodes closer than this are taken for one given twice."""
 
 KAJIMOTO_61_ROWS = (5, 6, 7, 8, 9, 8, 7, 6, 5)
 """Electrodes per row of the hexagonal 61-electrode board."""
@@ -28,17 +34,34 @@ class ElectrodeArray:
         its share of the array, and the aperture through which it sees the page.
     pitch_mm : float, mm
         Distance to the nearest neighbor.
-    shape : {"disc", "line"}
-        ``line`` electrodes are long in y, the paper's two-dimensional case.
-    diameter_mm : float, mm
-        Diameter of a disc, width of a line.
+    shape : {"point", "disc", "annulus", "rectangle"}
+        What every electrode looks like.
+    size_mm : tuple of float, mm
+        Outer and inner diameter of an annulus, diameter and 0 of a disc, width
+        and height of a rectangle.
+
+    Raises
+    ------
+    ProfileError
+        If there is no electrode, or two stand at the same place.
     """
 
     position_mm: NDArray[np.float64]
     cell_mm: tuple[float, float]
     pitch_mm: float
     shape: Shape = "disc"
-    diameter_mm: float = 1.0
+    size_mm: tuple[float, float] = (1.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not len(self.position_mm):
+            raise ProfileError("the array has no electrodes: give at least two")
+        apart = self.distance_mm + np.diag(np.full(len(self), np.inf))
+        first, second = divmod(int(apart.argmin()), len(self))
+        if apart[first, second] < COINCIDENT_MM:
+            x, y = self.position_mm[first]
+            raise ProfileError(
+                f"electrodes {first} and {second} coincide at ({x:g}, {y:g}) mm: move one of them"
+            )
 
     def __len__(self) -> int:
         return len(self.position_mm)
@@ -62,14 +85,16 @@ def grid(
     pitch_x_mm: float,
     pitch_y_mm: float,
     diameter_mm: float,
+    inner_diameter_mm: float = 0.0,
 ) -> ElectrodeArray:
-    """Return a rectangular grid of discs, numbered row by row from the top left."""
+    """Return a rectangular grid of discs or rings, numbered row by row from the top left."""
     x, y = np.meshgrid(_centered(columns, pitch_x_mm), _centered(rows, pitch_y_mm))
     return ElectrodeArray(
         position_mm=np.column_stack([x.ravel(), y.ravel()]),
         cell_mm=(pitch_x_mm, pitch_y_mm),
-        pitch_mm=min(pitch_x_mm, pitch_y_mm),
-        diameter_mm=diameter_mm,
+        pitch_mm=_nearest(columns, pitch_x_mm, rows, pitch_y_mm),
+        shape="annulus" if inner_diameter_mm else "disc",
+        size_mm=(diameter_mm, inner_diameter_mm),
     )
 
 
@@ -91,7 +116,7 @@ def hexagon(pitch_mm: float, diameter_mm: float) -> ElectrodeArray:
         position_mm=np.array(points),
         cell_mm=(pitch_mm, float(height)),
         pitch_mm=pitch_mm,
-        diameter_mm=diameter_mm,
+        size_mm=(diameter_mm, 0.0),
     )
 
 
@@ -102,9 +127,28 @@ def lines(count: int, pitch_mm: float, width_mm: float, length_mm: float) -> Ele
         position_mm=np.column_stack([x, np.zeros(count)]),
         cell_mm=(pitch_mm, length_mm),
         pitch_mm=pitch_mm,
-        shape="line",
-        diameter_mm=width_mm,
+        shape="rectangle",
+        size_mm=(width_mm, length_mm),
     )
+
+
+def free(
+    position_mm: Sequence[tuple[float, float]], shape: Shape, size_mm: tuple[float, float]
+) -> ElectrodeArray:
+    """Return electrodes anywhere, numbered as given; the origin is moved to their middle."""
+    position = np.array(position_mm, np.float64).reshape(-1, 2)
+    if len(position):
+        position -= (position.max(axis=0) + position.min(axis=0)) / 2
+    apart = np.linalg.norm(position[:, None] - position[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    # Most electrodes' distance to their neighbor: one close pair must not set it for all.
+    pitch = float(np.median(apart.min(axis=1))) if len(position) > 1 else 1.0
+    return ElectrodeArray(position, (pitch, pitch), pitch, shape, size_mm)
+
+
+def _nearest(columns: int, pitch_x_mm: float, rows: int, pitch_y_mm: float) -> float:
+    pitches = [pitch for count, pitch in ((columns, pitch_x_mm), (rows, pitch_y_mm)) if count > 1]
+    return min(pitches or [pitch_x_mm])
 
 
 def _centered(count: int, pitch: float) -> NDArray[np.float64]:

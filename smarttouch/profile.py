@@ -31,7 +31,7 @@ class _Table(BaseModel):
 
 
 class GridLayout(_Table):
-    """A rectangular grid of discs."""
+    """A rectangular grid of discs, or of rings where an inner diameter is given."""
 
     layout: Literal["grid"]
     rows: int = Field(ge=1, le=64)
@@ -39,10 +39,25 @@ class GridLayout(_Table):
     pitch_x_mm: Positive
     pitch_y_mm: Positive
     diameter_mm: Positive
+    inner_diameter_mm: float = Field(default=0.0, ge=0)
+
+    @model_validator(mode="after")
+    def _ring(self) -> Self:
+        if self.inner_diameter_mm >= self.diameter_mm:
+            raise ValueError(
+                f"inner_diameter_mm {self.inner_diameter_mm:g} must be below diameter_mm "
+                f"{self.diameter_mm:g}"
+            )
+        return self
 
     def build(self) -> ElectrodeArray:
         return electrodes.grid(
-            self.rows, self.columns, self.pitch_x_mm, self.pitch_y_mm, self.diameter_mm
+            self.rows,
+            self.columns,
+            self.pitch_x_mm,
+            self.pitch_y_mm,
+            self.diameter_mm,
+            self.inner_diameter_mm,
         )
 
 
@@ -70,12 +85,64 @@ class LineLayout(_Table):
         return electrodes.lines(self.count, self.pitch_mm, self.width_mm, self.length_mm)
 
 
+class FreeLayout(_Table):
+    """Electrodes anywhere, one after the other."""
+
+    layout: Literal["free"]
+    positions_mm: tuple[tuple[float, float], ...] = Field(max_length=4096)
+    shape: Literal["point", "disc", "annulus", "rectangle"] = "disc"
+    size_mm: tuple[float, float] = (1.0, 0.0)
+    """Diameter (and inner diameter) of a disc or annulus; width and height of a rectangle."""
+
+    @model_validator(mode="after")
+    def _sized(self) -> Self:
+        first, second = self.size_mm
+        inside = {
+            "point": True,
+            "disc": first > 0 and second == 0,
+            "annulus": first > second > 0,
+            "rectangle": first > 0 and second > 0,
+        }
+        if not inside[self.shape]:
+            raise ValueError(
+                f"size_mm {list(self.size_mm)} does not go with shape {self.shape!r}: "
+                "give [diameter, 0] of a disc, [outer, inner] of an annulus, [width, height] of "
+                "a rectangle"
+            )
+        return self
+
+    def build(self) -> ElectrodeArray:
+        return electrodes.free(self.positions_mm, self.shape, self.size_mm)
+
+
+class SkinLayer(_Table):
+    """One layer of skin; the last one goes on without end."""
+
+    name: str = ""
+    thickness_mm: float = Field(default=float("inf"), gt=0)
+    conductivity_s_per_m: Positive
+
+
+class Spread(_Table):
+    """How far the true finger may be from the nominal one; robust kernels hold over it."""
+
+    ra_depth_mm: float = Field(default=0.1, ge=0)
+    sai_depth_mm: float = Field(default=0.1, ge=0)
+    pc_depth_mm: float = Field(default=0.3, ge=0)
+    angle_deg: float = Field(default=10.0, ge=0, le=45)
+    """Of flat axons in the plane, and of rising ones from the vertical."""
+    conductivity_factor: float = Field(default=1.5, ge=1, le=100)
+    """Each layer's by itself, up and down."""
+
+
 class Skin(_Table):
     """The conducting medium and the afferents in it (paper, Section II-D)."""
 
-    medium: Literal["half-space", "plane"]
+    medium: Literal["half-space", "infinite", "layered", "plane"]
     """``plane`` is the paper's homogeneous 2D medium, for line electrodes."""
-    conductivity_s_per_m: Positive
+    conductivity_s_per_m: Positive | None = None
+    layers: tuple[SkinLayer, ...] = ()
+    """From the surface down, for ``layered``."""
     ra_depth_mm: Positive
     sai_depth_mm: Positive
     pc_depth_mm: Positive
@@ -83,6 +150,37 @@ class Skin(_Table):
     """Directions of the horizontal afferents; the first is the target of SAI mode."""
     node_spacing_mm: Positive
     """Spacing of the points at which unwanted activation is bounded."""
+    ra_ending: Literal["passive", "active"] = "passive"
+    """Whether the ending of a rising axon can fire: it decides RA's polarity."""
+    internode_mm: Positive = 0.079
+    """Between the nodes of Ranvier of an axon near its ending, 79 µm (Nolano et al. 2003)."""
+    spread: Spread = Spread()
+
+    @property
+    def conductivity(self) -> float:
+        """Of homogeneous skin, S/m."""
+        return self.conductivity_s_per_m or 1.0
+
+    @model_validator(mode="after")
+    def _conducting(self) -> Self:
+        layered = self.medium == "layered"
+        if layered != bool(self.layers) or layered != (self.conductivity_s_per_m is None):
+            raise ValueError(
+                "a layered medium takes its conductivities from skin.layers, any other one from "
+                "skin.conductivity_s_per_m: give just that"
+            )
+        if layered and not np.isinf(self.layers[-1].thickness_mm):
+            raise ValueError("the last of skin.layers goes on without end: leave out thickness_mm")
+        if any(np.isinf(layer.thickness_mm) for layer in self.layers[:-1]):
+            raise ValueError("each of skin.layers but the last needs its thickness_mm")
+        for name in ("ra", "sai", "pc"):
+            depth = getattr(self, f"{name}_depth_mm")
+            if depth - getattr(self.spread, f"{name}_depth_mm") <= 0:
+                raise ValueError(
+                    f"spread.{name}_depth_mm reaches the surface from {name}_depth_mm {depth:g}: "
+                    "no fiber lies outside the skin; lower it"
+                )
+        return self
 
 
 class Output(_Table):
@@ -92,6 +190,8 @@ class Output(_Table):
     polarities: tuple[Literal["anodic", "cathodic"], ...] = Field(
         default=("anodic", "cathodic"), min_length=1
     )
+    impedance_kohm: Positive | tuple[Positive, ...] = 1.0
+    """Measured, of electrode and skin: how electrodes share one source's current."""
 
 
 class Optics(_Table):
@@ -134,6 +234,10 @@ class Limits(_Table):
     """What no sequence may exceed; the project's ceilings bound them."""
 
     current_ma: float = Field(gt=0, le=CEILING_MA)
+    total_ma: Positive | None = None
+    """Of all cathodes together in one slot; none if not given."""
+    electrode_ma: tuple[Positive, ...] | None = None
+    """Of each electrode, where some must stay below ``current_ma``."""
     pulse_us: float = Field(gt=0, le=CEILING_PULSE_US)
     charge_uc: float = Field(gt=0, le=CEILING_CHARGE_UC)
     rate_hz: float = Field(gt=0, le=200)
@@ -153,7 +257,9 @@ class Profile(_Table):
 
     name: str = ""
     title: str = Field(min_length=1)
-    array: Annotated[GridLayout | HexagonLayout | LineLayout, Field(discriminator="layout")]
+    array: Annotated[
+        GridLayout | HexagonLayout | LineLayout | FreeLayout, Field(discriminator="layout")
+    ]
     skin: Skin
     output: Output
     optics: Optics
@@ -173,25 +279,55 @@ class Profile(_Table):
             np.asarray(self.perception.threshold_ma, np.float32), (len(self.electrodes),)
         ).copy()
 
+    @cached_property
+    def admittance(self) -> NDArray[np.float64]:
+        """What share each electrode takes of a source, (E,), relative."""
+        impedance = np.asarray(self.output.impedance_kohm, np.float64)
+        return np.broadcast_to(1 / impedance, (len(self.electrodes),)).copy()
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         count = len(self.electrodes)
-        thresholds = self.perception.threshold_ma
-        if isinstance(thresholds, tuple) and len(thresholds) != count:
+        for key, values in (
+            ("perception.threshold_ma", self.perception.threshold_ma),
+            ("output.impedance_kohm", self.output.impedance_kohm),
+        ):
+            if isinstance(values, tuple) and len(values) != count:
+                raise ValueError(
+                    f"{key} lists {len(values)} electrodes, the array has {count}: "
+                    f"give {count} numbers, or one for all"
+                )
+        if self.skin.medium == "plane" and self.array.layout != "lines":
             raise ValueError(
-                f"perception.threshold_ma lists {len(thresholds)} electrodes, "
-                f"the array has {count}: give {count} numbers, or one for all"
+                f"skin.medium 'plane' does not go with array.layout {self.array.layout!r}: "
+                "it is for 'lines'; 'half-space' is for all"
             )
-        if (self.skin.medium == "plane") != (self.array.layout == "lines"):
+        lowered = self.limits.electrode_ma
+        if lowered is not None and len(lowered) != count:
             raise ValueError(
-                f"skin.medium {self.skin.medium!r} does not go with array.layout "
-                f"{self.array.layout!r}: 'plane' is for 'lines', 'half-space' for discs"
+                f"limits.electrode_ma lists {len(lowered)} electrodes, the array has {count}: "
+                f"give {count} numbers, or leave it out"
             )
-        strongest = float(self.threshold_ma.max()) * self.perception.comfort_ratio
+        full_ma = self.threshold_ma * self.perception.comfort_ratio
+        # Thresholds are single precision: a limit of just their product is kept.
+        over = full_ma > np.multiply(np.inf if lowered is None else lowered, 1 + 1e-6)
+        if lowered is not None and over.any():
+            index = int(over.argmax())
+            raise ValueError(
+                f"threshold_ma × comfort_ratio is {full_ma[index]:.2f} mA at electrode {index}, "
+                f"above its limits.electrode_ma {lowered[index]:g}: lower one of the two"
+            )
+        strongest = float(full_ma.max())
         if strongest > self.limits.current_ma:
             raise ValueError(
                 f"threshold_ma × comfort_ratio reaches {strongest:.2f} mA, above "
                 f"limits.current_ma {self.limits.current_ma}: lower one of the two"
+            )
+        total = self.limits.total_ma
+        if total is not None and total < strongest:
+            raise ValueError(
+                f"limits.total_ma {total:g} is below the {strongest:.2f} mA that threshold_ma × "
+                "comfort_ratio sends through one electrode: raise it, or lower one of the two"
             )
         if self.pulse.width_us > self.limits.pulse_us:
             raise ValueError(
@@ -239,7 +375,7 @@ def load_profile(name: str | Path) -> Profile:
 
 def _first_complaint(path: Path, error: ValidationError) -> str:
     first = error.errors()[0]
-    layouts = ("grid", "hexagon-61", "lines")
+    layouts = ("grid", "hexagon-61", "lines", "free")
     key = ".".join(str(part) for part in first["loc"] if part not in layouts)
     if first["type"] == "extra_forbidden":
         return f"{path}: unknown key {key!r}: remove it or correct its spelling"

@@ -19,6 +19,98 @@ def bank(profile):
     return load_bank(profile)
 
 
+@pytest.fixture(scope="session")
+def make_bank():
+    """Return a maker of RA banks from weights and receptors alone, (E, E) each."""
+    from smarttouch.modes.bank import KernelBank
+    from smarttouch.primary import Primary
+
+    def make(weights, receptor):
+        figures = ("worst_other", "worst_class", "own_spill", "gap", "seconds")
+        nothing = {name: {Primary.RA: np.zeros(len(weights))} for name in figures}
+        return KernelBank({Primary.RA: weights}, receptor={Primary.RA: receptor}, **nothing)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def changed():
+    """Return a maker of profiles that differ from one in keys such as ``skin.medium``."""
+
+    def change(profile, keys):
+        table = profile.model_dump()
+        for key, value in keys.items():
+            *tables, last = key.split(".")
+            inner = table
+            for name in tables:
+                inner = inner[name]
+            inner[last] = value
+        return type(profile).model_validate(table)
+
+    return change
+
+
+@pytest.fixture(scope="session")
+def whole_programme():
+    """Return a solver of one site's whole programme at once, all rows, by scipy's linprog.
+
+    Written apart from the package: minimize t over (w, t), with magnitudes where the total is
+    limited. Under a spill bound that cannot be kept, the larger of both is minimized.
+    """
+    from scipy.optimize import linprog
+
+    def solve(problem, site, spill=0.2, method="highs", order=None):
+        rows, far = problem.rows[0], problem.beyond_a_pitch(site)
+        target, count = rows.target[0, site], problem.electrodes
+        scale = np.abs(target).max()
+        axon = problem.axon(site)[1:] / scale
+        others, own = rows.other / scale, rows.own[far] / scale
+        if spill is None:
+            own = own[:0]
+        if order is not None:
+            others = others[order(len(others))]
+        total, _ = problem.limits_ma
+        limited = np.isfinite(total)
+        magnitudes = count if limited else 0
+
+        def minimum(own_by_t):
+            upper = [
+                np.c_[others, -np.ones(len(others)), np.zeros((len(others), magnitudes))],
+                np.c_[
+                    own,
+                    np.full(len(own), -1.0 if own_by_t else 0.0),
+                    np.zeros((len(own), magnitudes)),
+                ],
+                np.c_[axon, np.zeros((len(axon), 1 + magnitudes))],
+            ]
+            bound = [np.zeros(len(others)), np.full(len(own), 0 if own_by_t else spill or 0)]
+            bound.append(np.ones(len(axon)))
+            if limited:
+                eye, zero = np.eye(count), np.zeros((count, 1))
+                upper += [np.c_[eye, zero, -eye], np.c_[-eye, zero, -eye]]
+                sign = np.sign(target[site])
+                allowed = 2 * total / problem.full_ma(site)
+                upper.append(np.r_[-allowed * sign * eye[site], 0, np.ones(count)][None])
+                bound.append(np.zeros(2 * count + 1))
+            answer = linprog(
+                np.r_[np.zeros(count), 1, np.zeros(magnitudes)],
+                np.concatenate(upper),
+                np.concatenate(bound),
+                np.c_[np.stack([target / scale, np.ones(count)]), np.zeros((2, 1 + magnitudes))],
+                [1, 0],
+                bounds=[(None, None)] * (count + 1) + [(0, None)] * magnitudes,
+                method=method,
+            )
+            return answer.fun if answer.status == 0 else np.inf
+
+        best = minimum(False)
+        if spill is not None and best > spill:
+            best = min(best, minimum(True))
+        return best
+
+    return solve
+
+
 @pytest.fixture
 def make_frame():
     """Return a maker of frames: an image, a time and a force."""

@@ -83,6 +83,20 @@ def test_a_file_of_one_s_own(edited):
         ("ramp_s = 0.5", "ramp_s = 0.1", "limits.ramp_s = 0.1"),
         ("full_n = 0.9", "full_n = 0.1", "full_n 0.1 must exceed contact_n"),
         ('medium = "half-space"', 'medium = "plane"', "does not go with array.layout"),
+        (
+            'medium = "half-space"',
+            'medium = "layered"',
+            "takes its conductivities from skin.layers",
+        ),
+        ("total_ma = 10.0", "total_ma = 1.0", "limits.total_ma 1 is below the 2.40 mA"),
+        (
+            "total_ma = 10.0",
+            "electrode_ma = [1.0]",
+            "limits.electrode_ma lists 1 electrodes.*has 64",
+        ),
+        ("ra_depth_mm = 0.1", "ra_depth_mm = 0.8", "spread.ra_depth_mm reaches the surface"),
+        ("ra_depth_mm = 0.7", "ra_depth_mm = -0.7", "skin.ra_depth_mm = -0.7"),
+        ("diameter_mm = 1.0", "diameter_mm = 1.0\ninner_diameter_mm = 1.0", "below diameter_mm"),
         ("[array]", "[array", "not a readable TOML"),
     ],
 )
@@ -104,3 +118,41 @@ def test_not_text(tmp_path):
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ProfileError, match="not a readable TOML"):
         load_profile(path)
+
+
+FREE = """[array]
+layout = "free"
+positions_mm = {positions}
+shape = "{shape}"
+size_mm = {size}
+
+[skin]"""
+
+
+def with_free_array(edited, positions, shape="disc", size="[1.0, 0]"):
+    text = (data_folder("calibration") / "electric-mouse.toml").read_text(encoding="utf-8")
+    table = text[text.index("[array]") : text.index("[skin]") + len("[skin]")]
+    return edited((table, FREE.format(positions=positions, shape=shape, size=size)))
+
+
+def test_electrodes_anywhere(edited):
+    profile = load_profile(with_free_array(edited, "[[0, 0], [2, 0], [1, 1.5]]"))
+    assert profile.electrodes.position_mm.tolist() == [[-1, -0.75], [1, -0.75], [0, 0.75]]
+    assert profile.electrodes.pitch_mm == pytest.approx(np.hypot(1, 1.5))
+
+
+@pytest.mark.parametrize(
+    ("positions", "shape", "size", "words"),
+    [
+        ("[]", "disc", "[1, 0]", "no electrodes: give at least two"),
+        ("[[0, 0], [2, 0], [0, 0]]", "disc", "[1, 0]", "electrodes 0 and 2 coincide"),
+        ("[[0, 0], [2, 0]]", "annulus", "[1, 1]", "does not go with shape 'annulus'"),
+        ("[[0, 0], [2, 0]]", "rectangle", "[1, 0]", "does not go with shape 'rectangle'"),
+        ("[[0, 0], [2, 0]]", "star", "[1, 0]", "array.shape"),
+    ],
+)
+def test_impossible_arrays(edited, positions, shape, size, words):
+    path = with_free_array(edited, positions, shape, size)
+    with pytest.raises(ProfileError, match=words) as caught:
+        load_profile(path)
+    assert "\n" not in str(caught.value)

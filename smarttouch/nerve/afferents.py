@@ -1,20 +1,22 @@
 """Where the afferents of a profile run, and at which points they may fire."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.errors import DesignError
 from smarttouch.primary import Primary
-from smarttouch.profile import Profile
+from smarttouch.profile import Profile, Skin
 
-_MARGIN_PITCHES = {"plane": 2.0, "half-space": 1.0}
+_MARGIN_PITCHES = {"plane": 2.0}
 """How far beyond the outer electrodes afferents are considered; 2 is the paper's −5..5 mm."""
 
 
 @dataclass(frozen=True, eq=False)
 class Afferents:
-    """Nodes of Ranvier of one class and one direction.
+    """Nodes of Ranvier of one class at one depth.
 
     Attributes
     ----------
@@ -24,57 +26,140 @@ class Afferents:
         Places along the skin.
     depth_mm : float, mm
         Depth below the surface.
-    angle_deg : float or None, degrees
-        Direction of horizontal axons in the plane, from x toward y; None for
-        axons that rise vertically.
+    direction : ndarray, (D, 3) float64
+        Unit vectors along the axons: every place has one node in each
+        direction. z points into the skin.
+    ending : {"active", "passive"} or None
+        Of axons that end at these nodes: whether the ending itself can fire.
+        None where axons run on.
+    grid : tuple of int
+        Rows and columns, where the places form a lattice; else (N, 1).
     """
 
     primary: Primary
     position_mm: NDArray[np.float64]
     depth_mm: float
-    angle_deg: float | None
+    direction: NDArray[np.float64]
+    ending: str | None
+    grid: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        if not self.depth_mm > 0:
+            raise DesignError(
+                f"a {self.primary.name} fiber at a depth of {self.depth_mm:g} mm lies outside "
+                "the skin: depths are measured below the surface, above 0"
+            )
 
 
-def depth_mm(profile: Profile, primary: Primary) -> float:
+def depth_mm(skin: Skin, primary: Primary) -> float:
     """Return the depth at which a class is reached (Section II-D)."""
-    skin = profile.skin
     return (skin.ra_depth_mm, skin.sai_depth_mm, skin.pc_depth_mm)[primary]
 
 
-def angles_deg(profile: Profile, primary: Primary) -> tuple[float | None, ...]:
-    """Return the directions of a class: RA rises vertically, SAI and PC lie flat (Fig. 7)."""
-    return (None,) if primary is Primary.RA else profile.skin.sai_angles_deg
+def directions(skin: Skin, primary: Primary) -> NDArray[np.float64]:
+    """Return the directions of a class, (D, 3): RA rises, SAI and PC lie flat (Fig. 7)."""
+    if primary is Primary.RA:
+        return np.array([[0.0, 0.0, 1.0]])
+    return flat(skin.sai_angles_deg)
+
+
+def flat(angles_deg: tuple[float, ...]) -> NDArray[np.float64]:
+    """Return unit vectors in the plane of the skin, (D, 3); angles from x toward y."""
+    radians = np.radians(angles_deg)
+    return np.column_stack([np.cos(radians), np.sin(radians), np.zeros(len(radians))])
+
+
+def tilted(tilt_deg: float) -> NDArray[np.float64]:
+    """Return the vertical and four directions that lean from it, (5, 3)."""
+    sin, cos = np.sin(np.radians(tilt_deg)), np.cos(np.radians(tilt_deg))
+    return np.array([[0, 0, 1], [sin, 0, cos], [-sin, 0, cos], [0, sin, cos], [0, -sin, cos]])
 
 
 def targets(profile: Profile, primary: Primary) -> Afferents:
     """Return the node under each electrode that its kernel is to fire."""
+    position, skin = profile.electrodes.position_mm, profile.skin
+    direction = directions(skin, primary)[:1]
+    depth = depth_mm(skin, primary)
     return Afferents(
-        primary,
-        profile.electrodes.position_mm,
-        depth_mm(profile, primary),
-        angles_deg(profile, primary)[0],
+        primary, position, depth, direction, _ending(skin, primary), (len(position), 1)
     )
 
 
-def everywhere(profile: Profile, primary: Primary) -> list[Afferents]:
-    """Return the nodes of a class all over the array, one set for each direction."""
+def everywhere(profile: Profile, primary: Primary) -> Afferents:
+    """Return the nodes of a class all over the array, in all its directions."""
     spacing = profile.skin.node_spacing_mm
     if profile.skin.medium == "plane" and primary is Primary.RA:
         # The paper's RA axons stand one pitch apart, however finely nodes lie along SAI and PC.
         spacing = profile.electrodes.pitch_mm
-    position = _lattice(profile, spacing)
-    depth = depth_mm(profile, primary)
-    return [Afferents(primary, position, depth, angle) for angle in angles_deg(profile, primary)]
+    position, grid = _lattice(profile, spacing)
+    skin = profile.skin
+    return Afferents(
+        primary,
+        position,
+        depth_mm(skin, primary),
+        directions(skin, primary),
+        _ending(skin, primary),
+        grid,
+    )
 
 
-def _lattice(profile: Profile, spacing_mm: float) -> NDArray[np.float64]:
+def along_axon(profile: Profile, primary: Primary, site: int) -> tuple[Afferents, ...]:
+    """Return the nodes of the axon under a site, one set for each depth.
+
+    The first node of the first set is the one under the electrode. A rising
+    axon has its nodes below the ending; a flat one to both sides.
+    """
+    center = profile.electrodes.position_mm[site]
+    skin, first = profile.skin, targets(profile, primary)
+    direction = first.direction[0]
+    reach = 2 * profile.electrodes.pitch_mm
+    steps = max(1, int(reach / skin.node_spacing_mm))
+    along = np.arange(1, steps + 1) * skin.node_spacing_mm
+    sets: list[tuple[NDArray[np.float64], float, str | None]]
+    if direction[2] == 0:
+        away = np.concatenate([[0.0], along, -along])
+        position = center + away[:, None] * direction[:2]
+        sets = [(position, first.depth_mm, None)]
+    else:
+        sets = [(center[None], first.depth_mm, first.ending)]
+        sets += [(center[None], first.depth_mm + each, None) for each in along]
+    return tuple(
+        Afferents(primary, position, depth, first.direction, ending, (len(position), 1))
+        for position, depth, ending in sets
+    )
+
+
+def variants(skin: Skin) -> Iterator[Skin]:
+    """Yield the skin with every conductivity of its spread, the nominal one first.
+
+    In homogeneous skin conductivity scales all potentials alike and changes no
+    kernel; between layers its ratio counts.
+    """
+    yield skin
+    factor = skin.spread.conductivity_factor
+    if factor == 1:
+        return
+    for index, layer in enumerate(skin.layers):
+        for conductivity in (
+            layer.conductivity_s_per_m / factor, layer.conductivity_s_per_m * factor,
+        ):  # fmt: skip
+            changed = layer.model_copy(update={"conductivity_s_per_m": conductivity})
+            layers = (*skin.layers[:index], changed, *skin.layers[index + 1 :])
+            yield skin.model_copy(update={"layers": layers})
+
+
+def _ending(skin: Skin, primary: Primary) -> str | None:
+    return skin.ra_ending if primary is Primary.RA else None
+
+
+def _lattice(profile: Profile, spacing_mm: float) -> tuple[NDArray[np.float64], tuple[int, int]]:
     electrodes = profile.electrodes
     plane = profile.skin.medium == "plane"
-    margin = _MARGIN_PITCHES[profile.skin.medium] * electrodes.pitch_mm
+    margin = _MARGIN_PITCHES.get(profile.skin.medium, 1.0) * electrodes.pitch_mm
     reach = np.abs(electrodes.position_mm).max(axis=0) + margin
     axes = []
     for half in reach:
         steps = int(np.floor(2 * half / spacing_mm + 1e-9))
         axes.append((np.arange(steps + 1) - steps / 2) * spacing_mm)
     x, y = np.meshgrid(axes[0], [0.0] if plane else axes[1])
-    return np.column_stack([x.ravel(), y.ravel()])
+    return np.column_stack([x.ravel(), y.ravel()]), x.shape

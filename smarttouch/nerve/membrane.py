@@ -31,8 +31,8 @@ _WATCHED = -5  # the padding node that must fire
 _FIRED_MV = 80.0
 _QUIET_MV = 10.0  # below it sodium cannot outweigh the leak, even with every h gate open,
 _SETTLED_US = 100.0  # once the m gates have followed (12 µs)
-_FLOOR_MA, _CEILING_MA = 1e-4, 100.0
-_ROUNDS = (61, 17, 17)  # candidates, down to 0.1 %; many at first, as a cathode also blocks:
+_FLOOR_MA, _CEILING_MA = 1e-4, 1000.0
+_ROUNDS = (71, 17, 17)  # candidates, down to 0.1 %; many at first, as a cathode also blocks:
 # a fiber may fire only between its threshold and three times that
 _PATIENCE_US = 20_000.0  # after the pulse; an action potential passes a node in about 10
 
@@ -191,7 +191,7 @@ def threshold_ma(
     Raises
     ------
     DesignError
-        If nothing between 0.0001 and 100 mA is a threshold.
+        If nothing between 0.0001 and 1000 mA is a threshold.
     """
     steps = max(1, int(np.ceil(width_us / step_us - 1e-9)))
     axon = Axon(potential_mv_per_ma, fiber, width_us / steps)

@@ -1,10 +1,16 @@
-"""Curvature of the potential that one electrode makes in the skin.
+"""Potential and curvature that one electrode makes in homogeneous skin, in closed form.
 
 The activating function of an axon is the second derivative of the potential
-along it (Eq. 2), so that is what is given here, in closed form. All functions
-are for a unit **cathodic** current: under a cathode a horizontal axon is
-depolarized (positive), a vertical one hyperpolarized.
+along it (Eq. 2); the cable equation wants the potential itself. Both come from
+here, for a unit **cathodic** current: the potential is negative, and under the
+electrode a horizontal axon is depolarized (its curvature is positive), a
+vertical one hyperpolarized.
+
+Lengths are in mm. Fields are per factor ρI/2π of a half space with the
+electrode on its insulated surface; in an infinite medium they are half of that.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,59 +18,164 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def line_in_plane(x: Array, depth: float) -> Array:
-    """Return the horizontal curvature under a line source, per 2π of the factor ρI/L.
+class Field(NamedTuple):
+    """Potential (1/mm) and its second derivatives (1/mm³), arrays of one shape.
 
-    Eq. 5 of the paper: (y² − x²) / (x² + y²)². By Laplace's equation the
-    vertical curvature is its negative.
+    x and y run along the skin, z into it.
+    """
+
+    potential: Array
+    xx: Array
+    yy: Array
+    zz: Array
+    xy: Array
+    xz: Array
+    yz: Array
+
+    def along(self, direction: Array) -> Array:
+        """Return the second derivative along a unit vector (3,): an axon's Eq. 2."""
+        a, b, c = (float(part) for part in direction)
+        terms = (
+            (a * a, self.xx), (b * b, self.yy), (c * c, self.zz),
+            (2 * a * b, self.xy), (2 * a * c, self.xz), (2 * b * c, self.yz),
+        )  # fmt: skip
+        total = np.zeros_like(self.potential)
+        for factor, values in terms:
+            if abs(factor) > 1e-15:
+                total += factor * values
+        return total
+
+
+def around_axis(
+    x: Array, y: Array, potential: Array, zz: Array, around: Array, slanted: Array
+) -> Field:
+    """Return the cathodic field of an anodic potential that is round about the z axis.
+
+    Parameters
+    ----------
+    x, y : ndarray
+        Distances from the axis.
+    potential, zz : ndarray
+        Φ and ∂²Φ/∂z².
+    around, slanted : ndarray
+        (∂Φ/∂r)/r and (∂²Φ/∂r∂z)/r, both finite on the axis.
+    """
+    r2 = x * x + y * y
+    # ∂²Φ/∂r² follows from Laplace's equation; on the axis it equals (∂Φ/∂r)/r.
+    stretch = np.divide(-zz - 2 * around, r2, out=np.zeros_like(r2), where=r2 > 1e-12)
+    return Field(
+        -potential,
+        -(around + x * x * stretch),
+        -(around + y * y * stretch),
+        -zz,
+        -(x * y * stretch),
+        -(x * slanted),
+        -(y * slanted),
+    )
+
+
+def line_in_plane(x: Array, depth: float) -> Field:
+    """Return the field of a line source in the paper's two-dimensional medium.
+
+    Eq. 3 to 5: Φ = −log R, ∂²Φ/∂x² ∝ (y² − x²) / (x² + y²)² with y the depth.
 
     Parameters
     ----------
     x : ndarray, mm
         Distance along the surface.
     depth : float, mm
-        Depth y below the surface.
+        Depth below the surface.
 
     Returns
     -------
-    ndarray, 1/mm²
+    Field
+        Per factor ρI/2πL, L the line's length; potential without unit up to a
+        constant, derivatives in 1/mm².
     """
-    x2, y2 = x * x, depth * depth
-    return np.asarray((y2 - x2) / (x2 + y2) ** 2)
+    r2 = x * x + depth * depth
+    xx = (depth * depth - x * x) / r2**2
+    zero = np.zeros_like(x)
+    return Field(np.log(r2) / 2, xx, zero, -xx, zero, -2 * x * depth / r2**2, zero)
 
 
-def disc_on_half_space(x: Array, y: Array, depth: float, radius: float) -> tuple[Array, ...]:
-    """Return the curvatures under an equipotential disc on a half space.
+def point(x: Array, y: Array, depth: float) -> Field:
+    """Return the field of a point electrode, Φ = 1/R."""
+    r2 = x * x + y * y + depth * depth
+    cube = r2**-1.5
+    fifth = cube / r2
+    return around_axis(
+        x, y, r2**-0.5, (3 * depth * depth - r2) * fifth, -cube, 3 * depth * fifth
+    )  # fmt: skip
 
-    The disc's potential is that of point sources spread evenly along an
-    imaginary line, Φ = 1/(2a) ∫ ds / √(r² + (z + is)²) over −a..a (Weber's
-    disc). With ζ = z + ia and S = √(r² + ζ²) the integral of its derivatives
-    closes: ∂²Φ/∂z² = −Im(ζ/S³)/a and (∂Φ/∂r)/r = Im(1/(S(ζ + S)))/a, both
-    finite on the axis.
+
+def disc(x: Array, y: Array, depth: float, radius: float) -> Field:
+    """Return the field of a disc at one potential (Weber's disc).
+
+    Its potential is that of point sources spread evenly along an imaginary
+    line, Φ = 1/(2a) ∫ ds / √(r² + (z + is)²) over −a..a, in closed form
+    Φ = arcsin(2a / (√((r−a)²+z²) + √((r+a)²+z²))) / a (Wiley and Webster 1982).
+    With ζ = z + ia and S = √(r² + ζ²) its derivatives close as well:
+    ∂²Φ/∂z² = −Im(ζ/S³)/a, (∂Φ/∂r)/r = Im(1/(S(ζ + S)))/a and
+    (∂²Φ/∂r∂z)/r = −Im(1/S³)/a.
 
     Parameters
     ----------
     x, y : ndarray, mm
         Distances from the disc's center along the surface.
-    depth : float, mm
-        Depth below the surface.
-    radius : float, mm
-        Radius a of the disc.
-
-    Returns
-    -------
-    xx, yy, xy, zz : ndarray, 1/mm³
-        Second derivatives per 2π of the factor ρI, for cathodic current.
+    depth, radius : float, mm
+        Depth below the surface; radius a of the disc.
     """
     r2 = x * x + y * y
+    r = np.sqrt(r2)
+    span = np.hypot(r - radius, depth) + np.hypot(r + radius, depth)
     zeta = depth + 1j * radius
     s = np.sqrt(r2 + zeta * zeta)
-    zz = -(zeta / s**3).imag / radius
-    around = (1 / (s * (zeta + s))).imag / radius
-    # ∂²Φ/∂r² follows from Laplace's equation; on the axis the two are equal.
-    outward = -zz - around
-    stretch = np.divide(outward - around, r2, out=np.zeros_like(r2), where=r2 > 0)
-    xx = around + x * x * stretch
-    yy = around + y * y * stretch
-    xy = x * y * stretch
-    return -xx, -yy, -xy, -zz
+    cube = 1 / s**3
+    return around_axis(
+        x,
+        y,
+        np.arcsin(2 * radius / span) / radius,
+        -(zeta * cube).imag / radius,
+        (1 / (s * (zeta + s))).imag / radius,
+        -cube.imag / radius,
+    )
+
+
+def rectangle(x: Array, y: Array, depth: float, width: float, height: float) -> Field:
+    """Return the field of a rectangle that passes current evenly.
+
+    The integral of 1/R over a rectangle is a sum over its corners of
+    u ln(v + R) + v ln(u + R) − z arctan(uv/zR); its second derivatives are
+    algebraic (Durand 1964; in gravimetry the potential of a rectangular lamina).
+
+    Parameters
+    ----------
+    x, y : ndarray, mm
+        Distances from the rectangle's center along the surface.
+    depth : float, mm
+        Depth below the surface.
+    width, height : float, mm
+        Sides along x and along y.
+    """
+    total = [np.zeros(np.broadcast(x, y).shape) for _ in range(6)]
+    z2 = depth * depth
+    for sign_u in (1.0, -1.0):
+        u = x + sign_u * width / 2
+        for sign_v in (1.0, -1.0):
+            v = y + sign_v * height / 2
+            sign = sign_u * sign_v / (width * height)
+            uz, vz = u * u + z2, v * v + z2
+            r = np.sqrt(uz + v * v)
+            # ln(v + R) as arsinh, which keeps its digits where v is far negative.
+            total[0] += sign * (
+                u * np.arcsinh(v / np.sqrt(uz))
+                + v * np.arcsinh(u / np.sqrt(vz))
+                - depth * np.arctan2(u * v, depth * r)
+            )
+            total[1] -= sign * u * v / (r * uz)
+            total[2] -= sign * u * v / (r * vz)
+            total[3] += sign / r
+            total[4] -= sign * v * depth / (r * uz)
+            total[5] -= sign * u * depth / (r * vz)
+    potential, xx, yy, xy, xz, yz = total
+    return Field(-potential, -xx, -yy, xx + yy, -xy, -xz, -yz)

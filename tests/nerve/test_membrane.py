@@ -192,7 +192,7 @@ def test_scales_with_the_potential():
 
 @pytest.mark.parametrize("scale", [1e-4, 1e6])
 def test_no_threshold_is_one_clear_error(scale):
-    with pytest.raises(DesignError, match=r"no anodic threshold from 0.0001 to 100 mA"):
+    with pytest.raises(DesignError, match=r"no anodic threshold from 0.0001 to 1000 mA"):
         threshold_ma(scale * upright(), Fiber(), cathodic=False)
 
 
