@@ -7,7 +7,6 @@ from PIL import Image
 from smarttouch.errors import SmartTouchError
 from smarttouch.felt import FeltImage
 from smarttouch.live import Sent
-from smarttouch.modes.bank import KernelBank
 from smarttouch.pipeline import Step
 from smarttouch.primary import Primary
 from smarttouch.scan.sequence import ScanSequence
@@ -16,14 +15,12 @@ from smarttouch.sensing.page_image import Page
 
 
 @pytest.fixture
-def drawing(profile):
+def drawing(profile, make_bank):
     """An array whose receptors answer only to anodic current of their own electrode."""
     own = -np.eye(64, dtype=np.float32)
-    nothing = np.zeros(64, np.float32)
-    bank = KernelBank(
-        {Primary.RA: own}, {Primary.RA: nothing}, {Primary.RA: nothing}, {Primary.RA: own}
+    return FeltImage(
+        profile, make_bank(own, own), Primary.RA, Page(np.full((200, 300), 255, np.uint8), 0.1)
     )
-    return FeltImage(profile, bank, Primary.RA, Page(np.full((200, 300), 255, np.uint8), 0.1))
 
 
 def at(number, x, y, angle=0.0, intensity=1.0):

@@ -3,11 +3,13 @@
 import hashlib
 import json
 import os
+import shutil
 import tempfile
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +19,15 @@ from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.resources import data_folder
 
-DESIGN_VERSION = 1
+if TYPE_CHECKING:
+    from smarttouch.modes.problem import Kernel, Kind
+
+DESIGN_VERSION = 2
 """Raised when the same problem would get other kernels."""
 
-_WANTED = (Primary.RA, Primary.SAI)
-_FIELDS = ("weights", "worst_other", "own_spill", "receptor")
+_FIELDS = ("weights", "worst_other", "worst_class", "own_spill", "gap", "seconds", "receptor")
 
+Column = dict[Primary, NDArray[Any]]
 Progress = Callable[[int, int], None]
 
 
@@ -32,31 +37,63 @@ class KernelBank:
 
     Attributes
     ----------
-    weights : dict of Primary to ndarray, (E, E) float32
-        Row s is the kernel of site s: positive cathodic, peak magnitude 1,
-        sum zero.
-    worst_other, own_spill : dict of Primary to ndarray, (E,) float32
+    weights : dict of Primary to ndarray, (E, E) float64, mA per V/mm²
+        Row s is the kernel of site s: positive cathodic, activation 1 at its
+        target, sum zero.
+    worst_other, own_spill : dict of Primary to ndarray, (E,) float64
         Selectivity of each kernel, of its target's activation.
+    worst_class : dict of Primary to ndarray, (E,) int8
+        Class of the worst other.
+    gap : dict of Primary to ndarray, (E,) float64
+        How far each kernel might be from the best possible; 0 is proven.
+    seconds : dict of Primary to ndarray, (E,) float32
+        What each kernel's design took.
     receptor : dict of Primary to ndarray, (E, E) float32, V/mm² per mA
         Activating function at the target under electrode r for unit cathodic
         current at electrode e.
     """
 
-    weights: dict[Primary, NDArray[np.float32]]
-    worst_other: dict[Primary, NDArray[np.float32]]
-    own_spill: dict[Primary, NDArray[np.float32]]
-    receptor: dict[Primary, NDArray[np.float32]]
+    weights: Column
+    worst_other: Column
+    worst_class: Column
+    own_spill: Column
+    gap: Column
+    seconds: Column
+    receptor: Column
 
     def kernels(self, primary: Primary) -> NDArray[np.float32]:
-        """Return the kernels of a mode.
+        """Return the kernels of a mode, each with a peak magnitude of 1, (E, E).
 
         Raises
         ------
         DesignError
             If the board cannot make that mode.
         """
+        weights = self._made(primary)
+        return np.asarray(weights / np.abs(weights).max(axis=1, keepdims=True), np.float32)
+
+    def kernel(self, primary: Primary, site: int, kind: "Kind") -> "Kernel":
+        """Return one kernel with what it reaches.
+
+        Raises
+        ------
+        DesignError
+            If the board cannot make that mode.
+        """
+        from smarttouch.modes.problem import Kernel
+
+        return Kernel(
+            weights=self._made(primary)[site],
+            worst_other=float(self.worst_other[primary][site]),
+            worst_other_class=Primary(int(self.worst_class[primary][site])),
+            own_spill=float(self.own_spill[primary][site]),
+            kind=kind,
+            gap=float(self.gap[primary][site]),
+        )
+
+    def _made(self, primary: Primary) -> NDArray[np.float64]:
         if primary not in self.weights:
-            offered = ", ".join(each.name for each in sorted(self.weights))
+            offered = ", ".join(each.name for each in sorted(self.weights)) or "none"
             raise DesignError(
                 f"mode {primary.name} is not possible with this profile's board: "
                 f"it offers {offered}"
@@ -66,17 +103,23 @@ class KernelBank:
 
 def problem_hash(profile: Profile) -> str:
     """Return the hash of all that the kernels of a profile depend on."""
+    limits = profile.limits
     problem = {
         "version": DESIGN_VERSION,
         "array": profile.array.model_dump(),
-        "skin": profile.skin.model_dump(),
+        "skin": profile.skin.model_dump(exclude={"spread"}),
         "output": profile.output.model_dump(),
     }
+    if limits.total_ma is not None or limits.electrode_ma is not None:
+        problem["limits"] = [limits.total_ma, limits.electrode_ma]
+        problem["full_ma"] = (profile.threshold_ma * profile.perception.comfort_ratio).tolist()
     return hashlib.sha256(json.dumps(problem, sort_keys=True).encode()).hexdigest()
 
 
 def load_bank(profile: Profile, progress: Progress | None = None) -> KernelBank:
     """Return the bank of a profile: shipped, from the user's cache, or designed now.
+
+    A design that is interrupted goes on where it was the next time.
 
     Parameters
     ----------
@@ -93,13 +136,15 @@ def load_bank(profile: Profile, progress: Progress | None = None) -> KernelBank:
         bank = _read(path, key)
         if bank is not None:
             return bank
-    bank = design_bank(profile, progress)
     try:
         cached.parent.mkdir(parents=True, exist_ok=True)
-        write_bank(cached, profile, bank)
+        keep = cached.with_suffix(".parts")
     except OSError:
         # Without a cache the next run designs again; that is slow, not wrong.
-        pass
+        return design_bank(profile, progress)
+    bank = design_bank(profile, progress, keep)
+    write_bank(cached, profile, bank)
+    shutil.rmtree(keep, ignore_errors=True)
     return bank
 
 
@@ -108,20 +153,16 @@ def shipped_bank(name: str) -> Path:
     return data_folder("calibration") / "banks" / f"{name}.npz"
 
 
-def design_bank(profile: Profile, progress: Progress | None = None) -> KernelBank:
-    """Design RA and SAI for every site, as far as the board can make them."""
-    from smarttouch.modes.design import Problem, design_all, design_kernel
-    from smarttouch.modes.switching import design_one_against_all, design_three_state, polarity
+def design_bank(
+    profile: Profile, progress: Progress | None = None, keep: Path | None = None
+) -> KernelBank:
+    """Design every mode for every site, as far as the board can make them."""
+    from smarttouch.modes.batch import design_sites
+    from smarttouch.modes.problem import Problem
+    from smarttouch.modes.switching import designer, possible_modes
 
-    designs = {
-        "weighted": design_kernel,
-        "three-state": design_three_state,
-        "one-against-all": design_one_against_all,
-    }
-    modes = [each for each in _WANTED if polarity(each) in profile.output.polarities]
-    if profile.output.kind == "weighted":
-        modes = list(_WANTED)
-    columns: dict[str, dict[Primary, NDArray[np.float32]]] = {name: {} for name in _FIELDS}
+    modes = possible_modes(profile)
+    columns: dict[str, Column] = {name: {} for name in _FIELDS}
     for index, primary in enumerate(modes):
 
         def advance(done: int, total: int, index: int = index) -> None:
@@ -129,11 +170,19 @@ def design_bank(profile: Profile, progress: Progress | None = None) -> KernelBan
                 progress(index * total + done, len(modes) * total)
 
         problem = Problem(profile, primary)
-        kernels = design_all(problem, designs[profile.output.kind], advance)
-        for name in ("weights", "worst_other", "own_spill"):
-            values = [getattr(kernel, name) for kernel in kernels]
-            columns[name][primary] = np.array(values, np.float32)
-        columns["receptor"][primary] = problem.target.astype(np.float32)
+        timed = design_sites(problem, designer(profile), None, advance, keep)
+        kernels = [kernel for kernel, _ in timed]
+        found: dict[str, tuple[Any, Any]] = {
+            "weights": ([kernel.weights for kernel in kernels], np.float64),
+            "worst_other": ([kernel.worst_other for kernel in kernels], np.float64),
+            "worst_class": ([kernel.worst_other_class for kernel in kernels], np.int8),
+            "own_spill": ([kernel.own_spill for kernel in kernels], np.float64),
+            "gap": ([kernel.gap for kernel in kernels], np.float64),
+            "seconds": ([seconds for _, seconds in timed], np.float32),
+            "receptor": (problem.target, np.float32),
+        }
+        for name, (values, kind) in found.items():
+            columns[name][primary] = np.array(values, kind)
     return KernelBank(**columns)
 
 
@@ -162,7 +211,7 @@ def _read(path: Path, key: str) -> KernelBank | None:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             if str(file["key"]) != key:
                 return None
-            columns: dict[str, dict[Primary, NDArray[np.float32]]] = {name: {} for name in _FIELDS}
+            columns: dict[str, Column] = {name: {} for name in _FIELDS}
             for name in file.files:
                 field, _, primary = name.rpartition("_")
                 if field in columns:

@@ -5,115 +5,40 @@ afferent (Eq. 10 to 18)::
 
     minimize t   such that   A w ≤ t,   a·w = 1,   Σw = 0
 
-and, beyond the paper, rows of the target's own class farther than one pitch
-may reach at most `SPILL` of the target: on a grid the paper's programme alone
-lets neighbors of the same class nearly fire.
+and no node of the target's own axon above 1 (Eq. 11). Beyond the paper, rows of
+the target's own class farther than one pitch may reach at most `SPILL` of the
+target: on a grid the paper's programme alone lets neighbors of the same class
+nearly fire. On a problem with a spread every row stands for all that it might
+be, and a kernel is as good as it is on the worst finger.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from smarttouch.errors import DesignError
-from smarttouch.modes.symmetry import symmetries
-from smarttouch.nerve.activation import af_matrix
-from smarttouch.nerve.afferents import everywhere, targets
+from smarttouch.modes.problem import Array, Kernel, Problem
+from smarttouch.modes.programme import Chooser, Options, Programme
 from smarttouch.primary import Primary
-from smarttouch.profile import Profile
 
 SPILL = 0.2
 """Most own-class activation beyond one pitch, of the target's."""
-_ROWS_AT_ONCE = 400
-_TOLERANCE = 1e-7
-
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Kernel:
-    """Current pattern that stimulates one afferent at one site.
-
-    Attributes
-    ----------
-    weights : ndarray, (E,) float64
-        Current of every electrode, positive cathodic, largest magnitude 1.
-    worst_other : float
-        Largest activation of any other class, of the target's.
-    own_spill : float
-        Largest activation of the own class beyond one pitch, of the target's.
-    """
-
-    weights: NDArray[np.float64]
-    worst_other: float
-    own_spill: float
+_WORTHWHILE = 1e-6
+_LOOSE_ROWS = 40
+"""Broken rows off any lattice that are added at once."""
 
 
-class Problem:
-    """The rows of one primary on one profile, shared by all its sites.
-
-    Attributes
-    ----------
-    target : ndarray, (E, E)
-        Row s is the AF row of the node under electrode s.
-    other : ndarray, (N, E)
-        Rows of every node of the other classes.
-    """
-
-    def __init__(self, profile: Profile, primary: Primary) -> None:
-        self.profile, self.primary = profile, primary
-        self.target = af_matrix(profile, targets(profile, primary))
-        self.other = np.vstack(
-            [
-                af_matrix(profile, afferents)
-                for each in Primary
-                if each is not primary
-                for afferents in everywhere(profile, each)
-            ]
-        )
-        own = everywhere(profile, primary)
-        self._own = np.vstack([af_matrix(profile, afferents) for afferents in own])
-        self._own_position_mm = np.vstack([afferents.position_mm for afferents in own])
-        self.symmetries = symmetries(profile, primary)
-
-    def own_beyond_a_pitch(self, site: int) -> Array:
-        """Return the own-class rows farther than one pitch from a site's target."""
-        electrodes = self.profile.electrodes
-        away = np.linalg.norm(self._own_position_mm - electrodes.position_mm[site], axis=1)
-        return np.asarray(self._own[away > electrodes.pitch_mm + 1e-9])
-
-    def representative(self, site: int) -> tuple[int, NDArray[np.intp]]:
-        """Return the site that stands for this one, and the way from it to here."""
-        moves = [(int(np.flatnonzero(move == site)[0]), move) for move in self.symmetries]
-        return min(moves, key=lambda pair: pair[0])
-
-    def judge(self, weights: Array, site: int) -> Kernel:
-        """Return weights scaled to a peak of 1, with what they really do.
-
-        Raises
-        ------
-        DesignError
-            If they do not activate the target at all.
-        """
-        own_af = float(self.target[site] @ weights)
-        if own_af <= 0:
-            raise DesignError(
-                f"the pattern at site {site} does not activate its {self.primary.name} target"
-            )
-        far = self.own_beyond_a_pitch(site)
-        spill = float((far @ weights).max() / own_af) if len(far) else 0.0
-        return Kernel(
-            weights / np.abs(weights).max(), float((self.other @ weights).max() / own_af), spill
-        )
-
-
-def design_kernel(problem: Problem, site: int, spill: float | None = SPILL) -> Kernel:
+def design_kernel(
+    problem: Problem,
+    site: int,
+    spill: float | None = SPILL,
+    node: int = 0,
+    options: Options | None = None,
+) -> Kernel:
     """Design the weighted kernel of one site.
 
-    Among equally selective kernels the one of least total current is taken,
-    then the mean over the site's own symmetries, so that the answer does not
-    depend on the solver. Where electrodes stand closer than afferents lie
+    Among equally selective kernels one with all the symmetries of its site is
+    taken, and of those the one of least total current, so that the answer does
+    not depend on the solver. Where electrodes stand closer than afferents lie
     deep, the bound on spill cannot be met, or only by losing the target; the
     larger of worst other and spill is then made as small as it gets, and
     `Kernel.own_spill` says what is left.
@@ -127,147 +52,131 @@ def design_kernel(problem: Problem, site: int, spill: float | None = SPILL) -> K
     spill : float, optional
         Bound on own-class activation beyond one pitch; None for the paper's
         unconfined programme.
+    node : int
+        Activated node of the target's axon; 0 is under the electrode.
+    options : dict, optional
+        Settings for the solver.
 
     Raises
     ------
     DesignError
-        If there is no such site or no such kernel.
+        If there is no such site or no such kernel, or none within the limits
+        of the profile.
     """
-    count = problem.target.shape[1]
-    if not 0 <= site < count:
-        raise DesignError(f"site {site} is out of range: the array has sites 0 to {count - 1}")
-    target = problem.target[site]
-    scale = float(np.abs(target).max())
-    far = np.empty((0, count)) if spill is None else problem.own_beyond_a_pitch(site) / scale
-    rows = np.vstack([problem.other / scale, far])
-    equal = np.vstack([target / scale, np.ones(count)])
-    others, description = len(problem.other), _describe(problem, site)
-    try:
-        programme = _Programme(rows, others, spill or 0.0, equal, description)
-        best = programme.most_selective()
-    except DesignError:
-        best = np.inf
-    if spill is not None and best > spill:
-        evenly = _Programme(rows, len(rows), 0.0, equal, description)
-        shared = evenly.most_selective()
-        if shared < best - 1e-6:
-            programme, best = evenly, shared
+    problem.check_site(site)
+    rows = _Assembled(problem, site, spill, node)
+    if spill is None:
+        ways = [False]
+    else:
+        # PC can hardly ever be confined: try first what will be needed.
+        ways = [True, False] if problem.primary is Primary.PC else [False, True]
+    programme = rows.programme(ways[0], options)
+    best = programme.most_selective()
+    if spill is not None and (best > spill) != ways[0]:
+        other = rows.programme(ways[1], options)
+        found = other.most_selective()
+        if found < best - _WORTHWHILE:
+            programme, best = other, found
     if best == np.inf:
         raise DesignError(
-            f"no kernel for {description}: the target cannot be activated; change the array, "
-            "or the depths of its profile"
+            f"no kernel for {problem.describe(site)}: the target cannot be activated; change the "
+            "array, or the depths of its profile"
         )
-    weights = programme.least_current(best)
-    mirrors = [move for move in problem.symmetries if move[site] == site]
-    return problem.judge(np.mean([weights[move] for move in mirrors], axis=0), site)
+    if rows.limit(programme):
+        best = programme.most_selective()
+        if best == np.inf:
+            raise DesignError(
+                f"no kernel for {problem.describe(site)} keeps limits.total_ma and "
+                "limits.electrode_ma of the profile: raise them, or lower comfort_ratio"
+            )
+    weights = rows.orbits @ programme.least_current(best)
+    return problem.judge(weights, site, node)
 
 
-def design_all(
-    problem: Problem,
-    design: Callable[[Problem, int], Kernel] = design_kernel,
-    progress: Callable[[int, int], None] | None = None,
-) -> list[Kernel]:
-    """Design every site, each distinct one once.
+def design_any_node(problem: Problem, site: int, spill: float | None = SPILL) -> Kernel:
+    """Try every node of the target's axon that is nearest to this site (Eq. 13 to 15).
 
-    Parameters
-    ----------
-    problem : Problem
-        Rows of the primary and profile.
-    design : callable
-        What designs one site.
-    progress : callable, optional
-        Told how many distinct sites are done, of how many.
+    Which node an optimal kernel fires is not known beforehand, so all are
+    tried, and the most selective kernel is taken.
     """
-    ways = [problem.representative(site) for site in range(problem.target.shape[1])]
-    distinct = sorted({first for first, _ in ways})
-    done: dict[int, Kernel] = {}
-    for first in distinct:
-        done[first] = design(problem, first)
-        if progress is not None:
-            progress(len(done), len(distinct))
+    problem.check_site(site)
+    nodes = problem.axon_mm(site)
+    near = np.linalg.norm(nodes - nodes[0], axis=1) <= problem.profile.electrodes.pitch_mm / 2
     kernels = []
-    for first, move in ways:
-        weights = np.empty_like(done[first].weights)
-        weights[move] = done[first].weights
-        kernels.append(Kernel(weights, done[first].worst_other, done[first].own_spill))
-    return kernels
+    for node in np.flatnonzero(near):
+        try:
+            kernels.append(design_kernel(problem, site, spill, int(node)))
+        except DesignError:
+            if node == 0:
+                raise
+    return min(kernels, key=lambda kernel: max(kernel.worst_other, kernel.own_spill))
 
 
-def _describe(problem: Problem, site: int) -> str:
-    return f"{problem.primary.name} at site {site} of {problem.profile.name or 'this profile'}"
+class _Assembled:
+    """The rows of one site, all skins of a spread together, scaled to a lone electrode's AF."""
+
+    def __init__(self, problem: Problem, site: int, spill: float | None, node: int) -> None:
+        self._problem, self._site = problem, site
+        self.orbits = problem.orbits(site) if node == 0 else np.eye(problem.electrodes)
+        far = problem.beyond_a_pitch(site) if spill is not None else np.zeros(0, np.intp)
+        axon = problem.axon(site)
+        scale = [float(np.abs(rows.target[0, site]).max()) for rows in problem.rows]
+        others = [rows.other / each for rows, each in zip(problem.rows, scale, strict=True)]
+        own = [rows.own[far] / each for rows, each in zip(problem.rows, scale, strict=True)]
+        aims = [rows.target[:, site] / each for rows, each in zip(problem.rows, scale, strict=True)]
+        if node:
+            aims = [axon[node][None] / scale[0]]
+        # Eq. 11: of the target's own axon no other node may fire first.
+        eq11 = np.delete(axon, node, axis=0) / scale[0]
+        if problem.spread:
+            eq11 = eq11[:0]
+        self._rows = np.concatenate([*others, *own, eq11]) @ self.orbits
+        self._aims = np.concatenate(aims) @ self.orbits
+        counts = [sum(map(len, others)), sum(map(len, own)), len(eq11)]
+        self._slope = np.repeat([1.0, 0.0, 0.0], counts)
+        self._even_slope = np.repeat([1.0, 1.0, 0.0], counts)
+        self._bound = np.repeat([0.0, spill or 0.0, 1.0], counts)
+        self._even_bound = np.repeat([0.0, 0.0, 1.0], counts)
+
+    def programme(self, even: bool, options: Options | None) -> Programme:
+        slope, bound = (self._even_slope, self._even_bound) if even else (self._slope, self._bound)
+        size = self.orbits.sum(axis=0)
+        peaks = _peaks(self._problem)
+        return Programme(self._rows, slope, bound, self._aims, size, peaks, options)
+
+    def limit(self, programme: Programme) -> bool:
+        """Bound the currents if the profile does; the site's own electrode has its full one."""
+        total, electrode = self._problem.limits_ma
+        if np.isinf(total) and np.isinf(electrode).all():
+            return False
+        site, full = self._site, self._problem.full_ma(self._site)
+        reference = np.sign(self._problem.target[site, site]) * self.orbits[site]
+        factors = np.where(self.orbits > 0, electrode[:, None], np.inf).min(axis=0) / full
+        factors[self.orbits[site].argmax()] = np.inf
+        # Cathodes and anodes carry half of all magnitudes each.
+        programme.limit(reference, factors, None if np.isinf(total) else 2 * total / full)
+        return True
 
 
-class _Programme:
-    """A min–max programme solved on the few rows that matter, checked on all."""
+def _peaks(problem: Problem) -> Chooser:
+    """Return what chooses broken rows that are local maxima of their lattice.
 
-    def __init__(
-        self, rows: Array, others: int, spill: float, equal: Array, description: str
-    ) -> None:
-        self._rows, self._others, self._spill = rows, others, spill
-        self._equal, self._description = equal, description
-        self._chosen = np.unique(np.linspace(0, len(rows) - 1, _ROWS_AT_ONCE).astype(np.intp))
+    Neighboring rows are nearly alike; one of each hill says most of what all
+    its broken rows would.
+    """
+    blocks = [(grid, count) for _ in problem.rows for grid, count in problem.grids]
 
-    def most_selective(self) -> float:
-        """Return the smallest worst other."""
-        count = self._rows.shape[1]
-        cost = np.r_[np.zeros(count), 1.0]
-        equal = np.column_stack([self._equal, np.zeros(2)])
-        bounds = [(None, None)] * (count + 1)
+    def choose(excess: Array) -> np.ndarray:
+        chosen, start = [], 0
+        for (high, wide), count in blocks:
+            stop = start + count * high * wide
+            hill = excess[start:stop].reshape(count, high, wide)
+            if (hill > 1e-7).any():
+                top = hill == maximum_filter(hill, size=(1, 3, 3), mode="constant", cval=-np.inf)
+                chosen.append(start + np.flatnonzero(top & (hill > 1e-7)))
+            start = stop
+        loose = start + np.flatnonzero(excess[start:] > 1e-7)
+        chosen.append(loose[np.argsort(excess[loose])[::-1][:_LOOSE_ROWS]])
+        return np.concatenate(chosen)
 
-        def limited(chosen: NDArray[np.intp]) -> tuple[Array, Array]:
-            is_other = chosen < self._others
-            rows = np.column_stack([self._rows[chosen], -is_other.astype(float)])
-            return rows, np.where(is_other, 0.0, self._spill)
-
-        answer = self._solve(cost, equal, bounds, limited, lambda x: (x[:-1], x[-1]))
-        return float(answer[-1])
-
-    def least_current(self, worst: float) -> Array:
-        """Return the weights of least total current that are that selective."""
-        count = self._rows.shape[1]
-        allowed = worst + 1e-9 * max(1.0, abs(worst))
-        equal = np.column_stack([self._equal, -self._equal])
-
-        def limited(chosen: NDArray[np.intp]) -> tuple[Array, Array]:
-            rows = np.column_stack([self._rows[chosen], -self._rows[chosen]])
-            return rows, np.where(chosen < self._others, allowed, self._spill)
-
-        answer = self._solve(
-            np.ones(2 * count),
-            equal,
-            [(0, None)] * (2 * count),
-            limited,
-            lambda x: (x[:count] - x[count:], allowed),
-        )
-        return np.asarray(answer[:count] - answer[count:])
-
-    def _solve(
-        self,
-        cost: Array,
-        equal: Array,
-        bounds: Sequence[tuple[float | None, float | None]],
-        limited: Callable[[NDArray[np.intp]], tuple[Array, Array]],
-        read: Callable[[Array], tuple[Array, float]],
-    ) -> Array:
-        from scipy.optimize import linprog
-
-        # The first rounds may leave directions free; a wide box keeps them finite.
-        box = [(-1e4 if low is None else low, 1e4) for low, _ in bounds]
-        while True:
-            upper, right = limited(self._chosen)
-            answer = linprog(cost, upper, right, equal, [1.0, 0.0], box, method="highs")
-            if answer.status != 0:
-                raise DesignError(
-                    f"no kernel for {self._description}: {answer.message.split('.')[0].lower()} "
-                    "; change the array, or the depths of its profile"
-                )
-            weights, worst = read(np.asarray(answer.x))
-            excess = self._rows @ weights
-            excess[: self._others] -= worst
-            excess[self._others :] -= self._spill
-            excess[self._chosen] = -np.inf
-            broken = np.flatnonzero(excess > _TOLERANCE)
-            if not len(broken):
-                return np.asarray(answer.x)
-            most = broken[np.argsort(excess[broken])[::-1][:_ROWS_AT_ONCE]]
-            self._chosen = np.union1d(self._chosen, most)
+    return choose

@@ -1,61 +1,66 @@
 """Kernels for boards that switch one source instead of weighting many."""
 
-from itertools import chain, combinations
+from collections.abc import Callable
 
 import numpy as np
 
 from smarttouch.errors import DesignError
-from smarttouch.modes.design import SPILL, Kernel, Problem
+from smarttouch.modes.assignment import best_assignment
+from smarttouch.modes.design import design_kernel
+from smarttouch.modes.problem import Kernel, Problem
 from smarttouch.primary import Primary
-
-SHELLS = 10
-"""Rings of neighbors, by distance, that a return may be made of."""
-
-_POLE = {Primary.RA: -1.0, Primary.SAI: 1.0, Primary.PC: 1.0}
-"""What a target needs above it: RA an anode, SAI and PC a cathode (Fig. 10)."""
+from smarttouch.profile import Profile
 
 
-def polarity(primary: Primary) -> str:
-    """Return which pole stands over the target of a mode."""
-    return "anodic" if _POLE[primary] < 0 else "cathodic"
+def polarity(profile: Profile, primary: Primary) -> str:
+    """Return which pole stands over the target of a mode (Fig. 10).
+
+    A cathode over flat axons (SAI, PC), an anode over rising ones (RA), but a
+    cathode over those too where their ending can fire.
+    """
+    anodic = primary is Primary.RA and profile.skin.ra_ending == "passive"
+    return "anodic" if anodic else "cathodic"
+
+
+def possible_modes(profile: Profile) -> list[Primary]:
+    """Return the modes that a profile's board can make."""
+    offered = profile.output.polarities if profile.output.kind != "weighted" else ()
+    return [each for each in Primary if not offered or polarity(profile, each) in offered]
+
+
+def designer(profile: Profile) -> Callable[[Problem, int], Kernel]:
+    """Return what designs the kernels of a profile's kind of board."""
+    return {
+        "weighted": design_kernel,
+        "three-state": design_three_state,
+        "one-against-all": design_one_of_n,
+    }[profile.output.kind]
 
 
 def design_three_state(problem: Problem, site: int) -> Kernel:
-    """Choose cathode, anode and insulated for one source (paper, Fig. 19).
+    """Choose cathode, anode or insulated for every electrode (paper, Fig. 19).
 
-    The target's electrode is one pole; the other is made of whole rings of
-    neighbors, every subset of the nearest `SHELLS` rings being tried. The
-    source's current divides equally. Of the choices whose own-class spill
-    stays within `SPILL` the most selective is taken; where none does, the one
-    with the least sum of worst other and spill.
+    The source's current divides among the electrodes of a pole by their
+    admittance, equally unless ``output.impedance_kohm`` says otherwise. What
+    is made small is what `design_kernel` makes small: the worst other, or the
+    own-class spill where that cannot be confined. `Kernel.gap` is 0 where all
+    assignments were ruled out, else the distance to the best weighted kernel,
+    which no switched one can pass.
     """
-    distance = problem.profile.electrodes.distance_mm[site].round(6)
-    rings = [np.flatnonzero(distance == ring) for ring in np.unique(distance)[1 : SHELLS + 1]]
-    choices = chain.from_iterable(combinations(rings, size) for size in range(1, len(rings) + 1))
-    candidates = np.array([_divided(problem, site, np.concatenate(rings)) for rings in choices])
-    own = candidates @ problem.target[site]
-    candidates, own = candidates[own > 0], own[own > 0]
-    if not len(own):
-        raise DesignError(
-            f"no switching pattern activates {problem.primary.name} at site {site}: "
-            "its electrodes are too far apart for its depth"
-        )
-    worst = (problem.other @ candidates.T).max(axis=0) / own
-    far = problem.own_beyond_a_pitch(site)
-    spill = (far @ candidates.T).max(axis=0) / own if len(far) else np.zeros_like(own)
-    confined = spill <= SPILL
-    score = np.where(confined, worst, np.inf) if confined.any() else worst + spill
-    return problem.judge(candidates[int(np.argmin(score))], site)
+    problem.check_site(site)
+    share, gap = best_assignment(problem, site)
+    return problem.judge(share, site, kind="three-state", gap=gap)
 
 
-def design_one_against_all(problem: Problem, site: int) -> Kernel:
+def design_one_of_n(problem: Problem, site: int) -> Kernel:
     """Return the only pattern such a board has: one electrode against all others."""
-    others = np.flatnonzero(np.arange(problem.target.shape[1]) != site)
-    return problem.judge(_divided(problem, site, others), site)
-
-
-def _divided(problem: Problem, site: int, others: np.ndarray) -> np.ndarray:
-    weights = np.zeros(problem.target.shape[1])
-    weights[others] = -_POLE[problem.primary] / len(others)
-    weights[site] = _POLE[problem.primary]
-    return weights
+    problem.check_site(site)
+    admittance = problem.profile.admittance
+    others = np.flatnonzero(np.arange(problem.electrodes) != site)
+    if not len(others):
+        raise DesignError("one electrode against all others needs at least two electrodes")
+    pole = -1.0 if polarity(problem.profile, problem.primary) == "anodic" else 1.0
+    weights = np.zeros(problem.electrodes)
+    weights[others] = -pole * admittance[others] / admittance[others].sum()
+    weights[site] = pole
+    return problem.judge(weights, site, kind="one-of-n")

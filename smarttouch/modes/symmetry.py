@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.nerve.afferents import angles_deg
+from smarttouch.nerve.afferents import directions, targets
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 
@@ -31,24 +31,30 @@ def symmetries(profile: Profile, primary: Primary) -> list[NDArray[np.intp]]:
     list of ndarray, (E,)
         ``permutation[e]`` is where electrode e goes. The first is the identity.
     """
-    position = profile.electrodes.position_mm
+    array = profile.electrodes
     kept = []
     for matrix in _SQUARE:
-        moved = position @ matrix.T
-        gaps = np.linalg.norm(moved[:, None, :] - position[None, :, :], axis=2)
-        if gaps.min(axis=1).max() < 1e-6 and _keeps_directions(profile, primary, matrix):
+        if (
+            array.shape == "rectangle"
+            and matrix[0, 0] == 0
+            and array.size_mm[0] != array.size_mm[1]
+        ):
+            continue
+        moved = array.position_mm @ matrix.T
+        gaps = np.linalg.norm(moved[:, None, :] - array.position_mm[None, :, :], axis=2)
+        if gaps.min(axis=1).max() > 1e-6:
+            continue
+        aims = targets(profile, primary).direction
+        if _keeps(aims, matrix) and all(
+            _keeps(directions(profile.skin, each), matrix) for each in Primary
+        ):
             kept.append(np.asarray(gaps.argmin(axis=1), np.intp))
     return kept
 
 
-def _keeps_directions(profile: Profile, primary: Primary, matrix: NDArray[np.int_]) -> bool:
-    def turned(angle: float) -> float:
-        radians = np.radians(angle)
-        x, y = matrix @ [np.cos(radians), np.sin(radians)]
-        return float(np.degrees(np.arctan2(y, x)).round(6) % 180)
-
-    angles = [round(angle % 180, 6) for angle in profile.skin.sai_angles_deg]
-    if {turned(angle) for angle in angles} != set(angles):
-        return False
-    target = angles_deg(profile, primary)[0]
-    return target is None or turned(target) == round(target % 180, 6)
+def _keeps(axons: NDArray[np.float64], matrix: NDArray[np.int_]) -> bool:
+    """Return whether a set of directions is the same after a move; an axon has no sense."""
+    moved = axons.copy()
+    moved[:, :2] = axons[:, :2] @ matrix.T
+    alike = np.abs(moved @ axons.T)
+    return bool(np.all(alike.max(axis=1) > 1 - 1e-9))

@@ -35,6 +35,10 @@ class SafetyLimits:
     ramp_s: float
     full_ma: float
     """The strongest current at intensity 1; intensity bounds current in proportion."""
+    total_ma: float | None = None
+    """Of all cathodes together in one slot."""
+    electrode_ma: tuple[float, ...] | None = None
+    """Of each electrode by itself."""
 
     def __post_init__(self) -> None:
         for name, value, ceiling in (
@@ -60,6 +64,8 @@ class SafetyLimits:
             duty=limits.duty,
             ramp_s=limits.ramp_s,
             full_ma=float(profile.threshold_ma.max()) * profile.perception.comfort_ratio,
+            total_ma=limits.total_ma,
+            electrode_ma=limits.electrode_ma,
         )
 
 
@@ -80,10 +86,10 @@ class SafetyGate:
     def prove(self, sequence: ScanSequence) -> None:
         """Raise unless the sequence keeps every limit.
 
-        Checked: array sizes, charge balance of every slot, current, pulse
-        width, charge per pulse, current against stated intensity, rate, duty,
-        that the slots fit the period, and the rise of intensity since the
-        sequence before.
+        Checked: array sizes, charge balance of every slot, current of every
+        electrode and of all together, pulse width, charge per pulse, current
+        against stated intensity, rate, duty, that the slots fit the period,
+        and the rise of intensity since the sequence before.
 
         Raises
         ------
@@ -152,6 +158,23 @@ class SafetyGate:
                 f"slot {slot}, electrode {electrode}: {peak / 1000:.3f} mA is above the limit of "
                 f"{limits.current_ma:g} mA"
             )
+        if limits.total_ma is not None:
+            # Balanced currents: the magnitudes count every milliampere twice.
+            totals = np.abs(currents).sum(axis=1, dtype=np.int64) / 2
+            if totals.max() > limits.total_ma * 1000:
+                raise SafetyError(
+                    f"slot {int(totals.argmax())}: {totals.max() / 1000:.3f} mA flow in all, above "
+                    f"the limit of {limits.total_ma:g} mA"
+                )
+        if limits.electrode_ma is not None:
+            strongest = np.abs(currents).max(axis=0) / 1000
+            over = strongest > limits.electrode_ma
+            if over.any():
+                electrode = int(over.argmax())
+                raise SafetyError(
+                    f"electrode {electrode}: {strongest[electrode]:.3f} mA is above its own limit "
+                    f"of {limits.electrode_ma[electrode]:g} mA"
+                )
         charges = peaks * widths
         charge = int(charges.max())
         if charge > limits.charge_uc * 1e6:

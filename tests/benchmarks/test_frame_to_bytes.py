@@ -18,7 +18,6 @@ from skimage.filters import threshold_sauvola
 from skimage.transform import resize
 
 from smarttouch.boards.protocol import encode_sequence
-from smarttouch.modes.bank import KernelBank
 from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
@@ -38,17 +37,12 @@ def grid_profile(side):
     return type(profile).model_validate(table)
 
 
-def balanced_bank(count):
+def balanced_weights(side):
     """Kernels of the right shape: their values do not change the time."""
+    count = side * side
     weights = np.full((count, count), 1 / (count - 1), np.float32)
     np.fill_diagonal(weights, -1)
-    nothing = np.zeros(count, np.float32)
-    return KernelBank(
-        weights={Primary.RA: weights},
-        worst_other={Primary.RA: nothing},
-        own_spill={Primary.RA: nothing},
-        receptor={Primary.RA: weights},
-    )
+    return weights
 
 
 def letter(height, width):
@@ -61,11 +55,11 @@ def letter(height, width):
 class Ours:
     """Pipeline, safety and wire format, as the loop runs them."""
 
-    def __init__(self, side, image):
+    def __init__(self, side, image, bank):
         self.profile = grid_profile(side)
         self.image = image
         self.time_ns = 0
-        self.pipeline = Pipeline(self.profile, balanced_bank(side * side), Primary.RA, 1.0)
+        self.pipeline = Pipeline(self.profile, bank, Primary.RA, 1.0)
         self.gate = SafetyGate(SafetyLimits.of(self.profile))
         self()
 
@@ -92,7 +86,7 @@ class Plain:
         self.profile = grid_profile(side)
         self.image = image
         self.side = side
-        self.weights = balanced_bank(side * side).weights[Primary.RA]
+        self.weights = balanced_weights(side)
 
     def __call__(self):
         ink = self.image < threshold_sauvola(self.image, 25, k=0.34)
@@ -120,14 +114,15 @@ CASES = [
 
 
 @pytest.mark.parametrize(("side", "shape"), CASES)
-def test_ours(benchmark, side, shape):
-    assert len(benchmark(Ours(side, letter(*shape)))) > 0
+def test_ours(benchmark, make_bank, side, shape):
+    weights = balanced_weights(side)
+    assert len(benchmark(Ours(side, letter(*shape), make_bank(weights, weights)))) > 0
 
 
 @pytest.mark.parametrize(("side", "shape"), CASES)
-def test_ratio(benchmark, side, shape, capsys):
-    image = letter(*shape)
-    ours, plain = Ours(side, image), Plain(side, image)
+def test_ratio(benchmark, make_bank, side, shape, capsys):
+    image, weights = letter(*shape), balanced_weights(side)
+    ours, plain = Ours(side, image, make_bank(weights, weights)), Plain(side, image)
     plain()
     times = {ours: [], plain: []}
     for _ in range(15):

@@ -6,7 +6,8 @@ import pytest
 from smarttouch.errors import DesignError
 from smarttouch.modes import bank as banks
 from smarttouch.modes.bank import load_bank, problem_hash, shipped_bank, write_bank
-from smarttouch.modes.design import Problem, design_kernel
+from smarttouch.modes.design import design_kernel
+from smarttouch.modes.problem import Problem
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile, profile_names
 
@@ -32,24 +33,38 @@ def test_shipped_banks_answer_their_profiles(name, cache, no_design):
     count = len(profile.electrodes)
     for primary, weights in bank.weights.items():
         assert weights.shape == bank.receptor[primary].shape == (count, count)
-        assert np.abs(weights.sum(axis=1, dtype=float)).max() < 1e-5
-        assert np.abs(weights).max(axis=1) == pytest.approx(np.ones(count))
+        assert np.abs(weights.sum(axis=1)).max() < 1e-9
+        assert (weights * bank.receptor[primary]).sum(axis=1) == pytest.approx(
+            np.ones(count), rel=1e-4
+        )
+        assert np.abs(bank.kernels(primary)).max(axis=1) == pytest.approx(np.ones(count))
         own = np.diag(weights)
-        assert np.all(own < 0) if primary is Primary.RA else np.all(own > 0)
+        if primary is Primary.RA:
+            assert np.all(own < 0)
+        elif primary is Primary.SAI:
+            assert np.all(own > 0)
     assert not cache.exists()
 
 
 @pytest.mark.parametrize("name", ["electric-mouse", "line-7", "line-8"])
 def test_weighted_kernels_are_confined(name):
     bank = load_bank(load_profile(name))
-    for spill in bank.own_spill.values():
-        assert spill.max() <= 0.2 + 1e-5
+    for primary in (Primary.RA, Primary.SAI):
+        assert bank.own_spill[primary].max() <= 0.2 + 1e-5
 
 
-@pytest.mark.parametrize(("primary", "site"), [(Primary.RA, 0), (Primary.SAI, 27)])
+def test_total_current_is_limited_in_every_kernel():
+    for name in ("electric-mouse", "optacon-24x6"):
+        profile = load_profile(name)
+        for primary in Primary:
+            source = np.abs(load_bank(profile).kernels(primary)).sum(axis=1) / 2 * 2.4
+            assert source.max() < profile.limits.total_ma
+
+
+@pytest.mark.parametrize(("primary", "site"), [(Primary.RA, 0), (Primary.SAI, 27), (Primary.PC, 9)])
 def test_shipped_kernels_can_be_reproduced(profile, bank, primary, site):
     kernel = design_kernel(Problem(profile, primary), site)
-    assert bank.weights[primary][site] == pytest.approx(kernel.weights, abs=1e-4)
+    assert bank.weights[primary][site] == pytest.approx(kernel.weights, rel=1e-4)
     assert bank.worst_other[primary][site] == pytest.approx(kernel.worst_other, abs=1e-6)
 
 
@@ -57,8 +72,8 @@ def test_three_states_share_one_source():
     bank = load_bank(load_profile("smarttouch-4x4"))
     for weights in bank.weights.values():
         for row in weights:
-            assert row[row > 0] == pytest.approx(1 / (row > 0).sum())
-            assert row[row < 0] == pytest.approx(-1 / (row < 0).sum())
+            assert row[row > 0] == pytest.approx(row.max())
+            assert row[row < 0] == pytest.approx(row.min())
 
 
 def test_one_against_all_offers_its_polarity_only():

@@ -20,6 +20,8 @@ LIMITS = SafetyLimits(
     duty=0.6,
     ramp_s=0.5,
     full_ma=2.4,
+    total_ma=4.0,
+    electrode_ma=(3.0, 3.0, 3.0, 0.7),
 )
 SECOND = 10**9
 
@@ -61,6 +63,11 @@ def test_a_good_sequence_passes():
         (sequence([[-2600, 2600, 0, 0]], width=200), "0.520 µC is above"),
         (sequence([[-2500, 2500, 0, 0]], width=190), "more than intensity"),
         (sequence([[-2400, 2400, 0, 0]], intensity=0.5), "more than intensity"),
+        (
+            sequence([GOOD[0], [-2100, -2100, 2100, 2100]]),
+            "slot 1: 4.200 mA flow in all, above .* 4",
+        ),
+        (sequence([[-1200, 300, 199, 701]]), "electrode 3: 0.701 mA is above its own limit of 0.7"),
         (sequence(GOOD, width=201), "widths run from 201 to 201"),
         (sequence(GOOD, width=0), "widths run from 0"),
         (sequence(GOOD, period=9_999), "faster than the limit of 100 Hz"),
@@ -128,6 +135,8 @@ def test_what_passes_keeps_every_limit(currents, width, period):
     flow = tried.current_ua.astype(int)
     assert not flow.sum(axis=1).any()
     assert np.abs(flow).max() <= 3000
+    assert np.abs(flow).sum(axis=1).max() <= 2 * 4000
+    assert np.abs(flow[:, 3]).max() <= 700
     assert np.abs(flow).max() * width <= 500_000
     assert 0 < width <= 200
     assert tried.slots * (width + 100) <= period

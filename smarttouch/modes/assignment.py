@@ -1,0 +1,186 @@
+"""The best switching of one source: cathode, anode or insulated, electrode by electrode.
+
+A source's current divides among the electrodes of a pole by their admittance y,
+so an assignment is a pattern with no freedom left, and there are 3^E of them. A
+pattern beats L where, for every row a of another class and the target's row t,
+the y-weighted mean of b = a − L·t over its cathodes is below that over its
+anodes. A few electrodes decided bound both means whatever the others become, so
+whole branches fall at once (branch and bound, Land and Doig 1960), and a few
+thousand of 43 million assignments of 16 electrodes are ever looked at. Where
+branches become too many, a local search has found a good assignment, and the
+weighted optimum bounds how much better one could be.
+"""
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import DesignError
+from smarttouch.modes.design import SPILL, design_kernel
+from smarttouch.modes.problem import Array, Problem
+
+EXACT = 25
+"""Electrodes up to which a proof of optimality is tried."""
+_BRANCHES = 60_000
+"""Open branches at which it is given up."""
+_BOUNDING_ROWS = 60
+_SLACK = 1e-9
+
+
+def best_assignment(problem: Problem, site: int) -> tuple[Array, float]:
+    """Return the best pattern of one source, and how far it might be from the optimum.
+
+    Returns
+    -------
+    pattern : ndarray, (E,)
+        Shares of a unit source, positive cathodic.
+    gap : float
+        0 where it is proven, else (reached − bound) / reached.
+    """
+    judge = _Judge(problem, site)
+    states, reached = _local_search(judge, problem, site)
+    if not np.isfinite(reached):
+        raise DesignError(
+            f"no switching pattern activates {problem.describe(site)}: its electrodes are too far "
+            "apart for its depth"
+        )
+    if problem.electrodes <= EXACT:
+        near_first = np.argsort(problem.profile.electrodes.distance_mm[site], kind="stable")
+        left = _not_ruled_out(judge, states, reached, near_first)
+        if left is not None:
+            worths = judge.reached(left)
+            if len(left) and worths.min() < reached - _SLACK:
+                states = left[int(worths.argmin())]
+            return judge.shares(states[None])[0], 0.0
+    kernel = design_kernel(problem, site)
+    bound = max(kernel.worst_other, kernel.own_spill if kernel.own_spill > SPILL + 1e-6 else 0.0)
+    return judge.shares(states[None])[0], max(0.0, (reached - bound) / reached)
+
+
+class _Judge:
+    """What assignments reach: worst other, or own spill where it is above `SPILL`."""
+
+    def __init__(self, problem: Problem, site: int) -> None:
+        self.site, self.full_ma, self.limits_ma = site, problem.full_ma(site), problem.limits_ma
+        self.admittance = problem.profile.admittance
+        rows, far = problem.rows[0], problem.beyond_a_pitch(site)
+        self.target = rows.target[0, site]
+        self.rows = np.concatenate([rows.other, rows.own[far]])
+        self.others = len(rows.other)
+
+    def shares(self, states: NDArray[np.int8]) -> Array:
+        """Return the patterns of assignments, (P, E) from (P, E) of 1, −1 and 0."""
+        total = np.zeros(states.shape)
+        for pole in (1, -1):
+            connected = (states == pole) * self.admittance
+            passed = connected.sum(axis=1, keepdims=True)
+            total += pole * np.divide(connected, passed, out=connected, where=passed > 0)
+        return total
+
+    def reached(self, states: NDArray[np.int8], at_once: int = 512) -> Array:
+        """Return the objective of each assignment, infinite if it fires not or passes a limit."""
+        found = np.full(len(states), np.inf)
+        both = (states == 1).any(axis=1) & (states == -1).any(axis=1)
+        for chosen in np.array_split(np.flatnonzero(both), max(1, both.sum() // at_once)):
+            shares = self.shares(states[chosen])
+            own = shares @ self.target
+            fires = (own > _SLACK * np.abs(self.target).max()) & self._within_limits(shares)
+            chosen, shares, own = chosen[fires], shares[fires], own[fires]
+            if not len(chosen):
+                continue
+            activation = shares @ self.rows.T / own[:, None]
+            worst = activation[:, : self.others].max(axis=1)
+            if activation.shape[1] > self.others:
+                spill = activation[:, self.others :].max(axis=1)
+                worst = np.where(spill > SPILL, np.maximum(worst, spill), worst)
+            found[chosen] = worst
+        return found
+
+    def _within_limits(self, shares: Array) -> NDArray[np.bool_]:
+        """Return which patterns keep the limits when their peak has the full current, (P,)."""
+        total, electrode = self.limits_ma
+        source_ma = self.full_ma / np.abs(shares).max(axis=1)
+        carried = np.abs(shares) * source_ma[:, None]
+        # What the site's own electrode may carry, the profile has checked.
+        carried[:, self.site] = 0.0
+        return np.asarray((source_ma <= total) & (carried <= electrode).all(axis=1))
+
+
+def _local_search(judge: _Judge, problem: Problem, site: int) -> tuple[NDArray[np.int8], float]:
+    """Start from the weighted kernel cut at every two levels, then change one or two states."""
+    order = np.argsort(design_kernel(problem, site).weights)
+    count = problem.electrodes
+    cuts = [
+        (anodes, cathodes)
+        for anodes, cathodes in itertools.product(range(1, count), repeat=2)
+        if anodes + cathodes <= count
+    ]
+    tried = np.zeros((len(cuts), count), np.int8)
+    for states, (anodes, cathodes) in zip(tried, cuts, strict=True):
+        states[order[:anodes]], states[order[count - cathodes :]] = -1, 1
+    reached = judge.reached(tried)
+    best, least = tried[int(reached.argmin())], float(reached.min())
+    while True:
+        around = np.array([best] * (3 * count + count * (count - 1) // 2))
+        for index in range(3 * count):
+            around[index, index // 3] = index % 3 - 1
+        swaps = itertools.combinations(range(count), 2)
+        for index, (first, second) in enumerate(swaps, 3 * count):
+            around[index, [first, second]] = best[[second, first]]
+        around = np.unique(around, axis=0)
+        reached = judge.reached(around)
+        if reached.min() >= least - _SLACK:
+            return best, least
+        best, least = around[int(reached.argmin())], float(reached.min())
+
+
+def _not_ruled_out(
+    judge: _Judge, best: NDArray[np.int8], reached: float, order: NDArray[np.intp]
+) -> NDArray[np.int8] | None:
+    """Return all assignments that might beat the best so far, (P, E), or None if too many."""
+    margin = judge.rows[_bounding_rows(judge, best)] - reached * judge.target
+    open_ = np.zeros((1, len(best)), np.int8)
+    for depth, electrode in enumerate(order, 1):
+        open_ = np.repeat(open_, 3, axis=0)
+        open_[:, electrode] = np.tile(np.array([0, 1, -1], np.int8), len(open_) // 3)
+        for row in margin:
+            open_ = open_[_may_beat(open_, row, judge.admittance, order[depth:])]
+        if len(open_) > _BRANCHES:
+            return None
+    return open_
+
+
+def _may_beat(
+    states: NDArray[np.int8], row: Array, admittance: Array, undecided: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """Return which branches could get their cathodes' mean of a row below their anodes'."""
+    rising = undecided[np.argsort(row[undecided])]
+    least = -_best_mean(states == 1, -row, admittance, rising)
+    most = _best_mean(states == -1, row, admittance, rising[::-1])
+    return np.asarray(least < most)
+
+
+def _best_mean(
+    decided: NDArray[np.bool_], row: Array, admittance: Array, joining: NDArray[np.intp]
+) -> Array:
+    """Return the largest mean a pole can reach if electrodes may join it, best first, (P,)."""
+    passed = np.r_[0.0, np.cumsum(admittance[joining])]
+    summed = np.r_[0.0, np.cumsum((admittance * row)[joining])]
+    total = (decided @ admittance)[:, None] + passed
+    mean = np.full(total.shape, -np.inf)
+    np.divide((decided @ (admittance * row))[:, None] + summed, total, out=mean, where=total > 0)
+    return np.asarray(mean.max(axis=1))
+
+
+def _bounding_rows(judge: _Judge, best: NDArray[np.int8]) -> NDArray[np.intp]:
+    """Return the other-class rows that are the worst ones of many assignments."""
+    count = len(best)
+    changed = np.repeat(best[None], 3 * count, axis=0)
+    changed[np.arange(3 * count), np.repeat(np.arange(count), 3)] = np.tile([-1, 0, 1], count)
+    anything = np.random.default_rng(0).integers(-1, 2, (2000, count)).astype(np.int8)
+    shares = judge.shares(np.concatenate([changed, anything]))
+    own = shares @ judge.target
+    activation = shares[own > 0] @ judge.rows[: judge.others].T / own[own > 0][:, None]
+    rows, times = np.unique(activation.argmax(axis=1), return_counts=True)
+    return rows[np.argsort(times)[::-1]][:_BOUNDING_ROWS]

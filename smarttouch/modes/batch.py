@@ -1,0 +1,125 @@
+"""Many kernels at once: every distinct site, on all cores, kept as they come."""
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smarttouch.modes.problem import Kernel, Problem
+from smarttouch.primary import Primary
+
+Design = Callable[[Problem, int], Kernel]
+Progress = Callable[[int, int], None]
+Timed = tuple[Kernel, float]
+
+
+def design_sites(
+    problem: Problem,
+    design: Design,
+    sites: Sequence[int] | None = None,
+    progress: Progress | None = None,
+    keep: Path | None = None,
+) -> list[Timed]:
+    """Design sites, those that mirror one another once.
+
+    The work goes through `joblib.Parallel`: on threads here, as the solver runs
+    beside the interpreter, or wherever ``joblib.parallel_config`` sends it (a
+    Dask cluster, say).
+
+    Parameters
+    ----------
+    problem : Problem
+        Rows of the primary and profile.
+    design : callable
+        What designs one site.
+    sites : sequence of int, optional
+        All if not given.
+    progress : callable, optional
+        Told how many distinct sites are done, of how many.
+    keep : Path, optional
+        Folder in which every kernel is kept as soon as it is there, and looked
+        for first: an interrupted design goes on where it was.
+
+    Returns
+    -------
+    list of (Kernel, float)
+        One for each site, with the seconds that its design took.
+    """
+    from joblib import Parallel, delayed
+
+    if sites is None:
+        sites = range(problem.electrodes)
+    for site in sites:
+        problem.check_site(site)
+    ways = [problem.representative(site) for site in sites]
+    distinct = sorted({first for first, _ in ways})
+    done = {first: kept for first in distinct if (kept := _kept(keep, problem, first))}
+    if keep is not None:
+        keep.mkdir(parents=True, exist_ok=True)
+    missing = [first for first in distinct if first not in done]
+    answers = Parallel(n_jobs=-1, prefer="threads", return_as="generator_unordered")(
+        delayed(_timed)(design, problem, first) for first in missing
+    )
+    for first, kernel, seconds in answers:
+        done[first] = kernel, seconds
+        if keep is not None:
+            _keep(keep, problem, first, kernel, seconds)
+        if progress is not None:
+            progress(len(done), len(distinct))
+    return [
+        (_moved(problem, site, done[first][0], move), done[first][1])
+        for site, (first, move) in zip(sites, ways, strict=True)
+    ]
+
+
+def _timed(design: Design, problem: Problem, site: int) -> tuple[int, Kernel, float]:
+    start = time.perf_counter()
+    kernel = design(problem, site)
+    return site, kernel, time.perf_counter() - start
+
+
+def _moved(problem: Problem, site: int, kernel: Kernel, move: np.ndarray) -> Kernel:
+    weights = np.empty_like(kernel.weights)
+    weights[move] = kernel.weights
+    # An axon that is mirrored counts its nodes the other way: the fired one says which (Eq. 11).
+    node = kernel.node and int((problem.axon(site) @ weights).argmax())
+    return replace(kernel, weights=weights, node=node)
+
+
+def _path(keep: Path, problem: Problem, site: int) -> Path:
+    return keep / f"{problem.primary.name}-{site}.json"
+
+
+def _keep(keep: Path, problem: Problem, site: int, kernel: Kernel, seconds: float) -> None:
+    fields: dict[str, Any] = {
+        "weights": kernel.weights.tolist(),
+        "worst_other": kernel.worst_other,
+        "worst_other_class": kernel.worst_other_class.name,
+        "own_spill": kernel.own_spill,
+        "node": kernel.node,
+        "kind": kernel.kind,
+        "gap": kernel.gap,
+        "seconds": seconds,
+    }
+    path = _path(keep, problem, site)
+    half = path.with_suffix(".part")
+    half.write_text(json.dumps(fields), encoding="utf-8")
+    half.replace(path)
+
+
+def _kept(keep: Path | None, problem: Problem, site: int) -> Timed | None:
+    if keep is None:
+        return None
+    try:
+        fields = json.loads(_path(keep, problem, site).read_text(encoding="utf-8"))
+        seconds = float(fields.pop("seconds"))
+        fields["weights"] = np.array(fields["weights"], np.float64)
+        fields["worst_other_class"] = Primary[fields["worst_other_class"]]
+        kernel = Kernel(**fields)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return (kernel, seconds) if kernel.weights.shape == (problem.electrodes,) else None

@@ -1,0 +1,210 @@
+"""A min–max linear programme with few unknowns and very many rows.
+
+Only the rows that matter are ever given to the solver: it starts with a few,
+and the worst of those its answer breaks are added until none is broken. HiGHS
+goes on from its last basis, so each round costs a few pivots. The answer is
+verified on all rows, and its optimality by its dual.
+"""
+
+from collections.abc import Callable
+
+import highspy
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import DesignError
+
+Array = NDArray[np.float64]
+Chooser = Callable[[Array], NDArray[np.intp]]
+Options = dict[str, str | int | float | bool]
+
+_TOLERANCE = 1e-7
+_ROWS_AT_ONCE = 35
+_ROWS_AT_FIRST = 20
+_BOX = 1e3
+"""The first rounds may leave directions free; a wide box keeps them finite."""
+_OPTIONS: Options = {
+    "output_flag": False,
+    "threads": 1,
+    "presolve": "off",
+    # Exact steepest-edge weights, made anew at every hot start, cost more than they save.
+    "simplex_dual_edge_weight_strategy": 1,
+}
+
+
+class Programme:
+    """Minimize t such that rows·w ≤ slope·t + bound, aims·w ≥ 1, Σw = 0.
+
+    Parameters
+    ----------
+    rows : ndarray, (N, O)
+        What must stay small.
+    slope, bound : ndarray, (N,)
+        1 and 0 where t is the limit, 0 and a number where that is.
+    aims : ndarray, (S, O)
+        What must reach 1; with one aim it is exactly 1.
+    size : ndarray, (O,)
+        How many electrodes each unknown moves.
+    worst : callable, optional
+        Chooses rows to add from the excess of all rows (N,); by default the
+        worst ones.
+    options : dict, optional
+        Settings for HiGHS.
+    """
+
+    def __init__(
+        self,
+        rows: Array,
+        slope: Array,
+        bound: Array,
+        aims: Array,
+        size: Array,
+        worst: Chooser | None = None,
+        options: Options | None = None,
+    ) -> None:
+        self._rows, self._slope, self._bound, self._size = rows, slope, bound, size
+        self._worst = worst or (lambda excess: np.flatnonzero(excess > _TOLERANCE))
+        self._count = rows.shape[1]
+        self._given = np.zeros(len(rows), bool)
+        self._solver = highspy.Highs()
+        for name, value in (_OPTIONS | (options or {})).items():
+            self._solver.setOptionValue(name, value)
+        self._solver.addVars(
+            self._count + 1,
+            np.r_[np.full(self._count, -_BOX), -1.0],
+            np.full(self._count + 1, _BOX),
+        )
+        self._cost(np.r_[np.zeros(self._count), 1.0])
+        exact = 1.0 if len(aims) == 1 else np.inf
+        self._add(np.c_[aims, np.zeros(len(aims))], 1.0, np.full(len(aims), exact))
+        self._add(np.r_[size, 0.0][None], 0.0, np.zeros(1))
+        self._give(np.unique(np.linspace(0, len(rows) - 1, _ROWS_AT_FIRST).astype(np.intp)))
+
+    def most_selective(self) -> float:
+        """Return the smallest t; infinite if no pattern keeps the rows."""
+        answer = self._solve()
+        return np.inf if answer is None else float(answer[self._count])
+
+    def limit(self, reference: Array, factors: Array, total: float | None) -> None:
+        """Bound currents by that of a reference pattern, its own electrode's say.
+
+        Parameters
+        ----------
+        reference : ndarray, (O,)
+            ``reference·w`` is the current that limits are a multiple of.
+        factors : ndarray, (O,)
+            Largest magnitude of each unknown, of the reference; inf for none.
+        total : float or None
+            Largest sum of magnitudes over all electrodes, of the reference.
+        """
+        bounded = np.flatnonzero(np.isfinite(factors))
+        eye = np.eye(self._count)[bounded]
+        push = factors[bounded, None] * reference
+        zero = np.zeros((len(bounded), self._columns - self._count))
+        for sign in (1.0, -1.0):
+            self._add(np.c_[sign * eye - push, zero], -np.inf, np.zeros(len(bounded)))
+        if total is not None:
+            self._add_magnitudes()
+            row = np.r_[-total * reference, 0.0, self._size]
+            self._add(row[None], -np.inf, np.zeros(1))
+
+    def least_current(self, worst: float) -> Array:
+        """Return the pattern of least total current that is that selective, (O,)."""
+        self._add_magnitudes()
+        self._cost(np.r_[np.zeros(self._count + 1), self._size])
+        self._solver.changeColBounds(
+            self._count, -1.0, worst + 1e-9 * max(1.0, abs(worst))
+        )  # fmt: skip
+        answer = self._solve()
+        if answer is None:
+            raise DesignError("the solver lost its own answer: loosen the limits a little")
+        return np.asarray(answer[: self._count])
+
+    # -- the solver --------------------------------------------------------
+
+    def _solve(self) -> Array | None:
+        cold = False
+        while True:
+            self._solver.run()
+            status = self._solver.getModelStatus()
+            if status == highspy.HighsModelStatus.kOptimal:
+                answer = np.asarray(self._solver.getSolution().col_value)
+                weights, worst = answer[: self._count], answer[self._count]
+                excess = self._rows @ weights - self._slope * worst - self._bound
+                excess[self._given] = -np.inf
+                if (excess > _TOLERANCE).any():
+                    self._give(self._choose(excess))
+                    continue
+                if cold or self._proven(answer):
+                    return answer
+            elif cold and status == highspy.HighsModelStatus.kInfeasible:
+                return None
+            elif cold:
+                raise DesignError(
+                    f"the solver gave up ({self._solver.modelStatusToString(status)}): "
+                    "check the depths and sizes of the profile"
+                )
+            # A hot start can end at a wrong answer; only a cold one is believed to be none.
+            cold = True
+            self._solver.clearSolver()
+            self._solver.setOptionValue("simplex_dual_edge_weight_strategy", -1)
+
+    def _proven(self, answer: Array) -> bool:
+        """Return whether the duals prove the answer optimal for the rows given."""
+        solution, model = self._solver.getSolution(), self._solver.getLp()
+        duals, reduced = np.asarray(solution.row_dual), np.asarray(solution.col_dual)
+        lower, upper = np.asarray(model.row_lower_), np.asarray(model.row_upper_)
+        side = np.where(duals > 0, lower, upper)
+        column = np.where(reduced > 0, model.col_lower_, model.col_upper_)
+        value = float(np.asarray(model.col_cost_) @ answer)
+        with np.errstate(invalid="ignore"):
+            bound = float(
+                np.where(duals == 0, 0.0, duals * side).sum()
+                + np.where(reduced == 0, 0.0, reduced * column).sum()
+            )
+        return abs(value - bound) <= 1e-6 * max(1.0, abs(value))
+
+    def _choose(self, excess: Array) -> NDArray[np.intp]:
+        chosen = self._worst(excess)
+        if not len(chosen):
+            chosen = np.flatnonzero(excess > _TOLERANCE)
+        if len(chosen) > _ROWS_AT_ONCE:
+            most = np.argpartition(excess[chosen], -_ROWS_AT_ONCE)[-_ROWS_AT_ONCE:]
+            chosen = chosen[most]
+        return chosen
+
+    def _give(self, chosen: NDArray[np.intp]) -> None:
+        self._given[chosen] = True
+        coefficients = np.c_[self._rows[chosen], -self._slope[chosen]]
+        self._add(coefficients, -np.inf, self._bound[chosen])
+
+    @property
+    def _columns(self) -> int:
+        return int(self._solver.getNumCol())
+
+    def _add(self, coefficients: Array, lower: float, upper: Array) -> None:
+        count, width = coefficients.shape
+        self._solver.addRows(
+            count,
+            np.full(count, lower),
+            np.asarray(upper, np.float64),
+            count * width,
+            np.arange(count, dtype=np.int32) * width,
+            np.tile(np.arange(width, dtype=np.int32), count),
+            np.ascontiguousarray(coefficients, np.float64).ravel(),
+        )
+
+    def _add_magnitudes(self) -> None:
+        """Add unknowns that are at least as large as each weight's magnitude, once."""
+        count, columns = self._count, self._columns
+        if columns > count + 1:
+            return
+        self._solver.addVars(count, np.zeros(count), np.full(count, _BOX))
+        eye = np.eye(count)
+        for sign in (1.0, -1.0):
+            self._add(
+                np.c_[sign * eye, np.zeros(count), -eye], -np.inf, np.zeros(count)
+            )  # fmt: skip
+
+    def _cost(self, cost: Array) -> None:
+        self._solver.changeColsCost(len(cost), np.arange(len(cost), dtype=np.int32), cost)
