@@ -6,6 +6,7 @@ import sys
 import typer
 
 from smarttouch.cli.design import design
+from smarttouch.cli.figures import figures
 from smarttouch.cli.live import live
 from smarttouch.cli.profiles import profiles
 from smarttouch.errors import SmartTouchError
@@ -20,6 +21,7 @@ app = typer.Typer(
 app.command()(live)
 app.command()(profiles)
 app.command()(design)
+app.command()(figures)
 
 
 def main() -> None:

@@ -1,12 +1,14 @@
-"""``smarttouch design``: the kernels of a profile, as a table and as JSON."""
+"""``smarttouch design``: the kernels of a profile, as tables, JSON and pictures."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
-    from smarttouch.modes.bank import KernelBank
+    from smarttouch.cli.kernels import Shown
+    from smarttouch.modes.problem import Kernel
     from smarttouch.primary import Primary
     from smarttouch.profile import Profile
 
@@ -15,12 +17,30 @@ def design(
     profile: Annotated[
         str, typer.Option(metavar="NAME|FILE", help="Device and finger; see: smarttouch profiles")
     ] = "electric-mouse",
-    mode: Annotated[str, typer.Option(metavar="RA|SAI", help="Which afferents to reach.")] = "RA",
+    mode: Annotated[
+        str | None, typer.Option(metavar="RA|SAI|PC", help="Which afferents to reach; all if none.")
+    ] = None,
     site: Annotated[
         int | None, typer.Option(metavar="N", help="One site, with all its weights.")
     ] = None,
+    robust: Annotated[
+        bool, typer.Option("--robust", help="Best on the worst finger of the profile's spread.")
+    ] = False,
+    three_state: Annotated[
+        bool, typer.Option("--three-state", help="Cathode, anode or insulated, from one source.")
+    ] = False,
+    any_node: Annotated[
+        bool, typer.Option("--any-node", help="Brute force over the activated node.")
+    ] = False,
+    compare: Annotated[
+        bool, typer.Option("--compare", help="All kinds of kernels, nominal and worst finger.")
+    ] = False,
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write the kernels.")
+    ] = None,
+    plot_file: Annotated[
+        Path | None,
+        typer.Option("--plot", metavar="PNG", help="Draw one site (the middle one if no --site)."),
     ] = None,
     bank_file: Annotated[
         Path | None,
@@ -28,110 +48,137 @@ def design(
     ] = None,
 ) -> None:
     """Show the kernels of a profile: current patterns that reach one class of afferents."""
+    from smarttouch.cli import kernels
     from smarttouch.cli.files import parse_mode, require_folder, write_json
     from smarttouch.cli.progress import bank_progress
-    from smarttouch.errors import DesignError
-    from smarttouch.modes.bank import design_bank, load_bank, write_bank
+    from smarttouch.errors import DesignError, SmartTouchError
+    from smarttouch.modes.switching import possible_modes
+    from smarttouch.primary import Primary
     from smarttouch.profile import load_profile
 
-    primary = parse_mode(mode)
+    primary = None if mode is None else parse_mode(mode, tuple(Primary))
     chosen = load_profile(profile)
-    for output in (json_file, bank_file):
+    for output in (json_file, plot_file, bank_file):
         require_folder(output)
+    special = [
+        name
+        for name, asked in (
+            ("--robust", robust), ("--three-state", three_state), ("--any-node", any_node),
+            ("--compare", compare), ("--bank", bank_file is not None),
+        )
+        if asked
+    ]  # fmt: skip
+    if len(special) > 1:
+        raise SmartTouchError(f"{' and '.join(special)} do not go together: give one of them")
     count = len(chosen.electrodes)
     if site is not None and not 0 <= site < count:
         raise DesignError(f"site {site} is out of range: {profile} has sites 0 to {count - 1}")
+    modes = [primary] if primary is not None else possible_modes(chosen)
+    sites = list(range(count)) if site is None else [site]
     with bank_progress(quiet=False) as progress:
-        if bank_file is None:
-            bank = load_bank(chosen, progress)
+        if not special or bank_file is not None:
+            shown = _from_bank(chosen, modes, sites, bank_file, progress)
+        elif compare:
+            shown = _compared(chosen, modes, sites, progress)
         else:
-            bank = design_bank(chosen, progress)
-            write_bank(bank_file, chosen, bank)
-    bank.kernels(primary)
-    if site is None:
-        _print_sites(chosen, bank, primary)
+            shown = _designed(chosen, modes, sites, special[0], progress)
+    if compare:
+        kernels.print_comparison(chosen, shown)
+    elif site is None:
+        kernels.print_sites(chosen, shown)
     else:
-        _print_kernel(chosen, bank, primary, site)
+        for each in shown:
+            kernels.print_kernel(chosen, each)
     if json_file is not None:
-        sites = range(count) if site is None else [site]
-        write_json(json_file, _table(chosen, bank, primary, sites))
+        write_json(json_file, kernels.as_json(chosen, shown))
+    if plot_file is not None:
+        _plot(chosen, shown, plot_file)
 
 
-def _table(profile: "Profile", bank: "KernelBank", primary: "Primary", sites: Any) -> Any:
-    return {
-        "profile": profile.name,
-        "mode": primary.name,
-        "positive": "cathodic",
-        "sites": [
-            {
-                "site": site,
-                "x_mm": float(profile.electrodes.position_mm[site, 0]),
-                "y_mm": float(profile.electrodes.position_mm[site, 1]),
-                "worst_other": float(bank.worst_other[primary][site]),
-                "own_spill": float(bank.own_spill[primary][site]),
-                "sum": float(bank.weights[primary][site].sum(dtype=float)),
-                "weights": [float(weight) for weight in bank.weights[primary][site]],
-            }
-            for site in sites
-        ],
-    }
+def _from_bank(
+    profile: "Profile",
+    modes: Sequence["Primary"],
+    sites: Sequence[int],
+    bank_file: Path | None,
+    progress: Any,
+) -> list["Shown"]:
+    from smarttouch.cli.kernels import Shown
+    from smarttouch.modes.bank import design_bank, load_bank, write_bank
+
+    if bank_file is None:
+        bank = load_bank(profile, progress)
+    else:
+        bank = design_bank(profile, progress)
+        write_bank(bank_file, profile, bank)
+    kind = "one-of-n" if profile.output.kind == "one-against-all" else profile.output.kind
+    return [
+        Shown(mode, site, bank.kernel(mode, site, kind), float(bank.seconds[mode][site]))
+        for mode in modes
+        for site in sites
+    ]
 
 
-def _print_sites(profile: "Profile", bank: "KernelBank", primary: "Primary") -> None:
+def _designed(
+    profile: "Profile",
+    modes: Sequence["Primary"],
+    sites: Sequence[int],
+    asked: str,
+    progress: Any,
+) -> list["Shown"]:
+    from smarttouch.cli.kernels import Shown
+    from smarttouch.modes.batch import design_sites
+    from smarttouch.modes.design import design_any_node, design_kernel
+    from smarttouch.modes.problem import Problem
+    from smarttouch.modes.switching import design_three_state
+
+    design_one = {
+        "--robust": design_kernel,
+        "--three-state": design_three_state,
+        "--any-node": design_any_node,
+    }[asked]
+    shown = []
+    for index, mode in enumerate(modes):
+
+        def advance(done: int, total: int, index: int = index) -> None:
+            progress(index * total + done, len(modes) * total)
+
+        problem = Problem(profile, mode, spread=asked == "--robust")
+        timed = design_sites(problem, design_one, sites, advance)
+        shown += [Shown(mode, site, *each) for site, each in zip(sites, timed, strict=True)]
+    return shown
+
+
+def _compared(
+    profile: "Profile", modes: Sequence["Primary"], sites: Sequence[int], progress: Any
+) -> list["Shown"]:
+    from smarttouch.cli.kernels import Shown
+    from smarttouch.modes.comparison import compare
+
+    shown = []
+    for index, mode in enumerate(modes):
+
+        def advance(done: int, total: int, index: int = index) -> None:
+            progress(index * total + done, len(modes) * total)
+
+        shown += [
+            Shown(mode, each.site, each.kernel, each.seconds, each.variant, each.worst_finger)
+            for each in compare(profile, mode, sites, advance)
+        ]
+    return shown
+
+
+def _plot(profile: "Profile", shown: Sequence["Shown"], path: Path) -> None:
     import numpy as np
-    from rich.console import Console
-    from rich.table import Table
 
-    table = Table(
-        title=f"{primary.name} kernels of {profile.name}: {profile.title}", title_justify="left"
-    )
-    for heading in ("site", "x mm", "y mm", "worst other", "own spill", "total |w|"):
-        table.add_column(heading, justify="right")
-    for site, (x, y) in enumerate(profile.electrodes.position_mm):
-        table.add_row(
-            str(site),
-            f"{x:.2f}",
-            f"{y:.2f}",
-            f"{bank.worst_other[primary][site]:.4f}",
-            f"{bank.own_spill[primary][site]:.3f}",
-            f"{np.abs(bank.weights[primary][site]).sum():.2f}",
-        )
-    console = Console()
-    console.print(table)
-    console.print(
-        "Worst other and own spill are activations of the target's own; "
-        "--site N shows the weights.",
-        style="dim",
-    )
+    from smarttouch.figures.kernels import kernel_figure
+    from smarttouch.figures.style import save
 
-
-def _print_kernel(profile: "Profile", bank: "KernelBank", primary: "Primary", site: int) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    weights = bank.weights[primary][site]
-    position = profile.electrodes.position_mm
-    rows = sorted({round(float(y), 6) for y in position[:, 1]})
-    table = Table(
-        title=f"{primary.name} kernel at site {site} of {profile.name}, positive cathodic",
-        title_justify="left",
-        show_header=False,
-    )
-    for row in rows:
-        in_row = [index for index in range(len(position)) if abs(position[index, 1] - row) < 1e-5]
-        in_row.sort(key=lambda index: position[index, 0])
-        style = {site: "bold reverse"}
-        table.add_row(
-            *(
-                f"[{style[index]}]{weights[index]:+.3f}[/]"
-                if index in style
-                else f"{weights[index]:+.3f}"
-                for index in in_row
-            )
-        )
-    console = Console()
-    console.print(table)
-    console.print(
-        f"worst other {bank.worst_other[primary][site]:.4f}, "
-        f"own spill {bank.own_spill[primary][site]:.3f}, sum {weights.sum(dtype=float):+.1e}"
-    )
+    sites = sorted({each.site for each in shown})
+    away = np.linalg.norm(profile.electrodes.position_mm[sites], axis=1)
+    site = sites[int(away.argmin())]
+    drawn: dict[Primary, Kernel] = {}
+    for each in shown:
+        if each.site == site:
+            # Where kinds are compared, the first one, the weighted, is drawn.
+            drawn.setdefault(each.primary, each.kernel)
+    save(kernel_figure(profile, drawn, site), path)

@@ -8,10 +8,11 @@ from smarttouch.errors import SmartTouchError
 from smarttouch.primary import Primary
 
 
-def parse_mode(mode: str) -> Primary:
+def parse_mode(mode: str, offered: tuple[Primary, ...]) -> Primary:
     """Return the primary that ``--mode`` names."""
-    if mode.upper() not in ("RA", "SAI"):
-        raise SmartTouchError(f"--mode {mode!r} is not offered: choose RA or SAI")
+    names = [each.name for each in offered]
+    if mode.upper() not in names:
+        raise SmartTouchError(f"--mode {mode!r} is not offered: choose {' or '.join(names)}")
     return Primary[mode.upper()]
 
 

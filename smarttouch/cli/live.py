@@ -64,12 +64,13 @@ def live(
     from smarttouch.live import StopRequest, Tally, run, stop_on_signals
     from smarttouch.modes.bank import load_bank
     from smarttouch.pipeline import Pipeline
+    from smarttouch.primary import Primary
     from smarttouch.profile import load_profile
     from smarttouch.resources import data_folder
     from smarttouch.scan.safety import SafetyLimits
     from smarttouch.sensing import open_sensor
 
-    primary = parse_mode(mode)
+    primary = parse_mode(mode, (Primary.RA, Primary.SAI))
     if seconds is not None and not seconds > 0:
         raise SmartTouchError(f"--seconds {seconds:g} must be above 0")
     chosen = load_profile(profile)

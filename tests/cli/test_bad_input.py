@@ -65,7 +65,7 @@ def folder(tmp_path):
         ("live --felt f.png --board link:/dev/nothing", "--felt needs a board"),
         ("design --site 64", "site 64 is out of range"),
         ("design --site -1", "site -1 is out of range"),
-        ("design --profile line-7 --mode PC", "--mode 'PC'"),
+        ("design --profile line-7 --mode P", "--mode 'P' is not offered: choose RA or SAI or PC"),
         ("design --profile kajimoto-61 --mode SAI", "mode SAI is not possible"),
     ],
 )

@@ -1,11 +1,37 @@
-"""``profiles`` and ``design`` show what is shipped."""
+"""``profiles``, ``design`` and ``figures`` show what is shipped, and what a user describes."""
 
+import csv
 import json
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from smarttouch.primary import Primary
 from smarttouch.profile import profile_names
+
+KEYS = {
+    "mode", "site", "weights", "worst_other", "worst_other_class", "own_spill", "sum",
+    "total_current", "activated_node", "kind", "optimal", "gap", "seconds",
+}  # fmt: skip
+
+
+@pytest.fixture
+def designed(program, tmp_path):
+    """Return a runner of ``design`` that gives what it printed and its kernels."""
+
+    def run(*arguments):
+        done = program("design", "--json=k.json", *arguments)
+        assert done.returncode == 0, done.stderr
+        table = json.loads((tmp_path / "k.json").read_text())
+        for kernel in table["kernels"]:
+            assert kernel.keys() >= KEYS
+            assert abs(kernel["sum"]) < 1e-9
+            assert kernel["total_current"] == pytest.approx(np.abs(kernel["weights"]).sum())
+            assert kernel["optimal"] == (kernel["gap"] == 0)
+        return done.stdout, table
+
+    return run
 
 
 def test_profiles(program):
@@ -16,24 +42,59 @@ def test_profiles(program):
     assert "electric-mouse (default)" in done.stdout
 
 
-def test_one_site_of_the_paper(program, tmp_path):
-    done = program("design", "--profile=line-7", "--mode=sai", "--site=3", "--json=k.json")
-    assert done.returncode == 0, done.stderr
-    assert "-0.191" in done.stdout
-    table = json.loads((tmp_path / "k.json").read_text())
-    assert table["mode"] == "SAI"
-    (site,) = table["sites"]
-    assert site["worst_other"] == pytest.approx(0.3025, abs=5e-5)
-    assert site["weights"][3] == 1
-    assert abs(site["sum"]) < 1e-6
+def test_one_site_of_the_paper(designed):
+    printed, table = designed("--profile=line-7", "--mode=sai", "--site=3")
+    assert "-0.191" in printed
+    assert table["profile"] == "line-7"
+    (kernel,) = table["kernels"]
+    assert kernel["mode"] == "SAI"
+    assert kernel["worst_other"] == pytest.approx(0.3025, abs=5e-5)
+    assert kernel["worst_other_class"] == "RA"
+    assert kernel["activated_node"] == 0
+    assert np.argmax(np.abs(kernel["weights"])) == 3
 
 
-def test_all_sites(program, tmp_path):
-    done = program("design", "--json=k.json")
-    assert done.returncode == 0, done.stderr
-    sites = json.loads((tmp_path / "k.json").read_text())["sites"]
-    assert [site["site"] for site in sites] == list(range(64))
-    assert np.shape([site["weights"] for site in sites]) == (64, 64)
+def test_all_modes_of_all_sites(designed):
+    printed, table = designed("--profile=line-7")
+    assert "3.0396" in printed
+    named = [(kernel["mode"], kernel["site"]) for kernel in table["kernels"]]
+    assert named == [(mode.name, site) for mode in Primary for site in range(7)]
+
+
+def test_all_sites_of_the_default_are_confined(designed):
+    _, table = designed()
+    assert len(table["kernels"]) == 3 * 64
+    for kernel in table["kernels"]:
+        if kernel["mode"] != "PC":
+            assert kernel["own_spill"] <= 0.2 + 1e-6
+
+
+def test_three_states_on_a_weighted_board(designed):
+    _, table = designed("--profile=line-7", "--three-state", "--mode=RA")
+    for kernel in table["kernels"]:
+        assert kernel["kind"] == "three-state"
+        assert kernel["optimal"]
+        weights = np.array(kernel["weights"])
+        assert len(np.unique(np.round(weights, 9))) <= 3
+
+
+def test_robust_and_any_node(designed):
+    _, robust = designed("--profile=line-7", "--robust", "--mode=SAI", "--site=3")
+    assert robust["kernels"][0]["worst_other"] > 0.31
+    _, anywhere = designed("--profile=line-7", "--any-node", "--mode=PC")
+    first, last = (anywhere["kernels"][site] for site in (0, 6))
+    assert first["worst_other"] == pytest.approx(last["worst_other"])
+    assert first["weights"] == pytest.approx(last["weights"][::-1])
+
+
+def test_kinds_compared(designed):
+    printed, table = designed("--profile=line-7", "--compare", "--site=3", "--mode=RA")
+    for variant in ("weighted", "robust", "three-state", "one-of-n"):
+        assert variant in printed
+    by_name = {kernel["variant"]: kernel for kernel in table["kernels"]}
+    assert by_name["weighted"]["worst_other"] == pytest.approx(0.1072, abs=5e-5)
+    over_spread = {name: kernel["worst_other_over_spread"] for name, kernel in by_name.items()}
+    assert min(over_spread, key=over_spread.get) == "robust"
 
 
 def test_a_bank_is_made_anew(program, tmp_path):
@@ -41,3 +102,112 @@ def test_a_bank_is_made_anew(program, tmp_path):
     assert done.returncode == 0, done.stderr
     with np.load(tmp_path / "bank.npz") as bank:
         assert bank["weights_RA"].shape == (16, 16)
+
+
+@pytest.mark.parametrize("profile", ["electric-mouse", "line-7", "kajimoto-61"])
+def test_a_site_is_drawn(program, tmp_path, profile):
+    done = program("design", f"--profile={profile}", "--site=5", "--plot=k.png")
+    assert done.returncode == 0, done.stderr
+    with Image.open(tmp_path / "k.png") as picture:
+        assert min(picture.size) > 400
+        assert len(picture.getcolors(1 << 20)) > 50
+
+
+FREE = """title = "Mine"
+[array]
+layout = "free"
+positions_mm = [[0, 0], [1.8, 0], [0.9, 1.6], [2.7, 1.6], [4.2, 0.4]]
+shape = "annulus"
+size_mm = [1.0, 0.5]
+[skin]
+medium = "layered"
+ra_depth_mm = 0.7
+sai_depth_mm = 0.9
+pc_depth_mm = 2.0
+sai_angles_deg = [0.0, 90.0]
+node_spacing_mm = 0.5
+layers = [
+  { name = "stratum corneum", thickness_mm = 0.3, conductivity_s_per_m = 0.02 },
+  { name = "epidermis and dermis", thickness_mm = 1.2, conductivity_s_per_m = 0.43 },
+  { name = "fat", conductivity_s_per_m = 0.025 },
+]
+"""
+
+
+def test_an_array_and_a_skin_of_one_s_own(designed, tmp_path):
+    from smarttouch.resources import data_folder
+
+    shipped = (data_folder("calibration") / "electric-mouse.toml").read_text(encoding="utf-8")
+    rest = shipped[shipped.index("[output]") :]
+    (tmp_path / "mine.toml").write_text(FREE + rest, encoding="utf-8")
+    _, table = designed("--profile=mine.toml", "--compare", "--mode=SAI")
+    assert {kernel["site"] for kernel in table["kernels"]} == set(range(5))
+    weighted = [kernel for kernel in table["kernels"] if kernel["variant"] == "weighted"]
+    assert all(0 < kernel["worst_other"] < 1 for kernel in weighted)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--profile=line-7", "--site=7"], "site 7 is out of range: line-7 has sites 0 to 6"),
+        (["--site=-1"], "site -1 is out of range"),
+        (["--mode=PA"], "--mode 'PA' is not offered: choose RA or SAI or PC"),
+        (["--profile=kajimoto-61", "--mode=SAI"], "it offers RA"),
+        (["--robust", "--three-state"], "--robust and --three-state do not go together"),
+        (["--plot=k.jpg", "--profile=line-7"], "cannot draw k.jpg: name it *.png"),
+        (["--plot=no/k.png"], "cannot write no/k.png"),
+    ],
+)
+def test_nonsense_is_one_sentence(program, arguments, words):
+    done = program("design", *arguments)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_figures(program, tmp_path):
+    done = program("figures", "drawn", "--profile=line-8", "--format=svg")
+    assert done.returncode == 0, done.stderr
+    names = {path.name for path in (tmp_path / "drawn").iterdir()}
+    expected = {f"fig-{number}.svg" for number in (5, 8, 9, 10)} | {
+        "kernels-line-8.svg",
+        "strength-duration-line-8.svg",
+        "af-against-cable-line-8.svg",
+        "af-against-cable-line-8.csv",
+    }
+    assert names == expected
+    with (tmp_path / "drawn" / "af-against-cable-line-8.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    reference = [
+        row
+        for row in rows
+        if (row["fiber"], row["polarity"], row["depth_mm"]) == ("flat fiber", "cathodic", "0.9")
+    ]
+    assert float(reference[0]["af_over_cable"]) == 1
+    assert len(rows) == 30
+
+
+def test_figures_without_matplotlib(monkeypatch):
+    import sys
+
+    from smarttouch.errors import SmartTouchError
+    from smarttouch.figures.style import new_figure
+
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(SmartTouchError, match=r"pip install 'smarttouch\[plot\]'"):
+        new_figure(1, 1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["drawn", "--format=jpg"], "--format 'jpg' is not offered"),
+        (["drawn", "--site=64"], "site 64 is out of range"),
+        (["drawn", "--profile=nothing"], "no profile 'nothing'"),
+    ],
+)
+def test_figures_of_nonsense(program, tmp_path, arguments, words):
+    done = program("figures", *arguments)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert not (tmp_path / "drawn").exists()

@@ -1,0 +1,114 @@
+"""``smarttouch figures``: the paper's figures redrawn, and those of a user's own array."""
+
+import csv
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from smarttouch.nerve.af_error import AfError
+
+
+def figures(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to; made if missing.")],
+    profile: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Whose kernels and fibers to draw.")
+    ] = "electric-mouse",
+    site: Annotated[
+        int | None, typer.Option(metavar="N", help="Whose kernels; the middle one if none.")
+    ] = None,
+    kind: Annotated[str, typer.Option("--format", metavar="png|pdf|svg")] = "png",
+) -> None:
+    """Redraw the paper's Fig. 5, 8, 9 and 10, and draw kernels, activation and fibers."""
+    import numpy as np
+    from rich.console import Console
+
+    from smarttouch.cli.progress import bank_progress
+    from smarttouch.errors import DesignError, SmartTouchError
+    from smarttouch.figures import fibers, kernels, paper, style
+    from smarttouch.modes.bank import load_bank
+    from smarttouch.nerve.af_error import af_error_table
+    from smarttouch.profile import load_profile
+
+    if kind not in style.FORMATS:
+        raise SmartTouchError(
+            f"--format {kind!r} is not offered: choose {', '.join(style.FORMATS)}"
+        )
+    chosen, line = load_profile(profile), load_profile("line-7")
+    count = len(chosen.electrodes)
+    if site is None:
+        site = int(np.linalg.norm(chosen.electrodes.position_mm, axis=1).argmin())
+    if not 0 <= site < count:
+        raise DesignError(f"site {site} is out of range: {profile} has sites 0 to {count - 1}")
+    style.new_figure(1, 1)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SmartTouchError(f"cannot make the folder {folder}: {error.strerror}") from None
+    with bank_progress(quiet=False) as progress:
+        bank = load_bank(chosen, progress)
+    own = {each: bank.kernel(each, site, "weighted") for each in sorted(bank.weights)}
+    console = Console(stderr=True)
+    drawings: dict[str, Callable[[], Figure]] = {
+        "fig-5": lambda: paper.figure_5(line),
+        "fig-8": lambda: paper.figure_8(line),
+        "fig-9": lambda: paper.figure_9(line),
+        "fig-10": lambda: paper.figure_10(line),
+        f"kernels-{chosen.name}": lambda: kernels.kernel_figure(chosen, own, site),
+        f"strength-duration-{chosen.name}": lambda: fibers.strength_duration_figure(chosen),
+    }
+    for name, draw in drawings.items():
+        with console.status(f"drawing {name}"):
+            style.save(draw(), folder / f"{name}.{kind}")
+        print(folder / f"{name}.{kind}")
+    with console.status("looking for the thresholds of fibers"):
+        table = af_error_table(chosen)
+    name = f"af-against-cable-{chosen.name}"
+    style.save(fibers.af_error_figure(table), folder / f"{name}.{kind}")
+    print(folder / f"{name}.{kind}")
+    _write_csv(folder / f"{name}.csv", table)
+    print(folder / f"{name}.csv")
+    _print_table(table)
+
+
+def _write_csv(path: Path, table: Sequence["AfError"]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["fiber", "polarity", "depth_mm", "cable_ma", "af_ma", "af_over_cable"])
+        for row in table:
+            figures = (row.cable_ma, row.af_ma, row.ratio)
+            writer.writerow(
+                [row.fiber, row.polarity, row.depth_mm, *(f"{each:.4g}" for each in figures)]
+            )
+
+
+def _print_table(table: Sequence["AfError"]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    depths = list(dict.fromkeys(row.depth_mm for row in table))
+    shown = Table(
+        title="Threshold by the AF over that of the cable model, by depth in mm",
+        title_justify="left",
+    )
+    shown.add_column("fiber")
+    shown.add_column("polarity")
+    for depth in depths:
+        shown.add_column(f"{depth:g}", justify="right")
+    lines = dict.fromkeys((row.fiber, row.polarity) for row in table)
+    for fiber, polarity in lines:
+        ratios = [row.ratio for row in table if (row.fiber, row.polarity) == (fiber, polarity)]
+        shown.add_row(
+            fiber, polarity, *("never" if r == float("inf") else f"{r:.2f}" for r in ratios)
+        )
+    console = Console()
+    console.print(shown)
+    console.print(
+        "1 is right; below 1 the AF thinks the fiber easier to fire than it is. All predictions "
+        "follow from one threshold, that of the flat fiber under a cathode at 0.9 mm.",
+        style="dim",
+    )

@@ -1,0 +1,1 @@
+"""Pictures of the design wing: the paper's figures, kernels and their activation, fibers."""

@@ -1,0 +1,61 @@
+"""What all figures share: colors that color-blind readers tell apart, and how files are written."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from smarttouch.errors import SmartTouchError
+from smarttouch.primary import Primary
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CATHODIC, ANODIC = "#d55e00", "#0072b2"
+CLASS_COLORS = {Primary.RA: "#d55e00", Primary.SAI: "#0072b2", Primary.PC: "#009e73"}
+"""Of Okabe and Ito's set (2008)."""
+SIGNED_MAP = "PuOr_r"
+"""Orange for what is cathodic or depolarizes, purple for the other sign."""
+GREY = "#707070"
+
+FORMATS = ("png", "pdf", "svg")
+
+
+def new_figure(width_in: float, height_in: float) -> "Figure":
+    """Return an empty figure.
+
+    Raises
+    ------
+    SmartTouchError
+        If matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise SmartTouchError(
+            "figures need matplotlib: install it with the extra, pip install 'smarttouch[plot]'"
+        ) from None
+    return Figure(figsize=(width_in, height_in), layout="constrained")
+
+
+def plain(axes: Any, title: str = "", x: str = "", y: str = "") -> None:
+    """Label axes, and leave only the two lines that carry numbers."""
+    axes.set_title(title, loc="left", fontsize=9, pad=9)
+    axes.set_xlabel(x, fontsize=8)
+    axes.set_ylabel(y, fontsize=8)
+    axes.tick_params(labelsize=7)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def save(figure: "Figure", path: Path) -> None:
+    """Write a figure in the format of its name's ending.
+
+    Raises
+    ------
+    SmartTouchError
+        If that is none of `FORMATS`, or the file cannot be written.
+    """
+    if path.suffix.lower().lstrip(".") not in FORMATS:
+        raise SmartTouchError(f"cannot draw {path}: name it {', '.join('*.' + f for f in FORMATS)}")
+    try:
+        figure.savefig(path, dpi=200)
+    except OSError as error:
+        raise SmartTouchError(f"cannot write {path}: {error.strerror}") from None
