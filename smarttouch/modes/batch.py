@@ -50,6 +50,7 @@ def design_sites(
         One for each site, with the seconds that its design took.
     """
     from joblib import Parallel, delayed
+    from threadpoolctl import threadpool_limits
 
     if sites is None:
         sites = range(problem.electrodes)
@@ -64,12 +65,14 @@ def design_sites(
     answers = Parallel(n_jobs=-1, prefer="threads", return_as="generator_unordered")(
         delayed(_timed)(design, problem, first) for first in missing
     )
-    for first, kernel, seconds in answers:
-        done[first] = kernel, seconds
-        if keep is not None:
-            _keep(keep, problem, first, kernel, seconds)
-        if progress is not None:
-            progress(len(done), len(distinct))
+    # The cores are taken by sites: threads of the linear algebra would only wait for one another.
+    with threadpool_limits(limits=1, user_api="blas"):
+        for first, kernel, seconds in answers:
+            done[first] = kernel, seconds
+            if keep is not None:
+                _keep(keep, problem, first, kernel, seconds)
+            if progress is not None:
+                progress(len(done), len(distinct))
     return [
         (_moved(problem, site, done[first][0], move), done[first][1])
         for site, (first, move) in zip(sites, ways, strict=True)
