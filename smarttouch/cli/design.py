@@ -8,6 +8,7 @@ import typer
 
 if TYPE_CHECKING:
     from smarttouch.cli.kernels import Shown
+    from smarttouch.modes.bank import KernelBank
     from smarttouch.modes.problem import Kernel
     from smarttouch.primary import Primary
     from smarttouch.profile import Profile
@@ -52,6 +53,7 @@ def design(
     from smarttouch.cli.files import parse_mode, require_folder, write_json
     from smarttouch.cli.progress import bank_progress
     from smarttouch.errors import DesignError, SmartTouchError
+    from smarttouch.modes.bank import find_bank, load_bank, make_bank
     from smarttouch.modes.switching import possible_modes
     from smarttouch.primary import Primary
     from smarttouch.profile import load_profile
@@ -73,15 +75,30 @@ def design(
     count = len(chosen.electrodes)
     if site is not None and not 0 <= site < count:
         raise DesignError(f"site {site} is out of range: {profile} has sites 0 to {count - 1}")
-    modes = [primary] if primary is not None else possible_modes(chosen)
+    modes = possible_modes(chosen)
+    if primary is not None:
+        if primary not in modes and not special:
+            offered = ", ".join(each.name for each in modes) or "none"
+            raise DesignError(
+                f"mode {primary.name} is not possible with the board of {profile}: it offers "
+                f"{offered}"
+            )
+        modes = [primary]
     sites = list(range(count)) if site is None else [site]
     with bank_progress(quiet=False) as progress:
-        if not special or bank_file is not None:
-            shown = _from_bank(chosen, modes, sites, bank_file, progress)
-        elif compare:
+        if compare:
             shown = _compared(chosen, modes, sites, progress)
-        else:
+        elif bank_file is not None:
+            shown = _from_bank(chosen, make_bank(bank_file, chosen, progress), modes, sites)
+        elif special:
             shown = _designed(chosen, modes, sites, special[0], progress)
+        else:
+            # One site of a large array is not worth its whole bank.
+            bank = load_bank(chosen, progress) if site is None else find_bank(chosen)
+            if bank is not None:
+                shown = _from_bank(chosen, bank, modes, sites)
+            else:
+                shown = _designed(chosen, modes, sites, None, progress)
     if compare:
         kernels.print_comparison(chosen, shown)
     elif site is None:
@@ -97,19 +114,12 @@ def design(
 
 def _from_bank(
     profile: "Profile",
+    bank: "KernelBank",
     modes: Sequence["Primary"],
     sites: Sequence[int],
-    bank_file: Path | None,
-    progress: Any,
 ) -> list["Shown"]:
     from smarttouch.cli.kernels import Shown
-    from smarttouch.modes.bank import design_bank, load_bank, write_bank
 
-    if bank_file is None:
-        bank = load_bank(profile, progress)
-    else:
-        bank = design_bank(profile, progress)
-        write_bank(bank_file, profile, bank)
     kind = "one-of-n" if profile.output.kind == "one-against-all" else profile.output.kind
     return [
         Shown(mode, site, bank.kernel(mode, site, kind), float(bank.seconds[mode][site]))
@@ -122,16 +132,17 @@ def _designed(
     profile: "Profile",
     modes: Sequence["Primary"],
     sites: Sequence[int],
-    asked: str,
+    asked: str | None,
     progress: Any,
 ) -> list["Shown"]:
     from smarttouch.cli.kernels import Shown
     from smarttouch.modes.batch import design_sites
     from smarttouch.modes.design import design_any_node, design_kernel
     from smarttouch.modes.problem import Problem
-    from smarttouch.modes.switching import design_three_state
+    from smarttouch.modes.switching import design_three_state, designer
 
     design_one = {
+        None: designer(profile),
         "--robust": design_kernel,
         "--three-state": design_three_state,
         "--any-node": design_any_node,

@@ -128,24 +128,38 @@ def load_bank(profile: Profile, progress: Progress | None = None) -> KernelBank:
     progress : callable, optional
         Told how many sites are designed, of how many, if any have to be.
     """
-    import platformdirs
-
-    key = problem_hash(profile)
-    cached = platformdirs.user_cache_path("smarttouch") / f"{key}.npz"
-    for path in (shipped_bank(profile.name), cached):
-        bank = _read(path, key)
-        if bank is not None:
-            return bank
+    bank = find_bank(profile)
+    if bank is not None:
+        return bank
+    cached = _cached_bank(profile)
     try:
         cached.parent.mkdir(parents=True, exist_ok=True)
-        keep = cached.with_suffix(".parts")
     except OSError:
         # Without a cache the next run designs again; that is slow, not wrong.
         return design_bank(profile, progress)
+    return make_bank(cached, profile, progress)
+
+
+def find_bank(profile: Profile) -> KernelBank | None:
+    """Return the bank of a profile if it is shipped or in the user's cache."""
+    key = problem_hash(profile)
+    banks = (_read(path, key) for path in (shipped_bank(profile.name), _cached_bank(profile)))
+    return next((bank for bank in banks if bank is not None), None)
+
+
+def make_bank(path: Path, profile: Profile, progress: Progress | None = None) -> KernelBank:
+    """Design a bank and write it; if interrupted, go on the next time."""
+    keep = path.with_name(f"{path.stem}-{problem_hash(profile)[:12]}.parts")
     bank = design_bank(profile, progress, keep)
-    write_bank(cached, profile, bank)
+    write_bank(path, profile, bank)
     shutil.rmtree(keep, ignore_errors=True)
     return bank
+
+
+def _cached_bank(profile: Profile) -> Path:
+    import platformdirs
+
+    return platformdirs.user_cache_path("smarttouch") / f"{problem_hash(profile)}.npz"
 
 
 def shipped_bank(name: str) -> Path:

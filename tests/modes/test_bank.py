@@ -5,7 +5,7 @@ import pytest
 
 from smarttouch.errors import DesignError
 from smarttouch.modes import bank as banks
-from smarttouch.modes.bank import load_bank, problem_hash, shipped_bank, write_bank
+from smarttouch.modes.bank import load_bank, make_bank, problem_hash, shipped_bank, write_bank
 from smarttouch.modes.design import design_kernel
 from smarttouch.modes.problem import Problem
 from smarttouch.primary import Primary
@@ -103,6 +103,27 @@ def test_a_profile_of_one_s_own_is_designed_once(cache, mine, monkeypatch):
     again = load_bank(mine)
     for primary in first.weights:
         assert np.array_equal(first.weights[primary], again.weights[primary])
+
+
+def test_an_interrupted_bank_goes_on_where_it_was(tmp_path, mine):
+    path, told = tmp_path / "mine.npz", []
+
+    def interrupt(done, total):
+        told.append((done, total))
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make_bank(path, mine, interrupt)
+    (parts,) = tmp_path.iterdir()
+    assert len(list(parts.glob("RA-*.json"))) >= 2
+    told.clear()
+    bank = make_bank(path, mine, lambda *done: told.append(done))
+    assert told[0][0] > 2
+    assert list(tmp_path.iterdir()) == [path]
+    whole = load_bank(mine)
+    for primary in whole.weights:
+        assert bank.weights[primary] == pytest.approx(whole.weights[primary])
 
 
 @pytest.mark.parametrize("junk", [b"", b"PK\x03\x04 not really", b"\0" * 100])

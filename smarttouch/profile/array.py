@@ -1,0 +1,99 @@
+"""The electrode arrays that a profile can describe."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from smarttouch import electrodes
+from smarttouch.electrodes import ElectrodeArray
+from smarttouch.profile.table import Positive, Table
+
+
+class GridLayout(Table):
+    """A rectangular grid of discs, or of rings where an inner diameter is given."""
+
+    layout: Literal["grid"]
+    rows: int = Field(ge=1, le=64)
+    columns: int = Field(ge=1, le=64)
+    pitch_x_mm: Positive
+    pitch_y_mm: Positive
+    diameter_mm: Positive
+    inner_diameter_mm: float = Field(default=0.0, ge=0)
+
+    @model_validator(mode="after")
+    def _ring(self) -> Self:
+        if self.inner_diameter_mm >= self.diameter_mm:
+            raise ValueError(
+                f"inner_diameter_mm {self.inner_diameter_mm:g} must be below diameter_mm "
+                f"{self.diameter_mm:g}"
+            )
+        return self
+
+    def build(self) -> ElectrodeArray:
+        return electrodes.grid(
+            self.rows,
+            self.columns,
+            self.pitch_x_mm,
+            self.pitch_y_mm,
+            self.diameter_mm,
+            self.inner_diameter_mm,
+        )
+
+
+class HexagonLayout(Table):
+    """The hexagon of 61 discs."""
+
+    layout: Literal["hexagon-61"]
+    pitch_mm: Positive
+    diameter_mm: Positive
+
+    def build(self) -> ElectrodeArray:
+        return electrodes.hexagon(self.pitch_mm, self.diameter_mm)
+
+
+class LineLayout(Table):
+    """Parallel line electrodes."""
+
+    layout: Literal["lines"]
+    count: int = Field(ge=2, le=64)
+    pitch_mm: Positive
+    width_mm: Positive
+    length_mm: Positive
+
+    def build(self) -> ElectrodeArray:
+        return electrodes.lines(self.count, self.pitch_mm, self.width_mm, self.length_mm)
+
+
+class FreeLayout(Table):
+    """Electrodes anywhere, one after the other."""
+
+    layout: Literal["free"]
+    positions_mm: tuple[tuple[float, float], ...] = Field(max_length=4096)
+    shape: Literal["point", "disc", "annulus", "rectangle"] = "disc"
+    size_mm: tuple[float, float] = (1.0, 0.0)
+    """Diameter (and inner diameter) of a disc or annulus; width and height of a rectangle."""
+
+    @model_validator(mode="after")
+    def _sized(self) -> Self:
+        first, second = self.size_mm
+        inside = {
+            "point": True,
+            "disc": first > 0 and second == 0,
+            "annulus": first > second > 0,
+            "rectangle": first > 0 and second > 0,
+        }
+        if not inside[self.shape]:
+            raise ValueError(
+                f"size_mm {list(self.size_mm)} does not go with shape {self.shape!r}: "
+                "give [diameter, 0] of a disc, [outer, inner] of an annulus, [width, height] of "
+                "a rectangle"
+            )
+        return self
+
+    def build(self) -> ElectrodeArray:
+        return electrodes.free(self.positions_mm, self.shape, self.size_mm)
+
+
+ArrayLayout = Annotated[
+    GridLayout | HexagonLayout | LineLayout | FreeLayout, Field(discriminator="layout")
+]

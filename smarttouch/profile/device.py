@@ -1,0 +1,177 @@
+"""A profile: one device on one finger."""
+
+from functools import cached_property
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from smarttouch.electrodes import ElectrodeArray
+from smarttouch.profile.array import ArrayLayout
+from smarttouch.profile.skin import Skin
+from smarttouch.profile.table import Positive, Table
+
+CEILING_MA = 5.0
+CEILING_PULSE_US = 200.0
+CEILING_CHARGE_UC = 0.5
+SHORTEST_RAMP_S = 0.5
+"""The project's ceilings: a profile may ask for less, never for more."""
+
+
+class Output(Table):
+    """What the display board can do."""
+
+    kind: Literal["weighted", "three-state", "one-against-all"]
+    polarities: tuple[Literal["anodic", "cathodic"], ...] = Field(
+        default=("anodic", "cathodic"), min_length=1
+    )
+    impedance_kohm: Positive | tuple[Positive, ...] = 1.0
+    """Measured, of electrode and skin: how electrodes share one source's current."""
+
+
+class Optics(Table):
+    """The sensor patch, and its registration to the electrodes."""
+
+    sensor_columns: int = Field(ge=2, le=4096)
+    sensor_rows: int = Field(ge=2, le=4096)
+    field_width_mm: Positive
+    field_height_mm: Positive
+    magnification: Positive
+    """Millimeters on the array for one millimeter on the page."""
+    rotation_deg: float = Field(default=0.0, ge=-180, le=180)
+    offset_x_mm: float = Field(default=0.0, allow_inf_nan=False)
+    offset_y_mm: float = Field(default=0.0, allow_inf_nan=False)
+
+
+class ForceLaw(Table):
+    """How finger force gates intensity (paper, Section IV-B)."""
+
+    law: Literal["linear", "logarithmic"]
+    contact_n: Positive
+    full_n: Positive
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.full_n <= self.contact_n:
+            raise ValueError(f"full_n {self.full_n} must exceed contact_n {self.contact_n}")
+        return self
+
+
+class Pulse(Table):
+    """One slot of the scan."""
+
+    width_us: int = Field(ge=10, le=int(CEILING_PULSE_US))
+    discharge_us: int = Field(ge=20, le=5000)
+    rate_hz: float = Field(ge=1, le=200)
+
+
+class Limits(Table):
+    """What no sequence may exceed; the project's ceilings bound them."""
+
+    current_ma: float = Field(gt=0, le=CEILING_MA)
+    total_ma: Positive | None = None
+    """Of all cathodes together in one slot; none if not given."""
+    electrode_ma: tuple[Positive, ...] | None = None
+    """Of each electrode, where some must stay below ``current_ma``."""
+    pulse_us: float = Field(gt=0, le=CEILING_PULSE_US)
+    charge_uc: float = Field(gt=0, le=CEILING_CHARGE_UC)
+    rate_hz: float = Field(gt=0, le=200)
+    duty: float = Field(gt=0, le=0.8)
+    ramp_s: float = Field(ge=SHORTEST_RAMP_S, le=10)
+
+
+class Perception(Table):
+    """Current at which each electrode is first felt, and the strongest that is comfortable."""
+
+    threshold_ma: Positive | tuple[Positive, ...]
+    comfort_ratio: float = Field(gt=1, le=10)
+
+
+class Profile(Table):
+    """One device on one finger."""
+
+    name: str = ""
+    title: str = Field(min_length=1)
+    array: ArrayLayout
+    skin: Skin
+    output: Output
+    optics: Optics
+    force: ForceLaw
+    pulse: Pulse
+    limits: Limits
+    perception: Perception
+
+    @cached_property
+    def electrodes(self) -> ElectrodeArray:
+        return self.array.build()
+
+    @cached_property
+    def threshold_ma(self) -> NDArray[np.float32]:
+        """Detection threshold of each electrode, (E,) mA (magnitude)."""
+        return np.broadcast_to(
+            np.asarray(self.perception.threshold_ma, np.float32), (len(self.electrodes),)
+        ).copy()
+
+    @cached_property
+    def admittance(self) -> NDArray[np.float64]:
+        """What share each electrode takes of a source, (E,), relative."""
+        impedance = np.asarray(self.output.impedance_kohm, np.float64)
+        return np.broadcast_to(1 / impedance, (len(self.electrodes),)).copy()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        count = len(self.electrodes)
+        for key, values in (
+            ("perception.threshold_ma", self.perception.threshold_ma),
+            ("output.impedance_kohm", self.output.impedance_kohm),
+        ):
+            if isinstance(values, tuple) and len(values) != count:
+                raise ValueError(
+                    f"{key} lists {len(values)} electrodes, the array has {count}: "
+                    f"give {count} numbers, or one for all"
+                )
+        if self.skin.medium == "plane" and self.array.layout != "lines":
+            raise ValueError(
+                f"skin.medium 'plane' does not go with array.layout {self.array.layout!r}: "
+                "it is for 'lines'; 'half-space' is for all"
+            )
+        lowered = self.limits.electrode_ma
+        if lowered is not None and len(lowered) != count:
+            raise ValueError(
+                f"limits.electrode_ma lists {len(lowered)} electrodes, the array has {count}: "
+                f"give {count} numbers, or leave it out"
+            )
+        full_ma = self.threshold_ma * self.perception.comfort_ratio
+        # Thresholds are single precision: a limit of just their product is kept.
+        over = full_ma > np.multiply(np.inf if lowered is None else lowered, 1 + 1e-6)
+        if lowered is not None and over.any():
+            index = int(over.argmax())
+            raise ValueError(
+                f"threshold_ma × comfort_ratio is {full_ma[index]:.2f} mA at electrode {index}, "
+                f"above its limits.electrode_ma {lowered[index]:g}: lower one of the two"
+            )
+        strongest = float(full_ma.max())
+        if strongest > self.limits.current_ma:
+            raise ValueError(
+                f"threshold_ma × comfort_ratio reaches {strongest:.2f} mA, above "
+                f"limits.current_ma {self.limits.current_ma}: lower one of the two"
+            )
+        total = self.limits.total_ma
+        if total is not None and total < strongest:
+            raise ValueError(
+                f"limits.total_ma {total:g} is below the {strongest:.2f} mA that threshold_ma × "
+                "comfort_ratio sends through one electrode: raise it, or lower one of the two"
+            )
+        if self.pulse.width_us > self.limits.pulse_us:
+            raise ValueError(
+                f"pulse.width_us {self.pulse.width_us} is above limits.pulse_us "
+                f"{self.limits.pulse_us}"
+            )
+        charge = strongest * self.pulse.width_us / 1000
+        if charge > self.limits.charge_uc:
+            raise ValueError(
+                f"the strongest pulse carries {charge:.3f} µC, above limits.charge_uc "
+                f"{self.limits.charge_uc}: lower comfort_ratio or pulse.width_us"
+            )
+        return self

@@ -1,0 +1,76 @@
+"""The skin of a profile: conductivities, where its afferents run, and how sure that is."""
+
+from typing import Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from smarttouch.profile.table import Positive, Table
+
+
+class SkinLayer(Table):
+    """One layer of skin; the last one goes on without end."""
+
+    name: str = ""
+    thickness_mm: float = Field(default=float("inf"), gt=0)
+    conductivity_s_per_m: Positive
+
+
+class Spread(Table):
+    """How far the true finger may be from the nominal one; robust kernels hold over it."""
+
+    ra_depth_mm: float = Field(default=0.1, ge=0)
+    sai_depth_mm: float = Field(default=0.1, ge=0)
+    pc_depth_mm: float = Field(default=0.3, ge=0)
+    angle_deg: float = Field(default=10.0, ge=0, le=45)
+    """Of flat axons in the plane, and of rising ones from the vertical."""
+    conductivity_factor: float = Field(default=1.5, ge=1, le=100)
+    """Each layer's by itself, up and down."""
+
+
+class Skin(Table):
+    """The conducting medium and the afferents in it (paper, Section II-D)."""
+
+    medium: Literal["half-space", "infinite", "layered", "plane"]
+    """``plane`` is the paper's homogeneous 2D medium, for line electrodes."""
+    conductivity_s_per_m: Positive | None = None
+    layers: tuple[SkinLayer, ...] = ()
+    """From the surface down, for ``layered``."""
+    ra_depth_mm: Positive
+    sai_depth_mm: Positive
+    pc_depth_mm: Positive
+    sai_angles_deg: tuple[float, ...] = Field(min_length=1)
+    """Directions of the horizontal afferents; the first is the target of SAI mode."""
+    node_spacing_mm: Positive
+    """Spacing of the points at which unwanted activation is bounded."""
+    ra_ending: Literal["passive", "active"] = "passive"
+    """Whether the ending of a rising axon can fire: it decides RA's polarity."""
+    internode_mm: Positive = 0.079
+    """Between the nodes of Ranvier of an axon near its ending, 79 µm (Nolano et al. 2003)."""
+    spread: Spread = Spread()
+
+    @property
+    def conductivity(self) -> float:
+        """Of homogeneous skin, S/m."""
+        return self.conductivity_s_per_m or 1.0
+
+    @model_validator(mode="after")
+    def _conducting(self) -> Self:
+        layered = self.medium == "layered"
+        if layered != bool(self.layers) or layered != (self.conductivity_s_per_m is None):
+            raise ValueError(
+                "a layered medium takes its conductivities from skin.layers, any other one from "
+                "skin.conductivity_s_per_m: give just that"
+            )
+        if layered and not np.isinf(self.layers[-1].thickness_mm):
+            raise ValueError("the last of skin.layers goes on without end: leave out thickness_mm")
+        if any(np.isinf(layer.thickness_mm) for layer in self.layers[:-1]):
+            raise ValueError("each of skin.layers but the last needs its thickness_mm")
+        for name in ("ra", "sai", "pc"):
+            depth = getattr(self, f"{name}_depth_mm")
+            if depth - getattr(self.spread, f"{name}_depth_mm") <= 0:
+                raise ValueError(
+                    f"spread.{name}_depth_mm reaches the surface from {name}_depth_mm {depth:g}: "
+                    "no fiber lies outside the skin; lower it"
+                )
+        return self
