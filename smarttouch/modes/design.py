@@ -37,11 +37,12 @@ def design_kernel(
     """Design the weighted kernel of one site.
 
     Among equally selective kernels one with all the symmetries of its site is
-    taken, and of those the one of least total current, so that the answer does
-    not depend on the solver. Where electrodes stand closer than afferents lie
-    deep, the bound on spill cannot be met, or only by losing the target; the
-    larger of worst other and spill is then made as small as it gets, and
-    `Kernel.own_spill` says what is left.
+    taken, of those the one of least total current, and of those the one whose
+    currents are nearest to the site and to the array's middle, so that the
+    answer does not depend on the solver. Where electrodes stand closer than
+    afferents lie deep, the bound on spill cannot be met, or only by losing the
+    target; the larger of worst other and spill is then made as small as it
+    gets, and `Kernel.own_spill` says what is left.
 
     Parameters
     ----------
@@ -82,14 +83,14 @@ def design_kernel(
             f"no kernel for {problem.describe(site)}: the target cannot be activated; change the "
             "array, or the depths of its profile"
         )
-    if rows.limit(programme):
+    if not (programme.unique and rows.within_limits(programme.pattern)) and rows.limit(programme):
         best = programme.most_selective()
         if best == np.inf:
             raise DesignError(
                 f"no kernel for {problem.describe(site)} keeps limits.total_ma and "
                 "limits.electrode_ma of the profile: raise them, or lower comfort_ratio"
             )
-    weights = rows.orbits @ programme.least_current(best)
+    weights = rows.orbits @ programme.settled()
     return problem.judge(weights, site, node)
 
 
@@ -141,21 +142,42 @@ class _Assembled:
     def programme(self, even: bool, options: Options | None) -> Programme:
         slope, bound = (self._even_slope, self._even_bound) if even else (self._slope, self._bound)
         size = self.orbits.sum(axis=0)
-        peaks = _peaks(self._problem)
-        return Programme(self._rows, slope, bound, self._aims, size, peaks, options)
+        array = self._problem.profile.electrodes
+        # Least current in all; of that, near the site; of that, near the array's middle.
+        from_site = array.distance_mm[self._site] @ self.orbits
+        from_middle = np.linalg.norm(array.position_mm, axis=1) @ self.orbits
+        ties, peaks = (size, from_site, from_middle), _peaks(self._problem)
+        return Programme(self._rows, slope, bound, self._aims, size, ties, peaks, options)
 
     def limit(self, programme: Programme) -> bool:
-        """Bound the currents if the profile does; the site's own electrode has its full one."""
-        total, electrode = self._problem.limits_ma
-        if np.isinf(total) and np.isinf(electrode).all():
+        """Bound the currents if the profile does."""
+        reference, factors, total = self._limits()
+        if np.isinf(total) and np.isinf(factors).all():
             return False
+        programme.limit(reference, factors, None if np.isinf(total) else total)
+        return True
+
+    def within_limits(self, pattern: Array) -> bool:
+        """Return whether a pattern keeps the limits as it is."""
+        reference, factors, total = self._limits()
+        current, magnitude = float(reference @ pattern), np.abs(pattern)
+        in_all = float(self.orbits.sum(axis=0) @ magnitude)
+        return (
+            current > 0
+            and bool((magnitude <= factors * current).all())
+            and in_all <= (total * current)
+        )
+
+    def _limits(self) -> tuple[Array, Array, float]:
+        """Return what the site's own electrode carries, and limits as multiples of that."""
+        total, electrode = self._problem.limits_ma
         site, full = self._site, self._problem.full_ma(self._site)
         reference = np.sign(self._problem.target[site, site]) * self.orbits[site]
         factors = np.where(self.orbits > 0, electrode[:, None], np.inf).min(axis=0) / full
+        # The own electrode has its full current, which the profile has checked.
         factors[self.orbits[site].argmax()] = np.inf
         # Cathodes and anodes carry half of all magnitudes each.
-        programme.limit(reference, factors, None if np.isinf(total) else 2 * total / full)
-        return True
+        return reference, factors, 2 * total / full
 
 
 def _peaks(problem: Problem) -> Chooser:

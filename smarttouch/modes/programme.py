@@ -6,7 +6,7 @@ goes on from its last basis, so each round costs a few pivots. The answer is
 verified on all rows, and its optimality by its dual.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import highspy
 import numpy as np
@@ -19,6 +19,8 @@ Chooser = Callable[[Array], NDArray[np.intp]]
 Options = dict[str, str | int | float | bool]
 
 _TOLERANCE = 1e-7
+_PRICE = 1e-10
+"""Duals above it are not zero."""
 _ROWS_AT_ONCE = 35
 _ROWS_AT_FIRST = 20
 _BOX = 1e3
@@ -30,6 +32,14 @@ _OPTIONS: Options = {
     # Exact steepest-edge weights, made anew at every hot start, cost more than they save.
     "simplex_dual_edge_weight_strategy": 1,
 }
+
+_PATIENCE = 10
+"""Iterations for each row and column before a hot start is taken to run in circles."""
+_RESCUES: tuple[Options, ...] = (
+    {"simplex_dual_edge_weight_strategy": -1},
+    {"solver": "ipm", "presolve": "on"},
+)
+"""What is tried one after the other, from a cold start, where an answer is not believed."""
 
 
 class Programme:
@@ -45,6 +55,9 @@ class Programme:
         What must reach 1; with one aim it is exactly 1.
     size : ndarray, (O,)
         How many electrodes each unknown moves.
+    ties : sequence of ndarray, (O,)
+        Prices of the unknowns' magnitudes: among equally good patterns the
+        cheapest is taken, by one after the other.
     worst : callable, optional
         Chooses rows to add from the excess of all rows (N,); by default the
         worst ones.
@@ -59,10 +72,12 @@ class Programme:
         bound: Array,
         aims: Array,
         size: Array,
+        ties: Sequence[Array],
         worst: Chooser | None = None,
         options: Options | None = None,
     ) -> None:
-        self._rows, self._slope, self._bound, self._size = rows, slope, bound, size
+        self._rows, self._slope, self._bound = rows, slope, bound
+        self._size, self._ties = size, ties
         self._worst = worst or (lambda excess: np.flatnonzero(excess > _TOLERANCE))
         self._count = rows.shape[1]
         self._given = np.zeros(len(rows), bool)
@@ -84,6 +99,18 @@ class Programme:
         """Return the smallest t; infinite if no pattern keeps the rows."""
         answer = self._solve()
         return np.inf if answer is None else float(answer[self._count])
+
+    @property
+    def pattern(self) -> Array:
+        """The pattern that was found last, (O,)."""
+        return np.asarray(self._solver.getSolution().col_value)[: self._count]
+
+    @property
+    def unique(self) -> bool:
+        """Whether no other pattern is as good: every bound that holds it up has its price."""
+        solution = self._solver.getSolution()
+        prices = np.r_[solution.row_dual, solution.col_dual]
+        return int((np.abs(prices) > _PRICE).sum()) >= self._columns
 
     def limit(self, reference: Array, factors: Array, total: float | None) -> None:
         """Bound currents by that of a reference pattern, its own electrode's say.
@@ -108,23 +135,40 @@ class Programme:
             row = np.r_[-total * reference, 0.0, self._size]
             self._add(row[None], -np.inf, np.zeros(1))
 
-    def least_current(self, worst: float) -> Array:
-        """Return the pattern of least total current that is that selective, (O,)."""
-        self._add_magnitudes()
-        self._cost(np.r_[np.zeros(self._count + 1), self._size])
-        self._solver.changeColBounds(
-            self._count, -1.0, worst + 1e-9 * max(1.0, abs(worst))
-        )  # fmt: skip
-        answer = self._solve()
-        if answer is None:
-            raise DesignError("the solver lost its own answer: loosen the limits a little")
-        return np.asarray(answer[: self._count])
+    def settled(self) -> Array:
+        """Return the most selective pattern, ties broken, (O,)."""
+        for prices in self._ties:
+            if self.unique:
+                break
+            self._keep_optimum()
+            self._add_magnitudes()
+            self._cost(np.r_[np.zeros(self._count + 1), prices])
+            if self._solve() is None:
+                raise DesignError("the solver lost its own answer: loosen the limits a little")
+        return self.pattern
+
+    def _keep_optimum(self) -> None:
+        """Let only patterns be that are as good: bounds that have a price hold in all of them."""
+        solution, model = self._solver.getSolution(), self._solver.getLp()
+        duals, reduced = np.asarray(solution.row_dual), np.asarray(solution.col_dual)
+        side = np.where(duals > 0, model.row_lower_, model.row_upper_)
+        for row in np.flatnonzero(np.abs(duals) > _PRICE):
+            self._solver.changeRowBounds(int(row), float(side[row]), float(side[row]))
+        values = np.asarray(solution.col_value)
+        fixed = np.abs(reduced) > _PRICE
+        fixed[self._count] = True
+        for column in np.flatnonzero(fixed):
+            value = float(values[column])
+            self._solver.changeColBounds(int(column), value, value)
 
     # -- the solver --------------------------------------------------------
 
     def _solve(self) -> Array | None:
-        cold = False
+        rescues = iter(_RESCUES)
+        believed = False
         while True:
+            rows, columns = self._solver.getNumRow(), self._columns
+            self._solver.setOptionValue("simplex_iteration_limit", _PATIENCE * (rows + columns))
             self._solver.run()
             status = self._solver.getModelStatus()
             if status == highspy.HighsModelStatus.kOptimal:
@@ -135,19 +179,21 @@ class Programme:
                 if (excess > _TOLERANCE).any():
                     self._give(self._choose(excess))
                     continue
-                if cold or self._proven(answer):
+                if believed or self._proven(answer):
                     return answer
-            elif cold and status == highspy.HighsModelStatus.kInfeasible:
+            elif believed and status == highspy.HighsModelStatus.kInfeasible:
                 return None
-            elif cold:
+            # A hot start can end at a wrong answer, or never: only a cold one is believed.
+            believed = True
+            self._solver.clearSolver()
+            rescue = next(rescues, None)
+            if rescue is None:
                 raise DesignError(
                     f"the solver gave up ({self._solver.modelStatusToString(status)}): "
                     "check the depths and sizes of the profile"
                 )
-            # A hot start can end at a wrong answer; only a cold one is believed to be none.
-            cold = True
-            self._solver.clearSolver()
-            self._solver.setOptionValue("simplex_dual_edge_weight_strategy", -1)
+            for name, value in rescue.items():
+                self._solver.setOptionValue(name, value)
 
     def _proven(self, answer: Array) -> bool:
         """Return whether the duals prove the answer optimal for the rows given."""
