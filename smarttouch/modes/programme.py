@@ -21,8 +21,7 @@ Options = dict[str, str | int | float | bool]
 _TOLERANCE = 1e-7
 _PRICE = 1e-10
 """Duals above it are not zero."""
-_ROWS_AT_ONCE = 35
-_ROWS_AT_FIRST = 20
+_ROWS_AT_ONCE = 60
 _BOX = 1e3
 """The first rounds may leave directions free; a wide box keeps them finite."""
 _OPTIONS: Options = {
@@ -93,7 +92,8 @@ class Programme:
         exact = 1.0 if len(aims) == 1 else np.inf
         self._add(np.c_[aims, np.zeros(len(aims))], 1.0, np.full(len(aims), exact))
         self._add(np.r_[size, 0.0][None], 0.0, np.zeros(1))
-        self._give(np.unique(np.linspace(0, len(rows) - 1, _ROWS_AT_FIRST).astype(np.intp)))
+        # Where each electrode excites most and least is where patterns are held up in the end.
+        self._give(np.unique(np.r_[rows.argmax(axis=0), rows.argmin(axis=0)]))
 
     def most_selective(self) -> float:
         """Return the smallest t; infinite if no pattern keeps the rows."""
@@ -214,9 +214,9 @@ class Programme:
         chosen = self._worst(excess)
         if not len(chosen):
             chosen = np.flatnonzero(excess > _TOLERANCE)
-        if len(chosen) > _ROWS_AT_ONCE:
-            most = np.argpartition(excess[chosen], -_ROWS_AT_ONCE)[-_ROWS_AT_ONCE:]
-            chosen = chosen[most]
+        many = max(_ROWS_AT_ONCE, self._count // 5)
+        if len(chosen) > many:
+            chosen = chosen[np.argpartition(excess[chosen], -many)[-many:]]
         return chosen
 
     def _give(self, chosen: NDArray[np.intp]) -> None:
