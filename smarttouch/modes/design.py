@@ -42,7 +42,8 @@ def design_kernel(
     answer does not depend on the solver. Where electrodes stand closer than
     afferents lie deep, the bound on spill cannot be met, or only by losing the
     target; the larger of worst other and spill is then made as small as it
-    gets, and `Kernel.own_spill` says what is left.
+    gets, and `Kernel.own_spill` says what is left. No electrode carries more
+    than a thousand times what alone would fire the target.
 
     Parameters
     ----------
