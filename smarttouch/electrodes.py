@@ -43,7 +43,7 @@ class ElectrodeArray:
     Raises
     ------
     ProfileError
-        If there is no electrode, or two stand at the same place.
+        If there are fewer than two electrodes, or two stand at the same place.
     """
 
     position_mm: NDArray[np.float64]
@@ -53,8 +53,11 @@ class ElectrodeArray:
     size_mm: tuple[float, float] = (1.0, 0.0)
 
     def __post_init__(self) -> None:
-        if not len(self.position_mm):
-            raise ProfileError("the array has no electrodes: give at least two")
+        if len(self) < 2:
+            raise ProfileError(
+                f"the array has {len(self) or 'no'} electrode{'' if len(self) else 's'}: give at "
+                "least two, as current must go somewhere"
+            )
         apart = self.distance_mm + np.diag(np.full(len(self), np.inf))
         first, second = divmod(int(apart.argmin()), len(self))
         if apart[first, second] < COINCIDENT_MM:

@@ -145,6 +145,7 @@ def test_electrodes_anywhere(edited):
     ("positions", "shape", "size", "words"),
     [
         ("[]", "disc", "[1, 0]", "no electrodes: give at least two"),
+        ("[[0, 0]]", "disc", "[1, 0]", "has 1 electrode: give at least two"),
         ("[[0, 0], [2, 0], [0, 0]]", "disc", "[1, 0]", "electrodes 0 and 2 coincide"),
         ("[[0, 0], [2, 0]]", "annulus", "[1, 1]", "does not go with shape 'annulus'"),
         ("[[0, 0], [2, 0]]", "rectangle", "[1, 0]", "does not go with shape 'rectangle'"),

@@ -38,6 +38,8 @@ def load_profile(name: str | Path) -> Profile:
         raise ProfileError(f"{path} is not a readable TOML file: {error}") from None
     try:
         return Profile.model_validate({**table, "name": path.stem})
+    except ProfileError as error:
+        raise ProfileError(f"{path}: {error}") from None
     except ValidationError as error:
         raise ProfileError(_first_complaint(path, error)) from None
 
@@ -53,5 +55,6 @@ def _first_complaint(path: Path, error: ValidationError) -> str:
     message = first["msg"].removeprefix("Value error, ")
     if not key:
         return f"{path}: {message}"
-    given = repr(first["input"])
-    return f"{path}: {key} = {given[:60]}: {message}"
+    if isinstance(first["input"], dict):
+        return f"{path}: {key}: {message}"
+    return f"{path}: {key} = {repr(first['input'])[:60]}: {message}"
