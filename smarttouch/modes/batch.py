@@ -1,6 +1,7 @@
 """Many kernels at once: every distinct site, on all cores, kept as they come."""
 
 import json
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -15,6 +16,9 @@ from smarttouch.primary import Primary
 Design = Callable[[Problem, int], Kernel]
 Progress = Callable[[int, int], None]
 Timed = tuple[Kernel, float]
+
+_running: set[int] = set()
+"""Threads of this process that are designing."""
 
 
 def design_sites(
@@ -67,12 +71,19 @@ def design_sites(
     )
     # The cores are taken by sites: threads of the linear algebra would only wait for one another.
     with threadpool_limits(limits=1, user_api="blas"):
-        for first, kernel, seconds in answers:
-            done[first] = kernel, seconds
-            if keep is not None:
-                _keep(keep, problem, first, kernel, seconds)
-            if progress is not None:
-                progress(len(done), len(distinct))
+        try:
+            for first, kernel, seconds in answers:
+                done[first] = kernel, seconds
+                if keep is not None:
+                    _keep(keep, problem, first, kernel, seconds)
+                if progress is not None:
+                    progress(len(done), len(distinct))
+        except BaseException:
+            answers.close()
+            # A program that ends while a thread is inside the solver ends in an abort.
+            while _running:
+                time.sleep(0.02)
+            raise
     return [
         (_moved(problem, site, done[first][0], move), done[first][1])
         for site, (first, move) in zip(sites, ways, strict=True)
@@ -81,7 +92,11 @@ def design_sites(
 
 def _timed(design: Design, problem: Problem, site: int) -> tuple[int, Kernel, float]:
     start = time.perf_counter()
-    kernel = design(problem, site)
+    _running.add(threading.get_ident())
+    try:
+        kernel = design(problem, site)
+    finally:
+        _running.discard(threading.get_ident())
     return site, kernel, time.perf_counter() - start
 
 
