@@ -65,8 +65,8 @@ def design(
     special = [
         name
         for name, asked in (
-            ("--robust", robust), ("--three-state", three_state), ("--any-node", any_node),
-            ("--compare", compare), ("--bank", bank_file is not None),
+            ("--robust", robust and not three_state), ("--three-state", three_state),
+            ("--any-node", any_node), ("--compare", compare), ("--bank", bank_file is not None),
         )
         if asked
     ]  # fmt: skip
@@ -91,14 +91,14 @@ def design(
         elif bank_file is not None:
             shown = _from_bank(chosen, make_bank(bank_file, chosen, progress), modes, sites)
         elif special:
-            shown = _designed(chosen, modes, sites, special[0], progress)
+            shown = _designed(chosen, modes, sites, special[0], robust, progress)
         else:
             # One site of a large array is not worth its whole bank.
             bank = load_bank(chosen, progress) if site is None else find_bank(chosen)
             if bank is not None:
                 shown = _from_bank(chosen, bank, modes, sites)
             else:
-                shown = _designed(chosen, modes, sites, None, progress)
+                shown = _designed(chosen, modes, sites, None, False, progress)
     if compare:
         kernels.print_comparison(chosen, shown)
     elif site is None:
@@ -133,6 +133,7 @@ def _designed(
     modes: Sequence["Primary"],
     sites: Sequence[int],
     asked: str | None,
+    robust: bool,
     progress: Any,
 ) -> list["Shown"]:
     from smarttouch.cli.kernels import Shown
@@ -153,7 +154,7 @@ def _designed(
         def advance(done: int, total: int, index: int = index) -> None:
             progress(index * total + done, len(modes) * total)
 
-        problem = Problem(profile, mode, spread=asked == "--robust")
+        problem = Problem(profile, mode, spread=robust)
         timed = design_sites(problem, design_one, sites, advance)
         shown += [Shown(mode, site, *each) for site, each in zip(sites, timed, strict=True)]
     return shown

@@ -12,6 +12,7 @@ weighted optimum bounds how much better one could be.
 """
 
 import itertools
+from collections import Counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ EXACT = 25
 _BRANCHES = 60_000
 """Open branches at which it is given up."""
 _BOUNDING_ROWS = 60
+_AT_ONCE = 4_000_000
+"""Activations that are held at once."""
 _SLACK = 1e-9
 
 
@@ -59,15 +62,17 @@ def best_assignment(problem: Problem, site: int) -> tuple[Array, float]:
 
 
 class _Judge:
-    """What assignments reach: worst other, or own spill where it is above `SPILL`."""
+    """What assignments reach: worst other, or own spill where it is above `SPILL`.
+
+    Of the problem's skins and of all that the target might be, the worst counts.
+    """
 
     def __init__(self, problem: Problem, site: int) -> None:
         self.site, self.full_ma, self.limits_ma = site, problem.full_ma(site), problem.limits_ma
         self.admittance = problem.profile.admittance
-        rows, far = problem.rows[0], problem.beyond_a_pitch(site)
-        self.target = rows.target[0, site]
-        self.rows = np.concatenate([rows.other, rows.own[far]])
-        self.others = len(rows.other)
+        far = problem.beyond_a_pitch(site)
+        self.skins = [(rows.target[:, site], rows.other, rows.own[far]) for rows in problem.rows]
+        self._at_once = max(16, _AT_ONCE // sum(len(rows.other) for rows in problem.rows))
 
     def shares(self, states: NDArray[np.int8]) -> Array:
         """Return the patterns of assignments, (P, E) from (P, E) of 1, −1 and 0."""
@@ -78,24 +83,56 @@ class _Judge:
             total += pole * np.divide(connected, passed, out=connected, where=passed > 0)
         return total
 
-    def reached(self, states: NDArray[np.int8], at_once: int = 512) -> Array:
+    def reached(self, states: NDArray[np.int8]) -> Array:
         """Return the objective of each assignment, infinite if it fires not or passes a limit."""
         found = np.full(len(states), np.inf)
-        both = (states == 1).any(axis=1) & (states == -1).any(axis=1)
-        for chosen in np.array_split(np.flatnonzero(both), max(1, both.sum() // at_once)):
+        both = np.flatnonzero((states == 1).any(axis=1) & (states == -1).any(axis=1))
+        for chosen in self._split(both):
             shares = self.shares(states[chosen])
-            own = shares @ self.target
-            fires = (own > _SLACK * np.abs(self.target).max()) & self._within_limits(shares)
-            chosen, shares, own = chosen[fires], shares[fires], own[fires]
-            if not len(chosen):
-                continue
-            activation = shares @ self.rows.T / own[:, None]
-            worst = activation[:, : self.others].max(axis=1)
-            if activation.shape[1] > self.others:
-                spill = activation[:, self.others :].max(axis=1)
-                worst = np.where(spill > SPILL, np.maximum(worst, spill), worst)
-            found[chosen] = worst
+            kept = self._within_limits(shares)
+            chosen, shares = chosen[kept], shares[kept]
+            worst, spill = np.full(len(chosen), -np.inf), np.zeros(len(chosen))
+            for aims, other, own in self.skins:
+                fired = (shares @ aims.T).min(axis=1)
+                fired[fired <= _SLACK * np.abs(aims).max()] = np.nan
+                worst = np.maximum(worst, (shares @ other.T).max(axis=1) / fired)
+                if len(own):
+                    spill = np.maximum(spill, (shares @ own.T).max(axis=1) / fired)
+            worst = np.where(spill > SPILL, np.maximum(worst, spill), worst)
+            found[chosen] = np.where(np.isnan(worst), np.inf, worst)
         return found
+
+    def bounds(self, states: NDArray[np.int8], reached: float) -> Array:
+        """Return what is below 0 in a pattern that beats what is reached, (R, E).
+
+        Rows of another class less `reached` times rows of the target, those that
+        are the worst ones of most assignments.
+        """
+        times: Counter[tuple[int, int, int]] = Counter()
+        for chosen in self._split(np.arange(len(states))):
+            shares = self.shares(states[chosen])
+            found = []
+            for aims, other, _ in self.skins:
+                fired, activation = shares @ aims.T, shares @ other.T
+                least = np.maximum(fired.min(axis=1), _SLACK * np.abs(aims).max())
+                ratio = activation.max(axis=1) / least
+                found.append((ratio, activation.argmax(axis=1), fired.argmin(axis=1)))
+            ratios, rows, aim = (np.array(each) for each in zip(*found, strict=True))
+            skin = ratios.argmax(axis=0)
+            index = np.arange(len(chosen))
+            times.update(
+                zip(skin.tolist(), rows[skin, index].tolist(), aim[skin, index].tolist(),
+                    strict=True)
+            )  # fmt: skip
+        return np.array(
+            [
+                self.skins[skin][1][row] - reached * self.skins[skin][0][aim]
+                for (skin, row, aim), _ in times.most_common(_BOUNDING_ROWS)
+            ]
+        )
+
+    def _split(self, index: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+        return np.array_split(index, max(1, len(index) // self._at_once))
 
     def _within_limits(self, shares: Array) -> NDArray[np.bool_]:
         """Return which patterns keep the limits when their peak has the full current, (P,)."""
@@ -139,7 +176,7 @@ def _not_ruled_out(
     judge: _Judge, best: NDArray[np.int8], reached: float, order: NDArray[np.intp]
 ) -> NDArray[np.int8] | None:
     """Return all assignments that might beat the best so far, (P, E), or None if too many."""
-    margin = judge.rows[_bounding_rows(judge, best)] - reached * judge.target
+    margin = judge.bounds(_some(best), reached)
     open_ = np.zeros((1, len(best)), np.int8)
     for depth, electrode in enumerate(order, 1):
         open_ = np.repeat(open_, 3, axis=0)
@@ -173,14 +210,10 @@ def _best_mean(
     return np.asarray(mean.max(axis=1))
 
 
-def _bounding_rows(judge: _Judge, best: NDArray[np.int8]) -> NDArray[np.intp]:
-    """Return the other-class rows that are the worst ones of many assignments."""
+def _some(best: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Return the neighbors of an assignment, and any others, (P, E)."""
     count = len(best)
     changed = np.repeat(best[None], 3 * count, axis=0)
     changed[np.arange(3 * count), np.repeat(np.arange(count), 3)] = np.tile([-1, 0, 1], count)
-    anything = np.random.default_rng(0).integers(-1, 2, (2000, count)).astype(np.int8)
-    shares = judge.shares(np.concatenate([changed, anything]))
-    own = shares @ judge.target
-    activation = shares[own > 0] @ judge.rows[: judge.others].T / own[own > 0][:, None]
-    rows, times = np.unique(activation.argmax(axis=1), return_counts=True)
-    return rows[np.argsort(times)[::-1]][:_BOUNDING_ROWS]
+    anything = np.random.default_rng(0).integers(-1, 2, (1000, count)).astype(np.int8)
+    return np.concatenate([changed, anything])

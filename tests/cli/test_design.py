@@ -78,6 +78,12 @@ def test_three_states_on_a_weighted_board(designed):
         assert len(np.unique(np.round(weights, 9))) <= 3
 
 
+def test_robust_three_states(designed):
+    _, table = designed("--profile=smarttouch-4x4", "--robust", "--three-state", "--mode=SAI")
+    assert all(kernel["optimal"] for kernel in table["kernels"])
+    assert min(kernel["worst_other"] for kernel in table["kernels"]) > 0.4
+
+
 def test_robust_and_any_node(designed):
     _, robust = designed("--profile=line-7", "--robust", "--mode=SAI", "--site=3")
     assert robust["kernels"][0]["worst_other"] > 0.31
@@ -165,7 +171,7 @@ def test_an_array_and_a_skin_of_one_s_own(designed, tmp_path):
         (["--site=-1"], "site -1 is out of range"),
         (["--mode=PA"], "--mode 'PA' is not offered: choose RA or SAI or PC"),
         (["--profile=kajimoto-61", "--mode=SAI"], "it offers RA"),
-        (["--robust", "--three-state"], "--robust and --three-state do not go together"),
+        (["--any-node", "--three-state"], "--three-state and --any-node do not go together"),
         (["--plot=k.jpg", "--profile=line-7"], "cannot draw k.jpg: name it *.png"),
         (["--plot=no/k.png"], "cannot write no/k.png"),
     ],

@@ -69,6 +69,15 @@ def test_no_assignment_is_better(small, primary, site, impedance_kohm):
     assert objective >= design_kernel(problem, site).worst_other - 1e-9
 
 
+@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
+def test_no_assignment_is_better_on_the_worst_finger(small, primary):
+    nominal, spread = (Problem(small(), primary, spread=each) for each in (False, True))
+    kernel = design_three_state(spread, 1)
+    assert kernel.gap == 0
+    assert kernel.worst_other == pytest.approx(by_trying_all(spread, 1), rel=1e-9)
+    assert nominal.judge(kernel.weights, 1, kind="three-state").worst_other < kernel.worst_other
+
+
 def test_a_source_divides_by_admittance(small):
     profile = small(IMPEDANCES[1])
     kernel = design_three_state(Problem(profile, Primary.SAI), 1)
