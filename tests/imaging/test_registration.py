@@ -59,6 +59,7 @@ def test_outside_the_field_is_paper(profile):
 
 
 def test_free_positions(profile):
-    one = dataclasses.replace(profile.electrodes, position_mm=np.array([[0.3, -0.7]]))
-    registration = Registration(one, profile.optics, (64, 64))
-    assert registration.sample(np.full((64, 64), 255, np.uint8)) == pytest.approx([1.0])
+    places = np.array([[0.3, -0.7], [3.1, 2.2]])
+    two = dataclasses.replace(profile.electrodes, position_mm=places)
+    registration = Registration(two, profile.optics, (64, 64))
+    assert registration.sample(np.full((64, 64), 255, np.uint8)) == pytest.approx([1.0, 1.0])
