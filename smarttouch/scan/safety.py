@@ -49,6 +49,16 @@ class SafetyLimits:
         ):
             if not 0 < value <= ceiling:
                 raise SafetyError(f"limit {name} = {value} must be above 0 and at most {ceiling}")
+        own = () if self.electrode_ma is None else self.electrode_ma
+        if self.electrode_ma is not None and len(own) != self.electrodes:
+            raise SafetyError(
+                f"limit electrode_ma lists {len(own)} of {self.electrodes} electrodes"
+            )
+        total = () if self.total_ma is None else (self.total_ma,)
+        for name, bounds in (("total_ma", total), ("electrode_ma", own)):
+            # Nothing is above NaN: such a limit would be none.
+            if not all(bound > 0 for bound in bounds):
+                raise SafetyError(f"limit {name} = {bounds} must be above 0")
         if not self.ramp_s >= SHORTEST_RAMP_S:
             raise SafetyError(f"limit ramp_s = {self.ramp_s} must be at least {SHORTEST_RAMP_S}")
 
@@ -159,8 +169,8 @@ class SafetyGate:
                 f"{limits.current_ma:g} mA"
             )
         if limits.total_ma is not None:
-            # Balanced currents: the magnitudes count every milliampere twice.
-            totals = np.abs(currents).sum(axis=1, dtype=np.int64) / 2
+            # In balance: what flows in is what flows out.
+            totals = currents.sum(axis=1, dtype=np.int64, where=currents > 0)
             if totals.max() > limits.total_ma * 1000:
                 raise SafetyError(
                     f"slot {int(totals.argmax())}: {totals.max() / 1000:.3f} mA flow in all, above "

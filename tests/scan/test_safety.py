@@ -114,7 +114,17 @@ def test_a_refused_sequence_does_not_count_as_the_one_before():
 
 @pytest.mark.parametrize(
     "change",
-    [{"current_ma": 5.1}, {"pulse_us": 201}, {"charge_uc": 0.51}, {"ramp_s": 0.1}, {"full_ma": 4}],
+    [
+        {"current_ma": 5.1},
+        {"pulse_us": 201},
+        {"charge_uc": 0.51},
+        {"ramp_s": 0.1},
+        {"full_ma": 4},
+        {"total_ma": float("nan")},
+        {"total_ma": 0},
+        {"electrode_ma": (1.0,)},
+        {"electrode_ma": (1.0, float("nan"), 1.0, 1.0)},
+    ],
 )
 def test_limits_stay_under_the_ceilings(change):
     with pytest.raises(SafetyError, match=next(iter(change))):
