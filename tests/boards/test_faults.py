@@ -79,11 +79,11 @@ def alive(process_id):
         os.kill(process_id, 0)
     except ProcessLookupError:
         return False
-    stat = Path(f"/proc/{process_id}/stat").read_text(encoding="utf-8")
-    return stat.rpartition(")")[2].split()[0] != "Z"
+    # Where nobody reaps orphans, a dead one stays listed.
+    stat = Path(f"/proc/{process_id}/stat")
+    return not (stat.exists() and stat.read_text().rpartition(")")[2].split()[0] == "Z")
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_a_killed_board_is_told_of_at_the_next_send(make_limits, make_sequence):
     with open_emulator("", make_limits()) as board:
         board.send(make_sequence(0))

@@ -66,6 +66,19 @@ def test_judging_says_what_weights_do(profile):
         problem.judge(-weights, 27)
 
 
+def test_no_last_bit_chooses_between_classes_pressed_alike(profile):
+    problem = Problem(profile, Primary.PC)
+    weights = np.zeros(64)
+    weights[27], weights[0] = 1.0, -1.0
+    ra, sai = (np.flatnonzero(problem.other_class == each)[0] for each in (Primary.RA, Primary.SAI))
+    rows = problem.rows[0].other
+    rows[sai] = 10 * rows[(rows @ weights).argmax()]
+    rows[ra] = rows[sai] * (1 - 1e-12)
+    assert problem.judge(weights, 27).worst_other_class is Primary.RA
+    rows[ra] = rows[sai] * (1 - 1e-3)
+    assert problem.judge(weights, 27).worst_other_class is Primary.SAI
+
+
 def test_a_spread_has_rows_for_every_depth_and_direction(profile):
     nominal, spread = Problem(profile, Primary.RA), Problem(profile, Primary.RA, spread=True)
     # RA at 3 depths leaning 5 ways; SAI and PC at 3 depths with each direction turned 3 ways.
