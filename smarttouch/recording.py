@@ -114,7 +114,7 @@ class Recorder:
         self._thread.join()
         try:
             if self._failure is None:
-                self._writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves it untyped
+                self._writer.finish()
             self._file.close()
         except OSError as error:
             self._failure = self._failure or error

@@ -50,7 +50,7 @@ def design(
 ) -> None:
     """Show the kernels of a profile: current patterns that reach one class of afferents."""
     from smarttouch.cli import kernels
-    from smarttouch.cli.files import parse_mode, require_folder, write_json
+    from smarttouch.cli.files import parse_mode, require_folder, require_site, write_json
     from smarttouch.cli.progress import bank_progress
     from smarttouch.errors import DesignError, SmartTouchError
     from smarttouch.modes.bank import find_bank, load_bank, make_bank
@@ -72,9 +72,8 @@ def design(
     ]  # fmt: skip
     if len(special) > 1:
         raise SmartTouchError(f"{' and '.join(special)} do not go together: give one of them")
-    count = len(chosen.electrodes)
-    if site is not None and not 0 <= site < count:
-        raise DesignError(f"site {site} is out of range: {profile} has sites 0 to {count - 1}")
+    if site is not None:
+        require_site(chosen, site)
     modes = possible_modes(chosen)
     if primary is not None:
         if primary not in modes and not special:
@@ -84,7 +83,7 @@ def design(
                 f"{offered}"
             )
         modes = [primary]
-    sites = list(range(count)) if site is None else [site]
+    sites = list(range(len(chosen.electrodes))) if site is None else [site]
     with bank_progress(quiet=False) as progress:
         if compare:
             shown = _compared(chosen, modes, sites, progress)
@@ -119,8 +118,9 @@ def _from_bank(
     sites: Sequence[int],
 ) -> list["Shown"]:
     from smarttouch.cli.kernels import Shown
+    from smarttouch.modes.switching import kind_of
 
-    kind = "one-of-n" if profile.output.kind == "one-against-all" else profile.output.kind
+    kind = kind_of(profile)
     return [
         Shown(mode, site, bank.kernel(mode, site, kind), float(bank.seconds[mode][site]))
         for mode in modes

@@ -27,10 +27,12 @@ def figures(
     import numpy as np
     from rich.console import Console
 
+    from smarttouch.cli.files import require_site
     from smarttouch.cli.progress import bank_progress
-    from smarttouch.errors import DesignError, SmartTouchError
+    from smarttouch.errors import SmartTouchError
     from smarttouch.figures import fibers, kernels, paper, style
     from smarttouch.modes.bank import load_bank
+    from smarttouch.modes.switching import kind_of
     from smarttouch.nerve.af_error import af_error_table
     from smarttouch.profile import load_profile
 
@@ -39,11 +41,9 @@ def figures(
             f"--format {kind!r} is not offered: choose {', '.join(style.FORMATS)}"
         )
     chosen, line = load_profile(profile), load_profile("line-7")
-    count = len(chosen.electrodes)
     if site is None:
         site = int(np.linalg.norm(chosen.electrodes.position_mm, axis=1).argmin())
-    if not 0 <= site < count:
-        raise DesignError(f"site {site} is out of range: {profile} has sites 0 to {count - 1}")
+    require_site(chosen, site)
     style.new_figure(1, 1)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -51,7 +51,7 @@ def figures(
         raise SmartTouchError(f"cannot make the folder {folder}: {error.strerror}") from None
     with bank_progress(quiet=False) as progress:
         bank = load_bank(chosen, progress)
-    own = {each: bank.kernel(each, site, "weighted") for each in sorted(bank.weights)}
+    own = {each: bank.kernel(each, site, kind_of(chosen)) for each in sorted(bank.weights)}
     console = Console(stderr=True)
     drawings: dict[str, Callable[[], Figure]] = {
         "fig-5": lambda: paper.figure_5(line),

@@ -2,10 +2,13 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from smarttouch.errors import SmartTouchError
 from smarttouch.primary import Primary
+
+if TYPE_CHECKING:
+    from smarttouch.profile import Profile
 
 
 def parse_mode(mode: str, offered: tuple[Primary, ...]) -> Primary:
@@ -14,6 +17,15 @@ def parse_mode(mode: str, offered: tuple[Primary, ...]) -> Primary:
     if mode.upper() not in names:
         raise SmartTouchError(f"--mode {mode!r} is not offered: choose {' or '.join(names)}")
     return Primary[mode.upper()]
+
+
+def require_site(profile: "Profile", site: int) -> None:
+    """Raise unless a profile's array has such a site."""
+    count = len(profile.electrodes)
+    if not 0 <= site < count:
+        raise SmartTouchError(
+            f"site {site} is out of range: {profile.name} has sites 0 to {count - 1}"
+        )
 
 
 def require_folder(path: Path | None) -> None:

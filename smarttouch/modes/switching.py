@@ -7,7 +7,7 @@ import numpy as np
 from smarttouch.errors import DesignError
 from smarttouch.modes.assignment import best_assignment
 from smarttouch.modes.design import design_kernel
-from smarttouch.modes.problem import Kernel, Problem
+from smarttouch.modes.problem import Kernel, Kind, Problem
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 
@@ -28,13 +28,20 @@ def possible_modes(profile: Profile) -> list[Primary]:
     return [each for each in Primary if not offered or polarity(profile, each) in offered]
 
 
+def kind_of(profile: Profile) -> Kind:
+    """Return the kind of kernel that a profile's board can make."""
+    kind = profile.output.kind
+    return "one-of-n" if kind == "one-against-all" else kind
+
+
 def designer(profile: Profile) -> Callable[[Problem, int], Kernel]:
     """Return what designs the kernels of a profile's kind of board."""
-    return {
+    designers: dict[Kind, Callable[[Problem, int], Kernel]] = {
         "weighted": design_kernel,
         "three-state": design_three_state,
-        "one-against-all": design_one_of_n,
-    }[profile.output.kind]
+        "one-of-n": design_one_of_n,
+    }
+    return designers[kind_of(profile)]
 
 
 def design_three_state(problem: Problem, site: int) -> Kernel:
