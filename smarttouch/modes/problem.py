@@ -138,7 +138,6 @@ class Problem:
                 for one in sets[each]
             ]
         )
-        self.grid = sets[primary][0].grid
         self.grids = [
             (one.grid, len(one.direction)) for each in others for one in sets[each]
         ]  # fmt: skip

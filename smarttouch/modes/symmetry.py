@@ -49,7 +49,20 @@ def symmetries(profile: Profile, primary: Primary) -> list[NDArray[np.intp]]:
             _keeps(directions(profile.skin, each), matrix) for each in Primary
         ):
             kept.append(np.asarray(gaps.argmin(axis=1), np.intp))
-    return kept
+    return [
+        move for move in kept if all(np.array_equal(each[move], each) for each in _own(profile))
+    ]
+
+
+def _own(profile: Profile) -> list[NDArray[np.float64]]:
+    """Return what may set one electrode apart from its mirror image, (E,) each."""
+    limits, own = profile.limits, [profile.admittance]
+    if limits.electrode_ma is not None:
+        own.append(np.array(limits.electrode_ma))
+    if limits.electrode_ma is not None or limits.total_ma is not None:
+        # Limits are multiples of a site's full current.
+        own.append(np.asarray(profile.threshold_ma, np.float64))
+    return own
 
 
 def _keeps(axons: NDArray[np.float64], matrix: NDArray[np.int_]) -> bool:

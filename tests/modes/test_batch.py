@@ -8,6 +8,7 @@ import pytest
 from smarttouch.modes.batch import design_sites
 from smarttouch.modes.design import design_kernel
 from smarttouch.modes.problem import Problem
+from smarttouch.modes.switching import design_three_state
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
@@ -28,6 +29,17 @@ def test_symmetry_gives_what_solving_each_site_gives(primary):
         strongest = np.abs(direct.weights).max()
         assert kernel.weights == pytest.approx(direct.weights, abs=1e-4 * strongest)
         assert problem.target[site] @ kernel.weights == pytest.approx(1)
+
+
+def test_measured_impedances_hold_at_every_site(changed):
+    """A kernel mirrored onto electrodes of other impedance would not be what flows."""
+    impedance = [1.0, 3.0, 0.5, 2.0, 1.0, 0.7]
+    keys = {"array.rows": 2, "array.columns": 3, "output.impedance_kohm": impedance}
+    profile = changed(load_profile("smarttouch-4x4"), keys)
+    for kernel, _ in design_sites(Problem(profile, Primary.RA), design_three_state):
+        for pole in (kernel.weights > 0, kernel.weights < 0):
+            share = kernel.weights[pole] / profile.admittance[pole]
+            assert share == pytest.approx(share[0])
 
 
 def test_chosen_sites_only(problem):

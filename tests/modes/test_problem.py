@@ -36,6 +36,30 @@ def test_a_free_array_has_no_symmetry_but_none(profile, changed):
     assert len(problem.symmetries) == 1
 
 
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"output.impedance_kohm": [2.0] + [1.0] * 15},
+        {"limits.electrode_ma": [2.4] * 15 + [2.5]},
+        {"limits.total_ma": 5.0, "perception.threshold_ma": [1.2] * 4 + [1.1] + [1.2] * 11},
+    ],
+    ids=lambda keys: next(iter(keys)),
+)
+def test_an_electrode_of_its_own_kind_has_no_mirror_image(changed, keys):
+    profile = load_profile("smarttouch-4x4")
+    assert len(Problem(profile, Primary.RA).symmetries) == 8
+    mine = changed(profile, keys)
+    for move in Problem(mine, Primary.RA).symmetries:
+        assert np.array_equal(mine.admittance[move], mine.admittance)
+        assert np.array_equal(mine.threshold_ma[move], mine.threshold_ma)
+    assert len(Problem(mine, Primary.RA).symmetries) < 8
+
+
+def test_thresholds_alone_do_not_change_kernels(changed):
+    mine = changed(load_profile("smarttouch-4x4"), {"perception.threshold_ma": [1.2] * 15 + [1.1]})
+    assert len(Problem(mine, Primary.RA).symmetries) == 8
+
+
 def test_a_rectangle_does_not_turn(profile, changed):
     array = {
         "layout": "free",
