@@ -48,7 +48,9 @@ class FeltImage:
         self._receptor = bank.receptor[primary]
         ratio = profile.perception.comfort_ratio
         full_ua = profile.threshold_ma * ratio * 1000
-        self._full = full_ua * (self._receptor * bank.kernels(primary)).sum(axis=1)
+        full = full_ua * (self._receptor * bank.kernels(primary)).sum(axis=1)
+        # Masked sites have no kernel: nothing is felt there.
+        self._full = np.where(full > 0, full, np.inf)
         self._threshold = 1 / ratio
         width_mm, height_mm = page.size_mm
         self._pixel_mm = max(FINEST_MM, max(width_mm, height_mm) / 4000)

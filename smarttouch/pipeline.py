@@ -13,6 +13,7 @@ from smarttouch.profile import Profile
 from smarttouch.scan.intensity import SoftStart, force_gate
 from smarttouch.scan.schedule import PointScan
 from smarttouch.scan.sequence import ScanSequence
+from smarttouch.scan.timing import ScanTiming
 from smarttouch.sensing.frame import Frame, Pose
 
 
@@ -40,6 +41,8 @@ class Pipeline:
         Sequences a second; the profile's own if not given.
     light_on_dark : bool
         For light print on dark paper.
+    timing : ScanTiming, optional
+        What the board fixes about the time of a scan.
     """
 
     def __init__(
@@ -49,15 +52,16 @@ class Pipeline:
         primary: Primary = Primary.RA,
         rate_hz: float | None = None,
         light_on_dark: bool = False,
+        timing: ScanTiming | None = None,
     ) -> None:
         if rate_hz is None:
             rate_hz = profile.pulse.rate_hz
         self.period_us = math.ceil(1e6 / rate_hz) if rate_hz > 0 else 0
-        self._settings = (profile, bank, primary, rate_hz, light_on_dark)
+        self._settings = (profile, bank, primary, rate_hz, light_on_dark, timing)
         self._profile = profile
         self._mapper = TactileMapper(profile, primary, light_on_dark)
         self._soft_start = SoftStart(profile.limits.ramp_s)
-        self._scan = PointScan(profile, bank, primary, rate_hz)
+        self._scan = PointScan(profile, bank, primary, rate_hz, timing)
 
     def process(self, frame: Frame) -> Step:
         """Return the tactile image and the scan sequence of a frame."""

@@ -1,12 +1,15 @@
 """Frame in, safe sequence out, and nothing remembered that should not be."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from smarttouch.errors import ScheduleError
 from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Primary
 from smarttouch.scan.safety import SafetyGate, SafetyLimits
+from smarttouch.scan.timing import ScanTiming
 from smarttouch.sensing.frame import Frame, Pose
 
 
@@ -48,6 +51,18 @@ def test_whatever_the_sensor_says_is_safe(profile, bank, moments):
         image = rng.integers(0, 256, (16, 16), np.uint8).repeat(4, 0).repeat(4, 1)
         gate.prove(pipeline.process(Frame(image, time_ns, Pose(0, 0), force)).sequence)
         time_ns += wait
+
+
+def test_the_board_s_time_is_planned_for(profile, bank, make_frame, patch):
+    timing = ScanTiming(scan_us=30_000, in_index_order=True)
+    pipeline = Pipeline(profile, bank, timing=timing)
+    pipeline.warm_up()
+    pipeline.process(make_frame(patch(), 0))
+    sequence = pipeline.process(make_frame(patch(), 10**9)).sequence
+    assert sequence.period_us == 30_000 + 300 * sequence.slots
+    assert np.all(np.diff(sequence.site.astype(int)) > 0)
+    with pytest.raises(ScheduleError, match=r"pulse.width_us is 200 µs.*always 50.*width_us = 50"):
+        Pipeline(profile, bank, timing=ScanTiming(width_us=50))
 
 
 def test_frames_of_another_size_are_taken(profile, bank, make_frame, patch):

@@ -16,6 +16,7 @@ SHIPPED = {
     "line-7": 7,
     "line-8": 8,
     "kajimoto-61": 61,
+    "etactilekit-32": 32,
     "optacon-24x6": 144,
 }
 
@@ -66,6 +67,19 @@ def test_a_file_of_one_s_own(edited):
     assert load_profile(edited(("rows = 8", "rows = 4"))).array.rows == 4
 
 
+def test_what_is_known_of_a_board(edited):
+    keys = f"masked = [63, 3]\nwiring = {list(range(100, 164))}\nua_per_count = 9.7\n[optics]"
+    profile = load_profile(edited(("[optics]", keys)))
+    assert profile.driven.tolist() == [each for each in range(64) if each not in (3, 63)]
+    assert profile.output.wiring[63] == 163
+    assert profile.output.ua_per_count == 9.7
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_ones_drive_every_electrode(name):
+    assert len(load_profile(name).driven) == SHIPPED[name]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -97,6 +111,17 @@ def test_a_file_of_one_s_own(edited):
         ("ra_depth_mm = 0.1", "ra_depth_mm = 0.8", "spread.ra_depth_mm reaches the surface"),
         ("ra_depth_mm = 0.7", "ra_depth_mm = -0.7", "skin.ra_depth_mm = -0.7"),
         ("diameter_mm = 1.0", "diameter_mm = 1.0\ninner_diameter_mm = 1.0", "below diameter_mm"),
+        ("[optics]", "masked = [64]\n[optics]", "masked lists 64, the array has .* 0 to 63"),
+        ("[optics]", "masked = [3, -1]\n[optics]", "masked lists -1: numbers begin at 0"),
+        ("[optics]", "masked = [3, 5, 3]\n[optics]", "masked lists 3 more than once"),
+        (
+            "[optics]",
+            f"masked = {list(range(63))}\n[optics]",
+            "masked leaves 1 of 64 electrodes: current needs at least two",
+        ),
+        ("[optics]", "wiring = [0, 1]\n[optics]", "wiring lists 2 electrodes, the array has 64"),
+        ("[optics]", "wiring = [7, 7]\n[optics]", "wiring lists 7 more than once"),
+        ("[optics]", "ua_per_count = 0\n[optics]", "output.ua_per_count = 0"),
         ("[array]", "[array", "not a readable TOML"),
     ],
 )

@@ -83,7 +83,7 @@ def design(
                 f"{offered}"
             )
         modes = [primary]
-    sites = list(range(len(chosen.electrodes))) if site is None else [site]
+    sites = chosen.driven.tolist() if site is None else [site]
     with bank_progress(quiet=False) as progress:
         if compare:
             shown = _compared(chosen, modes, sites, progress)

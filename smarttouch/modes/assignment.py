@@ -42,36 +42,50 @@ def best_assignment(problem: Problem, site: int) -> tuple[Array, float]:
         0 where it is proven, else (reached − bound) / reached.
     """
     judge = _Judge(problem, site)
+    states, gap = _best_states(judge, problem, site)
+    pattern = np.zeros(problem.electrodes)
+    pattern[problem.driven] = judge.shares(states[None])[0]
+    return pattern, gap
+
+
+def _best_states(judge: "_Judge", problem: Problem, site: int) -> tuple[NDArray[np.int8], float]:
     states, reached = _local_search(judge, problem, site)
     if not np.isfinite(reached):
         raise DesignError(
             f"no switching pattern activates {problem.describe(site)}: its electrodes are too far "
             "apart for its depth"
         )
-    if problem.electrodes <= EXACT:
-        near_first = np.argsort(problem.profile.electrodes.distance_mm[site], kind="stable")
-        left = _not_ruled_out(judge, states, reached, near_first)
+    if len(problem.driven) <= EXACT:
+        away = problem.profile.electrodes.distance_mm[site, problem.driven]
+        left = _not_ruled_out(judge, states, reached, np.argsort(away, kind="stable"))
         if left is not None:
             worths = judge.reached(left)
             if len(left) and worths.min() < reached - _SLACK:
                 states = left[int(worths.argmin())]
-            return judge.shares(states[None])[0], 0.0
+            return states, 0.0
     kernel = design_kernel(problem, site)
     bound = max(kernel.worst_other, kernel.own_spill if kernel.own_spill > SPILL + 1e-6 else 0.0)
-    return judge.shares(states[None])[0], max(0.0, (reached - bound) / reached)
+    return states, max(0.0, (reached - bound) / reached)
 
 
 class _Judge:
     """What assignments reach: worst other, or own spill where it is above `SPILL`.
 
     Of the problem's skins and of all that the target might be, the worst counts.
+    Assignments have a column for each of the E electrodes that are driven.
     """
 
     def __init__(self, problem: Problem, site: int) -> None:
-        self.site, self.full_ma, self.limits_ma = site, problem.full_ma(site), problem.limits_ma
-        self.admittance = problem.profile.admittance
+        driven = problem.driven
+        total, electrode = problem.limits_ma
+        self.full_ma, self.limits_ma = problem.full_ma(site), (total, electrode[driven])
+        self.site = int(np.flatnonzero(driven == site)[0])
+        self.admittance = problem.profile.admittance[driven]
         far = problem.beyond_a_pitch(site)
-        self.skins = [(rows.target[:, site], rows.other, rows.own[far]) for rows in problem.rows]
+        self.skins = [
+            (rows.target[:, site, driven], rows.other[:, driven], rows.own[far][:, driven])
+            for rows in problem.rows
+        ]
         self._at_once = max(16, _AT_ONCE // sum(len(rows.other) for rows in problem.rows))
 
     def shares(self, states: NDArray[np.int8]) -> Array:
@@ -146,8 +160,8 @@ class _Judge:
 
 def _local_search(judge: _Judge, problem: Problem, site: int) -> tuple[NDArray[np.int8], float]:
     """Start from the weighted kernel cut at every two levels, then change one or two states."""
-    order = np.argsort(design_kernel(problem, site).weights)
-    count = problem.electrodes
+    order = np.argsort(design_kernel(problem, site).weights[problem.driven])
+    count = len(order)
     cuts = [
         (anodes, cathodes)
         for anodes, cathodes in itertools.product(range(1, count), repeat=2)

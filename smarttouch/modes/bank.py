@@ -39,7 +39,7 @@ class KernelBank:
     ----------
     weights : dict of Primary to ndarray, (E, E) float64, mA per V/mm²
         Row s is the kernel of site s: positive cathodic, activation 1 at its
-        target, sum zero.
+        target, sum zero. Rows and columns of masked electrodes are zero.
     worst_other, own_spill : dict of Primary to ndarray, (E,) float64
         Selectivity of each kernel, of its target's activation.
     worst_class : dict of Primary to ndarray, (E,) int8
@@ -64,13 +64,16 @@ class KernelBank:
     def kernels(self, primary: Primary) -> NDArray[np.float32]:
         """Return the kernels of a mode, each with a peak magnitude of 1, (E, E).
 
+        The row of a masked site is zero.
+
         Raises
         ------
         DesignError
             If the board cannot make that mode.
         """
         weights = self._made(primary)
-        return np.asarray(weights / np.abs(weights).max(axis=1, keepdims=True), np.float32)
+        peak = np.abs(weights).max(axis=1, keepdims=True)
+        return np.asarray(weights / np.where(peak > 0, peak, 1.0), np.float32)
 
     def kernel(self, primary: Primary, site: int, kind: "Kind") -> "Kernel":
         """Return one kernel with what it reaches.
@@ -78,12 +81,15 @@ class KernelBank:
         Raises
         ------
         DesignError
-            If the board cannot make that mode.
+            If the board cannot make that mode, or the site is masked.
         """
-        from smarttouch.modes.problem import Kernel
+        from smarttouch.modes.problem import Kernel, masked_site
 
+        weights = self._made(primary)[site]
+        if not weights.any():
+            raise DesignError(masked_site(site))
         return Kernel(
-            weights=self._made(primary)[site],
+            weights=weights,
             worst_other=float(self.worst_other[primary][site]),
             worst_other_class=Primary(int(self.worst_class[primary][site])),
             own_spill=float(self.own_spill[primary][site]),
@@ -108,8 +114,10 @@ def problem_hash(profile: Profile) -> str:
         "version": DESIGN_VERSION,
         "array": profile.array.model_dump(),
         "skin": profile.skin.model_dump(exclude={"spread"}),
-        "output": profile.output.model_dump(),
+        "output": profile.output.model_dump(exclude={"masked", "wiring", "ua_per_count"}),
     }
+    if profile.output.masked:
+        problem["masked"] = sorted(profile.output.masked)
     if limits.total_ma is not None or limits.electrode_ma is not None:
         problem["limits"] = [limits.total_ma, limits.electrode_ma]
         problem["full_ma"] = (profile.threshold_ma * profile.perception.comfort_ratio).tolist()
@@ -193,10 +201,12 @@ def design_bank(
             "own_spill": ([kernel.own_spill for kernel in kernels], np.float64),
             "gap": ([kernel.gap for kernel in kernels], np.float64),
             "seconds": ([seconds for _, seconds in timed], np.float32),
-            "receptor": (problem.target, np.float32),
         }
         for name, (values, kind) in found.items():
-            columns[name][primary] = np.array(values, kind)
+            made = np.array(values, kind)
+            columns[name][primary] = np.zeros((problem.electrodes, *made.shape[1:]), kind)
+            columns[name][primary][problem.driven] = made
+        columns["receptor"][primary] = np.asarray(problem.target, np.float32)
     return KernelBank(**columns)
 
 

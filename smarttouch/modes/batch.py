@@ -41,7 +41,7 @@ def design_sites(
     design : callable
         What designs one site.
     sites : sequence of int, optional
-        All if not given.
+        All that are not masked if not given.
     progress : callable, optional
         Told how many distinct sites are done, of how many.
     keep : Path, optional
@@ -57,7 +57,7 @@ def design_sites(
     from threadpoolctl import threadpool_limits
 
     if sites is None:
-        sites = range(problem.electrodes)
+        sites = problem.driven.tolist()
     for site in sites:
         problem.check_site(site)
     ways = [problem.representative(site) for site in sites]

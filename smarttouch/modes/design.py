@@ -119,7 +119,8 @@ class _Assembled:
 
     def __init__(self, problem: Problem, site: int, spill: float | None, node: int) -> None:
         self._problem, self._site = problem, site
-        self.orbits = problem.orbits(site) if node == 0 else np.eye(problem.electrodes)
+        alone = np.eye(problem.electrodes)[:, problem.driven]
+        self.orbits = problem.orbits(site) if node == 0 else alone
         far = problem.beyond_a_pitch(site) if spill is not None else np.zeros(0, np.intp)
         axon = problem.axon(site)
         scale = [float(np.abs(rows.target[0, site]).max()) for rows in problem.rows]

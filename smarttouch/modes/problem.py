@@ -71,6 +71,14 @@ class Kernel:
         return np.asarray(self.weights / np.abs(self.weights).max())
 
 
+def masked_site(site: int) -> str:
+    """Return what to say of a site that has no kernel."""
+    return (
+        f"site {site} is masked: its electrode is not driven; choose another, or take it out of "
+        "output.masked of the profile"
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Rows:
     """The AF rows of one skin, in V/mm² per mA.
@@ -158,15 +166,22 @@ class Problem:
     def symmetries(self) -> list[NDArray[np.intp]]:
         return symmetries(self.profile, self.primary)
 
+    @property
+    def driven(self) -> NDArray[np.intp]:
+        """The electrodes that may carry current, which are the sites that have kernels."""
+        return self.profile.driven
+
     def describe(self, site: int) -> str:
         return f"{self.primary.name} at site {site} of {self.profile.name or 'this profile'}"
 
     def check_site(self, site: int) -> None:
-        """Raise a DesignError unless the array has such a site."""
+        """Raise a DesignError unless the array has such a site, and it is not masked."""
         if not 0 <= site < self.electrodes:
             raise DesignError(
                 f"site {site} is out of range: the array has sites 0 to {self.electrodes - 1}"
             )
+        if site in self.profile.output.masked:
+            raise DesignError(masked_site(site))
 
     def beyond_a_pitch(self, site: int) -> NDArray[np.bool_]:
         """Return which own rows are farther than one pitch from a site's target, (M,)."""
@@ -206,10 +221,15 @@ class Problem:
         return min(moves, key=lambda pair: pair[0])
 
     def orbits(self, site: int) -> Array:
-        """Return the patterns that a site's own symmetries allow, (E, O) of 0 and 1."""
+        """Return the patterns that a site's own symmetries allow, (E, O) of 0 and 1.
+
+        A masked electrode is in none of them.
+        """
         mirrors = np.array([move for move in self.symmetries if move[site] == site])
-        _, orbit = np.unique(mirrors.min(axis=0), return_inverse=True)
-        return np.asarray(orbit[:, None] == np.arange(orbit.max() + 1), np.float64)
+        _, orbit = np.unique(mirrors.min(axis=0)[self.driven], return_inverse=True)
+        patterns = np.zeros((self.electrodes, orbit.max() + 1))
+        patterns[self.driven, orbit] = 1.0
+        return patterns
 
     def judge(
         self, weights: Array, site: int, node: int = 0, kind: Kind = "weighted", gap: float = 0.0
@@ -242,7 +262,8 @@ class Problem:
             smallest = min(smallest, own_af)
         scaled = weights / smallest
         # The last bits of the solver: currents sum to zero.
-        scaled = scaled - scaled.mean() if kind == "weighted" else scaled
+        if kind == "weighted":
+            scaled[self.driven] -= scaled[self.driven].mean()
         return Kernel(scaled, worst, Primary(whose), spill, node, kind, gap)
 
     def _might_be(self, one: Afferents) -> list[Afferents]:

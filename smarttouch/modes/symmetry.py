@@ -57,6 +57,8 @@ def symmetries(profile: Profile, primary: Primary) -> list[NDArray[np.intp]]:
 def _own(profile: Profile) -> list[NDArray[np.float64]]:
     """Return what may set one electrode apart from its mirror image, (E,) each."""
     limits, own = profile.limits, [profile.admittance]
+    if profile.output.masked:
+        own.append(np.isin(np.arange(len(profile.electrodes)), profile.driven).astype(np.float64))
     if limits.electrode_ma is not None:
         own.append(np.array(limits.electrode_ma))
     if limits.electrode_ma is not None or limits.total_ma is not None:

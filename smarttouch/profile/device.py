@@ -28,6 +28,22 @@ class Output(Table):
     )
     impedance_kohm: Positive | tuple[Positive, ...] = 1.0
     """Measured, of electrode and skin: how electrodes share one source's current."""
+    masked: tuple[int, ...] = ()
+    """Electrodes that are broken, open or shorted: never driven."""
+    wiring: tuple[int, ...] | None = None
+    """The board's output of each electrode; its own number if not given."""
+    ua_per_count: Positive | None = None
+    """Measured current of one count of the board's DAC, µA; the driver's nominal if not given."""
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        for key, values in (("masked", self.masked), ("wiring", self.wiring or ())):
+            if len(set(values)) < len(values):
+                twice = next(each for each in values if values.count(each) > 1)
+                raise ValueError(f"output.{key} lists {twice} more than once: give each once")
+            if min(values, default=0) < 0:
+                raise ValueError(f"output.{key} lists {min(values)}: numbers begin at 0")
+        return self
 
 
 class Optics(Table):
@@ -119,9 +135,30 @@ class Profile(Table):
         impedance = np.asarray(self.output.impedance_kohm, np.float64)
         return np.broadcast_to(1 / impedance, (len(self.electrodes),)).copy()
 
+    @cached_property
+    def driven(self) -> NDArray[np.intp]:
+        """The electrodes that are not masked, in order."""
+        return np.setdiff1d(np.arange(len(self.electrodes)), self.output.masked)
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         count = len(self.electrodes)
+        masked, wiring = self.output.masked, self.output.wiring
+        if max(masked, default=0) >= count:
+            raise ValueError(
+                f"output.masked lists {max(masked)}, the array has electrodes 0 to {count - 1}: "
+                "remove it"
+            )
+        if count - len(masked) < 2:
+            raise ValueError(
+                f"output.masked leaves {count - len(masked)} of {count} electrodes: current needs "
+                "at least two, shorten the list or repair the array"
+            )
+        if wiring is not None and len(wiring) != count:
+            raise ValueError(
+                f"output.wiring lists {len(wiring)} electrodes, the array has {count}: "
+                f"give {count} numbers, or leave it out"
+            )
         for key, values in (
             ("perception.threshold_ma", self.perception.threshold_ma),
             ("output.impedance_kohm", self.output.impedance_kohm),

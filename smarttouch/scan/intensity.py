@@ -43,5 +43,6 @@ class SoftStart:
         return self._intensity
 
     def restart(self) -> None:
-        """Begin again from zero."""
+        """Begin again: the next intensity is zero."""
         self._intensity = 0.0
+        self._time_ns = None

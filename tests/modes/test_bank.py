@@ -5,7 +5,14 @@ import pytest
 
 from smarttouch.errors import DesignError
 from smarttouch.modes import bank as banks
-from smarttouch.modes.bank import load_bank, make_bank, problem_hash, shipped_bank, write_bank
+from smarttouch.modes.bank import (
+    design_bank,
+    load_bank,
+    make_bank,
+    problem_hash,
+    shipped_bank,
+    write_bank,
+)
 from smarttouch.modes.design import design_kernel
 from smarttouch.modes.problem import Problem
 from smarttouch.primary import Primary
@@ -152,6 +159,46 @@ def test_optics_and_force_do_not_matter_to_kernels(profile):
         update={"optics": profile.optics.model_copy(update={"rotation_deg": 5.0})}
     )
     assert problem_hash(moved) == problem_hash(profile)
+
+
+def test_the_board_s_scale_and_wiring_do_not_matter_to_kernels(profile, changed):
+    keys = {"output.ua_per_count": 9.7, "output.wiring": list(range(64))[::-1]}
+    assert problem_hash(changed(profile, keys)) == problem_hash(profile)
+
+
+def test_masked_electrodes_matter_to_kernels_their_order_not(profile, changed):
+    one, other = (changed(profile, {"output.masked": each}) for each in ([3, 9], [9, 3]))
+    assert problem_hash(one) == problem_hash(other) != problem_hash(profile)
+
+
+@pytest.mark.parametrize("name", ["smarttouch-4x4", "etactilekit-32", "line-7"])
+def test_a_bank_around_masked_electrodes(name, changed):
+    masked = [1, 5]
+    mine = changed(load_profile(name), {"output.masked": masked})
+    bank, count = design_bank(mine), len(mine.electrodes)
+    for primary, weights in bank.weights.items():
+        assert weights.shape == bank.receptor[primary].shape == (count, count)
+        assert not weights[masked].any()
+        assert not weights[:, masked].any()
+        assert np.abs(weights.sum(axis=1)).max() < 1e-9
+        assert np.abs(bank.kernels(primary)).max(axis=1)[mine.driven] == pytest.approx(1)
+        assert not bank.kernels(primary)[masked].any()
+        fired = (weights * bank.receptor[primary]).sum(axis=1)
+        assert fired[mine.driven] == pytest.approx(1, rel=1e-4)
+        with pytest.raises(DesignError, match=r"site 5 is masked.*output\.masked"):
+            bank.kernel(primary, 5, "weighted")
+        assert bank.kernel(primary, 2, "weighted").worst_other > 0
+
+
+def test_kernels_around_one_electrode_stay_selective(profile, bank, changed):
+    """What is left makes up for it: RA loses a sixth at its neighbors, SAI next to nothing."""
+    replanned = design_bank(changed(profile, {"output.masked": [27]}))
+    near = [18, 19, 20, 26, 28, 34, 35, 36]
+    for primary, loss in ((Primary.RA, 1.17), (Primary.SAI, 1.01)):
+        ratio = replanned.worst_other[primary][near] / bank.worst_other[primary][near]
+        assert ratio.max() <= loss
+        assert ratio.min() >= 1 - 1e-6, "fewer electrodes cannot do better"
+        assert replanned.own_spill[primary].max() <= 0.2 + 1e-5
 
 
 def test_shipped_banks_lie_where_the_package_looks():

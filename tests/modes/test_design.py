@@ -209,3 +209,28 @@ def test_a_spread_of_nothing_changes_nothing(line, changed):
     robust = design_kernel(Problem(mine, Primary.SAI, spread=True), 3)
     assert robust.worst_other == pytest.approx(plain.worst_other, abs=1e-7)
     assert robust.weights == pytest.approx(plain.weights, rel=1e-4)
+
+
+@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
+def test_around_a_masked_electrode_it_is_the_best_of_what_is_left(line, changed, primary):
+    """Written apart: the same programme with that electrode's column taken out of the rows."""
+    from scipy.optimize import linprog
+
+    problem = Problem(changed(line, {"output.masked": [2]}), primary)
+    kernel = design_kernel(problem, 3, spill=None)
+    left, rows = [0, 1, 3, 4, 5, 6], problem.rows[0]
+    scale = np.abs(rows.target[0, 3]).max()
+    others, target = rows.other[:, left] / scale, rows.target[0, 3, left] / scale
+    axon = problem.axon(3)[1:, left] / scale
+    answer = linprog(
+        np.r_[np.zeros(6), 1],
+        np.r_[np.c_[others, -np.ones(len(others))], np.c_[axon, np.zeros(len(axon))]],
+        np.r_[np.zeros(len(others)), np.ones(len(axon))],
+        np.c_[[target, np.ones(6)], [0, 0]],
+        [1, 0],
+        bounds=(None, None),
+    )
+    assert kernel.weights[2] == 0
+    assert abs(kernel.weights.sum()) < 1e-12
+    assert kernel.worst_other == pytest.approx(answer.fun, rel=1e-6)
+    assert design_any_node(problem, 3).weights[2] == 0

@@ -55,6 +55,11 @@ def test_an_electrode_of_its_own_kind_has_no_mirror_image(changed, keys):
     assert len(Problem(mine, Primary.RA).symmetries) < 8
 
 
+def test_masked_electrodes_have_no_mirror_image(profile, changed):
+    mine = changed(profile, {"output.masked": [27]})
+    assert len(Problem(mine, Primary.RA).symmetries) == 2, "the diagonal through it is left"
+
+
 def test_thresholds_alone_do_not_change_kernels(changed):
     mine = changed(load_profile("smarttouch-4x4"), {"perception.threshold_ma": [1.2] * 15 + [1.1]})
     assert len(Problem(mine, Primary.RA).symmetries) == 8

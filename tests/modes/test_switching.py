@@ -34,8 +34,9 @@ def small(changed):
 def by_trying_all(problem, site):
     """Return the least worst other, or spill where that passes 0.2, of all assignments."""
     admittance, best = problem.profile.admittance, np.inf
-    for states in itertools.product((0, 1, -1), repeat=problem.electrodes):
-        states = np.array(states)
+    for chosen in itertools.product((0, 1, -1), repeat=len(problem.driven)):
+        states = np.zeros(problem.electrodes, int)
+        states[problem.driven] = chosen
         if not ((states > 0).any() and (states < 0).any()):
             continue
         shares = np.zeros(len(states))
@@ -135,6 +136,29 @@ def test_one_of_n_is_one_against_all_others(small):
     kernel = design_one_of_n(problem, 4)
     assert kernel.peak_normalized == pytest.approx([0.2, 0.2, 0.2, 0.2, -1, 0.2])
     assert design_one_of_n(Problem(small(), Primary.SAI), 4).peak_normalized[4] == 1
+
+
+@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
+def test_no_assignment_around_a_masked_electrode_is_better(small, primary):
+    problem = Problem(small(IMPEDANCES[1], **{"output.masked": [2]}), primary)
+    kernel = design_three_state(problem, 1)
+    assert kernel.gap == 0
+    assert kernel.weights[2] == 0
+    objective = max(kernel.worst_other, kernel.own_spill if kernel.own_spill > 0.2 else 0)
+    assert objective == pytest.approx(by_trying_all(problem, 1), rel=1e-9)
+
+
+def test_one_of_n_counts_on_no_masked_electrode(small):
+    problem = Problem(small(**{"output.masked": [0]}), Primary.RA)
+    assert design_one_of_n(problem, 4).peak_normalized == pytest.approx(
+        [0, 0.25, 0.25, 0.25, -1, 0.25]
+    )
+
+
+@pytest.mark.parametrize("design", [design_kernel, design_one_of_n, design_three_state])
+def test_a_masked_site_has_no_kernel(small, design):
+    with pytest.raises(DesignError, match=r"site 2 is masked.*output\.masked"):
+        design(Problem(small(**{"output.masked": [2]}), Primary.RA), 2)
 
 
 @pytest.mark.parametrize("site", [-1, 6])

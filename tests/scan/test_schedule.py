@@ -1,5 +1,7 @@
 """One slot for each active point, balanced, spread, and within the period."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,11 +9,12 @@ from hypothesis import strategies as st
 
 from smarttouch.errors import ScheduleError
 from smarttouch.imaging.tactile_image import TactileImage
-from smarttouch.modes.bank import load_bank
+from smarttouch.modes.bank import design_bank, load_bank
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile, profile_names
 from smarttouch.scan.safety import SafetyGate, SafetyLimits
 from smarttouch.scan.schedule import PointScan, spread_order
+from smarttouch.scan.timing import ScanTiming
 
 
 def tactile(activation, time_ns=10**9, primary=Primary.RA):
@@ -90,6 +93,56 @@ def test_switched_boards_never_lose_an_electrode_to_rounding():
 def test_impossible_rates(profile, bank, rate):
     with pytest.raises(ScheduleError, match="rate"):
         PointScan(profile, bank, Primary.RA, rate)
+
+
+@pytest.fixture(scope="module", params=["line-7", "smarttouch-4x4", "kajimoto-61"])
+def masked(request, changed):
+    """A profile without electrodes 2 and 5, and its bank."""
+    profile = changed(load_profile(request.param), {"output.masked": [2, 5]})
+    return profile, design_bank(profile)
+
+
+@given(data=st.data())
+def test_a_masked_electrode_is_never_driven(masked, data):
+    profile, bank = masked
+    primary = data.draw(st.sampled_from(sorted(bank.weights)))
+    count = len(profile.electrodes)
+    activation = np.array(data.draw(st.lists(st.floats(0, 1), min_size=count, max_size=count)))
+    scan = PointScan(profile, bank, primary, 20)
+    sequence = scan.schedule(tactile(activation, primary=primary), 1.0)
+    started(load_profile(profile.name)).prove(sequence)
+    assert not np.isin(sequence.site, profile.output.masked).any()
+    assert not sequence.current_ua[:, list(profile.output.masked)].any()
+    felt = np.setdiff1d(np.flatnonzero(activation.astype(np.float32)), profile.output.masked)
+    assert set(sequence.site) == set(felt)
+
+
+def test_kernels_of_before_the_mask_are_refused(profile, bank, changed):
+    mine = changed(profile, {"output.masked": [27]})
+    with pytest.raises(ScheduleError, match=r"output\.masked \[27\].*design"):
+        PointScan(mine, bank, Primary.RA, 50)
+
+
+def test_the_board_s_clock_sets_the_period():
+    profile = load_profile("etactilekit-32")
+    timing = ScanTiming(slot_extra_us=10, every_electrode=True, whole_hz=True, load=0.9)
+    few = tactile(np.r_[np.ones(3), np.zeros(29)])
+    for asked_hz, got_hz in ((50, 50), (60, 60), (52.5, 52), (133, 133), (134, 133), (200, 133)):
+        scan = PointScan(profile, load_bank(profile), Primary.SAI, asked_hz, timing)
+        sequence = scan.schedule(tactile(few.activation[Primary.RA], primary=Primary.SAI), 1.0)
+        assert sequence.slots == 3
+        assert sequence.period_us == math.ceil(1e6 / got_hz)
+
+
+def test_a_board_in_index_order_gets_its_order():
+    profile = load_profile("kajimoto-61")
+    timing = ScanTiming(50, 150, slot_extra_us=8, scan_us=700, in_index_order=True, load=1 / 1.1)
+    scan = PointScan(profile, load_bank(profile), Primary.RA, 100, timing)
+    sequence = scan.schedule(tactile(np.ones(61)), 1.0)
+    assert sequence.site.tolist() == list(range(61))
+    assert sequence.period_us == pytest.approx((700 + 208 * 61) * 1.1, abs=1)
+    few = scan.schedule(tactile(np.r_[np.zeros(40), np.ones(21)]), 1.0)
+    assert few.period_us == 10_000
 
 
 @given(st.integers(0, 1100))

@@ -1,0 +1,80 @@
+"""What a board fixes about the time of a scan."""
+
+import math
+from dataclasses import dataclass
+
+from smarttouch.errors import ScheduleError
+from smarttouch.profile import Profile
+
+
+@dataclass(frozen=True)
+class ScanTiming:
+    """What a board fixes about the time of a scan; the defaults leave all to the host."""
+
+    width_us: int | None = None
+    """The only pulse width."""
+    discharge_us: int | None = None
+    """The only discharge."""
+    slot_extra_us: float = 0.0
+    """Time of a slot beyond pulse and discharge."""
+    scan_us: float = 0.0
+    """Time of a scan beyond its slots."""
+    every_electrode: bool = False
+    """Idle electrodes take a slot too."""
+    in_index_order: bool = False
+    """The board scans by electrode number."""
+    whole_hz: bool = False
+    """Its rate is a whole number of hertz."""
+    load: float = 1.0
+    """Share of the period that a scan may fill."""
+
+    def shortest_period_us(
+        self, slots: int, electrodes: int, width_us: float, discharge_us: float
+    ) -> int:
+        """Return the shortest period in which a scan can be done, µs.
+
+        Parameters
+        ----------
+        slots : int
+            Active points.
+        electrodes : int
+            Of the array.
+        width_us, discharge_us : float, µs
+            Of each slot; the mean where they differ.
+        """
+        taken = electrodes if self.every_electrode else slots
+        busy_us = taken * (width_us + discharge_us + self.slot_extra_us) + self.scan_us
+        return self.possible_period_us(busy_us / self.load)
+
+    def possible_period_us(self, period_us: float) -> int:
+        """Return the shortest period the board can keep that is not below this one, µs.
+
+        A rate of f whole hertz is a period of 1e6/f rounded up: ``round(1e6 / period)``
+        gives f back.
+
+        Raises
+        ------
+        ScheduleError
+            If a whole number of hertz would have to be below one.
+        """
+        period = math.ceil(period_us)
+        if not self.whole_hz or period <= 1:
+            return period
+        # The largest f whose period, rounded up, is no shorter.
+        rate_hz = 999_999 // (period - 1)
+        if not rate_hz:
+            raise ScheduleError(
+                f"a scan takes {period / 1e6:.2f} s, and the board scans once a second at the "
+                "slowest: lower pulse.discharge_us or the number of electrodes"
+            )
+        return -(-1_000_000 // rate_hz)
+
+    def check(self, profile: Profile) -> None:
+        """Raise a ScheduleError unless a profile's pulses are those of the board."""
+        for key, fixed in (("width_us", self.width_us), ("discharge_us", self.discharge_us)):
+            asked = getattr(profile.pulse, key)
+            if fixed is not None and asked != fixed:
+                raise ScheduleError(
+                    f"the profile's pulse.{key} is {asked} µs, the board's is always {fixed} µs: "
+                    f"set pulse.{key} = {fixed}"
+                )
