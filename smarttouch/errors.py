@@ -29,5 +29,13 @@ class BoardError(SmartTouchError):
     """A board cannot be opened, refused a command, or is gone."""
 
 
+class LineLostError(BoardError):
+    """The line to a board broke, or it fell silent; starting anew may help."""
+
+
+class BoardRestartedError(BoardError):
+    """A board was lost and is back, at zero: begin again at intensity 0."""
+
+
 class RecordingError(SmartTouchError):
     """A recording cannot be written or read."""

@@ -3,23 +3,25 @@
 import gc
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import FrameType
-from typing import Protocol
 
 import numpy as np
 
 from smarttouch.boards.board import Board
+from smarttouch.clock import Clock, MonotonicClock
+from smarttouch.errors import BoardRestartedError
 from smarttouch.pipeline import Pipeline, Step
-from smarttouch.sensing.frame import Sensor
+from smarttouch.scan.adaptation import Adaptation
+from smarttouch.scan.ledger import ChargeLedger
+from smarttouch.sensing.frame import Frame, Sensor
 
 STALL_NS = 100_000_000
 """After such a delay the board may have fallen silent: intensity starts from zero again."""
-SPIN_NS = 300_000
-"""The end of each wait is spun: a sleep alone wakes 0.1 to 0.2 ms late."""
+LIFT_NS = 300_000_000
+"""After a lifted finger: so long there is no current, then it rises from zero again."""
 
 
 @dataclass
@@ -51,28 +53,6 @@ def stop_on_signals(stop: StopRequest) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-class Clock(Protocol):
-    """What the loop knows of time; tests give it one of their own."""
-
-    def now_ns(self) -> int: ...
-
-    def wait_until(self, deadline_ns: int, stop: threading.Event) -> None: ...
-
-
-class MonotonicClock:
-    """The machine's monotonic clock: sleeps to a deadline, then spins the last bit."""
-
-    def now_ns(self) -> int:
-        return time.perf_counter_ns()
-
-    def wait_until(self, deadline_ns: int, stop: threading.Event) -> None:
-        left = deadline_ns - self.now_ns()
-        if left > SPIN_NS and stop.wait((left - SPIN_NS) / 1e9):
-            return
-        while self.now_ns() < deadline_ns:
-            pass
-
-
 @dataclass(frozen=True)
 class Sent:
     """One frame that went out."""
@@ -95,6 +75,10 @@ class Tally:
     lowest_rate_hz: float = float("inf")
     late: int = 0
     """Frames that came more than a period after their time."""
+    restarts: int = 0
+    """How often the board was lost and started anew."""
+    lifts: int = 0
+    """How often the board found the finger lifted."""
     active: float = 0.0
     latency_us: list[float] = field(default_factory=list)
     seconds: float = 0.0
@@ -117,6 +101,33 @@ class Tally:
         return {"p50": float(p50), "p99": float(p99), "max": max(self.latency_us)}
 
 
+@dataclass
+class Regulator:
+    """Closes the loop from what the board measured to what it is sent next.
+
+    Parameters
+    ----------
+    adaptation : Adaptation, optional
+        Holds charge or energy against drifting impedance.
+    ledger : ChargeLedger, optional
+        Turns the polarity of a sequence where that brings net charge to zero.
+    """
+
+    adaptation: Adaptation | None = None
+    ledger: ChargeLedger | None = None
+
+    def regulate(self, step: Step, board: Board) -> Step:
+        """Return the step with its sequence as it is to be sent."""
+        if self.adaptation is not None:
+            for sequence, volts in board.take_volts():
+                self.adaptation.observe(sequence, volts)
+            step = replace(step, sequence=self.adaptation.apply(step.sequence))
+        if self.ledger is not None:
+            step = replace(step, sequence=self.ledger.balancing(step.sequence))
+            self.ledger.add(step.sequence)
+        return step
+
+
 def run(
     sensor: Sensor,
     pipeline: Pipeline,
@@ -126,6 +137,7 @@ def run(
     tally: Tally,
     seconds: float | None = None,
     observers: Sequence[Callable[[Sent], None]] = (),
+    regulator: Regulator | None = None,
     clock: Clock | None = None,
 ) -> None:
     """Let the finger feel what the sensor sees until the sensor ends.
@@ -146,16 +158,20 @@ def run(
         Longest run by the clock.
     observers : sequence of callable
         Told of every frame sent.
+    regulator : Regulator, optional
+        What the board's own measurements do to the sequences.
     clock : Clock, optional
         The machine's if not given.
     """
     clock = clock or MonotonicClock()
+    regulator = regulator or Regulator()
     pipeline.warm_up()
     gc.collect()
     gc.freeze()
     start = clock.now_ns()
     elapsed = 0
     shift = 0
+    lifted_until = start
     try:
         while not stop.event.is_set():
             clock.wait_until(start + elapsed + shift, stop.event)
@@ -172,9 +188,23 @@ def run(
             frame = sensor.read(elapsed)
             if frame is None:
                 break
+            if board.lifted and now >= lifted_until:
+                # Only a pulse can tell whether the finger is back: try again, from zero.
+                board.lifted = False
+                tally.lifts += 1
+                lifted_until = now + LIFT_NS
+            if now < lifted_until:
+                pipeline.restart_softly()
             in_hand = clock.now_ns()
-            step = pipeline.process(frame)
-            number = board.send(step.sequence)
+            step = regulator.regulate(pipeline.process(_pressed(frame, board)), board)
+            try:
+                number = board.send(step.sequence)
+            except BoardRestartedError:
+                tally.restarts += 1
+                pipeline.restart_softly()
+                shift += clock.now_ns() - now
+                elapsed += step.sequence.period_us * 1000
+                continue
             sent = Sent(step, number, (clock.now_ns() - in_hand) / 1000)
             tally.count(sent, pipeline.period_us)
             for observe in observers:
@@ -188,3 +218,10 @@ def run(
         tally.seconds = (clock.now_ns() - start) / 1e9
     finally:
         gc.unfreeze()
+
+
+def _pressed(frame: Frame, board: Board) -> Frame:
+    """Return the frame with the force that the board measures, if that is less."""
+    if board.force_n is None or board.force_n >= frame.force_n:
+        return frame
+    return replace(frame, force_n=board.force_n)

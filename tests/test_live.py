@@ -5,9 +5,12 @@ import threading
 import numpy as np
 import pytest
 
-from smarttouch.boards.board import Board, BoardReport, Capabilities
-from smarttouch.live import StopRequest, Tally, run
+from smarttouch.boards.memory import MemoryBoard
+from smarttouch.errors import BoardError, LineLostError
+from smarttouch.live import Regulator, StopRequest, Tally, run
 from smarttouch.pipeline import Pipeline
+from smarttouch.scan.adaptation import Adaptation
+from smarttouch.scan.ledger import ChargeLedger
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.sensing.frame import Frame, Pose
 
@@ -48,20 +51,16 @@ class Bars:
         return Frame(image, time_ns, Pose(0, 0), 1.0)
 
 
-class MemoryBoard(Board):
-    """Keeps what it gets; the contract's own code is what is tested."""
+class Watched(MemoryBoard):
+    """A board in memory that notes what it is asked to do."""
 
     def __init__(self, profile):
-        super().__init__(SafetyLimits.of(profile))
-        self.sequences, self.calls = [], []
+        super().__init__("", SafetyLimits.of(profile), profile.output)
+        self.calls = []
 
     def _open(self):
-        self.capabilities = Capabilities(64, "weighted", 5.0, 1024, 100.0, "memory")
+        super()._open()
         self.calls.append("open")
-
-    def _send(self, sequence):
-        self.sequences.append(sequence)
-        return len(self.sequences)
 
     def _stop(self):
         self.calls.append("stop")
@@ -72,13 +71,10 @@ class MemoryBoard(Board):
     def drain(self, timeout_s=1.0):
         self.calls.append("drain")
 
-    def report(self):
-        return BoardReport(len(self.sequences), 0, 0, 0, 0.0, 0.0, 0.0)
-
 
 @pytest.fixture
 def board(profile):
-    return MemoryBoard(profile)
+    return Watched(profile)
 
 
 @pytest.fixture
@@ -125,7 +121,7 @@ def test_a_little_lateness_does_not_add_up(pipeline, board):
 def test_same_frames_same_sequences(profile, bank):
     runs = []
     for _ in range(2):
-        with MemoryBoard(profile) as board:
+        with Watched(profile) as board:
             run(
                 Bars(30),
                 Pipeline(profile, bank),
@@ -214,3 +210,86 @@ def test_stopping_is_safe_from_another_thread(pipeline, board):
         thread.join()
         run(Bars(), pipeline, board, stop=stop, tally=Tally(), clock=FakeClock())
     assert board.sequences == []
+
+
+def intensities(board):
+    return [sequence.intensity for sequence in board.sequences]
+
+
+def test_a_board_that_was_lost_and_is_back_begins_at_zero(monkeypatch, pipeline, board):
+    tally, send = Tally(), board._send
+
+    def loses_the_fortieth(sequence, times):
+        if len(board.sequences) == 40:
+            monkeypatch.setattr(board, "_send", send)
+            raise LineLostError("the board at x has vanished")
+        return send(sequence, times)
+
+    monkeypatch.setattr(board, "_send", loses_the_fortieth)
+    monkeypatch.setattr(board, "_recover", lambda lost: None)
+    with board:
+        run(Bars(60), pipeline, board, stop=StopRequest(), tally=tally, clock=FakeClock())
+    assert (tally.restarts, tally.frames) == (1, 59)
+    assert intensities(board)[39:42] == [1, 0, pytest.approx(0.04)]
+    assert board.notes == ["the board at x has vanished: started anew"]
+
+
+def test_a_board_that_stays_lost_ends_the_run(monkeypatch, pipeline, board):
+    def broken(*_):
+        raise LineLostError("the board at x has vanished")
+
+    monkeypatch.setattr(board, "_send", broken)
+    with pytest.raises(BoardError, match="vanished"), board:
+        run(Bars(60), pipeline, board, stop=StopRequest(), tally=Tally(), clock=FakeClock())
+    assert board.calls == ["open", "stop", "close"]
+
+
+def test_a_lifted_finger_stops_the_current_and_its_return_begins_at_zero(pipeline, board):
+    tally = Tally()
+
+    def lift(sent):
+        # As a board would tell: all of what it was sent met an open circuit.
+        if 40 <= tally.frames < 60 and sent.step.sequence.slots:
+            board.lifted = True
+
+    with board:
+        run(
+            Bars(100), pipeline, board, stop=StopRequest(), tally=tally, observers=[lift],
+            clock=FakeClock(),
+        )  # fmt: skip
+    found = intensities(board)
+    assert found[39] == 1
+    assert found[40:55] == [0] * 15
+    # 0.3 s later it tries once more, with next to nothing, and waits again.
+    assert 0 < max(found[55:60]) <= 0.05
+    assert tally.lifts == 2
+    assert max(np.diff(found)) <= 0.0401
+    assert found[-1] > 0.5
+
+
+def test_the_force_that_the_board_measures_gates_too(pipeline, board):
+    board.force_n = 0.05
+    with board:
+        run(Bars(40), pipeline, board, stop=StopRequest(), tally=Tally(), clock=FakeClock())
+    assert set(intensities(board)) == {0}
+
+
+def test_what_was_measured_changes_what_is_sent(profile, pipeline, board, monkeypatch):
+    measured = []
+    monkeypatch.setattr(board, "take_volts", lambda: [measured.pop()] if measured else [])
+
+    def saturate(sent):
+        sequence = sent.step.sequence
+        if sequence.slots:
+            measured.append((sequence, np.full(sequence.slots, 100.0, np.float32)))
+
+    regulator = Regulator(Adaptation(profile, "energy", 300.0), ChargeLedger(64))
+    with board:
+        run(
+            Bars(60), pipeline, board, stop=StopRequest(), tally=Tally(), observers=[saturate],
+            regulator=regulator, clock=FakeClock(),
+        )  # fmt: skip
+    # The same voltage at ever more current: impedance seems to fall, and energy holds.
+    late = [s for s in board.sequences[30:] if s.slots]
+    assert {bool(s.current_ua[0, s.site[0]] > 0) for s in late} == {True, False}
+    assert regulator.ledger.worst_uc < 1.0

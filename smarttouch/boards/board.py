@@ -4,30 +4,75 @@ import threading
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
-from smarttouch.errors import BoardError
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.boards.impedance import Impedance
+from smarttouch.errors import BoardError, BoardRestartedError, LineLostError
+from smarttouch.profile import DEFAULT_PROFILE
+from smarttouch.profile.device import Output
 from smarttouch.registry import find_opener
 from smarttouch.scan.safety import SafetyGate, SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
+from smarttouch.scan.timing import ScanTiming
+
+Polarity = Literal["anodic", "cathodic"]
+BOTH: tuple[Polarity, ...] = ("anodic", "cathodic")
 
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What a board says it can do."""
+    """What a board can do, and what it cannot."""
 
     electrodes: int
     output: Literal["weighted", "three-state", "one-against-all"]
     max_current_ma: float
     max_slots: int
-    time_to_zero_ms: float
-    """Longest time from the host's silence to all electrodes shorted."""
+    time_to_zero_ms: float | None
+    """Longest time from the host's silence to no current; None if it goes on for ever."""
     firmware: str
+    polarities: tuple[Polarity, ...] = BOTH
+    clock: Literal["board", "host"] = "board"
+    """Whose clock the pulses leave on."""
+    acknowledges: bool = True
+    measures: bool = False
+    """Whether it tells the voltage that a slot needed."""
+    force: bool = False
+    """Whether it tells how hard the finger presses."""
+    compliance_v: float | None = None
+    """The most its source can give, if it is known."""
+
+    def describe(self) -> list[tuple[str, str]]:
+        """Return what there is to tell a user, as names and values."""
+        silence = (
+            "goes on with its last pattern for ever: lift the finger before you unplug the host"
+            if self.time_to_zero_ms is None
+            else f"no current {self.time_to_zero_ms:g} ms after the host falls silent"
+        )
+        told = [
+            name
+            for name, has in (
+                ("acknowledgments", self.acknowledges),
+                ("voltages", self.measures),
+                ("finger force", self.force),
+            )
+            if has
+        ]
+        return [
+            ("firmware", self.firmware),
+            ("electrodes", f"{self.electrodes}, {self.output}, {' or '.join(self.polarities)}"),
+            ("current", f"at most {self.max_current_ma:.1f} mA"),
+            ("clock", f"the {self.clock}'s"),
+            ("host lost", silence),
+            ("tells of", ", ".join(told) or "nothing"),
+        ]
 
 
 @dataclass(frozen=True)
 class BoardReport:
-    """The board's own account of what it delivered since it was opened."""
+    """Account of what a board delivered since it was opened."""
 
     sequences: int
     slots: int
@@ -37,28 +82,58 @@ class BoardReport:
     max_current_ma: float
     max_charge_uc: float
     max_net_charge_uc: float
-    """Worst electrode's charge left after a slot's discharge."""
+    """Worst electrode's charge left: after a slot's discharge by the board's books, by the
+    host's the sum of all pulses."""
+    by: Literal["board", "host"] = "board"
+    """Whose account it is; a host's is of what it sent."""
+
+
+LONGEST_REPEAT = 0xFFFF
 
 
 class Board(ABC):
     """A display board.
 
-    A driver implements the four underscored methods. `send` cannot be reached
+    A driver implements the underscored methods. `send` cannot be reached
     around: it proves every sequence safe before the driver sees it.
 
     Parameters
     ----------
     limits : SafetyLimits
         From the profile of the finger on the board.
+    output : Output, optional
+        What the profile says of the board: kind, scale, wiring.
     """
 
+    usual_profile: ClassVar[str] = DEFAULT_PROFILE
+    """The shipped profile of such a board."""
+    takes_wiring: ClassVar[bool] = False
+    one_width: ClassVar[bool] = False
+    """Whether all slots of a sequence have the same pulse width."""
+    ua_per_count: float | None = None
+    """Its current scale, if it has one that can be measured."""
+    timing: ScanTiming = ScanTiming()
+    """What it fixes about the time of a scan; known before it is opened."""
     capabilities: Capabilities
     acknowledged: int = 0
     """Sequences the board has begun to deliver."""
     refused: int = 0
     """Sequences the board has declined or dropped."""
+    replaced: int = 0
+    """Sequences that a newer one overtook before they were sent."""
+    force_n: float | None = None
+    """How hard the finger presses, if the board can tell."""
+    lifted: bool = False
+    """Whether by the voltages of the last scan nothing touches the electrodes."""
 
-    def __init__(self, limits: SafetyLimits) -> None:
+    def __init__(self, limits: SafetyLimits, output: Output | None = None) -> None:
+        if output is not None and output.wiring is not None and not self.takes_wiring:
+            raise BoardError(
+                "output.wiring is for boards whose outputs are wired by the user (etactilekit:): "
+                "remove it from the profile of this one"
+            )
+        self.notes: list[str] = []
+        self._output = output
         self._gate = SafetyGate(limits)
         self._stopped = threading.Event()
         self._opened = False
@@ -73,8 +148,11 @@ class Board(ABC):
         self._open()
         self._opened = True
 
-    def send(self, sequence: ScanSequence) -> int:
+    def send(self, sequence: ScanSequence, times: int = 1) -> int:
         """Prove a sequence safe, then send it.
+
+        It is delivered ``times`` times, one period after another, unless a
+        newer one comes before that.
 
         Returns
         -------
@@ -85,6 +163,8 @@ class Board(ABC):
         ------
         SafetyError
             If it breaks a limit; nothing is sent.
+        BoardRestartedError
+            If the board was lost and is back: begin again at intensity 0.
         BoardError
             If the board is closed, stopped, of another size, or gone.
         """
@@ -97,8 +177,47 @@ class Board(ABC):
                 f"the sequence is for {sequence.electrodes} electrodes, the board has "
                 f"{self.capabilities.electrodes}: use the profile of this board"
             )
+        if not 1 <= times <= LONGEST_REPEAT:
+            raise BoardError(f"{times} repetitions are not possible: from 1 to {LONGEST_REPEAT}")
         self._gate.prove(sequence)
-        return self._send(sequence)
+        try:
+            return self._send(sequence, times)
+        except LineLostError as lost:
+            self._recover(lost)
+            # The skin has felt nothing for a while: what comes next begins at zero.
+            self._gate = SafetyGate(self._gate.limits)
+            self.notes.append(f"{lost}: started anew")
+            raise BoardRestartedError(f"{lost}, and was started anew") from None
+
+    def take_volts(self) -> list[tuple[ScanSequence, NDArray[np.float32]]]:
+        """Return what was measured since the last call.
+
+        Returns
+        -------
+        list of (ScanSequence, ndarray)
+            A sequence that was delivered, and the voltage its source needed at
+            the end of each slot, (S,) V.
+        """
+        return []
+
+    def measure(self) -> Impedance:
+        """Measure the impedance of every electrode, with small currents.
+
+        Raises
+        ------
+        SafetyError
+            If the board's measuring pulse is above the profile's limits.
+        BoardError
+            If the board cannot measure, or its answer makes no sense.
+        """
+        if not self._opened:
+            raise BoardError("the board is not open: open it before measuring")
+        self._gate = SafetyGate(self._gate.limits)
+        try:
+            return self._measure()
+        finally:
+            # What comes next begins at zero, and its time may start anew.
+            self._gate = SafetyGate(self._gate.limits)
 
     def stop(self) -> None:
         """Put all electrodes at zero now, from any thread; nothing can be sent after."""
@@ -126,7 +245,15 @@ class Board(ABC):
     def _open(self) -> None: ...
 
     @abstractmethod
-    def _send(self, sequence: ScanSequence) -> int: ...
+    def _send(self, sequence: ScanSequence, times: int) -> int:
+        """Hand a proven sequence on; raise LineLostError where starting anew may help."""
+
+    def _recover(self, lost: LineLostError) -> None:
+        """Start a lost board anew, at zero; raise if it cannot be."""
+        raise lost
+
+    def _measure(self) -> Impedance:
+        raise BoardError("this board does not measure: use a multimeter")
 
     @abstractmethod
     def _stop(self) -> None: ...
@@ -152,7 +279,9 @@ class Board(ABC):
                 raise
 
 
-def make_board(url: str, limits: SafetyLimits, **options: Any) -> Board:
+def make_board(
+    url: str, limits: SafetyLimits, output: Output | None = None, **options: Any
+) -> Board:
     """Make the driver for a board's URL; it is not opened yet.
 
     Raises
@@ -161,5 +290,11 @@ def make_board(url: str, limits: SafetyLimits, **options: Any) -> Board:
         If no driver has that name.
     """
     opener, rest = find_opener("smarttouch.boards", url, BoardError)
-    board: Board = opener(rest, limits, **options)
+    board: Board = opener(rest, limits, output, **options)
     return board
+
+
+def usual_profile(url: str) -> str:
+    """Return the name of the shipped profile that goes with a board's URL."""
+    opener, _ = find_opener("smarttouch.boards", url, BoardError)
+    return str(getattr(opener, "usual_profile", DEFAULT_PROFILE))

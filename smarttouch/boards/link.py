@@ -1,45 +1,37 @@
 """Driver of boards that speak our own protocol over a serial line."""
 
-import contextlib
-import os
-import threading
 import time
+from collections import deque
 from typing import Any
 
-import serial
+import numpy as np
+from numpy.typing import NDArray
 
 from smarttouch.boards import protocol
 from smarttouch.boards.board import Board, BoardReport, Capabilities
-from smarttouch.boards.protocol import Kind, Packet, Refusal
-from smarttouch.errors import BoardError
+from smarttouch.boards.impedance import Impedance, judge
+from smarttouch.boards.link_line import AGAIN_S, ANSWER_S, LinkLine
+from smarttouch.boards.port import Port, open_port, reopen_port
+from smarttouch.boards.probe import probe_sequences
+from smarttouch.boards.protocol import Feature, Kind, Packet, Refusal
+from smarttouch.boards.protocol_sequence import decode_volts, encode_sequence
+from smarttouch.errors import BoardError, LineLostError
+from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
 
-HEARTBEAT_S = 0.04
-"""Longest silence of the host: the board gives up after 0.1 s."""
-SILENCE_S = 0.5
-"""Silence of the board, which answers every heartbeat, after which it counts as gone."""
-ANSWER_S = 1.0
+RECOVER_S = 3.0
+"""How long a port that is gone is waited for."""
 IN_FLIGHT = 1
 """Sequences sent but not yet begun: the board has one place for those."""
-PIECE = 4096
-"""Bytes written at once: a stop waits for one piece, not for a whole packet."""
-_LINE_ERRORS = (OSError, serial.SerialException, TypeError)
-"""What pyserial raises when a port vanishes, or is closed by another thread."""
+OPEN_SHARE = 0.97
+"""Of the compliance: where every slot needs that much, nothing touches the electrodes."""
 
-
-def open_link(rest: str, limits: SafetyLimits, **options: Any) -> "LinkBoard":
-    """Make the driver for ``link:PORT``."""
-    if not rest:
-        raise BoardError("link: needs a port, for example link:/dev/ttyACM0")
-    return LinkBoard(rest, limits, output=options.get("output"))
+Measured = tuple[ScanSequence, NDArray[np.float32]]
 
 
 class LinkBoard(Board):
-    """A board at the far end of a serial line.
-
-    One thread reads what comes, one keeps the board alive while nothing is
-    sent. Whatever goes wrong on the line is raised at the next call.
+    """A board at the far end of a serial line: ``link:PORT``.
 
     Parameters
     ----------
@@ -47,51 +39,44 @@ class LinkBoard(Board):
         Device, or any URL that pyserial knows.
     limits : SafetyLimits
         Of the finger's profile.
-    output : str, optional
-        Kind of outputs that the profile needs.
+    output : Output, optional
+        What the profile says of the board.
     """
 
-    def __init__(self, port: str, limits: SafetyLimits, output: str | None = None) -> None:
-        super().__init__(limits)
-        self._port_name = port
-        self._output = output
+    def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
+        super().__init__(limits, output)
+        self._line = LinkLine(port, self._hear, self._aftermath)
         self._number = 0
-        self._in_flight: set[int] = set()
-        self._fault: str | None = None
-        self._closing = threading.Event()
-        # Reentrant: a signal handler may call stop while its own thread is writing.
-        self._writing = threading.RLock()
-        self._overtaken = False
-        self._serial: serial.SerialBase | None = None
-        self._news = threading.Condition()
-        self._answers: dict[int, Packet] = {}
-        self._threads: list[threading.Thread] = []
+        self._in_flight: dict[int, bytes] = {}
+        self._sent: deque[tuple[int, ScanSequence]] = deque(maxlen=4)
+        self._measured: deque[Measured] = deque(maxlen=64)
 
     # -- the contract ------------------------------------------------------
 
     def _open(self) -> None:
-        self._closing.clear()
-        self._fault = None
-        self._overtaken = False
+        if not self._line.name:
+            raise BoardError("link: needs a port, for example link:/dev/ttyACM0")
+        self._start(open_port(self._line.name))
+
+    def _start(self, port: Port) -> None:
         self._in_flight.clear()
-        self._answers.clear()
-        self._serial = self._open_port()
-        self._last_heard = self._last_written = time.monotonic()
-        self._threads = [
-            threading.Thread(target=self._read_all, name="board reader", daemon=True),
-            threading.Thread(target=self._keep_alive, name="board heartbeat", daemon=True),
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._line.open(port)
         try:
             self._shake_hands()
         except BaseException:
-            self._close()
+            self._line.close()
             raise
 
-    def _send(self, sequence: ScanSequence) -> int:
+    def _recover(self, lost: LineLostError) -> None:
+        self._line.close()
+        try:
+            self._start(reopen_port(self._line.name, RECOVER_S))
+        except BoardError:
+            raise lost from None
+
+    def _send(self, sequence: ScanSequence, times: int) -> int:
         self._number += 1
-        packet = protocol.encode_sequence(
+        packet = encode_sequence(
             self._number,
             self.capabilities.output,
             sequence.period_us,
@@ -99,45 +84,47 @@ class LinkBoard(Board):
             sequence.discharge_us,
             sequence.site,
             sequence.current_ua,
+            times,
+            self.capabilities.measures,
         )
-        with self._news:
-            room = self._news.wait_for(
-                lambda: self._fault is not None or len(self._in_flight) < IN_FLIGHT, ANSWER_S
-            )
-            self._raise_fault()
-            if not room:
-                raise BoardError(
-                    f"the board at {self._port_name} has not acknowledged sequence "
-                    f"{min(self._in_flight)} within {ANSWER_S:g} s: check the line"
-                )
-            self._in_flight.add(self._number)
-        self._write(packet)
+        self._wait_for_room()
+        with self._line.news:
+            self._in_flight[self._number] = packet
+            self._sent.append((self._number, sequence))
+        self._line.write(packet)
         return self._number
 
+    def _wait_for_room(self) -> None:
+        line, deadline = self._line, time.monotonic() + ANSWER_S
+        while True:
+            with line.news:
+                if line.news.wait_for(
+                    lambda: line.fault is not None or len(self._in_flight) < IN_FLIGHT, AGAIN_S
+                ):
+                    line.raise_fault()
+                    return
+                number, packet = next(iter(self._in_flight.items()))
+            if time.monotonic() > deadline:
+                raise line.lost(f"has not acknowledged sequence {number} within {ANSWER_S:g} s")
+            # It has the same number: the board knows it again if it was only the ACK that got lost.
+            line.write(packet)
+
     def _stop(self) -> None:
-        # From here on there are no heartbeats: without an answer the board's watchdog ends it.
-        self._overtaken = True
-        if self._serial is None:
+        self._line.overtaken = True
+        if not self._line.opened:
             return
-        if self._fault is not None:
-            with contextlib.suppress(*_LINE_ERRORS):
-                self._serial.write(b"\0" + protocol.encode(Kind.STOP))
+        if self._line.fault is not None:
+            self._line.write_blindly(b"\0" + protocol.encode(Kind.STOP))
             return
         try:
-            self._ask(Kind.STOP, Kind.STOPPED)
+            self._line.ask(Kind.STOP, Kind.STOPPED)
         except BoardError:
             # A board that is gone has been told of, or will be at the next send.
-            if self._fault is None:
+            if self._line.fault is None:
                 raise
 
     def _close(self) -> None:
-        self._closing.set()
-        for thread in self._threads:
-            if thread is not threading.current_thread():
-                thread.join(ANSWER_S)
-        if self._serial is not None:
-            with contextlib.suppress(*_LINE_ERRORS):
-                self._serial.close()
+        self._line.close()
 
     def report(self) -> BoardReport:
         return BoardReport(*self._status()[:-1])
@@ -147,159 +134,125 @@ class LinkBoard(Board):
         while self._status()[-1] and time.monotonic() < deadline:
             time.sleep(0.002)
 
-    # -- the line ----------------------------------------------------------
+    def take_volts(self) -> list[Measured]:
+        return [self._measured.popleft() for _ in range(len(self._measured))]
 
-    def _open_port(self) -> serial.SerialBase:
-        try:
-            return serial.serial_for_url(
-                self._port_name, baudrate=921600, timeout=0.05, write_timeout=0.5, exclusive=True
+    def _measure(self) -> Impedance:
+        can = self.capabilities
+        if not can.measures or can.compliance_v is None:
+            return super()._measure()
+        self.take_volts()
+        for probe in probe_sequences(self._gate.limits, self._output):
+            self.send(probe)
+            self.drain()
+        found = [volts for sequence, volts in self.take_volts() if sequence is probe]
+        if not found or len(found[-1]) != can.electrodes:
+            raise BoardError(
+                f"the board at {self._line.name} did not tell the voltages of its "
+                f"{can.electrodes} electrodes: measure again"
             )
-        except (OSError, ValueError, AttributeError) as error:
-            text = str(error)
-            if "lock" in text or "busy" in text.lower():
-                reason = "it is in use by another program: close that first"
-            elif "No such file" in text or getattr(error, "errno", None) == 2:
-                reason = "there is no such port: check the cable and the name"
-            elif "ermission" in text:
-                reason = "permission denied: add yourself to the group of the port (often dialout)"
-            else:
-                reason = text
-            raise BoardError(f"cannot open {self._port_name}: {reason}") from None
+        return judge(found[-1].astype(np.float64), probe.source_ua / 1000, can.compliance_v)
+
+    # -- what the board says -----------------------------------------------
 
     def _shake_hands(self) -> None:
-        answer = self._ask(Kind.HELLO, Kind.CAPABILITIES)
-        if len(answer.payload) < protocol.CAPABILITIES.size:
-            raise BoardError(f"the board at {self._port_name} answers nonsense: check its firmware")
-        electrodes, output, current_ua, slots, zero_ms = protocol.CAPABILITIES.unpack_from(
-            answer.payload
+        answer = self._line.ask(Kind.HELLO, Kind.CAPABILITIES)
+        name = self._line.name
+        if answer.version != protocol.VERSION:
+            raise BoardError(
+                f"the board at {name} speaks link version {answer.version}, this "
+                f"program {protocol.VERSION}: bring both to the same"
+            )
+        head = protocol.CAPABILITIES.size
+        if len(answer.payload) < head:
+            raise self._nonsense()
+        electrodes, output, features, current_ua, slots, zero_ms, volts = (
+            protocol.CAPABILITIES.unpack_from(answer.payload)
         )
         if output >= len(protocol.OUTPUTS):
-            raise BoardError(f"the board at {self._port_name} has outputs of unknown kind {output}")
+            raise BoardError(f"the board at {name} has outputs of unknown kind {output}")
         self.capabilities = Capabilities(
             electrodes=electrodes,
             output=protocol.OUTPUTS[output],
             max_current_ma=current_ua / 1000,
             max_slots=slots,
             time_to_zero_ms=zero_ms,
-            firmware=answer.payload[protocol.CAPABILITIES.size :].decode("utf-8", "replace"),
+            firmware=answer.payload[head:].decode("utf-8", "replace"),
+            measures=bool(features & Feature.VOLTAGE),
+            force=bool(features & Feature.FORCE),
+            compliance_v=float(volts) or None,
         )
         wanted = self._gate.limits.electrodes
         if electrodes != wanted:
             raise BoardError(
-                f"the board at {self._port_name} has {electrodes} electrodes, the profile "
+                f"the board at {name} has {electrodes} electrodes, the profile "
                 f"{wanted}: use the profile of this board"
             )
-        if self._output not in (None, self.capabilities.output):
+        if self._output is not None and self._output.kind != self.capabilities.output:
             raise BoardError(
-                f"the board at {self._port_name} is {self.capabilities.output}, the profile needs "
-                f"{self._output}: use the profile of this board"
+                f"the board at {name} is {self.capabilities.output}, the profile needs "
+                f"{self._output.kind}: use the profile of this board"
             )
-
-    def _ask(self, question: Kind, answer: Kind) -> Packet:
-        with self._news:
-            self._answers.pop(answer, None)
-        # The zero in front ends whatever half packet stands on the line.
-        self._write(b"\0" + protocol.encode(question))
-        with self._news:
-            self._news.wait_for(
-                lambda: self._fault is not None or answer in self._answers, ANSWER_S
-            )
-            self._raise_fault()
-            if answer not in self._answers:
-                raise BoardError(
-                    f"the board at {self._port_name} does not answer: check that it is on and "
-                    f"speaks link version {protocol.VERSION}"
-                )
-            return self._answers.pop(answer)
 
     def _status(self) -> tuple[Any, ...]:
-        answer = self._ask(Kind.STATUS, Kind.REPORT)
+        answer = self._line.ask(Kind.STATUS, Kind.REPORT)
         if len(answer.payload) != protocol.REPORT.size:
-            raise BoardError(f"the board at {self._port_name} answers nonsense: check its firmware")
+            raise self._nonsense()
         return protocol.REPORT.unpack(answer.payload)
 
-    def _write(self, packet: bytes) -> None:
-        if not self._writing.acquire(timeout=ANSWER_S):
-            raise BoardError(f"the line to {self._port_name} is blocked: check the cable")
-        try:
-            assert self._serial is not None
-            for start in range(0, len(packet), PIECE):
-                if self._overtaken and len(packet) > PIECE:
-                    raise BoardError("the board was stopped: open it again before sending")
-                self._serial.write(packet[start : start + PIECE])
-            self._last_written = time.monotonic()
-        except _LINE_ERRORS as error:
-            self._fail(f"cannot be written to ({_reason(error)})")
-            self._raise_fault()
-        finally:
-            self._writing.release()
+    def _nonsense(self) -> BoardError:
+        return BoardError(f"the board at {self._line.name} answers nonsense: check its firmware")
 
-    def _read_all(self) -> None:
-        deframer = protocol.Deframer()
-        while not self._closing.is_set():
-            try:
-                assert self._serial is not None
-                data = self._serial.read(self._serial.in_waiting or 1)
-            except _LINE_ERRORS as error:
-                if not self._closing.is_set():
-                    self._fail(f"has vanished ({_reason(error)})")
-                return
-            for packet in deframer.feed(data):
-                self._hear(packet)
-            if time.monotonic() - self._last_heard > SILENCE_S:
-                self._fail(f"has been silent for {SILENCE_S:g} s")
-                return
+    def _hear(self, packet: Packet) -> bool:
+        """Take in what comes unasked; return whether it was that."""
+        match packet.kind:
+            case Kind.ALIVE:
+                if len(packet.payload) == protocol.ALIVE.size:
+                    self._press(*protocol.ALIVE.unpack(packet.payload))
+            case Kind.ACK:
+                if self._in_flight.pop(packet.number, None) is not None:
+                    self.acknowledged += 1
+            case Kind.NAK:
+                self._refused(packet)
+            case Kind.VOLTAGES:
+                self._note_volts(packet)
+            case _:
+                return False
+        return True
 
-    def _hear(self, packet: Packet) -> None:
-        self._last_heard = time.monotonic()
-        with self._news:
-            if packet.kind == Kind.ACK and packet.number in self._in_flight:
-                self._in_flight.discard(packet.number)
-                self.acknowledged += 1
-            elif packet.kind == Kind.NAK:
-                self._refuse(packet)
-            else:
-                self._answers[packet.kind] = packet
-            self._news.notify_all()
+    def _press(self, force_mn: int) -> None:
+        if hasattr(self, "capabilities") and self.capabilities.force:
+            self.force_n = force_mn / 1000
 
-    def _refuse(self, packet: Packet) -> None:
-        self._in_flight.discard(packet.number)
+    def _note_volts(self, packet: Packet) -> None:
+        volts = decode_volts(packet.payload)
+        for number, sequence in self._sent:
+            if number == packet.number and len(volts) == sequence.slots and len(volts):
+                self._measured.append((sequence, volts))
+                compliance = self.capabilities.compliance_v
+                self.lifted = compliance is not None and bool(
+                    (volts >= OPEN_SHARE * compliance).all()
+                )
+
+    def _refused(self, packet: Packet) -> None:
+        why = packet.payload[0] if packet.payload else 0
+        if why == Refusal.GARBLED:
+            # Whatever it was, it is asked or sent again under the same number.
+            return
+        self._in_flight.pop(packet.number, None)
         self.refused += 1
-        reason = packet.payload[0] if packet.payload else 0
-        if reason in (Refusal.UNSAFE, Refusal.MALFORMED):
+        line = self._line
+        if why in (Refusal.UNSAFE, Refusal.MALFORMED):
             text = packet.payload[1:].decode("utf-8", "replace")
-            self._fault = self._fault or f"refused sequence {packet.number} as unsafe: {text}"
-        elif reason == Refusal.STOPPED and not self._overtaken:
-            self._fault = self._fault or "has been stopped or started anew by someone else"
+            line.fail(line.gone(f"refused sequence {packet.number} as unsafe: {text}"))
+        elif why == Refusal.STOPPED and not line.overtaken:
+            line.fail(line.gone("has been stopped or started anew by someone else"))
+        elif why == Refusal.SILENCE:
+            line.fail(line.lost("heard nothing for 100 ms"))
 
-    def _keep_alive(self) -> None:
-        beat = protocol.encode(Kind.HEARTBEAT)
-        while not self._closing.wait(HEARTBEAT_S / 4):
-            if self._fault is not None or self._overtaken:
-                return
-            if time.monotonic() - self._last_written > HEARTBEAT_S:
-                try:
-                    self._write(beat)
-                except BoardError:
-                    return
-
-    def _fail(self, what: str) -> None:
-        with self._news:
-            self._fault = self._fault or what
-            self._news.notify_all()
-
-    def _raise_fault(self) -> None:
-        if self._fault is not None:
-            zero = getattr(getattr(self, "capabilities", None), "time_to_zero_ms", None)
-            ends = (
-                "" if zero is None else f"; it shorts all electrodes within {zero:g} ms of silence"
-            )
-            raise BoardError(
-                f"the board at {self._port_name} {self._fault}, "
-                f"{self.acknowledged} sequences acknowledged{ends}"
-            )
-
-
-def _reason(error: Exception) -> str:
-    number = getattr(error, "errno", None)
-    return os.strerror(number) if number else (str(error) or type(error).__name__)
+    def _aftermath(self) -> str:
+        done = f", {self.acknowledged} sequences acknowledged"
+        if not hasattr(self, "capabilities"):
+            return done
+        zero_ms = self.capabilities.time_to_zero_ms
+        return f"{done}; it shorts all electrodes within {zero_ms:g} ms of silence"

@@ -5,6 +5,8 @@ import sys
 
 import typer
 
+from smarttouch.cli.board import board
+from smarttouch.cli.boards import boards
 from smarttouch.cli.design import design
 from smarttouch.cli.figures import figures
 from smarttouch.cli.live import live
@@ -22,6 +24,8 @@ app.command()(live)
 app.command()(profiles)
 app.command()(design)
 app.command()(figures)
+app.command()(boards)
+app.add_typer(board, name="board")
 
 
 def main() -> None:

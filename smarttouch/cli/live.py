@@ -19,10 +19,14 @@ def live(
         str | None,
         typer.Option(metavar="URL", help="page:FILE or text:STRING; a sample page if not given."),
     ] = None,
-    board: Annotated[str, typer.Option(metavar="URL", help="emulator: or link:PORT")] = "emulator:",
+    board: Annotated[
+        str,
+        typer.Option(metavar="URL", help="emulator:, kajimoto61:PORT, etactilekit:PORT, link:PORT"),
+    ] = "emulator:",
     profile: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Device and finger; see: smarttouch profiles")
-    ] = "electric-mouse",
+        str | None,
+        typer.Option(metavar="NAME|FILE", help="Device and finger; the board's usual if none."),
+    ] = None,
     mode: Annotated[str, typer.Option(metavar="RA|SAI", help="Which afferents to reach.")] = "RA",
     rate: Annotated[
         float | None, typer.Option(metavar="HZ", help="Sequences a second; the profile's if none.")
@@ -43,6 +47,17 @@ def live(
         typer.Option(metavar="CSV", help="A recorded path: time_s,x_mm,y_mm,angle_deg,force_n"),
     ] = None,
     light_on_dark: Annotated[bool, typer.Option(help="Print is lighter than paper.")] = False,
+    measure: Annotated[
+        bool, typer.Option("--measure", help="First find bad electrodes, and plan around them.")
+    ] = False,
+    hold: Annotated[
+        str | None,
+        typer.Option(metavar="charge|energy", help="Against drifting impedance, if the board can."),
+    ] = None,
+    balance: Annotated[
+        bool,
+        typer.Option("--balance", help="Turn the polarity of scans to keep net charge at zero."),
+    ] = False,
     felt: Annotated[
         Path | None, typer.Option(metavar="PNG", help="Draw the page and what the skin got.")
     ] = None,
@@ -56,9 +71,10 @@ def live(
     import contextlib
     import tempfile
 
-    from smarttouch.boards.board import make_board
+    from smarttouch.boards.board import make_board, usual_profile
     from smarttouch.cli.files import parse_mode, require_folder, write_json
     from smarttouch.cli.progress import bank_progress
+    from smarttouch.cli.regulation import make_regulator, masked_where_broken
     from smarttouch.cli.screen import Screen
     from smarttouch.errors import SmartTouchError
     from smarttouch.live import StopRequest, Tally, run, stop_on_signals
@@ -73,7 +89,7 @@ def live(
     primary = parse_mode(mode, (Primary.RA, Primary.SAI))
     if seconds is not None and not seconds > 0:
         raise SmartTouchError(f"--seconds {seconds:g} must be above 0")
-    chosen = load_profile(profile)
+    chosen = load_profile(profile or usual_profile(board))
     for output in (felt, record, json_file):
         require_folder(output)
     if felt is not None and not board.startswith("emulator:"):
@@ -95,18 +111,21 @@ def live(
                 light_on_dark=light_on_dark,
             )
         )
-        with bank_progress(quiet) as progress:
-            bank = load_bank(chosen, progress)
-        # Until here an interrupt may end the program at once: no board is open.
-        stack.enter_context(stop_on_signals(stop))
-        pipeline = Pipeline(chosen, bank, primary, rate, light_on_dark)
-        options: dict[str, Any] = {"output": chosen.output.kind}
-        drawing = None
+        limits = SafetyLimits.of(chosen)
+        options: dict[str, Any] = {}
         if felt is not None:
             books = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="smarttouch-")))
             options["books"] = books
-            drawing = _drawing(source, chosen, bank, primary)
-        display = make_board(board, SafetyLimits.of(chosen), **options)
+        display = make_board(board, limits, chosen.output, **options)
+        if measure:
+            with display:
+                chosen = masked_where_broken(display, chosen, quiet)
+        with bank_progress(quiet) as progress:
+            bank = load_bank(chosen, progress)
+        # Until here an interrupt may end the program at once: no board pulses.
+        stack.enter_context(stop_on_signals(stop))
+        pipeline = Pipeline(chosen, bank, primary, rate, light_on_dark, display.timing)
+        drawing = None if felt is None else _drawing(source, chosen, bank, primary)
         observers = [] if drawing is None else [drawing.watch]
         if record is not None:
             recorder = _recorder(record, chosen, {"sensor": source.title, "board": board}, seed)
@@ -118,6 +137,7 @@ def live(
         ended = "fault"
         try:
             with display:
+                regulator = make_regulator(display, chosen, hold, balance, quiet)
                 screen = Screen(source, chosen, primary, board, display, tally, quiet)
                 with screen:
                     run(
@@ -128,6 +148,7 @@ def live(
                         tally=tally,
                         seconds=seconds,
                         observers=[*observers, screen.show],
+                        regulator=regulator,
                     )
                 report = display.report()
             ended = stop.reason or "end of the page"
@@ -142,7 +163,8 @@ def live(
             drawing.deliver(numbers, current_ua)
             drawing.save(felt)
     if not quiet:
-        screen.summarize(figures, [each for each in (felt, record, json_file) if each is not None])
+        written = [each for each in (felt, record, json_file) if each is not None]
+        screen.summarize(figures, display.notes, written)
 
 
 def _drawing(source: "Sensor", profile: "Profile", bank: "KernelBank", primary: "Primary") -> Any:
@@ -188,6 +210,10 @@ def _figures(
         "refused": board.refused,
         "dropped_frames": source.dropped_frames,
         "late_frames": tally.late,
+        "replaced": board.replaced,
+        "restarts": tally.restarts,
+        "lifts": tally.lifts,
+        "reported_by": report and report.by,
         "rate_asked_hz": 1e6 / asked_period_us,
         "rate_hz": tally.frames / tally.seconds if tally.seconds else 0.0,
         "lowest_rate_hz": tally.lowest_rate_hz if tally.frames else None,
@@ -196,6 +222,6 @@ def _figures(
         "max_current_ma": report and report.max_current_ma,
         "max_charge_uc": report and report.max_charge_uc,
         "max_net_charge_uc": report and report.max_net_charge_uc,
-        "emulator_violations": report and report.violations,
+        "emulator_violations": report.violations if report and report.by == "board" else None,
         "active_fraction": tally.active / tally.frames if tally.frames else 0.0,
     }

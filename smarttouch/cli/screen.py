@@ -122,22 +122,28 @@ class Screen:
             table.add_row(Text(name, style="dim"), Text(value))
         return table
 
-    def summarize(self, figures: dict[str, Any], files: list[Path]) -> None:
+    def summarize(self, figures: dict[str, Any], notes: list[str], files: list[Path]) -> None:
         """Print how the run went."""
         latency = figures["latency_us"]
         net_pc = 1e6 * (figures["max_net_charge_uc"] or 0)
         lines = [
             f"Ended after {figures['seconds']:.1f} s ({figures['ended']}): all electrodes off.",
             f"  {figures['frames']} frames, {figures['slots']} slots, "
-            f"{figures['acknowledged']} sequences acknowledged, "
+            f"{figures['acknowledged']} sequences "
+            f"{'acknowledged' if self._board.capabilities.acknowledges else 'sent'}, "
             f"{figures['dropped_frames']} frames dropped",
             f"  {figures['rate_hz']:.1f} Hz of {figures['rate_asked_hz']:.1f} asked"
             + self._slowed(figures)
             + f"; frame to last byte {latency['p50']:.0f} µs median, {latency['p99']:.0f} µs p99",
             f"  strongest pulse {figures['max_current_ma']:.2f} mA, "
             f"{figures['max_charge_uc']:.3f} µC; net charge left {net_pc:.3g} pC at worst",
-            f"  {figures['emulator_violations']} violations by the board's own books",
+            "  by the host's own account: this board keeps none"
+            if figures["reported_by"] == "host"
+            else f"  {figures['emulator_violations']} violations by the board's own books",
         ]
+        if figures["lifts"]:
+            lines.append(f"  the finger was lifted {figures['lifts']} times")
+        lines += [f"  {note}" for note in notes]
         lines += [f"  wrote {path}" for path in files]
         for line in lines:
             self._console.print(line, soft_wrap=True, highlight=False)

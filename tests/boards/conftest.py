@@ -1,8 +1,12 @@
 """Small sequences, and boards to send them to."""
 
+import os
 import select
 import subprocess
 import sys
+import threading
+import time
+import tty
 
 import numpy as np
 import pytest
@@ -63,12 +67,13 @@ def start_emulator():
     """Return a starter of emulator processes by hand: the process and its port."""
     started = []
 
-    def start(*arguments, electrodes=8, output="weighted"):
+    def start(*arguments, electrodes=8, output="weighted", protocol="link"):
         process = subprocess.Popen(
             [
                 sys.executable,
                 "-m",
                 "smarttouch.boards.emulator",
+                f"--protocol={protocol}",
                 f"--electrodes={electrodes}",
                 f"--output={output}",
                 *arguments,
@@ -86,3 +91,137 @@ def start_emulator():
         process.kill()
         process.wait()
         process.stdout.close()
+
+
+class ScriptedPort:
+    """A serial port that expects these very bytes and gives these answers.
+
+    Every write must be what the script says next; what is left over at the end
+    of the test fails it.
+    """
+
+    def __init__(self, exchanges):
+        self.exchanges = [(bytes(wanted), bytes(answer)) for wanted, answer in exchanges]
+        self.incoming = bytearray()
+        self.written = bytearray()
+        self.is_open = True
+        self.timeout = 0.05
+
+    def write(self, data):
+        self.written += data
+        while self.exchanges and len(self.written) >= len(self.exchanges[0][0]):
+            wanted, answer = self.exchanges.pop(0)
+            got = bytes(self.written[: len(wanted)])
+            assert got == wanted, f"wrote {got.hex(' ')}, expected {wanted.hex(' ')}"
+            del self.written[: len(wanted)]
+            self.incoming += answer
+        assert self.exchanges or not self.written, f"wrote {bytes(self.written).hex(' ')} beyond"
+        return len(data)
+
+    def read(self, count=1):
+        taken = bytes(self.incoming[:count])
+        del self.incoming[:count]
+        return taken
+
+    @property
+    def in_waiting(self):
+        return len(self.incoming)
+
+    def reset_input_buffer(self):
+        self.incoming.clear()
+
+    def close(self):
+        self.is_open = False
+
+
+@pytest.fixture
+def script(monkeypatch):
+    """Return a setter of what the next opened port must hear and will answer."""
+    ports = []
+
+    def set_script(*exchanges):
+        port = ScriptedPort(exchanges)
+        ports.append(port)
+        monkeypatch.setattr("smarttouch.boards.streamed.open_port", lambda name: port)
+        monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
+        return port
+
+    yield set_script
+    for port in ports:
+        left = [(wanted.hex(" "), answer.hex(" ")) for wanted, answer in port.exchanges]
+        assert left == [], "this was never written"
+        assert bytes(port.written) == b"", "this was cut short"
+
+
+class FaultyLine:
+    """A serial line between host and board on which bytes get lost, and which can be pulled out.
+
+    Attributes
+    ----------
+    to_board, to_host : callable
+        What becomes of each piece of bytes on its way.
+    """
+
+    def __init__(self, behind, path):
+        self.path = path
+        self.to_board = self.to_host = bytes
+        self._behind = os.open(behind, os.O_RDWR | os.O_NOCTTY)
+        tty.setraw(self._behind)
+        self._lock = threading.Lock()
+        self._ends = None
+        self._closing = False
+        self.plug_in()
+        self._thread = threading.Thread(target=self._pump, daemon=True)
+        self._thread.start()
+
+    def plug_in(self):
+        """Let the port be there, under the same name as ever."""
+        master, slave = os.openpty()
+        tty.setraw(slave)
+        with self._lock:
+            self._ends = (master, slave)
+        self.path.symlink_to(os.ttyname(slave))
+
+    def pull_out(self):
+        """Let the port be gone."""
+        self.path.unlink()
+        with self._lock:
+            ends, self._ends = self._ends, None
+            for end in ends:
+                os.close(end)
+
+    def _pump(self):
+        while not self._closing:
+            with self._lock:
+                near = [] if self._ends is None else [self._ends[0]]
+                ready, _, _ = select.select([*near, self._behind], [], [], 0)
+                for end in ready:
+                    data = os.read(end, 65536)
+                    if end == self._behind:
+                        if near:
+                            os.write(near[0], self.to_host(data))
+                    else:
+                        os.write(self._behind, self.to_board(data))
+            time.sleep(0.0002)
+
+    def close(self):
+        self._closing = True
+        self._thread.join()
+        if self._ends is not None:
+            self.pull_out()
+        os.close(self._behind)
+
+
+@pytest.fixture
+def faulty_line(tmp_path):
+    """Return a maker of lines to an emulator's port; the host opens their ``path``."""
+    lines = []
+
+    def make(behind):
+        line = FaultyLine(behind, tmp_path / f"port{len(lines)}")
+        lines.append(line)
+        return line
+
+    yield make
+    for line in lines:
+        line.close()

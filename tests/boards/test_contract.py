@@ -5,132 +5,280 @@ import threading
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.books import read_delivered, read_state
-from smarttouch.boards.emulator.driver import open_emulator
-from smarttouch.boards.link import open_link
+from smarttouch.boards.board import make_board
+from smarttouch.boards.emulator.books import read_slots, read_state
 from smarttouch.errors import BoardError, SafetyError
+from smarttouch.profile.device import Output
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.scan.sequence import ScanSequence
+
+SECOND = 10**9
 
 
 class Contract:
-    """Drivers subclass this with a fixture `make_board(output="weighted")`."""
+    """Drivers subclass this with a fixture `url` and what their boards can do."""
+
+    electrodes = 8
+    kinds = ("weighted", "three-state", "one-against-all")
+    cathodic = True
+    width_us, discharge_us, period_us = 100, 50, 10_000
+    step_ua = 1.0
+    """Of its currents."""
+    loops = False
+    """Whether it goes on with a sequence until it is told otherwise."""
+
+    @pytest.fixture
+    def limits(self):
+        return SafetyLimits(self.electrodes, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
+
+    @pytest.fixture
+    def make_board(self, url, limits):
+        def make(kind=self.kinds[0]):
+            polarities = ("anodic", "cathodic") if self.cathodic else ("anodic",)
+            output = Output(kind=kind, polarities=polarities)
+            options = {"books": self.folder} if url == "emulator:" else {}
+            here = url(kind) if callable(url) else url
+            self.board = make_board(here, limits, output, **options)
+            return self.board
+
+        return make
+
+    @pytest.fixture(autouse=True)
+    def _folder(self, tmp_path):
+        self.folder = tmp_path
+
+    def sequence(self, step, level_ua=720, electrodes=None, sites=range(4)):
+        """One electrode against all others in each slot; the first of a run is silent."""
+        count = electrodes or self.electrodes
+        site = np.array(list(sites) if step else [], np.uint16)
+        current = np.full((len(site), count), -(level_ua // (count - 1)), np.int16)
+        current[np.arange(len(site)), site] = 0
+        current[np.arange(len(site)), site] = -current.sum(axis=1)
+        column = np.ones(len(site), np.uint16)
+        return ScanSequence(
+            current if self.cathodic else -current, column * self.width_us,
+            column * self.discharge_us, site, self.period_us, float(step > 0), step * SECOND,
+        )  # fmt: skip
+
+    def state(self):
+        # The process writes its books within this time of the event.
+        threading.Event().wait(0.3)
+        state = read_state(self.folder)
+        assert (state["violations"], state["unsafe"]) == (0, 0)
+        return state
+
+    def assert_silent(self):
+        """All electrodes are shorted, and stay so."""
+        before = self.state()
+        assert before["state"] == "shorted"
+        assert self.state()["slots"] == before["slots"]
+
+    # -- what is kept ------------------------------------------------------
 
     def test_it_tells_what_it_can_do(self, make_board):
         with make_board() as board:
             can = board.capabilities
-            assert (can.electrodes, can.output) == (8, "weighted")
-            assert can.time_to_zero_ms <= 150
+            assert (can.electrodes, can.output) == (self.electrodes, self.kinds[0])
+            assert can.time_to_zero_ms is None or can.time_to_zero_ms <= 150
+            assert all(name and value for name, value in can.describe())
             assert board.report().slots == 0
 
-    @pytest.mark.parametrize("output", ["weighted", "three-state", "one-against-all"])
-    def test_what_is_sent_is_acknowledged_and_delivered(
-        self, make_board, make_sequence, books, output
-    ):
-        with make_board(output) as board:
-            sent = []
-            for step in range(5):
-                sequence = make_sequence(step)
-                sent.append((board.send(sequence), sequence))
-                board.drain()
-            report = board.report()
-            assert (board.acknowledged, board.refused) == (5, 0)
-        assert (report.sequences, report.slots, report.pulses) == (5, 16, 16 * 8)
-        assert report.violations == 0
-        assert report.max_current_ma == pytest.approx(0.7, abs=0.01)
-        assert report.max_net_charge_uc < 1e-3
-        numbers, _, current = read_delivered(books)
-        for number, sequence in sent:
-            got, planned = current[numbers == number], sequence.current_ua
-            if output == "weighted":
-                np.testing.assert_array_equal(got, planned)
-            else:
-                np.testing.assert_array_equal(np.sign(got), np.sign(planned))
-                for row, source in zip(got, sequence.source_ua, strict=True):
-                    assert set(row) == {source, np.rint(-source / 7)}
+    def test_what_is_sent_is_delivered(self, make_board):
+        for kind in self.kinds:
+            with make_board(kind) as board:
+                for step in range(5):
+                    board.send(self.sequence(step))
+                    board.drain()
+                report = board.report()
+                assert (board.acknowledged, board.refused, board.replaced) == (5, 0, 0)
+            assert (report.sequences, report.slots, report.pulses) == (
+                5, 16, 16 * self.electrodes,
+            )  # fmt: skip
+            assert report.violations == 0
+            assert report.max_current_ma == pytest.approx(0.72, rel=0.05)
+            self.check_delivered(kind)
 
-    def test_a_stop_from_another_thread_ends_it(self, make_board, make_sequence, books):
+    def check_delivered(self, kind):
+        self.state()
+        slots = read_slots(self.folder)[-16:]
+        assert len(slots) == 16
+        planned = np.tile(self.sequence(1).current_ua, (4, 1))
+        rows = np.arange(16)
+        own = slots["current_ua"][rows, slots["site"]]
+        wanted = planned[rows, slots["site"]]
+        np.testing.assert_allclose(own, wanted, atol=self.step_ua / 2 + 1)
+        np.testing.assert_array_equal(np.sign(slots["current_ua"]), np.sign(planned))
+        np.testing.assert_allclose(slots["current_ua"].sum(axis=1), 0, atol=self.electrodes)
+        if kind == "weighted":
+            np.testing.assert_array_equal(slots["current_ua"], planned)
+
+    def test_a_sequence_is_repeated(self, make_board):
         with make_board() as board:
-            board.send(make_sequence(0))
+            board.send(self.sequence(0))
             board.drain()
-            board.send(make_sequence(1, slots=1200, period_us=400_000))
+            board.send(self.sequence(1), times=5)
+            threading.Event().wait(0.3)
+            state = self.state()
+        assert state["slots"] == 20 or (self.loops and 20 < state["slots"] < 100)
+        assert state["state"] == "shorted"
+
+    def test_a_newer_sequence_ends_a_repetition(self, make_board):
+        with make_board() as board:
+            board.send(self.sequence(0))
+            board.drain()
+            board.send(self.sequence(1), times=1000)
+            threading.Event().wait(0.1)
+            board.send(self.sequence(2, sites=[5]))
+            threading.Event().wait(0.2)
+        assert self.state()["slots"] < 400
+        assert read_slots(self.folder)["site"][-1] == 5
+
+    def test_a_stop_from_another_thread_ends_it(self, make_board):
+        with make_board() as board:
+            board.send(self.sequence(0))
+            board.drain()
+            board.send(self.sequence(1), times=1000)
             thread = threading.Thread(target=board.stop)
             thread.start()
             thread.join(5)
             assert not thread.is_alive()
             with pytest.raises(BoardError, match="stopped"):
-                board.send(make_sequence(2))
-            assert board.report().slots < 1200
-        assert self.end(books) == ("shorted", "stop")
+                board.send(self.sequence(2))
+            self.assert_silent()
 
-    def test_closing_puts_it_at_zero(self, make_board, make_sequence, books):
+    def test_closing_puts_it_at_zero(self, make_board):
         with make_board() as board:
-            board.send(make_sequence(0))
+            board.send(self.sequence(0))
             board.drain()
-            board.send(make_sequence(1, slots=1200, period_us=400_000))
-        assert self.end(books) == ("shorted", "stop")
+            board.send(self.sequence(1), times=1000)
+        self.assert_silent()
         with pytest.raises(BoardError, match="not open"):
-            board.send(make_sequence(2))
+            board.send(self.sequence(2))
 
-    def test_an_exception_puts_it_at_zero(self, make_board, make_sequence, books):
+    def test_an_exception_puts_it_at_zero(self, make_board):
         def run():
             with make_board() as board:
-                board.send(make_sequence(0))
+                board.send(self.sequence(0))
                 board.drain()
-                board.send(make_sequence(1, slots=1200, period_us=400_000))
+                board.send(self.sequence(1), times=1000)
                 raise RuntimeError("something broke")
 
         with pytest.raises(RuntimeError, match="broke"):
             run()
-        assert self.end(books) == ("shorted", "stop")
+        self.assert_silent()
 
-    def test_another_number_of_electrodes_is_refused(self, make_board, make_sequence):
-        with make_board() as board, pytest.raises(BoardError, match="9 electrodes"):
-            board.send(make_sequence(0, electrodes=9))
+    def test_another_number_of_electrodes_is_refused(self, make_board):
+        more = self.electrodes + 1
+        with make_board() as board, pytest.raises(BoardError, match=f"{more} electrodes"):
+            board.send(self.sequence(0, electrodes=more))
 
-    def test_an_unsafe_sequence_never_leaves(self, make_board, make_sequence, monkeypatch):
+    def test_an_unsafe_sequence_never_leaves(self, make_board, monkeypatch):
         with make_board() as board:
-            board.send(make_sequence(0))
+            board.send(self.sequence(0))
             board.drain()
             written = []
             with monkeypatch.context() as patch:
-                patch.setattr(board, "_send", written.append)
+                patch.setattr(board, "_send", lambda *given: written.append(given))
                 with pytest.raises(SafetyError):
-                    board.send(make_sequence(1, level_ua=3100))
+                    board.send(self.sequence(1, level_ua=3100))
             assert written == []
-            assert board.report().violations == 0
 
-    def test_closing_twice_is_fine(self, make_board):
+    @pytest.mark.parametrize("times", [0, -1, 65_536])
+    def test_impossible_repetitions_are_named(self, make_board, times):
+        with make_board() as board, pytest.raises(BoardError, match=f"{times} repetitions"):
+            board.send(self.sequence(0), times)
+
+    def test_it_can_be_opened_again_and_begins_at_zero(self, make_board):
         board = make_board()
         board.close()
-        board.open()
+        for _ in range(2):
+            with board:
+                with pytest.raises(SafetyError, match="rises from 0"):
+                    board.send(self.sequence(1))
+                board.send(self.sequence(0))
+                board.drain()
+                board.send(self.sequence(1))
+                board.drain()
         board.close()
-        board.close()
-
-    def end(self, books):
-        # The process writes its books within this time of the event.
-        threading.Event().wait(0.3)
-        state = read_state(books)
-        assert state["violations"] == 0
-        return state["state"], state["reason"]
-
-
-@pytest.fixture
-def books(tmp_path):
-    return tmp_path
 
 
 class TestEmulator(Contract):
     @pytest.fixture
-    def make_board(self, make_limits, books):
-        return lambda output="weighted": open_emulator(
-            "", make_limits(), output=output, books=books
-        )
+    def url(self):
+        return "emulator:"
 
 
 class TestLink(Contract):
     @pytest.fixture
-    def make_board(self, make_limits, start_emulator, books):
-        def make(output="weighted"):
-            _, port = start_emulator(f"--books={books}", output=output)
-            return open_link(port, make_limits(), output=output)
+    def url(self, start_emulator, tmp_path):
+        return lambda kind: "link:" + start_emulator(f"--books={tmp_path}", output=kind)[1]
 
-        return make
+
+class OneAgainstAll(Contract):
+    kinds = ("one-against-all",)
+
+    @pytest.fixture(autouse=True)
+    def _no_boot(self, monkeypatch):
+        monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
+
+
+class TestKajimoto61(OneAgainstAll):
+    electrodes, cathodic = 61, False
+    width_us, discharge_us = 50, 150
+    step_ua = 39.0625
+
+    @pytest.fixture
+    def url(self, start_emulator, tmp_path):
+        options = {"protocol": "kajimoto61", "electrodes": 61}
+        return "kajimoto61:" + start_emulator(f"--books={tmp_path}", **options)[1]
+
+
+class TestETactileKit(OneAgainstAll):
+    step_ua, loops = 9.99, True
+
+    @pytest.fixture
+    def url(self, start_emulator, tmp_path):
+        arguments = (f"--books={tmp_path}", *self.more)
+        return "etactilekit:" + start_emulator(*arguments, protocol="etactilekit")[1]
+
+    more = ()
+
+    def check_delivered(self, kind):
+        self.state()
+        slots = read_slots(self.folder)
+        rows = np.arange(len(slots))
+        own, volts = slots["current_ua"][rows, slots["site"]], slots["volts"].astype(float)
+        # A load of 66 kOhm beside the skin takes its share, which grows during the pulse.
+        beside = (volts[rows, slots["site"]] - volts.min(axis=1)) / 66e-3
+        assert ((own < 720) & (own + beside > 714 - self.step_ua)).all()
+        assert set(slots["site"]) == set(range(4))
+
+
+class TestETactileKitOverTcp(TestETactileKit):
+    more = ("--tcp",)
+
+
+class TestMemory(Contract):
+    """In this process: what it keeps instead of books is what it was sent."""
+
+    @pytest.fixture
+    def url(self):
+        return "memory:"
+
+    def check_delivered(self, kind):
+        assert [each.time_ns for each in self.board.sequences] == [i * SECOND for i in range(5)]
+
+    def assert_silent(self):
+        assert len(self.board.sequences) == 2
+
+    def test_a_sequence_is_repeated(self, make_board):
+        with make_board() as board:
+            board.send(self.sequence(0))
+            board.send(self.sequence(1), times=5)
+            assert board.report().slots == 20
+
+    def test_a_newer_sequence_ends_a_repetition(self, make_board):
+        with make_board() as board:
+            board.send(self.sequence(0), times=1000)
+            board.send(self.sequence(1))
+            assert len(board.sequences) == 2

@@ -10,7 +10,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from smarttouch.boards import protocol
-from smarttouch.boards.protocol import Deframer, Kind, decode_sequence, encode_sequence
+from smarttouch.boards.protocol import Deframer, Kind
+from smarttouch.boards.protocol_sequence import (
+    decode_sequence,
+    decode_volts,
+    encode_sequence,
+    encode_volts,
+)
 from smarttouch.errors import BoardError
 
 u16 = st.integers(0, 65535)

@@ -1,134 +1,109 @@
 """``python -m smarttouch.boards.emulator``: the board's process.
 
-It prints the name of its serial port, serves it, and ends by itself a while
-after the host has closed it.
+It prints the name of its port, serves it, and ends by itself a while after the
+host has closed it.
 """
 
 import argparse
-import errno
-import os
-import pty
-import select
-import signal
-import time
+from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
 
+from threadpoolctl import threadpool_limits
+
+from smarttouch.boards.emulator import serve
 from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
+from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.firmware import Firmware
+from smarttouch.boards.emulator.kajimoto61 import ELECTRODES, Kajimoto61Firmware
+from smarttouch.boards.emulator.skin import COMPLIANCE_V
 from smarttouch.boards.protocol import OUTPUTS
+from smarttouch.errors import BoardError
 
-_WRITE_EVERY_NS = 50_000_000
-_LONGEST_STEP_NS = 10_000_000
+PROTOCOLS = ("link", "kajimoto61", "etactilekit")
+MOST_OUTPUTS = 255
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run an emulated board until its host is gone.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Instead of the command line's.
+    """
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if options.discovery_port is not None and not options.tcp:
+        parser.error("--discovery-port is for a board on the network: add --tcp")
+    if not options.linger >= 0:
+        parser.error(f"--linger {options.linger:g} is no time: give seconds, or inf")
+    if not 0 < options.compliance <= 10_000:
+        parser.error(f"--compliance {options.compliance:g} is out of range: give 1 to 10000 V")
+    try:
+        firmware = _make(options)
+    except BoardError as error:
+        parser.error(str(error))
+    if options.books is not None and not options.books.is_dir():
+        parser.error(f"--books {options.books} is no folder: create it first")
+    try:
+        line = serve.TcpLine(options.discovery_port) if options.tcp else serve.PtyLine()
+    except OSError as error:
+        parser.error(f"cannot open a port: {error.strerror or error}")
+    firmware.books.write()
+    print(line.name, flush=True)
+    # The circuit is small: a second thread would only take the host's processor.
+    with threadpool_limits(1):
+        serve.serve(firmware, line, options.linger)
+
+
+def _make(options: argparse.Namespace) -> serve.Firmware:
+    electrodes, protocol = options.electrodes, options.protocol
+    if protocol == "kajimoto61":
+        if electrodes not in (None, ELECTRODES):
+            raise BoardError(f"a kajimoto61 has {ELECTRODES} electrodes, not {electrodes}")
+        electrodes = ELECTRODES
+    elif protocol == "etactilekit":
+        electrodes = 32 if electrodes is None else electrodes
+        if not 1 <= electrodes <= MOST_OUTPUTS:
+            raise BoardError(f"an eTactileKit has 1 to {MOST_OUTPUTS} outputs, not {electrodes}")
+    elif electrodes is None or electrodes < 1:
+        raise BoardError("a board needs electrodes: say how many with --electrodes")
+    books, finger = Books(electrodes, options.books), Finger(electrodes, options.event)
+    if protocol == "kajimoto61":
+        return Kajimoto61Firmware(books, finger, options.compliance)
+    if protocol == "etactilekit":
+        return ETactileKitFirmware(books, finger, options.compliance, options.variant)
+    return Firmware(electrodes, options.output, books, finger, options.compliance)
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m smarttouch.boards.emulator", description=__doc__
     )
-    parser.add_argument("--electrodes", type=int, required=True)
-    parser.add_argument("--output", choices=OUTPUTS, default="weighted")
+    parser.add_argument("--protocol", choices=PROTOCOLS, default="link", help="whose firmware")
+    parser.add_argument("--electrodes", type=int, help="how many; kajimoto61 always has 61")
+    parser.add_argument("--output", choices=OUTPUTS, default="weighted", help="of a link board")
     parser.add_argument("--books", type=Path, help="folder for state.json and delivered.bin")
     parser.add_argument(
-        "--linger", type=float, default=2.0, help="seconds to live on without a host"
+        "--linger", type=float, default=2.0, help="seconds to live on without a host, or inf"
     )
-    arguments = parser.parse_args()
-    # Ctrl-C belongs to the host, which ends with a STOP and a closed port.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    firmware = Firmware(
-        arguments.electrodes, arguments.output, Books(arguments.electrodes, arguments.books)
+    parser.add_argument("--tcp", action="store_true", help="serve a TCP port, not a serial one")
+    parser.add_argument("--discovery-port", type=int, help="UDP port to answer ETK? on")
+    parser.add_argument(
+        "--event",
+        action="append",
+        default=[],
+        help="what happens to the finger: '2 lift', '3 touch', '0 force 0.6', "
+        "'0 drift 12 4 60', '5 peel 7 0.3', '5 open 7', '5 short 7', '5 heal 7'",
     )
-    master, slave = pty.openpty()
-    name = os.ttyname(slave)
-    os.set_blocking(master, False)
-    firmware.books.write()
-    print(name, flush=True)
-    # With our end of the slave closed, the host's last close shows as a hang-up.
-    os.close(slave)
-    _serve(firmware, master, arguments.linger)
-
-
-def _serve(firmware: Firmware, master: int, linger_s: float) -> None:
-    ended: list[int] = []
-
-    def end(number: int, _frame: FrameType | None) -> None:
-        ended.append(number)
-
-    signal.signal(signal.SIGTERM, end)
-    clock = _BoardClock()
-    now = clock.now_ns()
-    alone_since: int | None = now + int(8e9)
-    written_ns, pending = now, b""
-    while True:
-        data = _read(master, 0.001 if firmware.busy else 0.004)
-        now = clock.now_ns()
-        if data is None:
-            if alone_since is None:
-                alone_since = now
-                firmware.hang_up(now)
-                firmware.books.write()
-            if now > alone_since + linger_s * 1e9:
-                break
-            time.sleep(0.002)
-        elif data:
-            alone_since = None
-            pending += firmware.feed(data, now)
-        else:
-            alone_since = None
-            pending += firmware.advance(now)
-        pending = _write(master, pending)
-        if ended:
-            firmware.zero("signal", now)
-            break
-        if now - written_ns > _WRITE_EVERY_NS:
-            firmware.books.write()
-            written_ns = now
-    firmware.books.write()
-
-
-class _BoardClock:
-    """The board's time, which stands still while the machine runs other processes.
-
-    Hardware is never kept waiting; what plays it is, and must not take its own
-    absence for the host's silence, nor for pulses delivered.
-    """
-
-    def __init__(self) -> None:
-        self._lost = 0
-        self._last = time.monotonic_ns()
-
-    def now_ns(self) -> int:
-        now = time.monotonic_ns()
-        self._lost += max(0, now - self._last - _LONGEST_STEP_NS)
-        self._last = now
-        return now - self._lost
-
-
-def _read(master: int, timeout_s: float) -> bytes | None:
-    """Return what has come, empty if nothing; None while no host has the port open."""
-    try:
-        if not select.select([master], [], [], timeout_s)[0]:
-            return b""
-        return os.read(master, 65536)
-    except BlockingIOError:
-        # A hang-up looks readable; the host has opened the port since.
-        return b""
-    except OSError as error:
-        if error.errno == errno.EIO:
-            return None
-        raise
-
-
-def _write(master: int, data: bytes) -> bytes:
-    """Write what fits; return the rest. A host that never reads loses the oldest answers."""
-    if not data:
-        return data
-    try:
-        return data[os.write(master, data) :]
-    except BlockingIOError:
-        return data[-65536:]
-    except OSError:
-        return b""
+    parser.add_argument(
+        "--variant", type=int, choices=(1, 2), default=2, help="version of an etactilekit"
+    )
+    parser.add_argument(
+        "--compliance", type=float, default=COMPLIANCE_V, help="most volts of its sources"
+    )
+    return parser
 
 
 if __name__ == "__main__":

@@ -2,13 +2,21 @@
 
 import json
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.boards.emulator.skin import Delivered
+
 STATE_FILE = "state.json"
 DELIVERED_FILE = "delivered.bin"
+SAFE_CURRENT_UA, SAFE_WIDTH_US, SAFE_CHARGE_UC = 5000, 200, 0.5
+"""What is more than this on any electrode makes a slot unsafe, whatever its firmware allows."""
+_ROUNDING = 1 + 1e-6
+_FLOWS_UA = 0.5
 
 
 @dataclass
@@ -21,10 +29,16 @@ class Books:
     slots: int = 0
     pulses: int = 0
     violations: int = 0
+    """What the firmware refused."""
+    unsafe: int = 0
+    """What flowed and was above a safe value, one for each pulse of a slot."""
     framing_errors: int = 0
     max_current_ma: float = 0.0
     max_charge_uc: float = 0.0
     max_net_charge_uc: float = 0.0
+    """Largest charge that was left on an electrode after a slot."""
+    max_volts: float = 0.0
+    """Most that a source had to supply between its poles."""
     state: str = "shorted"
     reason: str = "start"
     zero_after_ms: float = 0.0
@@ -36,21 +50,51 @@ class Books:
         number: int,
         slot: int,
         site: int,
-        current_ua: NDArray[np.float64],
+        delivered: Delivered,
         width_us: float,
-        net_charge_uc: float,
+        residual_uc: NDArray[np.float64],
+        time_us: float,
+        *,
+        more: bool = False,
     ) -> None:
-        """Write down one slot that was delivered."""
-        peak_ma = float(np.abs(current_ua).max(initial=0)) / 1000
-        self.slots += 1
-        self.pulses += int(np.count_nonzero(current_ua))
-        self.max_current_ma = max(self.max_current_ma, peak_ma)
-        self.max_charge_uc = max(self.max_charge_uc, peak_ma * width_us / 1000)
-        self.max_net_charge_uc = max(self.max_net_charge_uc, net_charge_uc)
+        """Write down one pulse.
+
+        Parameters
+        ----------
+        number, slot, site : int
+            Sequence or scan, slot in it, and the point that slot was for.
+        delivered : Delivered
+            What flowed.
+        width_us : float
+        residual_uc : ndarray, (E,)
+            Charge left on each electrode after the slot's discharge.
+        time_us : float
+            When the pulse began, on the board's clock.
+        more : bool
+            Whether another pulse of the same slot follows.
+        """
+        magnitude_ua = np.abs(delivered.current_ua)
+        peak_ua = float(magnitude_ua.max(initial=0))
+        charge_uc = peak_ua * width_us * 1e-6
+        self.slots += not more
+        self.pulses += int(np.count_nonzero(magnitude_ua >= _FLOWS_UA))
+        self.unsafe += (
+            peak_ua > SAFE_CURRENT_UA * _ROUNDING
+            or charge_uc > SAFE_CHARGE_UC * _ROUNDING
+            or (width_us > SAFE_WIDTH_US * _ROUNDING and peak_ua >= _FLOWS_UA)
+        )
+        self.max_current_ma = max(self.max_current_ma, peak_ua / 1000)
+        self.max_charge_uc = max(self.max_charge_uc, charge_uc)
+        if not more:
+            left_uc = float(np.abs(residual_uc).max(initial=0))
+            self.max_net_charge_uc = max(self.max_net_charge_uc, left_uc)
+        self.max_volts = max(self.max_volts, delivered.source_v)
         if self.folder is not None:
             record = np.zeros((), _record(self.electrodes))
             record["number"], record["slot"], record["site"] = number, slot, site
-            record["current_ua"] = np.rint(current_ua)
+            record["time_us"] = time_us
+            record["current_ua"] = np.rint(delivered.current_ua)
+            record["volts"], record["residual_uc"] = delivered.volts, residual_uc
             self._delivered += record.tobytes()
 
     def write(self) -> None:
@@ -74,10 +118,25 @@ def read_state(folder: Path) -> dict[str, object]:
     return state
 
 
+def read_slots(folder: Path) -> NDArray[Any]:
+    """Return every pulse an emulator delivered.
+
+    Returns
+    -------
+    slots : structured ndarray, (N,)
+        ``number``, ``slot``, ``site``, ``time_us``, and per electrode (E,) ``current_ua``
+        (mean over the pulse), ``volts`` (against the tissue at its end) and ``residual_uc``
+        (charge left after the discharge), all positive cathodic.
+    """
+    kind = _record(int(str(read_state(folder)["electrodes"])))
+    data = (folder / DELIVERED_FILE).read_bytes()
+    return np.frombuffer(data[: len(data) // kind.itemsize * kind.itemsize], kind)
+
+
 def read_delivered(
     folder: Path,
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint16], NDArray[np.int16]]:
-    """Return every slot an emulator delivered.
+    """Return every pulse an emulator delivered, as its sequence, point and currents.
 
     Returns
     -------
@@ -86,16 +145,25 @@ def read_delivered(
     sites : ndarray, (N,)
         Point each slot was for.
     current_ua : ndarray, (N, E) int16, µA
-        What flowed, positive cathodic.
+        What flowed, positive cathodic; what no int16 can hold is cut.
     """
-    electrodes = int(str(read_state(folder)["electrodes"]))
-    kind = _record(electrodes)
-    data = (folder / DELIVERED_FILE).read_bytes()
-    table = np.frombuffer(data[: len(data) // kind.itemsize * kind.itemsize], kind)
-    return table["number"], table["site"], table["current_ua"]
+    table = read_slots(folder)
+    limit = np.iinfo(np.int16)
+    current = np.clip(table["current_ua"], limit.min, limit.max).astype(np.int16)
+    return table["number"], table["site"], current
 
 
+@cache
 def _record(electrodes: int) -> np.dtype[np.void]:
+    each = (electrodes,)
     return np.dtype(
-        [("number", "<u4"), ("slot", "<u2"), ("site", "<u2"), ("current_ua", "<i2", (electrodes,))]
+        [
+            ("number", "<u4"),
+            ("slot", "<u2"),
+            ("site", "<u2"),
+            ("time_us", "<i8"),
+            ("current_ua", "<i4", each),
+            ("volts", "<f2", each),
+            ("residual_uc", "<f2", each),
+        ]
     )

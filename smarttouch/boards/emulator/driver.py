@@ -2,28 +2,15 @@
 
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from smarttouch.boards.link import LinkBoard
-from smarttouch.errors import BoardError
+from smarttouch.errors import BoardError, LineLostError
+from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 
 _ENDS_WITHIN_S = 3.0
-
-
-def open_emulator(
-    rest: str,
-    limits: SafetyLimits,
-    *,
-    output: str = "weighted",
-    books: Path | None = None,
-    **_: Any,
-) -> "EmulatorBoard":
-    """Make the driver for ``emulator:``."""
-    if rest:
-        raise BoardError(f"emulator: takes nothing after the colon, not {rest!r}")
-    return EmulatorBoard(limits, output, books)
 
 
 class EmulatorBoard(LinkBoard):
@@ -31,30 +18,50 @@ class EmulatorBoard(LinkBoard):
 
     Parameters
     ----------
+    rest : str
+        Nothing: ``emulator:`` starts its own.
     limits : SafetyLimits
         Of the finger's profile.
-    output : str
-        What the emulated board can do.
+    output : Output, optional
+        What the emulated board can do; weighted if not given.
     books : Path, optional
         Existing folder in which it keeps its books.
+    events : sequence of str
+        What happens to the finger, as for ``smarttouch board emulate --event``.
     """
 
-    def __init__(self, limits: SafetyLimits, output: str, books: Path | None = None) -> None:
+    def __init__(
+        self,
+        rest: str,
+        limits: SafetyLimits,
+        output: Output | None = None,
+        books: Path | None = None,
+        events: Sequence[str] = (),
+    ) -> None:
         super().__init__("", limits, output)
+        if rest:
+            raise BoardError(f"emulator: takes nothing after the colon, not {rest!r}")
+        kind = "weighted" if output is None else output.kind
         self._command = [
             sys.executable,
             "-m",
             "smarttouch.boards.emulator",
             f"--electrodes={limits.electrodes}",
-            f"--output={output}",
+            f"--output={kind}",
             "--linger=0.2",
         ]
+        self._command += [f"--event={event}" for event in events]
         if books is not None:
             self._command.append(f"--books={books}")
 
     @property
     def process_id(self) -> int:
         return self._process.pid
+
+    def _recover(self, lost: LineLostError) -> None:
+        if self._process.poll() is not None:
+            raise lost
+        super()._recover(lost)
 
     def _open(self) -> None:
         # A session of its own: the terminal's Ctrl-C must not reach the board.
@@ -63,8 +70,8 @@ class EmulatorBoard(LinkBoard):
         )
         assert self._process.stdout is not None
         with self._process.stdout as output:
-            self._port_name = output.readline().strip()
-        if not self._port_name:
+            self._line.name = output.readline().strip()
+        if not self._line.name:
             raise BoardError(f"the emulator did not start (exit {self._process.wait()})")
         try:
             super()._open()

@@ -4,16 +4,17 @@ It checks every sequence again, by its own rules and in its own code: a host
 that proves its sequences safe must not be the only one who looks.
 """
 
-from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards import protocol
 from smarttouch.boards.emulator.books import Books
-from smarttouch.boards.emulator.skin import Skin
-from smarttouch.boards.protocol import Kind, Output, Packet, Refusal, WireSequence
+from smarttouch.boards.emulator.finger import Finger
+from smarttouch.boards.emulator.skin import COMPLIANCE_V, Skin
+from smarttouch.boards.protocol import Feature, Kind, Output, Packet, Refusal
+from smarttouch.boards.protocol_sequence import WireSequence, decode_sequence, encode_volts
 
 MAX_CURRENT_UA = 5000
 MAX_WIDTH_US = 200
@@ -24,15 +25,26 @@ NAME = "SmartTouch board emulator 1"
 
 
 @dataclass
-class _Running:
+class _Table:
+    """A sequence that executes, or waits to."""
+
     number: int
     sequence: WireSequence
-    current_ua: NDArray[np.float64]
-    start_ns: int
-    starts_ns: NDArray[np.int64]
-    end_ns: int
+    left: int
+    """Scans still to be done, the one at hand included."""
+    start_ns: int = 0
+    starts_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    end_ns: int = 0
     done: int = 0
-    begun: bool = False
+    volts: list[float] = field(default_factory=list)
+
+    def begin(self, start_ns: int) -> None:
+        sequence = self.sequence
+        lengths = sequence.width_us.astype(np.int64) + sequence.discharge_us
+        self.start_ns, self.done = start_ns, 0
+        self.starts_ns = start_ns + 1000 * (np.cumsum(lengths) - lengths)
+        self.end_ns = start_ns + 1000 * sequence.period_us
+        self.volts.clear()
 
 
 class Firmware:
@@ -46,28 +58,49 @@ class Firmware:
         What they can do.
     books : Books
         Where all that flows is written down.
+    finger : Finger, optional
+        What happens to the skin while it runs.
+    compliance_v : float, V
+        The most its sources can give.
     """
 
-    def __init__(self, electrodes: int, output: Output, books: Books) -> None:
+    def __init__(
+        self,
+        electrodes: int,
+        output: Output,
+        books: Books,
+        finger: Finger | None = None,
+        compliance_v: float = COMPLIANCE_V,
+    ) -> None:
         self._electrodes, self._output, self.books = electrodes, output, books
-        self._skin = Skin(electrodes)
+        self._skin = Skin(electrodes, compliance_v=compliance_v)
+        self._finger = finger or Finger(electrodes)
+        self._compliance_v = compliance_v
         self._deframer = protocol.Deframer()
-        self._plan: deque[_Running] = deque()
-        self._stopped = True
+        self._running: _Table | None = None
+        self._waiting: _Table | None = None
+        self._last = (-1, False)
+        """Number of the last sequence accepted, and whether it has begun."""
+        self._refusing: Refusal | None = Refusal.STOPPED
         self._heard_ns = 0
+        self._alive_ns = 0
+        self._greeted = False
         self._shorted_since_ns = 0
         self._answers: list[bytes] = []
 
     @property
     def busy(self) -> bool:
-        return bool(self._plan)
+        return self._running is not None
 
     def feed(self, data: bytes, now_ns: int) -> bytes:
         """Take bytes from the host; return what there is to answer."""
         self._advance(now_ns)
         self._heard_ns = now_ns
+        garbled = self._deframer.errors
         for packet in self._deframer.feed(data):
-            self._answers.append(self._answer(packet, now_ns))
+            self._answer(packet, now_ns)
+        if self._deframer.errors > garbled and self._greeted:
+            self._refuse(0, Refusal.GARBLED, "no packet")
         self.books.framing_errors = self._deframer.errors
         return self._take_answers()
 
@@ -84,115 +117,142 @@ class Firmware:
     def _advance(self, now_ns: int) -> None:
         deadline_ns = self._heard_ns + protocol.SILENCE_MS * 1_000_000
         self._execute(min(now_ns, deadline_ns))
-        if now_ns >= deadline_ns and self._plan:
-            dropped = [running.number for running in self._plan if not running.begun]
+        if now_ns >= deadline_ns and self._refusing is None:
+            dropped = self._waiting
             self.zero("silence", now_ns)
-            self._answers += [_refuse(number, Refusal.SILENCE, "dropped") for number in dropped]
+            self._refusing = Refusal.SILENCE
+            if dropped is not None:
+                self._refuse(dropped.number, Refusal.SILENCE, "dropped")
+        if self._greeted and now_ns - self._alive_ns >= protocol.ALIVE_MS * 1_000_000:
+            self._alive_ns = now_ns
+            self._finger.at(now_ns / 1e9, self._skin)
+            force_mn = min(32767, round(1000 * self._finger.force_n))
+            self._answers.append(protocol.encode(Kind.ALIVE, 0, protocol.ALIVE.pack(force_mn)))
 
     def hang_up(self, now_ns: int) -> None:
         """The host has closed the line; the next one has to say HELLO."""
         self._advance(now_ns)
         self._answers.clear()
-        if not self._stopped:
+        if self._refusing is not Refusal.STOPPED:
             self.zero("host closed", now_ns)
-            self._stopped = True
+        self._refusing, self._greeted = Refusal.STOPPED, False
 
     def zero(self, reason: str, now_ns: int) -> None:
         """Drop everything that waits and short all electrodes."""
-        self._plan.clear()
+        self._running = self._waiting = None
         self.books.state, self.books.reason = "shorted", reason
         self.books.zero_after_ms = (now_ns - self._heard_ns) / 1e6
 
     def _execute(self, until_ns: int) -> None:
-        while self._plan:
-            running = self._plan[0]
-            if not running.begun and running.start_ns <= until_ns:
-                running.begun = True
-                self._answers.append(protocol.encode(Kind.ACK, running.number))
-            due = int(np.searchsorted(running.starts_ns, until_ns, side="right"))
-            for slot in range(running.done, due):
-                self._deliver(running, slot)
-            running.done = max(running.done, due)
-            if until_ns < running.end_ns:
+        while (table := self._running) is not None:
+            due = int(np.searchsorted(table.starts_ns, until_ns, side="right"))
+            for slot in range(table.done, due):
+                self._deliver(table, slot)
+            table.done = max(table.done, due)
+            if until_ns < table.end_ns:
                 return
-            self._plan.popleft()
-            self.books.sequences += 1
-            if not self._plan:
-                self.books.state, self.books.reason = "shorted", "end"
+            self._end_scan(table)
 
-    def _deliver(self, running: _Running, slot: int) -> None:
-        sequence, current = running.sequence, running.current_ua[slot]
-        start_ns = int(running.starts_ns[slot])
+    def _end_scan(self, table: _Table) -> None:
+        if table.sequence.measure:
+            self._answers.append(encode_volts(table.number, np.array(table.volts)))
+        table.left -= 1
+        if table.left and self._waiting is None:
+            table.begin(table.end_ns)
+            return
+        self.books.sequences += 1
+        self._running, waiting = None, self._waiting
+        self._waiting = None
+        if waiting is None:
+            self.books.state, self.books.reason = "shorted", "end"
+        else:
+            self._begin(waiting, table.end_ns)
+
+    def _begin(self, table: _Table, start_ns: int) -> None:
+        table.begin(start_ns)
+        self._running = table
+        self._last = (table.number, True)
+        self._answers.append(protocol.encode(Kind.ACK, table.number))
+
+    def _deliver(self, table: _Table, slot: int) -> None:
+        sequence, start_ns = table.sequence, int(table.starts_ns[slot])
+        self._finger.at(start_ns / 1e9, self._skin)
         self._skin.short(max(0, start_ns - self._shorted_since_ns) / 1000)
         width, discharge = int(sequence.width_us[slot]), int(sequence.discharge_us[slot])
-        self._skin.pulse(current, width)
+        if sequence.current_ua is not None:
+            delivered = self._skin.pulse(sequence.current_ua[slot].astype(np.float64), width)
+        else:
+            assert sequence.state is not None
+            assert sequence.source_ua is not None
+            delivered = self._skin.switched_pulse(
+                sequence.state[slot], float(sequence.source_ua[slot]), width
+            )
         self._skin.short(discharge)
         self._shorted_since_ns = start_ns + (width + discharge) * 1000
+        table.volts.append(delivered.source_v)
         self.books.state = "driving"
         self.books.enter(
-            running.number, slot, int(sequence.site[slot]), current, width, self._skin.worst_uc
+            table.number,
+            slot,
+            int(sequence.site[slot]),
+            delivered,
+            width,
+            self._skin.residual_uc,
+            start_ns // 1000,
         )
 
-    def _answer(self, packet: Packet, now_ns: int) -> bytes:
-        match packet.kind:
-            case Kind.HELLO:
-                # A new host starts from zero, whatever the one before left.
-                if self._plan:
-                    self.zero("hello", now_ns)
-                self._stopped = False
-                return protocol.encode(Kind.CAPABILITIES, 0, self._capabilities())
-            case Kind.SEQUENCE:
-                return self._accept(packet, now_ns)
-            case Kind.HEARTBEAT:
-                return protocol.encode(Kind.ALIVE)
-            case Kind.STOP:
-                self._stopped = True
-                self.zero("stop", now_ns)
-                return protocol.encode(Kind.STOPPED)
-            case Kind.STATUS:
-                return protocol.encode(Kind.REPORT, 0, self._report())
-        return b""
+    def _answer(self, packet: Packet, now_ns: int) -> None:
+        if packet.kind == Kind.HELLO:
+            # A new host starts from zero, whatever the one before left.
+            if self._running is not None:
+                self.zero("hello", now_ns)
+            self._refusing, self._last, self._greeted = None, (-1, False), True
+            self._answers.append(protocol.encode(Kind.CAPABILITIES, 0, self._capabilities()))
+        elif packet.version != protocol.VERSION:
+            return
+        elif packet.kind == Kind.SEQUENCE:
+            self._accept(packet, now_ns)
+        elif packet.kind == Kind.STOP:
+            self._refusing = Refusal.STOPPED
+            self.zero("stop", now_ns)
+            self._answers.append(protocol.encode(Kind.STOPPED))
+        elif packet.kind == Kind.STATUS:
+            self._answers.append(protocol.encode(Kind.REPORT, 0, self._report()))
 
-    def _accept(self, packet: Packet, now_ns: int) -> bytes:
-        if self._stopped:
-            return _refuse(packet.number, Refusal.STOPPED, "stopped; say HELLO first")
-        if len(self._plan) >= 2:
-            return _refuse(packet.number, Refusal.BUSY, "one executing and one waiting")
+    def _accept(self, packet: Packet, now_ns: int) -> None:
+        number = packet.number
+        if self._refusing is not None:
+            return self._refuse(number, self._refusing, "say HELLO first")
+        if number == self._last[0]:
+            if self._last[1]:
+                self._answers.append(protocol.encode(Kind.ACK, number))
+            return None
+        if self._waiting is not None:
+            return self._refuse(number, Refusal.BUSY, "one executing and one waiting")
         try:
-            sequence = protocol.decode_sequence(packet.payload)
+            sequence = decode_sequence(packet.payload)
         except ValueError as error:
             self.books.violations += 1
-            return _refuse(packet.number, Refusal.MALFORMED, str(error))
-        current = self._currents(sequence)
-        complaint = self._complaint(sequence, current)
-        if complaint or current is None:
+            return self._refuse(number, Refusal.MALFORMED, str(error))
+        if complaint := self._complaint(sequence):
             self.books.violations += 1
-            return _refuse(packet.number, Refusal.UNSAFE, complaint or "no currents")
-        start_ns = max(now_ns, self._plan[-1].end_ns) if self._plan else now_ns
-        lengths = sequence.width_us.astype(np.int64) + sequence.discharge_us
-        starts_ns = start_ns + 1000 * (np.cumsum(lengths) - lengths)
-        end_ns = start_ns + 1000 * sequence.period_us
-        self._plan.append(_Running(packet.number, sequence, current, start_ns, starts_ns, end_ns))
-        self._execute(now_ns)
-        return b""
+            return self._refuse(number, Refusal.UNSAFE, complaint)
+        self._last = (number, False)
+        table = _Table(number, sequence, sequence.times)
+        if self._running is None:
+            self._begin(table, now_ns)
+        else:
+            self._waiting = table
+        return self._execute(now_ns)
 
-    def _currents(self, sequence: WireSequence) -> NDArray[np.float64] | None:
-        """Return what will flow, (S, E) µA; a source divides equally among equal electrodes."""
-        if sequence.current_ua is not None:
-            return sequence.current_ua.astype(np.float64)
-        if sequence.state is None or sequence.source_ua is None:
-            return None
-        share = np.zeros(sequence.state.shape)
-        for pole in (1, -1):
-            connected = sequence.state == pole
-            count = np.maximum(connected.sum(axis=1, keepdims=True), 1)
-            share += pole * connected / count
-        return share * sequence.source_ua[:, None]
+    def _refuse(self, number: int, reason: Refusal, text: str) -> None:
+        self._answers.append(protocol.encode(Kind.NAK, number, bytes([reason]) + text.encode()))
 
-    def _complaint(self, sequence: WireSequence, current: NDArray[np.float64] | None) -> str:
+    def _complaint(self, sequence: WireSequence) -> str:
         """Return what is wrong with a sequence, by the board's own rules; empty if nothing."""
         weighted = self._output == "weighted"
-        if current is None or sequence.electrodes != self._electrodes:
+        current = _nominal(sequence)
+        if sequence.electrodes != self._electrodes:
             return f"{sequence.electrodes} electrodes on a board of {self._electrodes}"
         if weighted != (sequence.current_ua is not None):
             return f"wrong kind of sequence for a {self._output} board"
@@ -227,9 +287,11 @@ class Firmware:
         head = protocol.CAPABILITIES.pack(
             self._electrodes,
             protocol.OUTPUTS.index(self._output),
+            Feature.VOLTAGE | Feature.FORCE,
             MAX_CURRENT_UA,
             MAX_SLOTS,
             protocol.SILENCE_MS,
+            round(self._compliance_v),
         )
         return head + NAME.encode()
 
@@ -243,9 +305,18 @@ class Firmware:
             books.max_current_ma,
             books.max_charge_uc,
             books.max_net_charge_uc,
-            len(self._plan),
+            (self._running is not None) + (self._waiting is not None),
         )
 
 
-def _refuse(number: int, reason: Refusal, text: str) -> bytes:
-    return protocol.encode(Kind.NAK, number, bytes([reason]) + text.encode())
+def _nominal(sequence: WireSequence) -> NDArray[np.float64]:
+    """Return what is asked for, (S, E) µA; a source divides equally among equal electrodes."""
+    if sequence.current_ua is not None:
+        return sequence.current_ua.astype(np.float64)
+    assert sequence.state is not None
+    assert sequence.source_ua is not None
+    share = np.zeros(sequence.state.shape)
+    for pole in (1, -1):
+        connected = sequence.state == pole
+        share += pole * connected / np.maximum(connected.sum(axis=1, keepdims=True), 1)
+    return share * sequence.source_ua[:, None]

@@ -1,0 +1,183 @@
+"""What happens to the finger and its contact over time.
+
+Events are texts, a time in seconds and what happens then::
+
+    2.0 lift            the finger leaves all electrodes
+    3.0 touch           and is back
+    0 force 0.6         it presses with 0.6 N while it touches
+    0 drift 12 4 60     electrode 12's impedance goes to 4 times the healthy one in 60 s
+    5 peel 7 0.3        electrode 7 keeps 0.3 of its contact area
+    5 open 7            electrode 7 is cut off
+    5 short 7           electrode 7 has a few ohm to the tissue
+    5 heal 7            electrode 7 is as it was
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from smarttouch.boards.emulator.skin import Skin
+from smarttouch.errors import BoardError
+
+FORCE_N = 0.6
+"""A light touch. An estimate of ours."""
+OPEN_FACTOR = 5e5
+"""About 1 GΩ: what is left of an electrode that touches nothing."""
+SHORT_FACTOR = 1e-4
+"""A few ohm to the tissue."""
+_FINEST = 0.005
+
+Kind = Literal["lift", "touch", "force", "drift", "peel", "open", "short", "heal"]
+_VALUES: dict[Kind, str] = {"force": "NEWTON", "drift": "FACTOR SECONDS", "peel": "AREA"}
+_WHOLE_FINGER = ("lift", "touch", "force")
+
+
+@dataclass(frozen=True)
+class Event:
+    """One thing that happens at a time."""
+
+    time_s: float
+    kind: Kind
+    electrode: int = 0
+    values: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Drift:
+    start_s: float
+    factor: float
+    target: float
+    lasts_s: float
+
+    def at(self, now_s: float) -> float:
+        """Return the factor at a time; equal times change it by equal ratios."""
+        share = 1.0
+        if now_s < self.start_s + self.lasts_s:
+            share = max(0.0, now_s - self.start_s) / self.lasts_s
+        return float(self.factor * (self.target / self.factor) ** share)
+
+
+def parse_event(text: str) -> Event:
+    """Return the event of a text.
+
+    Raises
+    ------
+    BoardError
+        Saying what cannot be understood, and how it is written.
+    """
+    words = text.split()
+    kind = next((each for each in get_args(Kind) if words[1:2] == [each]), None)
+    if kind is None:
+        raise BoardError(
+            f"event {text!r} is none: write a time in s and one of {', '.join(get_args(Kind))}"
+        )
+    form = "TIME " + kind
+    if kind not in _WHOLE_FINGER:
+        form += " ELECTRODE"
+    form = " ".join([form, _VALUES.get(kind, "")]).strip()
+    try:
+        electrode = 0 if kind in _WHOLE_FINGER else int(words.pop(2))
+        time_s, *values = (float(word) for word in (words[0], *words[2:]))
+    except (IndexError, ValueError):
+        raise BoardError(f"event {text!r} has no number where one belongs: write {form}") from None
+    if len(values) != len(_VALUES.get(kind, "").split()):
+        raise BoardError(f"event {text!r} has {len(values)} values after its name: write {form}")
+    if not all(0 <= value < math.inf for value in (time_s, *values)) or electrode < 0:
+        raise BoardError(f"event {text!r} has a number that is negative or not finite")
+    if (kind == "drift" and values[0] == 0) or (kind == "peel" and not 0 < values[0] <= 1):
+        limit = "above 0" if kind == "drift" else "above 0 and at most 1"
+        raise BoardError(f"event {text!r}: {values[0]:g} is out of range, it must be {limit}")
+    return Event(time_s, kind, electrode, tuple(values))
+
+
+class Finger:
+    """One finger on the electrodes, and what becomes of each contact.
+
+    Parameters
+    ----------
+    electrodes : int
+    events : iterable of str
+        In any order; see the module.
+
+    Attributes
+    ----------
+    force_n : float
+        What it presses with now, 0 when lifted.
+
+    Raises
+    ------
+    BoardError
+        If an event cannot be understood, or is of an electrode that is not there.
+    """
+
+    def __init__(self, electrodes: int, events: Iterable[str] = ()) -> None:
+        parsed = sorted((parse_event(text) for text in events), key=lambda event: event.time_s)
+        for event in parsed:
+            if event.electrode >= electrodes:
+                raise BoardError(
+                    f"an event is of electrode {event.electrode}, the board has 0 to "
+                    f"{electrodes - 1}"
+                )
+        self._due = deque(parsed)
+        self._touches, self._pressure_n = True, FORCE_N
+        self._drifts: dict[int, _Drift] = {}
+        self._drifted, self._area = np.ones(electrodes), np.ones(electrodes)
+        self._open = np.zeros(electrodes, np.bool_)
+        self._shorted = np.zeros(electrodes, np.bool_)
+
+    @property
+    def force_n(self) -> float:
+        return self._pressure_n if self._touches else 0.0
+
+    def at(self, now_s: float, skin: Skin) -> None:
+        """Let everything happen to the skin that is due; times never go back."""
+        changed = False
+        while self._due and self._due[0].time_s <= now_s:
+            self._happen(self._due.popleft())
+            changed = True
+        for electrode, drift in list(self._drifts.items()):
+            factor = drift.at(now_s)
+            over = now_s >= drift.start_s + drift.lasts_s
+            # The circuit is solved anew for each change: in steps too small to matter.
+            if over or abs(math.log(factor / self._drifted[electrode])) > _FINEST:
+                self._drifted[electrode] = factor
+                changed = True
+            if over:
+                del self._drifts[electrode]
+        if changed:
+            self._apply(skin)
+
+    def _happen(self, event: Event) -> None:
+        electrode, values = event.electrode, event.values
+        match event.kind:
+            case "lift" | "touch":
+                self._touches = event.kind == "touch"
+            case "force":
+                self._pressure_n = values[0]
+            case "drift":
+                now = float(self._drifted[electrode])
+                if electrode in self._drifts:
+                    now = self._drifts[electrode].at(event.time_s)
+                self._drifts[electrode] = _Drift(event.time_s, now, *values)
+            case "peel":
+                self._area[electrode] = values[0]
+            case "open":
+                self._open[electrode] = True
+            case "short":
+                self._shorted[electrode] = True
+            case "heal":
+                self._drifts.pop(electrode, None)
+                self._drifted[electrode] = self._area[electrode] = 1.0
+                self._open[electrode] = self._shorted[electrode] = False
+
+    def _apply(self, skin: Skin) -> None:
+        resistance = self._drifted / self._area
+        capacitance = 1 / resistance
+        resistance[self._shorted] = SHORT_FACTOR
+        cut = self._open | (not self._touches)
+        resistance[cut], capacitance[cut] = OPEN_FACTOR, 1 / OPEN_FACTOR
+        skin.scale(resistance, capacitance)

@@ -1,0 +1,215 @@
+"""Keeps an emulated board on a line: as long as there is a host, and a while longer."""
+
+import errno
+import math
+import os
+import pty
+import select
+import signal
+import socket
+import time
+import tty
+from types import FrameType
+from typing import Protocol
+
+from smarttouch.boards.emulator.books import Books
+
+FIRST_HOST_S = 8.0
+"""How much longer than its lingering it waits for the first host."""
+_WRITE_EVERY_NS = 50_000_000
+_LONGEST_STEP_NS = 10_000_000
+_LARGEST_READ = 65536
+
+
+class Firmware(Protocol):
+    """What runs on a board; it has no clock of its own."""
+
+    books: Books
+
+    @property
+    def busy(self) -> bool: ...
+
+    def feed(self, data: bytes, now_ns: int) -> bytes: ...
+
+    def advance(self, now_ns: int) -> bytes: ...
+
+    def hang_up(self, now_ns: int) -> None: ...
+
+    def zero(self, reason: str, now_ns: int) -> None: ...
+
+
+class Line(Protocol):
+    """What a board hangs on."""
+
+    name: str
+
+    def read(self, timeout_s: float) -> bytes | None:
+        """Return what has come, empty if nothing; None while there is no host."""
+
+    def write(self, data: bytes) -> bytes:
+        """Write what fits; return the rest."""
+
+
+class PtyLine:
+    """A serial port of this machine, raw from the start."""
+
+    def __init__(self) -> None:
+        self._master, slave = pty.openpty()
+        self.name = os.ttyname(slave)
+        # What a host writes must pass as it is, whenever it sets up its end.
+        tty.setraw(slave)
+        os.set_blocking(self._master, False)
+        # With our end of the slave closed, the host's last close shows as a hang-up.
+        os.close(slave)
+
+    def read(self, timeout_s: float) -> bytes | None:
+        try:
+            if not select.select([self._master], [], [], timeout_s)[0]:
+                return b""
+            return os.read(self._master, _LARGEST_READ)
+        except BlockingIOError:
+            # A hang-up looks readable; the host has opened the port since.
+            return b""
+        except OSError as error:
+            if error.errno == errno.EIO:
+                time.sleep(0.002)
+                return None
+            raise
+
+    def write(self, data: bytes) -> bytes:
+        try:
+            return data[os.write(self._master, data) :]
+        except BlockingIOError:
+            return data
+        except OSError:
+            return b""
+
+
+class TcpLine:
+    """A TCP port of this machine, for one host at a time.
+
+    Parameters
+    ----------
+    discovery_port : int, optional
+        UDP port on which ``ETK?`` is answered.
+    """
+
+    def __init__(self, discovery_port: int | None = None) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0), backlog=1)
+        self._port = int(self._listener.getsockname()[1])
+        self.name = f"tcp://127.0.0.1:{self._port}"
+        self._host: socket.socket | None = None
+        self._discovery: socket.socket | None = None
+        if discovery_port is not None:
+            self._discovery = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            self._discovery.bind(("127.0.0.1", discovery_port))
+
+    def read(self, timeout_s: float) -> bytes | None:
+        line = self._host or self._listener
+        watched = [line] if self._discovery is None else [line, self._discovery]
+        ready = select.select(watched, [], [], timeout_s)[0]
+        if self._discovery in ready:
+            self._answer_discovery()
+        if self._host is None:
+            if self._listener not in ready:
+                return None
+            self._host = self._listener.accept()[0]
+            self._host.setblocking(False)
+            self._host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            return b""
+        if self._host not in ready:
+            return b""
+        try:
+            data = self._host.recv(_LARGEST_READ)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if data:
+            return data
+        self._host.close()
+        self._host = None
+        return None
+
+    def write(self, data: bytes) -> bytes:
+        if self._host is None:
+            return b""
+        try:
+            return data[self._host.send(data) :]
+        except BlockingIOError:
+            return data
+        except OSError:
+            return b""
+
+    def _answer_discovery(self) -> None:
+        assert self._discovery is not None
+        question, sender = self._discovery.recvfrom(64)
+        if question.strip() == b"ETK?":
+            busy = int(self._host is not None)
+            answer = (
+                f"ETK!;id=A1B2C3;name=emulator;ip=127.0.0.1;port={self._port};mode=STA;"
+                f"busy={busy};fw=1.0"
+            )
+            self._discovery.sendto(answer.encode(), sender)
+
+
+def serve(firmware: Firmware, line: Line, linger_s: float = 2.0) -> None:
+    """Run a board until SIGTERM, or until it has been without a host for so long.
+
+    Ctrl-C belongs to the host, which ends with a stop and a closed port; it ends the
+    board only if that would go on for ever by itself.
+    """
+    ended: list[int] = []
+
+    def end(number: int, _frame: FrameType | None) -> None:
+        ended.append(number)
+
+    signal.signal(signal.SIGTERM, end)
+    signal.signal(signal.SIGINT, end if math.isinf(linger_s) else signal.SIG_IGN)
+    clock = BoardClock()
+    alone_since: float | None = FIRST_HOST_S * 1e9
+    had_host = False
+    written_ns, pending = 0, b""
+    while not ended:
+        data = line.read(0.001 if firmware.busy else 0.004)
+        now = clock.now_ns()
+        if data is None:
+            if had_host:
+                had_host, alone_since = False, now
+                firmware.hang_up(now)
+                firmware.books.write()
+            # A board may go on without a host; what it says then, nobody hears.
+            firmware.advance(now)
+            pending = b""
+            if alone_since is not None and now > alone_since + linger_s * 1e9:
+                break
+        else:
+            had_host, alone_since = True, None
+            pending += firmware.feed(data, now) if data else firmware.advance(now)
+            if pending:
+                # A host that never reads loses the oldest answers.
+                pending = line.write(pending)[-_LARGEST_READ:]
+        if now - written_ns > _WRITE_EVERY_NS:
+            firmware.books.write()
+            written_ns = now
+    if ended:
+        firmware.zero("signal", clock.now_ns())
+    firmware.books.write()
+
+
+class BoardClock:
+    """The board's time, from 0 on, which stands still while the machine runs other processes.
+
+    Hardware is never kept waiting; what plays it is, and must not take its own
+    absence for the host's silence, nor for pulses delivered.
+    """
+
+    def __init__(self) -> None:
+        self._last = time.monotonic_ns()
+        self._lost = self._last
+
+    def now_ns(self) -> int:
+        now = time.monotonic_ns()
+        self._lost += max(0, now - self._last - _LONGEST_STEP_NS)
+        self._last = now
+        return now - self._lost

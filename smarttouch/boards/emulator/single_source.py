@@ -1,0 +1,106 @@
+"""What the kits share: one current source, one electrode at a time against all others."""
+
+import math
+
+import numpy as np
+
+from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.finger import Finger
+from smarttouch.boards.emulator.skin import Skin
+
+VOLTS_PER_COUNT = 0.0893
+"""Of the eTactileKit's converter; taken for its relative's as well."""
+LARGEST_READING = 4095
+
+
+class SingleSource:
+    """The output stage of a kit, with the skin behind it.
+
+    Parameters
+    ----------
+    books : Books
+        Where all that flows is written down.
+    finger : Finger, optional
+        What happens to the skin while it runs.
+    compliance_v : float, V
+    shunt_ohm : float
+        Load beside the skin.
+    """
+
+    def __init__(
+        self,
+        books: Books,
+        finger: Finger | None,
+        compliance_v: float,
+        shunt_ohm: float = math.inf,
+    ) -> None:
+        self.books = books
+        self._skin = Skin(books.electrodes, compliance_v=compliance_v)
+        self._finger = finger or Finger(books.electrodes)
+        self._shunt_ohm = shunt_ohm
+        self._state = np.zeros(books.electrodes, np.int8)
+        self._rested_ns = 0
+
+    def pulse(
+        self,
+        number: int,
+        electrode: int,
+        current_ua: float,
+        width_us: float,
+        start_ns: int,
+        *,
+        among: int,
+        rest_us: float,
+        slot: int | None = None,
+        grounded: bool = True,
+        more: bool = False,
+    ) -> int:
+        """Deliver a pulse, ground all outputs for the rest after it, and write both down.
+
+        Parameters
+        ----------
+        number, electrode, slot : int
+            For the books; without a slot it has the electrode's number.
+        current_ua : float, µA
+            Positive cathodic.
+        width_us, rest_us : float, µs
+        start_ns : int
+        among : int
+            How many electrodes take part, the first of all; the others are their return.
+        grounded : bool
+            Whether outputs were grounded since the rest before, or unconnected.
+        more : bool
+            Whether another pulse of the same slot follows.
+
+        Returns
+        -------
+        int
+            The converter's reading of the source at the end of the pulse.
+        """
+        self._finger.at(start_ns / 1e9, self._skin)
+        if start_ns > self._rested_ns:
+            pass_time = self._skin.short if grounded else self._skin.idle
+            pass_time((start_ns - self._rested_ns) / 1000)
+        sign = 1 if current_ua > 0 else -1
+        self._state[:among], self._state[among:] = -sign, 0
+        if electrode < len(self._state):
+            self._state[electrode] = sign
+        delivered = self._skin.switched_pulse(
+            self._state, abs(current_ua), width_us, self._shunt_ohm
+        )
+        if rest_us:
+            self._skin.short(rest_us)
+        self._rested_ns = start_ns + round(1000 * (width_us + rest_us))
+        self.books.enter(
+            number,
+            electrode if slot is None else slot,
+            electrode,
+            delivered,
+            width_us,
+            self._skin.residual_uc,
+            start_ns // 1000,
+            more=more,
+        )
+        flowed = bool(delivered.current_ua.any())
+        volts = delivered.source_v if flowed else self._skin.compliance_v
+        return min(LARGEST_READING, int(volts / VOLTS_PER_COUNT))

@@ -1,0 +1,89 @@
+"""What a board's own measurement says of each electrode on the skin."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+OPEN_FACTOR = 5.0
+SHORT_FACTOR = 0.1
+"""Of the median: estimates of ours; good electrodes on one finger differ two- or threefold."""
+
+Condition = Literal["good", "open", "short", "unsure"]
+
+
+@dataclass(frozen=True, eq=False)
+class Impedance:
+    """One measurement of all electrodes.
+
+    Attributes
+    ----------
+    kohm : ndarray, (E,) float64
+        Voltage over current at the end of the measuring pulse, each electrode
+        to the skin. Infinite where the board's voltage was not enough.
+    condition : tuple of str, (E,)
+        ``open``, ``short``, ``good``, or ``unsure`` where the board's reading
+        fits more than one of them.
+    current_ma : float
+        That it was measured with.
+    """
+
+    kohm: NDArray[np.float64]
+    condition: tuple[Condition, ...]
+    current_ma: float
+
+    @property
+    def broken(self) -> tuple[int, ...]:
+        """The electrodes that are open or shorted."""
+        return tuple(i for i, each in enumerate(self.condition) if each in ("open", "short"))
+
+    @property
+    def lifted(self) -> bool:
+        """Whether nothing touches the electrodes."""
+        return all(each == "open" for each in self.condition)
+
+
+def judge(
+    volts: NDArray[np.float64],
+    current_ma: float | NDArray[np.float64],
+    compliance_v: float,
+    unsure: NDArray[np.bool_] | None = None,
+) -> Impedance:
+    """Return the impedances behind source voltages, one electrode against all others each.
+
+    The voltage of electrode i is I (Zᵢ + 1 / Σⱼ≠ᵢ 1/Zⱼ), all others in parallel;
+    solved by repeated insertion, which converges as the return is small.
+
+    Parameters
+    ----------
+    volts : ndarray, (E,)
+        What the source needed.
+    current_ma : float or ndarray, (E,)
+        What flowed.
+    compliance_v : float
+        What it has at most.
+    unsure : ndarray, (E,) bool, optional
+        Readings that may stand for another voltage.
+    """
+    total = np.asarray(volts, np.float64) / np.asarray(current_ma, np.float64)
+    saturated = np.asarray(volts) >= 0.97 * compliance_v
+    kohm = np.where(saturated, np.inf, np.maximum(total, 1e-3))
+    for _ in range(20):
+        admittance = 1 / kohm
+        others = admittance.sum() - admittance
+        back = np.divide(1, others, out=np.zeros_like(others), where=others > 0)
+        kohm = np.where(saturated, np.inf, np.maximum(total - back, 1e-3))
+    finite = kohm[np.isfinite(kohm)]
+    middle = float(np.median(finite)) if finite.size else np.inf
+    conditions: list[Condition] = []
+    for index, value in enumerate(kohm):
+        if unsure is not None and unsure[index]:
+            conditions.append("unsure")
+        elif not value <= OPEN_FACTOR * middle or not np.isfinite(value):
+            conditions.append("open")
+        elif value < SHORT_FACTOR * middle:
+            conditions.append("short")
+        else:
+            conditions.append("good")
+    return Impedance(kohm, tuple(conditions), float(np.mean(current_ma)))

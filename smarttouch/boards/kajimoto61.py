@@ -1,0 +1,207 @@
+"""Driver of the 61-electrode ESP32 kit: one packet is one scan, and the host is its clock.
+
+On the wire (UART over USB, 921600 8N1, no checksum, no acknowledgment)::
+
+    STIMULATE  FF, then 61 bytes: intensity of each electrode, 0 to 200
+    MEASURE    FE; the reply is 61 readings, then FF
+
+The board makes one anodic pulse of 50 µs for each intensity that is not zero, in
+order, each followed by 150 µs with all outputs grounded. Without packets there
+are no pulses: a host that is lost is a board at zero.
+
+A byte that is lost or doubled on the line shifts one scan by an electrode, and
+nothing on this wire can tell; the packet after the next is whole again, as no
+intensity looks like the start of one.
+"""
+
+import time
+from typing import ClassVar
+
+import numpy as np
+
+from smarttouch.boards.board import Capabilities
+from smarttouch.boards.impedance import Impedance, judge
+from smarttouch.boards.probe import one_each
+from smarttouch.boards.streamed import Job, StreamedBoard, one_against_all
+from smarttouch.clock import Clock, MonotonicClock
+from smarttouch.errors import BoardError
+from smarttouch.profile.device import Output
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.scan.sequence import ScanSequence
+from smarttouch.scan.timing import ScanTiming
+
+ELECTRODES = 61
+STIMULATE, MEASURE = 0xFF, 0xFE
+ZERO = bytes([STIMULATE]) + bytes(ELECTRODES)
+WIDTH_US, REST_US = 50, 150
+LARGEST = 200
+COUNTS_PER_BYTE = 16
+UA_PER_COUNT = 10_000 / 4096
+"""Nominal scale of its DAC: 4095 counts are 10 mA."""
+MEASURE_MA, MEASURE_US = 2.5, 25
+"""What a MEASURE sends through every electrode, fixed by the firmware (over 20 µs)."""
+READING_V = 4 * 0.0893
+"""Volts per unit of a reading, taking its divider for that of its relative, the eTactileKit."""
+WRAP = 256
+COMPLIANCE_V = 300.0
+"""Of its switches (HV507)."""
+LEAD_S = 0.003
+"""From the first sequence of a run to its packet: what later ones may be late by."""
+
+
+class Kajimoto61Board(StreamedBoard):
+    """The kit of 61 electrodes: ``kajimoto61:PORT``."""
+
+    kind = "kajimoto61"
+    one_width: ClassVar[bool] = True
+    usual_profile: ClassVar[str] = "kajimoto-61"
+    timing = ScanTiming(
+        width_us=WIDTH_US,
+        discharge_us=REST_US,
+        slot_extra_us=8,
+        scan_us=700,
+        in_index_order=True,
+        load=1 / 1.1,
+    )
+
+    def __init__(
+        self,
+        port: str,
+        limits: SafetyLimits,
+        output: Output | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        super().__init__(port, limits, output)
+        if limits.electrodes != ELECTRODES:
+            raise BoardError(
+                f"a kajimoto61 board has {ELECTRODES} electrodes, the profile "
+                f"{limits.electrodes}: use --profile {self.usual_profile}"
+            )
+        measured = None if output is None else output.ua_per_count
+        self.ua_per_count: float = measured or UA_PER_COUNT
+        self._step_ua = COUNTS_PER_BYTE * self.ua_per_count
+        self._largest = min(LARGEST, int(limits.current_ma * 1000 / self._step_ua))
+        self._clock = clock or MonotonicClock()
+        self.capabilities = Capabilities(
+            electrodes=ELECTRODES,
+            output="one-against-all",
+            max_current_ma=LARGEST * self._step_ua / 1000,
+            max_slots=ELECTRODES,
+            time_to_zero_ms=13.0,
+            firmware="kajimoto61 (it does not tell its version)",
+            polarities=("anodic",),
+            clock="host",
+            acknowledges=False,
+            measures=False,
+        )
+
+    def _greet(self) -> None:
+        self._flush()
+        self._zero()
+        # This board never speaks unasked; an eTactileKit takes FF for a question and answers.
+        if said := self._read(64, 0.05):
+            raise BoardError(
+                f"the board at {self._port_name} answers {len(said)} bytes to a packet that a "
+                "kajimoto61 board answers with none: it is another one, perhaps etactilekit:"
+            )
+
+    def _zero(self) -> None:
+        # Ends a packet that was cut short, and with a full one the self-test after power-on.
+        self._write(bytes(ELECTRODES))
+        time.sleep(0.02)
+        self._write(ZERO)
+        self._flush()
+
+    def _encode(self, sequence: ScanSequence) -> bytes:
+        electrode, current_ua = one_against_all(sequence)
+        if (current_ua > 0).any():
+            raise BoardError(
+                f"slot {int((current_ua > 0).argmax())} is cathodic, and this board is anodic "
+                "only: choose a mode that its profile offers"
+            )
+        if (sequence.width_us != WIDTH_US).any() or (sequence.discharge_us > REST_US).any():
+            raise BoardError(
+                f"this board pulses for {WIDTH_US} µs and grounds for {REST_US} µs, the sequence "
+                f"wants {int(sequence.width_us[0])} and {int(sequence.discharge_us[0])}"
+            )
+        shortest = self.timing.shortest_period_us(sequence.slots, ELECTRODES, WIDTH_US, REST_US)
+        if sequence.period_us < shortest:
+            raise BoardError(
+                f"a period of {sequence.period_us} µs is too short for {sequence.slots} "
+                f"electrodes: this board needs {shortest} µs"
+            )
+        packet = np.zeros(1 + ELECTRODES, np.uint8)
+        packet[0] = STIMULATE
+        # Rounding up must not pass the limit that the current was proved against.
+        steps = np.minimum(np.rint(-current_ua / self._step_ua), self._largest)
+        packet[1 + electrode] = steps.astype(np.uint8)
+        return packet.tobytes()
+
+    def _serve(self) -> None:
+        """Send on a grid of absolute deadlines, always the newest there is."""
+        deadline_ns, job = 0, None
+        while (newest := self._take()) is not None:
+            now = self._clock.now_ns()
+            if job is None or now - deadline_ns > 1000 * job.sequence.period_us:
+                # The first of a run, or after a pause: a new grid.
+                deadline_ns = now + int(LEAD_S * 1e9)
+            job, deadline_ns = self._scan(newest, deadline_ns)
+            self._rest()
+
+    def _scan(self, job: Job, deadline_ns: int) -> tuple[Job, int]:
+        """Send one sequence as often as it wants; return the last one sent, and what is next."""
+        left = job.times
+        while left:
+            self._clock.wait_until(deadline_ns, self._closing)
+            if (fresh := self._peek()) is not None:
+                self.replaced += left == job.times
+                job, left = fresh, fresh.times
+            with self._line:
+                if self._closing.is_set():
+                    break
+                sent_ns = self._clock.now_ns()
+                self._write(job.data)
+            self._delivered(job)
+            left -= 1
+            # A packet that left late must not be followed too soon by the next.
+            earliest_ns = sent_ns + 1000 * self.timing.shortest_period_us(
+                job.sequence.slots, ELECTRODES, WIDTH_US, REST_US
+            )
+            deadline_ns = max(deadline_ns + 1000 * job.sequence.period_us, earliest_ns)
+        return job, deadline_ns
+
+    def _peek(self) -> Job | None:
+        with self._news:
+            job, self._waiting = self._waiting, None
+            return job
+
+    def _measure(self) -> Impedance:
+        """Ask for one MEASURE; its readings wrap, so some of them fit more than one voltage."""
+        self._gate.prove_measurement(
+            one_each(
+                self._gate.limits,
+                int(MEASURE_MA * 1000),
+                MEASURE_US,
+                1.0,
+                time.monotonic_ns(),
+                cathodic=False,
+                period_us=20_000,
+            )
+        )
+        self.drain()
+        with self._line:
+            time.sleep(0.02)
+            self._flush()
+            self._write(bytes([MEASURE]))
+            answer = self._read(ELECTRODES + 1, 0.5)
+            if len(answer) != ELECTRODES + 1 or answer[-1] != 0xFF or 0xFF in answer[:-1]:
+                self._zero()
+                raise BoardError(
+                    f"the board at {self._port_name} answered {len(answer)} of "
+                    f"{ELECTRODES + 1} bytes to a measurement, or others than readings: it was put "
+                    "at zero; measure again"
+                )
+        readings = np.frombuffer(answer[:-1], np.uint8).astype(np.float64)
+        # The next voltage that reads the same still lies within what the board can supply.
+        unsure = (readings + WRAP) * READING_V < COMPLIANCE_V
+        return judge(readings * READING_V, MEASURE_MA, COMPLIANCE_V, unsure)

@@ -1,0 +1,56 @@
+"""A board that keeps what it is sent: for offline runs and for programs that look at sequences."""
+
+from typing import Any
+
+from smarttouch.boards.board import Board, BoardReport, Capabilities
+from smarttouch.boards.books import HostBooks
+from smarttouch.errors import BoardError
+from smarttouch.profile.device import Output
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.scan.sequence import ScanSequence
+
+
+class MemoryBoard(Board):
+    """No process, no line, no current: ``memory:``.
+
+    Attributes
+    ----------
+    sequences : list of ScanSequence
+        All that was sent since it was opened.
+    """
+
+    def __init__(
+        self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
+    ) -> None:
+        super().__init__(limits, output)
+        if rest:
+            raise BoardError(f"memory: takes nothing after the colon, not {rest!r}")
+        self.sequences: list[ScanSequence] = []
+        self.capabilities = Capabilities(
+            electrodes=limits.electrodes,
+            output="weighted" if output is None else output.kind,
+            max_current_ma=limits.current_ma,
+            max_slots=0xFFFF,
+            time_to_zero_ms=0.0,
+            firmware="memory",
+        )
+
+    def _open(self) -> None:
+        self.sequences.clear()
+        self._books = HostBooks(self.capabilities.electrodes)
+
+    def _send(self, sequence: ScanSequence, times: int) -> int:
+        self.sequences.append(sequence)
+        self._books.add(sequence, times)
+        self.acknowledged += 1
+        return len(self.sequences)
+
+    def drain(self, timeout_s: float = 1.0) -> None:
+        """Nothing waits here."""
+
+    def report(self) -> BoardReport:
+        return self._books.report()
+
+    def _stop(self) -> None: ...
+
+    def _close(self) -> None: ...

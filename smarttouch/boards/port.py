@@ -1,0 +1,72 @@
+"""Serial lines and TCP connections by name, with errors a user can act on."""
+
+import os
+import time
+
+import serial
+from serial import SerialBase as Port
+
+from smarttouch.errors import BoardError
+
+__all__ = ["LINE_ERRORS", "Port", "open_port", "reason", "reopen_port"]
+
+LINE_ERRORS = (OSError, serial.SerialException, TypeError)
+"""What pyserial raises when a port vanishes, or is closed by another thread."""
+
+
+def open_port(name: str, baudrate: int = 921600, timeout_s: float = 0.05) -> Port:
+    """Open a device, ``tcp://HOST:PORT``, or any URL that pyserial knows.
+
+    Both modem lines are held inactive: on many boards they are wired to reset.
+
+    Raises
+    ------
+    BoardError
+        Saying what to do about it.
+    """
+    url = name.replace("tcp://", "socket://", 1) if name.startswith("tcp://") else name
+    try:
+        port: Port = serial.serial_for_url(url, do_not_open=True, baudrate=baudrate)
+        port.timeout, port.write_timeout, port.exclusive = timeout_s, 0.5, True
+        port.dtr = port.rts = False
+        port.open()
+    except (OSError, ValueError, AttributeError, TypeError) as error:
+        raise BoardError(f"cannot open {name}: {_advice(error)}") from None
+    return port
+
+
+def reopen_port(name: str, within_s: float) -> Port:
+    """Open a port that has gone as soon as it is back.
+
+    Raises
+    ------
+    BoardError
+        If it is not back in time.
+    """
+    deadline = time.monotonic() + within_s
+    while True:
+        try:
+            return open_port(name)
+        except BoardError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.05)
+
+
+def reason(error: Exception) -> str:
+    """Return what the system says of an error on a line."""
+    number = getattr(error, "errno", None)
+    return os.strerror(number) if number else (str(error) or type(error).__name__)
+
+
+def _advice(error: Exception) -> str:
+    text = str(error)
+    if "lock" in text or "busy" in text.lower():
+        return "it is in use by another program: close that first"
+    if "refused" in text:
+        return "nobody listens there: check that the board is on, its address and port"
+    if "No such file" in text or getattr(error, "errno", None) == 2:
+        return "there is no such port: check the cable and the name"
+    if "ermission" in text:
+        return "permission denied: add yourself to the group of the port (often dialout)"
+    return text

@@ -1,0 +1,89 @@
+"""Small currents that ask each electrode in turn how it sits on the skin."""
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+from smarttouch.errors import BoardError
+from smarttouch.profile.device import Output
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.scan.sequence import ScanSequence
+
+PROBE_MA = 0.5
+PROBE_US = 50
+_STEPS = 20
+
+
+def probe_sequences(limits: SafetyLimits, output: Output | None) -> Iterator[ScanSequence]:
+    """Yield scans of one electrode against all others that rise from zero to `PROBE_MA`.
+
+    The last one is the measurement; those before it keep the rise within the
+    ramp, in the time that their own stamps say.
+
+    Raises
+    ------
+    BoardError
+        If the limits leave no room for the least current that says anything.
+    """
+    peak_ma = min(PROBE_MA, 0.9 * limits.current_ma, 0.9 * limits.full_ma)
+    if limits.electrode_ma is not None:
+        peak_ma = min(peak_ma, 0.9 * min(limits.electrode_ma))
+    if peak_ma < 0.02:
+        raise BoardError(f"the limits allow {peak_ma * 1000:.0f} µA: too little to measure with")
+    top = peak_ma / limits.full_ma
+    rise_s = limits.ramp_s * top
+    start = time.monotonic_ns()
+    cathodic = output is None or "cathodic" in output.polarities
+    for step in range(_STEPS + 1):
+        part = step / _STEPS
+        due_ns = start + int(1.05 * part * rise_s * 1e9)
+        time.sleep(max(0.0, (due_ns - time.monotonic_ns()) / 1e9))
+        yield one_each(
+            limits, round(1000 * peak_ma * part), PROBE_US, top * part, due_ns, cathodic=cathodic
+        )
+
+
+def one_each(
+    limits: SafetyLimits,
+    level_ua: int,
+    width_us: int,
+    intensity: float,
+    time_ns: int,
+    *,
+    cathodic: bool,
+    sites: list[int] | None = None,
+    discharge_us: int = 100,
+    period_us: int = 0,
+) -> ScanSequence:
+    """Return a scan with one slot for each electrode against all others.
+
+    Parameters
+    ----------
+    level_ua : int, µA
+        Through the one; the others share it equally. No slots if 0.
+    sites : list of int, optional
+        Which electrodes; all if not given.
+    """
+    count = limits.electrodes
+    chosen = np.arange(count) if sites is None else np.asarray(sites)
+    if not level_ua:
+        chosen = chosen[:0]
+    slots = len(chosen)
+    # The e-th electrode after the driven one: what does not divide goes to the nearest.
+    each, over = divmod(level_ua, count - 1)
+    share = np.where(np.arange(count) <= over, -each - 1, -each)
+    share[0] = level_ua
+    away = (np.arange(count)[None, :] - chosen[:, None]) % count
+    current = share[away].astype(np.int16)
+    slot_us = max(width_us + discharge_us, int(np.ceil(width_us / limits.duty)))
+    shortest = int(np.ceil(1e6 / limits.rate_hz))
+    return ScanSequence(
+        current_ua=current if cathodic else -current,
+        width_us=np.full(slots, width_us, np.uint16),
+        discharge_us=np.full(slots, discharge_us, np.uint16),
+        site=chosen.astype(np.uint16),
+        period_us=max(period_us, shortest, slots * slot_us),
+        intensity=intensity if slots else 0.0,
+        time_ns=time_ns,
+    )

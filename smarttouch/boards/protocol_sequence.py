@@ -1,0 +1,142 @@
+"""The payloads of ``link`` that carry scans: SEQUENCE and VOLTAGES (see `protocol`)."""
+
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.boards.protocol import Kind, Output, encode
+from smarttouch.errors import BoardError
+
+_SEQUENCE = struct.Struct("<IHHBBH")
+_VOLT = 100
+_U16_MAX = 0xFFFF
+
+
+@dataclass(frozen=True, eq=False)
+class WireSequence:
+    """A sequence as it arrives at a board.
+
+    ``current_ua`` is (S, E) int16 for weighted boards; for switched ones
+    ``state`` is (S, E) int8 (1 cathode, −1 anode, 0 insulated, 2 not a state)
+    and ``source_ua`` (S,) uint16. Positive is cathodic.
+    """
+
+    period_us: int
+    times: int
+    measure: bool
+    electrodes: int
+    width_us: NDArray[np.uint16]
+    discharge_us: NDArray[np.uint16]
+    site: NDArray[np.uint16]
+    current_ua: NDArray[np.int16] | None
+    source_ua: NDArray[np.uint16] | None
+    state: NDArray[np.int8] | None
+
+
+def encode_sequence(
+    number: int,
+    output: Output,
+    period_us: int,
+    width_us: NDArray[np.uint16],
+    discharge_us: NDArray[np.uint16],
+    site: NDArray[np.uint16],
+    current_ua: NDArray[np.int16],
+    times: int = 1,
+    measure: bool = False,
+) -> bytes:
+    """Return a SEQUENCE packet; the columns are those of a scan sequence.
+
+    Raises
+    ------
+    BoardError
+        If it is larger than a packet, or needs a stronger source than the wire can say.
+    """
+    slots, electrodes = current_ua.shape
+    if slots > _U16_MAX:
+        raise BoardError(f"{slots} slots are above the limit of {_U16_MAX}: scan fewer points")
+    switched = output != "weighted"
+    parts = [
+        _SEQUENCE.pack(period_us, slots, electrodes, switched, measure, times),
+        _u16(width_us),
+        _u16(discharge_us),
+        _u16(site),
+    ]
+    if switched:
+        source = np.maximum(current_ua, 0).sum(axis=1, dtype=np.int64)
+        strongest = int(source.max(initial=0))
+        if strongest > _U16_MAX:
+            raise BoardError(
+                f"a slot asks {strongest / 1000:.1f} mA of one source, the wire carries at most "
+                f"{_U16_MAX / 1000:.1f} mA: lower the currents"
+            )
+        parts += [_u16(source.astype(np.uint16)), _pack_states(np.sign(current_ua))]
+    else:
+        parts.append(current_ua.astype("<i2", copy=False).tobytes())
+    return encode(Kind.SEQUENCE, number, b"".join(parts))
+
+
+def decode_sequence(payload: bytes) -> WireSequence:
+    """Return the sequence in a payload.
+
+    Raises
+    ------
+    ValueError
+        If the payload is not exactly one sequence.
+    """
+    if len(payload) < _SEQUENCE.size:
+        raise ValueError(f"{len(payload)} bytes are no sequence")
+    period_us, slots, electrodes, kind, flags, times = _SEQUENCE.unpack_from(payload)
+    packed = -(-electrodes // 4)
+    row = 6 + (2 * electrodes if kind == 0 else 2 + packed)
+    if not times or flags not in (0, 1) or kind not in (0, 1):
+        raise ValueError(f"{times} times, flags {flags}, kind {kind} are no sequence")
+    if len(payload) != _SEQUENCE.size + slots * row:
+        raise ValueError(
+            f"{len(payload)} bytes are not {slots} slots of {electrodes} electrodes, kind {kind}"
+        )
+    columns = np.frombuffer(payload, "<u2", (4 if kind else 3) * slots, _SEQUENCE.size)
+    rest = payload[_SEQUENCE.size + columns.nbytes :]
+    width, discharge, site = columns[: 3 * slots].reshape(3, slots)
+    current = source = state = None
+    if kind == 0:
+        current = np.frombuffer(rest, "<i2").reshape(slots, electrodes)
+    else:
+        source = columns[3 * slots :]
+        state = _unpack_states(np.frombuffer(rest, np.uint8).reshape(slots, packed), electrodes)
+    return WireSequence(
+        period_us, times, bool(flags), electrodes, width, discharge, site, current, source, state
+    )
+
+
+def encode_volts(number: int, volts: NDArray[np.float64]) -> bytes:
+    """Return a VOLTAGES packet of what each slot's source needed, (S,) V."""
+    return encode(Kind.VOLTAGES, number, _u16(np.clip(np.rint(volts * _VOLT), 0, _U16_MAX)))
+
+
+def decode_volts(payload: bytes) -> NDArray[np.float32]:
+    """Return the voltages of a VOLTAGES packet, (S,) V; an odd byte is dropped."""
+    whole = payload[: len(payload) // 2 * 2]
+    return np.asarray(np.frombuffer(whole, "<u2") / np.float32(_VOLT), np.float32)
+
+
+def _u16(values: NDArray[Any]) -> bytes:
+    return values.astype("<u2", copy=False).tobytes()
+
+
+def _pack_states(signs: NDArray[np.int16]) -> bytes:
+    slots, electrodes = signs.shape
+    row = -(-electrodes // 4)
+    codes = np.zeros((slots, row * 4), np.uint8)
+    codes[:, :electrodes] = np.where(signs < 0, 2, signs)
+    four = codes.reshape(slots, row, 4)
+    packed = four[..., 0] | four[..., 1] << 2 | four[..., 2] << 4 | four[..., 3] << 6
+    return bytes(packed.tobytes())
+
+
+def _unpack_states(packed: NDArray[np.uint8], electrodes: int) -> NDArray[np.int8]:
+    codes = (packed[..., None] >> np.array([0, 2, 4, 6], np.uint8)) & 3
+    flat = codes.reshape(len(packed), packed.shape[1] * 4)[:, :electrodes]
+    return np.asarray(np.array([0, 1, -1, 2], np.int8)[flat])

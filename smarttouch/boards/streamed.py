@@ -1,0 +1,272 @@
+"""What drivers share whose boards acknowledge nothing: a thread that sends the newest sequence."""
+
+import contextlib
+import threading
+import time
+from abc import abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.boards.board import Board, BoardReport
+from smarttouch.boards.books import HostBooks
+from smarttouch.boards.port import LINE_ERRORS, Port, open_port, reason, reopen_port
+from smarttouch.errors import BoardError, LineLostError
+from smarttouch.profile.device import Output
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.scan.sequence import ScanSequence
+
+BOOT_S = 1.0
+"""Opening the port may reset the board: it needs about this long to boot."""
+RECOVER_S = 3.0
+"""How long a port that is gone is waited for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One sequence on its way."""
+
+    number: int
+    sequence: ScanSequence
+    data: bytes
+    times: int
+
+
+class StreamedBoard(Board):
+    """A board on a line without acknowledgments.
+
+    The caller's thread proves and encodes; a thread of the driver sends. There
+    is one place between them: a newer sequence replaces one that still waits,
+    so that there never is a backlog.
+
+    Parameters
+    ----------
+    port : str
+        Device, or any URL that pyserial knows.
+    limits : SafetyLimits
+        Of the finger's profile.
+    output : Output, optional
+        What the profile says of the board.
+    """
+
+    kind: str
+    """Name of the driver, for messages."""
+
+    def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
+        super().__init__(limits, output)
+        if not port:
+            raise BoardError(f"{self.kind}: needs a port, for example {self.kind}:/dev/ttyUSB0")
+        if output is not None and output.kind != "one-against-all":
+            raise BoardError(
+                f"a {self.kind} board is one-against-all, the profile needs {output.kind}: use "
+                f"--profile {self.usual_profile}"
+            )
+        self._port_name = port
+        self._number = 0
+        self._waiting: Job | None = None
+        self._busy = False
+        self._over_s = 0.0
+        self._fault: BoardError | None = None
+        self._closing = threading.Event()
+        self._news = threading.Condition()
+        # Reentrant: a signal handler may call stop while its own thread is writing.
+        self._line = threading.RLock()
+        self._serial: Port | None = None
+        self._thread: threading.Thread | None = None
+        self._books = HostBooks(limits.electrodes)
+
+    # -- the contract ------------------------------------------------------
+
+    def _open(self) -> None:
+        self._start(open_port(self._port_name))
+
+    def _start(self, port: Port) -> None:
+        self._serial = port
+        self._fault, self._waiting, self._busy = None, None, False
+        self._closing.clear()
+        try:
+            time.sleep(BOOT_S)
+            self._greet()
+        except BaseException:
+            self._close()
+            raise
+        self._thread = threading.Thread(target=self._run, name="board sender", daemon=True)
+        self._thread.start()
+
+    def _recover(self, lost: LineLostError) -> None:
+        self._close()
+        try:
+            self._start(reopen_port(self._port_name, RECOVER_S))
+        except BoardError:
+            raise lost from None
+
+    def _send(self, sequence: ScanSequence, times: int) -> int:
+        data = self._encode(sequence)
+        with self._news:
+            if self._fault is not None:
+                raise self._fault
+            self._number += 1
+            self.replaced += self._waiting is not None
+            self._waiting = Job(self._number, sequence, data, times)
+            self._news.notify_all()
+        return self._number
+
+    def _stop(self) -> None:
+        self._closing.set()
+        with self._news:
+            self._waiting = None
+            self._news.notify_all()
+        if self._serial is None or not self._serial.is_open:
+            return
+        with self._line:
+            try:
+                self._zero()
+            except LineLostError:
+                # What went wrong before is what the user has been, or will be, told of.
+                if self._fault is None:
+                    raise
+
+    def _close(self) -> None:
+        self._closing.set()
+        with self._news:
+            self._news.notify_all()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(RECOVER_S)
+        if self._serial is not None:
+            with contextlib.suppress(*LINE_ERRORS):
+                self._serial.close()
+
+    def drain(self, timeout_s: float = 1.0) -> None:
+        deadline = time.monotonic() + timeout_s
+        with self._news:
+            self._news.wait_for(
+                lambda: self._fault is not None or (self._waiting is None and not self._busy),
+                timeout_s,
+            )
+            over = min(deadline, self._over_s)
+        self._closing.wait(max(0.0, over - time.monotonic()))
+
+    def report(self) -> BoardReport:
+        return self._books.report()
+
+    # -- what a driver adds ------------------------------------------------
+
+    @abstractmethod
+    def _greet(self) -> None:
+        """Find out what is there, and put it at zero."""
+
+    @abstractmethod
+    def _encode(self, sequence: ScanSequence) -> bytes:
+        """Return the bytes of a sequence; raise BoardError if the board cannot make it."""
+
+    @abstractmethod
+    def _zero(self) -> None:
+        """Put all electrodes at zero; raise LineLostError if that is not certain."""
+
+    @abstractmethod
+    def _serve(self) -> None:
+        """Send what waits, as it comes, until closing."""
+
+    # -- the line ----------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            self._serve()
+        except BoardError as error:
+            self._fail(error)
+        except LINE_ERRORS as error:
+            self._fail(self._lost(f"has vanished ({reason(error)})"))
+
+    def _take(self, until_s: float | None = None) -> Job | None:
+        """Return the newest sequence, or None at a time or when closing."""
+        with self._news:
+            timeout = None if until_s is None else max(0.0, until_s - time.monotonic())
+            self._news.wait_for(
+                lambda: self._waiting is not None or self._closing.is_set(), timeout
+            )
+            job, self._waiting = self._waiting, None
+            self._busy = job is not None and not self._closing.is_set()
+            return job if self._busy else None
+
+    def _delivered(self, job: Job, scans: int = 1) -> None:
+        with self._news:
+            self._over_s = time.monotonic() + scans * job.sequence.period_us / 1e6
+            self._books.add(job.sequence)
+            self.acknowledged += 1
+
+    def _rest(self) -> None:
+        """Tell who drains that nothing is left to do."""
+        with self._news:
+            self._busy = False
+            self._news.notify_all()
+
+    def _write(self, data: bytes) -> None:
+        assert self._serial is not None
+        try:
+            self._serial.write(data)
+        except LINE_ERRORS as error:
+            raise self._lost(f"cannot be written to ({reason(error)})") from None
+
+    def _read(self, count: int, within_s: float) -> bytes:
+        """Return as many bytes as come in time, at most ``count``."""
+        assert self._serial is not None
+        try:
+            self._serial.timeout = within_s
+            return bytes(self._serial.read(count))
+        except LINE_ERRORS as error:
+            raise self._lost(f"has vanished ({reason(error)})") from None
+
+    def _flush(self) -> None:
+        assert self._serial is not None
+        try:
+            self._serial.reset_input_buffer()
+        except LINE_ERRORS as error:
+            raise self._lost(f"has vanished ({reason(error)})") from None
+
+    def _fail(self, fault: BoardError) -> None:
+        with self._news:
+            self._fault = self._fault or fault
+            self._busy = False
+            self._news.notify_all()
+
+    def _lost(self, what: str) -> LineLostError:
+        return LineLostError(f"the board at {self._port_name} {what}{self._aftermath()}")
+
+    def _aftermath(self) -> str:
+        return ""
+
+
+def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Return which electrode each slot drives alone, and its current.
+
+    Returns
+    -------
+    electrode : ndarray, (S,)
+    current_ua : ndarray, (S,), µA
+        Positive cathodic.
+
+    Raises
+    ------
+    BoardError
+        If a slot is anything but one electrode against others, or an electrode
+        has two slots: such a board has no way to do it.
+    """
+    current = sequence.current_ua.astype(np.int64)
+    electrode = sequence.site.astype(np.intp)
+    rows = np.arange(sequence.slots)
+    own = current[rows, electrode]
+    others = current * np.sign(own)[:, None]
+    others[rows, electrode] = 0
+    wrong = (others > 0).any(axis=1) | (np.abs(current).max(axis=1, initial=0) > np.abs(own))
+    if wrong.any():
+        raise BoardError(
+            f"slot {int(wrong.argmax())} is no pattern of one electrode against all others, and "
+            "this board can make no other: use its own profile"
+        )
+    if len(np.unique(electrode)) != len(electrode):
+        raise BoardError(
+            f"{len(electrode)} slots share {len(np.unique(electrode))} electrodes: this board "
+            "drives each once in a scan"
+        )
+    return electrode, own

@@ -1,0 +1,222 @@
+"""``smarttouch board``: one board, looked at, measured, tried and stopped."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from smarttouch.boards.board import Board
+    from smarttouch.boards.impedance import Impedance
+    from smarttouch.profile import Profile
+
+board = typer.Typer(help="Look at one board, measure, try or stop it.", no_args_is_help=True)
+
+_Url = Annotated[
+    str, typer.Argument(metavar="URL", help="kajimoto61:PORT, etactilekit:PORT, link:PORT")
+]
+_ProfileName = Annotated[
+    str | None,
+    typer.Option("--profile", metavar="NAME|FILE", help="The board's usual one if not given."),
+]
+
+
+@board.command()
+def info(url: _Url, profile: _ProfileName = None) -> None:
+    """Say what a board is and what it can and cannot do."""
+    chosen, display = _driver(url, profile)
+    with display:
+        capabilities = display.capabilities
+        force = display.force_n
+    for name, value in capabilities.describe():
+        typer.echo(f"{name:>12}  {value}")
+    if force is not None:
+        typer.echo(f"{'force':>12}  {force:.2f} N")
+    typer.echo(f"{'profile':>12}  {chosen.name}: {chosen.title}")
+
+
+@board.command()
+def stop(url: _Url, profile: _ProfileName = None) -> None:
+    """Put all electrodes of a board at zero."""
+    _, display = _driver(url, profile)
+    with display:
+        display.stop()
+    typer.echo("All electrodes are at zero.")
+
+
+@board.command()
+def measure(
+    url: _Url,
+    profile: _ProfileName = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the impedances.")
+    ] = None,
+) -> None:
+    """Measure the impedance of every electrode on the finger, with small currents."""
+    from smarttouch.cli.files import require_folder, write_json
+
+    require_folder(json_file)
+    _, display = _driver(url, profile)
+    with display:
+        found = display.measure()
+    _print_impedance(found)
+    if json_file is not None:
+        finite = [float(f"{each:.4g}") if each < float("inf") else None for each in found.kohm]
+        write_json(
+            json_file,
+            {
+                "impedance_kohm": finite,
+                "condition": found.condition,
+                "current_ma": found.current_ma,
+                "masked": found.broken,
+            },
+        )
+
+
+@board.command("test")
+def try_out(
+    url: _Url,
+    current_ma: Annotated[
+        float, typer.Option(metavar="MA", help="Through each electrode in turn.")
+    ] = 0.5,
+    seconds: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="For each electrode; waits for a key if not given."),
+    ] = None,
+    profile: _ProfileName = None,
+) -> None:
+    """Walk through the electrodes, each against all others, from zero up to a small current."""
+    from smarttouch.cli.walk import walk
+
+    chosen, display = _driver(url, profile)
+    with display:
+        felt = walk(display, chosen, current_ma, seconds)
+    typer.echo(f"{felt} of {len(chosen.electrodes)} electrodes tried; all are at zero.")
+
+
+@board.command("calibrate-scale")
+def calibrate_scale(
+    url: _Url,
+    ohm: Annotated[
+        float, typer.Option(metavar="OHM", help="The resistor between electrode and all others.")
+    ] = 1000.0,
+    electrode: Annotated[int, typer.Option(metavar="N", help="Where it is connected.")] = 0,
+    current_ma: Annotated[float, typer.Option(metavar="MA", help="Nominal current.")] = 1.0,
+    volts: Annotated[
+        float | None,
+        typer.Option(metavar="V", help="Peak that was seen; asked for while it pulses if not."),
+    ] = None,
+    profile: _ProfileName = None,
+) -> None:
+    """Check the scale of a board's current with a resistor in place of the finger."""
+    from smarttouch.cli.files import require_site
+    from smarttouch.cli.walk import pulse_until_line
+    from smarttouch.errors import BoardError, SmartTouchError
+
+    if not ohm > 0:
+        raise SmartTouchError(f"--ohm {ohm:g} must be above 0")
+    chosen, display = _driver(url, profile)
+    require_site(chosen, electrode)
+    if volts is None:
+        with display:
+            typer.echo(
+                f"Pulses of nominally {current_ma:g} mA go through electrode {electrode}. No "
+                f"finger on the array: {ohm:g} ohm between it and all others."
+            )
+            answer = pulse_until_line(
+                display, chosen, electrode, current_ma, "Peak voltage across it, V: "
+            )
+        try:
+            volts = float(answer)
+        except ValueError:
+            raise SmartTouchError(f"{answer!r} is no voltage: give a number of volts") from None
+    if not volts > 0:
+        raise BoardError(f"{volts:g} V across {ohm:g} ohm means no current: check the connections")
+    actual_ma = 1000 * volts / ohm
+    ratio = actual_ma / current_ma
+    typer.echo(f"{volts:g} V across {ohm:g} ohm are {actual_ma:.3f} mA: {ratio:.3f} of nominal.")
+    if display.ua_per_count is not None:
+        typer.echo("In the profile of this board:\n")
+        typer.echo(f"[output]\nua_per_count = {display.ua_per_count * ratio:.4g}")
+
+
+@board.command()
+def emulate(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="link, kajimoto61 or etactilekit")],
+    electrodes: Annotated[
+        int | None, typer.Option(metavar="N", help="Of a link board or an eTactileKit.")
+    ] = None,
+    output: Annotated[
+        str, typer.Option(metavar="KIND", help="Of a link board: weighted, three-state, ...")
+    ] = "weighted",
+    tcp: Annotated[bool, typer.Option("--tcp", help="Serve TCP instead of a serial port.")] = False,
+    event: Annotated[
+        list[str] | None,
+        typer.Option(metavar="TEXT", help="What happens to the finger: '2 lift', '0 open 7', ..."),
+    ] = None,
+    books: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Where it keeps its books.")
+    ] = None,
+) -> None:
+    """Play a board on skin, behind a port whose name is printed, until Ctrl-C."""
+    import contextlib
+    import subprocess
+    import sys
+
+    from smarttouch.errors import BoardError, SmartTouchError
+
+    usual = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
+    if name not in usual:
+        raise SmartTouchError(f"no emulator {name!r}: choose {', '.join(usual)}")
+    if books is not None and not books.is_dir():
+        raise SmartTouchError(f"--books {books} is no folder: make it first")
+    command = [sys.executable, "-m", "smarttouch.boards.emulator", f"--protocol={name}"]
+    command += [f"--electrodes={electrodes or usual[name]}", "--linger=inf"]
+    command += [f"--output={output}"] if name == "link" else []
+    command += ["--tcp"] if tcp else []
+    command += [f"--event={each}" for each in event or ()]
+    command += [f"--books={books}"] if books is not None else []
+    # A session of its own: Ctrl-C ends it through us, in order.
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        assert process.stdout is not None
+        port = process.stdout.readline().strip()
+        if not port:
+            raise BoardError(f"the emulator did not start (exit {process.wait()})")
+        typer.echo(f"A {name} board on emulated skin. In another terminal:\n")
+        typer.echo(f"  smarttouch live --board {name}:{port}\n\nCtrl-C ends it.")
+        with contextlib.suppress(KeyboardInterrupt):
+            process.wait()
+        process.terminate()
+
+
+def _driver(url: str, profile: str | None) -> tuple["Profile", "Board"]:
+    from smarttouch.boards.board import make_board, usual_profile
+    from smarttouch.profile import load_profile
+    from smarttouch.scan.safety import SafetyLimits
+
+    chosen = load_profile(profile or usual_profile(url))
+    return chosen, make_board(url, SafetyLimits.of(chosen), chosen.output)
+
+
+def _print_impedance(found: "Impedance") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("electrode", "kohm", "", box=None)
+    for index, (kohm, condition) in enumerate(zip(found.kohm, found.condition, strict=True)):
+        value = "-" if condition == "open" else f"{kohm:.1f}"
+        table.add_row(str(index), value, "" if condition == "good" else condition)
+    Console().print(table)
+    if found.lifted:
+        typer.echo("No electrode touches anything: put the finger on, and measure again.")
+    elif found.broken:
+        typer.echo("Open or shorted electrodes. To plan around them, in the profile:\n")
+        typer.echo(f"[output]\nmasked = {list(found.broken)}")
+    unsure = found.condition.count("unsure")
+    if unsure:
+        typer.echo(
+            f"{unsure} readings fit more than one voltage (this board's wrap): the least is shown, "
+            "so an open electrode may look like a good one."
+        )

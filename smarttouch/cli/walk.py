@@ -1,0 +1,132 @@
+"""Pulses on one electrode at a time, while someone feels or watches."""
+
+import select
+import sys
+import termios
+import time
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import typer
+
+from smarttouch.boards.board import Board
+from smarttouch.boards.probe import one_each
+from smarttouch.errors import SmartTouchError
+from smarttouch.profile import Profile
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.scan.sequence import ScanSequence
+
+_STEP_S = 0.04
+_TIMES = 4
+"""Each sequence is repeated for longer than a step, so that pulses do not pause."""
+
+
+def walk(board: Board, profile: Profile, current_ma: float, seconds: float | None) -> int:
+    """Let one electrode after the other pulse; return how many were tried.
+
+    Raises
+    ------
+    SmartTouchError
+        If nobody can press a key, or the current is out of reach.
+    """
+    if seconds is None and not sys.stdin.isatty():
+        raise SmartTouchError("there is no keyboard to wait for: give --seconds")
+    if seconds is not None and not seconds > 0:
+        raise SmartTouchError(f"--seconds {seconds:g} must be above 0")
+    _check(profile, current_ma)
+    tried = 0
+    with _keys():
+        for site in range(len(profile.electrodes)):
+            if site in profile.output.masked:
+                typer.echo(f"electrode {site}: masked")
+                continue
+            how = "any key: next, q: end" if seconds is None else f"{seconds:g} s"
+            typer.echo(f"electrode {site}: up to {current_ma:g} mA ({how})")
+            tried += 1
+            end = None if seconds is None else time.monotonic() + seconds
+            for _ in _pulses(board, profile, site, current_ma):
+                key = _key()
+                if key in ("q", "\x03", "\x04"):
+                    return tried
+                if key or (end is not None and time.monotonic() >= end):
+                    break
+    return tried
+
+
+def pulse_until_line(
+    board: Board, profile: Profile, site: int, current_ma: float, prompt: str
+) -> str:
+    """Pulse on one electrode until a line is entered; return it."""
+    _check(profile, current_ma)
+    typer.echo(prompt, nl=False)
+    for _ in _pulses(board, profile, site, current_ma):
+        if select.select([sys.stdin], [], [], 0)[0]:
+            return sys.stdin.readline().strip()
+    return ""
+
+
+def _check(profile: Profile, current_ma: float) -> None:
+    full_ma = float(profile.threshold_ma.max()) * profile.perception.comfort_ratio
+    if not 0 < current_ma <= full_ma:
+        raise SmartTouchError(
+            f"--current-ma {current_ma:g} must be above 0 and at most the {full_ma:g} mA that the "
+            "profile calls the strongest comfortable"
+        )
+
+
+def _pulses(board: Board, profile: Profile, site: int, current_ma: float) -> Iterator[None]:
+    """Send sequences that rise from zero to a current and stay there, one a step."""
+    limits = SafetyLimits.of(profile)
+    top = current_ma / limits.full_ma
+    start = time.monotonic_ns()
+    _send(board, profile, limits, site, 0.0, 0)
+    yield
+    while True:
+        time.sleep(_STEP_S)
+        now = time.monotonic_ns()
+        part = min(1.0, (now - start) / 1e9 / (limits.ramp_s * top))
+        _send(board, profile, limits, site, part * top, round(1000 * current_ma * part))
+        yield
+
+
+def _send(
+    board: Board,
+    profile: Profile,
+    limits: SafetyLimits,
+    site: int,
+    intensity: float,
+    level_ua: int,
+) -> None:
+    sequence: ScanSequence = one_each(
+        limits,
+        level_ua,
+        profile.pulse.width_us,
+        intensity,
+        time.monotonic_ns(),
+        cathodic="anodic" not in profile.output.polarities,
+        sites=[site],
+        discharge_us=profile.pulse.discharge_us,
+        period_us=round(1e6 / profile.pulse.rate_hz),
+    )
+    board.send(sequence, _TIMES)
+
+
+@contextmanager
+def _keys() -> Iterator[None]:
+    """Let single keys through, where there is a keyboard."""
+    if not sys.stdin.isatty():
+        yield
+        return
+    before = termios.tcgetattr(sys.stdin)
+    tty.setcbreak(sys.stdin)
+    try:
+        yield
+    finally:
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+
+
+def _key() -> str:
+    if sys.stdin.isatty() and select.select([sys.stdin], [], [], 0)[0]:
+        return sys.stdin.read(1)
+    return ""

@@ -1,0 +1,150 @@
+"""What the ``link`` protocol costs: a sequence in hand to acknowledged, beside its bare bytes.
+
+Run with::
+
+    pytest tests/benchmarks/test_link_latency.py --benchmark-only -s
+
+Both go over pseudo-terminals to a process of its own: once through the driver to the
+emulator, once as the same number of bytes written and the ACK's number read back from
+a process that only counts. Each in turn, in one run; the ratio is what counts.
+"""
+
+import os
+import select
+import statistics
+import subprocess
+import sys
+import time
+import tty
+
+import numpy as np
+import pytest
+
+from smarttouch.boards import protocol
+from smarttouch.boards.emulator.driver import EmulatorBoard
+from smarttouch.boards.protocol_sequence import encode_sequence
+from smarttouch.profile.device import Output
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.scan.sequence import ScanSequence
+
+COUNTS = (64, 128, 256, 512)
+ACK = len(protocol.encode(protocol.Kind.ACK, 1))
+ECHO = """
+import os, sys, tty
+master, slave = os.openpty()
+tty.setraw(slave)
+print(os.ttyname(slave), flush=True)
+length, answer, have = int(sys.argv[1]), bytes(int(sys.argv[2])), 0
+while True:
+    have += len(os.read(master, 65536))
+    while have >= length:
+        have -= length
+        os.write(master, answer)
+"""
+
+
+def make(electrodes, step, slots, period_us):
+    current = np.full((slots, electrodes), -1, np.int16)
+    site = np.arange(slots, dtype=np.uint16) % electrodes
+    current[np.arange(slots), site] = electrodes - 1
+    column = np.ones(slots, np.uint16)
+    return ScanSequence(
+        current * (step > 0), column * 5, column * 20, site, period_us, float(step > 0),
+        step * 10**9,
+    )  # fmt: skip
+
+
+class Bare:
+    """The same bytes there, as many as an ACK back."""
+
+    def __init__(self, length):
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", ECHO, str(length), str(ACK)], stdout=subprocess.PIPE, text=True
+        )
+        self.port = os.open(self.process.stdout.readline().strip(), os.O_RDWR | os.O_NOCTTY)
+        tty.setraw(self.port)
+        self.data = bytes([7]) * length
+
+    def __call__(self):
+        sent = 0
+        while sent < len(self.data):
+            sent += os.write(self.port, self.data[sent : sent + 4096])
+        got = 0
+        while got < ACK:
+            select.select([self.port], [], [])
+            got += len(os.read(self.port, 4096))
+
+    def close(self):
+        os.close(self.port)
+        self.process.kill()
+        self.process.wait()
+        self.process.stdout.close()
+
+
+def acknowledged_s(board, sequence):
+    """Send when the board is idle; wait for the ACK, not for the scan."""
+    board.drain()
+    before = board.acknowledged
+    start = time.perf_counter()
+    board.send(sequence)
+    with board._line.news:
+        board._line.news.wait_for(lambda: board.acknowledged > before, 1)
+    return time.perf_counter() - start
+
+
+def test_latency(benchmark, capsys):
+    lines = []
+    for electrodes in COUNTS:
+        limits = SafetyLimits(electrodes, 3.0, 200, 0.5, 200, 0.8, 0.5, 2.4)
+        output = Output(kind="weighted")
+        length = len(packet(make(electrodes, 1, electrodes, 20_000)))
+        bare, ours, plain = Bare(length), [], []
+        with EmulatorBoard("", limits, output) as board:
+            board.send(make(electrodes, 0, 0, 20_000))
+            for step in range(1, 60):
+                ours.append(
+                    acknowledged_s(
+                        board, make(electrodes, step, electrodes, 40 * electrodes + 6000)
+                    )
+                )
+                start = time.perf_counter()
+                bare()
+                plain.append(time.perf_counter() - start)
+        bare.close()
+        ratio = statistics.median(a / b for a, b in zip(ours, plain, strict=True))
+        lines.append(
+            f"{electrodes:5} electrodes, {length:7} bytes: acknowledged after "
+            f"{1e6 * statistics.median(ours):7.0f} µs, bare {1e6 * statistics.median(plain):7.0f} "
+            f"µs, ratio {ratio:.1f}"
+        )
+    with capsys.disabled():
+        print("\n" + "\n".join(lines))
+    benchmark.pedantic(lambda: None, rounds=1)
+
+
+def packet(sequence):
+    return encode_sequence(
+        1, "weighted", sequence.period_us, sequence.width_us, sequence.discharge_us,
+        sequence.site, sequence.current_ua, 1, True,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("electrodes", COUNTS)
+def test_throughput(benchmark, electrodes, capsys):
+    """Sequences a second with one slot each: the wire and both ends, not the scan."""
+    limits = SafetyLimits(electrodes, 3.0, 200, 0.5, 200, 0.8, 0.5, 2.4)
+    steps = iter(range(1, 10**6))
+
+    def send_hundred():
+        for _ in range(100):
+            board.send(make(electrodes, next(steps), electrodes, 5000 + 26 * electrodes))
+        board.drain()
+
+    with EmulatorBoard("", limits, Output(kind="weighted")) as board:
+        board.send(make(electrodes, 0, 0, 20_000))
+        send_hundred()
+        benchmark.pedantic(send_hundred, rounds=5)
+    a_second = 100 / benchmark.stats["median"]
+    paced = 1e6 / (5000 + 26 * electrodes)
+    with capsys.disabled():
+        print(f"\n{electrodes} electrodes: {a_second:.0f} of the {paced:.0f} a second that fit")

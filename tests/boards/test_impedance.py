@@ -1,0 +1,80 @@
+"""Voltages become impedances, and bad electrodes are told from good ones."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.boards.impedance import judge
+from smarttouch.boards.probe import one_each, probe_sequences
+from smarttouch.errors import BoardError
+from smarttouch.profile.device import Output
+from smarttouch.scan.safety import SafetyGate, SafetyLimits
+
+LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
+
+
+def volts_of(kohm, current_ma):
+    """One electrode against all others in parallel, each in turn."""
+    admittance = 1 / np.asarray(kohm, float)
+    others = admittance.sum() - admittance
+    return current_ma * (np.asarray(kohm, float) + 1 / others)
+
+
+@given(st.lists(st.floats(10, 40), min_size=8, max_size=64))
+def test_impedances_are_found_again(kohm):
+    found = judge(volts_of(kohm, 0.5), 0.5, 300.0)
+    np.testing.assert_allclose(found.kohm, kohm, rtol=1e-3)
+    assert found.broken == ()
+    assert not found.lifted
+
+
+def test_open_and_short_are_named():
+    volts = volts_of([20.0] * 8, 0.5)
+    volts[2], volts[5] = 300.0, 0.6
+    found = judge(volts, 0.5, 300.0)
+    assert found.condition == tuple(
+        {2: "open", 5: "short"}.get(index, "good") for index in range(8)
+    )
+    assert found.broken == (2, 5)
+
+
+def test_a_lifted_finger_is_all_open():
+    assert judge(np.full(8, 299.0), 0.5, 300.0).lifted
+
+
+def test_what_may_be_another_voltage_is_never_called_good():
+    unsure = np.arange(8) == 3
+    found = judge(volts_of([20.0] * 8, 0.5), 0.5, 300.0, unsure)
+    assert found.condition[3] == "unsure"
+    assert found.broken == ()
+
+
+def test_a_probe_rises_from_zero_and_every_step_is_safe():
+    gate = SafetyGate(LIMITS)
+    sequences = list(probe_sequences(LIMITS, None))
+    for sequence in sequences:
+        gate.prove(sequence)
+    assert sequences[0].slots == 0
+    assert sequences[-1].slots == 8
+    assert np.abs(sequences[-1].current_ua).max() == 500
+
+
+def test_a_probe_keeps_to_what_the_board_can():
+    *_, last = probe_sequences(LIMITS, Output(kind="one-against-all", polarities=("anodic",)))
+    assert (last.current_ua[np.arange(8), last.site] < 0).all()
+
+
+def test_limits_too_low_to_measure_are_named():
+    limits = SafetyLimits(2, 0.02, 200, 0.5, 100, 0.6, 0.5, 0.02)
+    with pytest.raises(BoardError, match="18 µA: too little"):
+        next(probe_sequences(limits, None))
+
+
+@given(level=st.integers(0, 5000), electrodes=st.integers(2, 70))
+def test_one_against_all_others_sums_to_zero(level, electrodes):
+    limits = SafetyLimits(electrodes, 5.0, 200, 0.5, 200, 0.8, 0.5, 5.0)
+    sequence = one_each(limits, level, 50, 1.0, 0, cathodic=True)
+    assert not sequence.current_ua.sum(axis=1).any()
+    if level:
+        assert (sequence.current_ua[np.arange(electrodes), sequence.site] == level).all()

@@ -1,0 +1,211 @@
+"""To the byte: what the 61-electrode kit hears, and what it never hears."""
+
+import threading
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.boards.kajimoto61 import Kajimoto61Board
+from smarttouch.errors import BoardError, SafetyError
+from smarttouch.profile.device import Output
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.scan.sequence import ScanSequence
+
+ZERO = bytes([0xFF]) + bytes(61)
+RECOVERY = bytes(61), ZERO
+OPEN = [(RECOVERY[0], b""), (ZERO, b"")]
+LIMITS = SafetyLimits(61, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
+
+
+def anodic(levels_ua, step=1, period_us=20_000, width=50, discharge=150, sign=-1):
+    """One slot for each electrode of ``levels_ua``, all others sharing the return."""
+    site = np.array(sorted(levels_ua), np.uint16)
+    current = np.zeros((len(site), 61), np.int16)
+    for row, electrode in zip(current, site, strict=True):
+        level = levels_ua[int(electrode)]
+        row[:] = level // 60
+        row[electrode] = 0
+        row[electrode] = -row.sum()
+    column = np.ones(len(site), np.uint16)
+    return ScanSequence(
+        -sign * current, column * width, column * discharge, site, period_us,
+        float(bool(levels_ua)), step * 10**9,
+    )  # fmt: skip
+
+
+def packet(**intensities):
+    data = bytearray(ZERO)
+    for electrode, value in intensities.items():
+        data[1 + int(electrode[1:])] = value
+    return bytes(data)
+
+
+def test_zero_first_scans_between_zero_last(script):
+    script(*OPEN, (packet(), b""), (packet(e0=26, e60=100), b""), *OPEN)
+    with Kajimoto61Board("x", LIMITS) as board:
+        board.send(anodic({}, 0))
+        board.drain()
+        # 39.0625 µA to a byte: 1,020 µA are 26.1, 3,900 are 99.84.
+        board.send(anodic({0: 1020, 60: 3900}))
+        board.drain()
+        report = board.report()
+    assert (report.sequences, report.slots, report.by) == (2, 2, "host")
+    assert report.max_current_ma == pytest.approx(3.9)
+    assert board.acknowledged == 2
+
+
+def test_the_scale_of_the_profile_counts(script):
+    output = Output(kind="one-against-all", polarities=("anodic",), ua_per_count=2.5)
+    script(*OPEN, (packet(), b""), (packet(e3=51), b""), *OPEN)
+    with Kajimoto61Board("x", LIMITS, output) as board:
+        board.send(anodic({}, 0))
+        board.drain()
+        board.send(anodic({3: 2040}))
+        board.drain()
+
+
+def test_rounding_never_passes_the_limit(script):
+    limits = SafetyLimits(61, 3.96, 200, 0.5, 200, 0.8, 0.5, 3.96)
+    script(*OPEN, (packet(), b""), (packet(e3=101), b""), *OPEN)
+    with Kajimoto61Board("x", limits) as board:
+        board.send(anodic({}, 0))
+        board.drain()
+        # 101.4 bytes; the limit lies at 101.4 as well, and 102 would be above it.
+        board.send(anodic({3: 3960}))
+        board.drain()
+
+
+@pytest.mark.parametrize(
+    ("sequence", "says"),
+    [
+        (anodic({3: 1000}, sign=1), "cathodic"),
+        (anodic({3: 1000}, width=100), "pulses for 50"),
+        (anodic({3: 1000}, discharge=200), "grounds for 150"),
+        (anodic(dict.fromkeys(range(61), 1000), period_us=13_000), "too short for 61"),
+    ],
+)
+def test_what_it_cannot_do_is_refused_and_never_sent(script, sequence, says):
+    script(*OPEN, (packet(), b""), *OPEN)
+    with Kajimoto61Board("x", LIMITS) as board:
+        board.send(anodic({}, 0))
+        board.drain()
+        with pytest.raises(BoardError, match=says):
+            board.send(sequence)
+
+
+def test_two_against_all_others_is_refused(script):
+    current = np.zeros((1, 61), np.int16)
+    current[0, :4] = [-500, -500, 500, 500]
+    one = np.ones(1, np.uint16)
+    script(*OPEN, (packet(), b""), *OPEN)
+    with Kajimoto61Board("x", LIMITS) as board:
+        board.send(anodic({}, 0))
+        board.drain()
+        with pytest.raises(BoardError, match="one electrode against all"):
+            board.send(ScanSequence(current, one * 50, one * 150, one, 20_000, 1.0, 10**9))
+
+
+def test_a_board_that_answers_a_pattern_is_another(script):
+    script((bytes(61), b""), (ZERO, b"\x10\x02" * 4))
+    with pytest.raises(BoardError, match="perhaps etactilekit"):
+        # Its reply comes a moment after the pattern: the flush before must not hide it.
+        Late(script).open()
+
+
+class Late(Kajimoto61Board):
+    """Its port keeps what it has to say over a flush."""
+
+    def __init__(self, _script):
+        super().__init__("x", LIMITS)
+
+    def _flush(self):
+        pass
+
+
+def test_a_measurement_is_read_and_its_wrap_named(script):
+    readings = bytes([100] * 59 + [250, 5])
+    script(*OPEN, (b"\xfe", readings + b"\xff"), *OPEN)
+    with Kajimoto61Board("x", LIMITS) as board:
+        found = board.measure()
+    # 100 units are 35.7 V at 2.5 mA: 14.3 kΩ, of which 1/61 is the way back.
+    assert found.kohm[0] == pytest.approx(14.3 * 60 / 61, rel=0.02)
+    assert found.condition[0] == "unsure"
+    assert len(found.kohm) == 61
+
+
+@pytest.mark.parametrize(
+    "answer", [bytes(61), bytes([7] * 61) + b"\0", bytes([0xFF] * 62), b"", bytes(60) + b"\xff\xff"]
+)
+def test_a_measurement_that_is_none_ends_in_zero(script, answer):
+    script(*OPEN, (b"\xfe", answer), *OPEN, *OPEN)
+    with (
+        Kajimoto61Board("x", LIMITS) as board,
+        pytest.raises(BoardError, match="put at zero; measure again"),
+    ):
+        board.measure()
+
+
+def test_a_measurement_above_the_limits_is_never_asked_for(script):
+    script(*OPEN, *OPEN)
+    limits = SafetyLimits(61, 2.0, 200, 0.5, 200, 0.8, 0.5, 2.0)
+    with Kajimoto61Board("x", limits) as board, pytest.raises(SafetyError, match=r"2\.500 mA"):
+        board.measure()
+
+
+def test_another_profile_is_refused():
+    with pytest.raises(BoardError, match="61 electrodes, the profile 64.*kajimoto-61"):
+        Kajimoto61Board("x", SafetyLimits(64, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0))
+    with pytest.raises(BoardError, match="one-against-all, the profile needs weighted"):
+        Kajimoto61Board("x", LIMITS, Output(kind="weighted"))
+    with pytest.raises(BoardError, match="wiring"):
+        Kajimoto61Board("x", LIMITS, Output(kind="one-against-all", wiring=tuple(range(61))))
+
+
+class StillClock:
+    """Time that jumps to every deadline, and is told of each."""
+
+    def __init__(self):
+        self.time_ns, self.deadlines = 0, []
+        self.gate = threading.Semaphore(0)
+
+    def now_ns(self):
+        return self.time_ns
+
+    def wait_until(self, deadline_ns, stop):
+        self.deadlines.append(deadline_ns)
+        while not self.gate.acquire(timeout=0.01):
+            if stop.is_set():
+                return
+        self.time_ns = max(self.time_ns, deadline_ns)
+
+
+def test_packets_leave_on_a_grid_and_the_newest_wins(script):
+    # A run of silent ones: bytes do not matter here, but when and how many.
+    port = script(*OPEN, *[(packet(), b"")] * 4, *OPEN)
+    clock = StillClock()
+    with Kajimoto61Board("x", LIMITS, clock=clock) as board:
+        for step in range(3):
+            board.send(anodic({}, step))
+        clock.gate.release()
+        board.drain()
+        # Two were overtaken by the third before the first deadline.
+        assert (board.acknowledged, board.replaced) == (1, 2)
+        board.send(anodic({}, 4), times=3)
+        for _ in range(3):
+            clock.gate.release()
+        board.drain()
+        assert board.acknowledged == 4
+    first = clock.deadlines[0]
+    assert clock.deadlines[:4] == [first + each * 20_000_000 for each in range(4)]
+    assert port.exchanges == []
+
+
+@given(levels=st.dictionaries(st.integers(0, 60), st.integers(0, 5000), max_size=61))
+def test_no_byte_of_a_pattern_is_ever_above_200_or_the_limit(levels):
+    board = Kajimoto61Board("x", LIMITS)
+    data = board._encode(anodic(levels))
+    assert len(data) == 62
+    assert data[0] == 0xFF
+    assert max(data[1:]) * 39.0625 <= 5000
