@@ -101,6 +101,18 @@ class Tally:
         return {"p50": float(p50), "p99": float(p99), "max": max(self.latency_us)}
 
 
+@contextmanager
+def settled(pipeline: Pipeline) -> Iterator[None]:
+    """Do what takes long before a board is open: it would take the delay for a lost host."""
+    pipeline.warm_up()
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
 @dataclass
 class Regulator:
     """Closes the loop from what the board measured to what it is sent next.
@@ -165,59 +177,53 @@ def run(
     """
     clock = clock or MonotonicClock()
     regulator = regulator or Regulator()
-    pipeline.warm_up()
-    gc.collect()
-    gc.freeze()
     start = clock.now_ns()
     elapsed = 0
     shift = 0
     lifted_until = start
-    try:
-        while not stop.event.is_set():
-            clock.wait_until(start + elapsed + shift, stop.event)
-            if stop.event.is_set():
-                break
-            now = clock.now_ns()
-            tally.seconds = (now - start) / 1e9
-            if seconds is not None and tally.seconds >= seconds:
-                stop.ask(f"{seconds:g} s are over")
-                break
-            late = now - (start + elapsed + shift)
-            if late > STALL_NS:
-                pipeline.restart_softly()
-            frame = sensor.read(elapsed)
-            if frame is None:
-                break
-            if board.lifted and now >= lifted_until:
-                # Only a pulse can tell whether the finger is back: try again, from zero.
-                board.lifted = False
-                tally.lifts += 1
-                lifted_until = now + LIFT_NS
-            if now < lifted_until:
-                pipeline.restart_softly()
-            in_hand = clock.now_ns()
-            step = regulator.regulate(pipeline.process(_pressed(frame, board)), board)
-            try:
-                number = board.send(step.sequence)
-            except BoardRestartedError:
-                tally.restarts += 1
-                pipeline.restart_softly()
-                shift += clock.now_ns() - now
-                elapsed += step.sequence.period_us * 1000
-                continue
-            sent = Sent(step, number, (clock.now_ns() - in_hand) / 1000)
-            tally.count(sent, pipeline.period_us)
-            for observe in observers:
-                observe(sent)
-            period_ns = step.sequence.period_us * 1000
-            if late > period_ns:
-                tally.late += 1
-                shift += late
-            elapsed += period_ns
-        board.drain()
-        tally.seconds = (clock.now_ns() - start) / 1e9
-    finally:
-        gc.unfreeze()
+    while not stop.event.is_set():
+        clock.wait_until(start + elapsed + shift, stop.event)
+        if stop.event.is_set():
+            break
+        now = clock.now_ns()
+        tally.seconds = (now - start) / 1e9
+        if seconds is not None and tally.seconds >= seconds:
+            stop.ask(f"{seconds:g} s are over")
+            break
+        late = now - (start + elapsed + shift)
+        if late > STALL_NS:
+            pipeline.restart_softly()
+        frame = sensor.read(elapsed)
+        if frame is None:
+            break
+        if board.lifted and now >= lifted_until:
+            # Only a pulse can tell whether the finger is back: try again, from zero.
+            board.lifted = False
+            tally.lifts += 1
+            lifted_until = now + LIFT_NS
+        if now < lifted_until:
+            pipeline.restart_softly()
+        in_hand = clock.now_ns()
+        step = regulator.regulate(pipeline.process(_pressed(frame, board)), board)
+        try:
+            number = board.send(step.sequence)
+        except BoardRestartedError:
+            tally.restarts += 1
+            pipeline.restart_softly()
+            shift += clock.now_ns() - now
+            elapsed += step.sequence.period_us * 1000
+            continue
+        sent = Sent(step, number, (clock.now_ns() - in_hand) / 1000)
+        tally.count(sent, pipeline.period_us)
+        for observe in observers:
+            observe(sent)
+        period_ns = step.sequence.period_us * 1000
+        if late > period_ns:
+            tally.late += 1
+            shift += late
+        elapsed += period_ns
+    board.drain()
+    tally.seconds = (clock.now_ns() - start) / 1e9
 
 
 def _pressed(frame: Frame, board: Board) -> Frame:

@@ -66,7 +66,7 @@ class Capabilities:
             ("current", f"at most {self.max_current_ma:.1f} mA"),
             ("clock", f"the {self.clock}'s"),
             ("host lost", silence),
-            ("tells of", ", ".join(told) or "nothing"),
+            ("while it scans", "tells of " + (", ".join(told) or "nothing")),
         ]
 
 

@@ -1,7 +1,9 @@
 """Serial lines and TCP connections by name, with errors a user can act on."""
 
 import os
+import socket
 import time
+from urllib.parse import urlsplit
 
 import serial
 from serial import SerialBase as Port
@@ -24,12 +26,18 @@ def open_port(name: str, baudrate: int = 921600, timeout_s: float = 0.05) -> Por
     BoardError
         Saying what to do about it.
     """
-    url = name.replace("tcp://", "socket://", 1) if name.startswith("tcp://") else name
+    tcp = name.startswith("tcp://")
+    url = name.replace("tcp://", "socket://", 1) if tcp else name
     try:
+        if tcp and urlsplit(name).port is None:
+            raise ValueError("it names no port, give tcp://HOST:PORT (an eTactileKit's is 8080)")
         port: Port = serial.serial_for_url(url, do_not_open=True, baudrate=baudrate)
         port.timeout, port.write_timeout, port.exclusive = timeout_s, 0.5, True
         port.dtr = port.rts = False
         port.open()
+        if tcp:
+            # Short commands must not wait for the answer to those before them.
+            port._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     except (OSError, ValueError, AttributeError, TypeError) as error:
         raise BoardError(f"cannot open {name}: {_advice(error)}") from None
     return port
@@ -63,6 +71,8 @@ def _advice(error: Exception) -> str:
     text = str(error)
     if "lock" in text or "busy" in text.lower():
         return "it is in use by another program: close that first"
+    if "ioctl" in text:
+        return "it is no serial port: check the name"
     if "refused" in text:
         return "nobody listens there: check that the board is on, its address and port"
     if "No such file" in text or getattr(error, "errno", None) == 2:

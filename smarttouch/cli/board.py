@@ -29,10 +29,10 @@ def info(url: _Url, profile: _ProfileName = None) -> None:
         capabilities = display.capabilities
         force = display.force_n
     for name, value in capabilities.describe():
-        typer.echo(f"{name:>12}  {value}")
+        typer.echo(f"{name:>14}  {value}")
     if force is not None:
-        typer.echo(f"{'force':>12}  {force:.2f} N")
-    typer.echo(f"{'profile':>12}  {chosen.name}: {chosen.title}")
+        typer.echo(f"{'force':>14}  {force:.2f} N")
+    typer.echo(f"{'profile':>14}  {chosen.name}: {chosen.title}")
 
 
 @board.command()
@@ -61,11 +61,14 @@ def measure(
         found = display.measure()
     _print_impedance(found)
     if json_file is not None:
-        finite = [float(f"{each:.4g}") if each < float("inf") else None for each in found.kohm]
+        kohm = [
+            None if condition == "open" else float(f"{each:.4g}")
+            for each, condition in zip(found.kohm, found.condition, strict=True)
+        ]
         write_json(
             json_file,
             {
-                "impedance_kohm": finite,
+                "impedance_kohm": kohm,
                 "condition": found.condition,
                 "current_ma": found.current_ma,
                 "masked": found.broken,

@@ -77,7 +77,7 @@ def live(
     from smarttouch.cli.regulation import make_regulator, masked_where_broken
     from smarttouch.cli.screen import Screen
     from smarttouch.errors import SmartTouchError
-    from smarttouch.live import StopRequest, Tally, run, stop_on_signals
+    from smarttouch.live import StopRequest, Tally, run, settled, stop_on_signals
     from smarttouch.modes.bank import load_bank
     from smarttouch.pipeline import Pipeline
     from smarttouch.primary import Primary
@@ -136,7 +136,7 @@ def live(
         report: BoardReport | None = None
         ended = "fault"
         try:
-            with display:
+            with settled(pipeline), display:
                 regulator = make_regulator(display, chosen, hold, balance, quiet)
                 screen = Screen(source, chosen, primary, board, display, tally, quiet)
                 with screen:

@@ -23,8 +23,10 @@ def masked_where_broken(board: Board, profile: Profile, quiet: bool) -> Profile:
         raise BoardError("no electrode touches anything: put the finger on the array first")
     broken = sorted({*profile.output.masked, *found.broken})
     if not quiet:
+        good, unsure = (found.condition.count(each) for each in ("good", "unsure"))
         typer.echo(
-            f"{len(found.kohm) - len(found.broken)} of {len(found.kohm)} electrodes are good"
+            f"{good} of {len(found.kohm)} electrodes are good"
+            + (f", of {unsure} this board's readings cannot tell" if unsure else "")
             + (f"; planned without {broken}" if broken else "")
         )
     output = profile.output.model_dump() | {"masked": broken}

@@ -125,7 +125,12 @@ class Screen:
     def summarize(self, figures: dict[str, Any], notes: list[str], files: list[Path]) -> None:
         """Print how the run went."""
         latency = figures["latency_us"]
-        net_pc = 1e6 * (figures["max_net_charge_uc"] or 0)
+        net_uc = figures["max_net_charge_uc"] or 0
+        net = (
+            f"all pulses add up to {net_uc:.2g} µC on one electrode"
+            if figures["reported_by"] == "host"
+            else f"net charge left {1e6 * net_uc:.3g} pC at worst"
+        )
         lines = [
             f"Ended after {figures['seconds']:.1f} s ({figures['ended']}): all electrodes off.",
             f"  {figures['frames']} frames, {figures['slots']} slots, "
@@ -136,7 +141,7 @@ class Screen:
             + self._slowed(figures)
             + f"; frame to last byte {latency['p50']:.0f} µs median, {latency['p99']:.0f} µs p99",
             f"  strongest pulse {figures['max_current_ma']:.2f} mA, "
-            f"{figures['max_charge_uc']:.3f} µC; net charge left {net_pc:.3g} pC at worst",
+            f"{figures['max_charge_uc']:.3f} µC; {net}",
             "  by the host's own account: this board keeps none"
             if figures["reported_by"] == "host"
             else f"  {figures['emulator_violations']} violations by the board's own books",

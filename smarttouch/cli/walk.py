@@ -79,37 +79,30 @@ def _pulses(board: Board, profile: Profile, site: int, current_ma: float) -> Ite
     """Send sequences that rise from zero to a current and stay there, one a step."""
     limits = SafetyLimits.of(profile)
     top = current_ma / limits.full_ma
-    start = time.monotonic_ns()
-    _send(board, profile, limits, site, 0.0, 0)
-    yield
+    start = now = time.monotonic_ns()
     while True:
+        part = min(1.0, (now - start) / 1e9 / (limits.ramp_s * top))
+        board.send(_point(profile, limits, site, part * current_ma, now), _TIMES)
+        yield
         time.sleep(_STEP_S)
         now = time.monotonic_ns()
-        part = min(1.0, (now - start) / 1e9 / (limits.ramp_s * top))
-        _send(board, profile, limits, site, part * top, round(1000 * current_ma * part))
-        yield
 
 
-def _send(
-    board: Board,
-    profile: Profile,
-    limits: SafetyLimits,
-    site: int,
-    intensity: float,
-    level_ua: int,
-) -> None:
-    sequence: ScanSequence = one_each(
+def _point(
+    profile: Profile, limits: SafetyLimits, site: int, current_ma: float, time_ns: int
+) -> ScanSequence:
+    pulse = profile.pulse
+    return one_each(
         limits,
-        level_ua,
-        profile.pulse.width_us,
-        intensity,
-        time.monotonic_ns(),
+        round(1000 * current_ma),
+        pulse.width_us,
+        current_ma / limits.full_ma,
+        time_ns,
         cathodic="anodic" not in profile.output.polarities,
         sites=[site],
-        discharge_us=profile.pulse.discharge_us,
-        period_us=round(1e6 / profile.pulse.rate_hz),
+        discharge_us=pulse.discharge_us,
+        period_us=round(1e6 / pulse.rate_hz),
     )
-    board.send(sequence, _TIMES)
 
 
 @contextmanager

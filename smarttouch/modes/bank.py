@@ -99,10 +99,14 @@ class KernelBank:
 
     def _made(self, primary: Primary) -> NDArray[np.float64]:
         if primary not in self.weights:
-            offered = ", ".join(each.name for each in sorted(self.weights)) or "none"
+            offered = ", ".join(
+                f"{each.name} (other classes reach {self.worst_other[each].max():.2g} of the "
+                f"target, its own elsewhere {self.own_spill[each].max():.2g})"
+                for each in sorted(self.weights)
+            )
             raise DesignError(
                 f"mode {primary.name} is not possible with this profile's board: "
-                f"it offers {offered}"
+                f"it offers {offered or 'none'}"
             )
         return self.weights[primary]
 

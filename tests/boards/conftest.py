@@ -1,5 +1,6 @@
 """Small sequences, and boards to send them to."""
 
+import contextlib
 import os
 import select
 import subprocess
@@ -11,6 +12,11 @@ import tty
 import numpy as np
 import pytest
 
+from smarttouch.boards.board import make_board
+from smarttouch.boards.emulator.books import read_state
+from smarttouch.boards.probe import one_each
+from smarttouch.errors import BoardRestartedError
+from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
 
@@ -153,6 +159,13 @@ def script(monkeypatch):
         assert bytes(port.written) == b"", "this was cut short"
 
 
+def pour(ends, data):
+    """Write what fits; what nobody takes is lost."""
+    for end in ends:
+        with contextlib.suppress(BlockingIOError):
+            os.write(end, data)
+
+
 class FaultyLine:
     """A serial line between host and board on which bytes get lost, and which can be pulled out.
 
@@ -167,6 +180,7 @@ class FaultyLine:
         self.to_board = self.to_host = bytes
         self._behind = os.open(behind, os.O_RDWR | os.O_NOCTTY)
         tty.setraw(self._behind)
+        os.set_blocking(self._behind, False)
         self._lock = threading.Lock()
         self._ends = None
         self._closing = False
@@ -178,17 +192,18 @@ class FaultyLine:
         """Let the port be there, under the same name as ever."""
         master, slave = os.openpty()
         tty.setraw(slave)
+        os.set_blocking(master, False)
         with self._lock:
             self._ends = (master, slave)
         self.path.symlink_to(os.ttyname(slave))
 
     def pull_out(self):
         """Let the port be gone."""
-        self.path.unlink()
         with self._lock:
             ends, self._ends = self._ends, None
-            for end in ends:
-                os.close(end)
+        for end in ends or ():
+            os.close(end)
+        self.path.unlink(missing_ok=True)
 
     def _pump(self):
         while not self._closing:
@@ -198,10 +213,9 @@ class FaultyLine:
                 for end in ready:
                     data = os.read(end, 65536)
                     if end == self._behind:
-                        if near:
-                            os.write(near[0], self.to_host(data))
+                        pour(near, self.to_host(data))
                     else:
-                        os.write(self._behind, self.to_board(data))
+                        pour([self._behind], self.to_board(data))
             time.sleep(0.0002)
 
     def close(self):
@@ -225,3 +239,48 @@ def faulty_line(tmp_path):
     yield make
     for line in lines:
         line.close()
+
+
+class Hosted:
+    """A board behind a line with faults, to which anodic points can be sent."""
+
+    def __init__(self, kind, start_emulator, faulty_line, folder, monkeypatch):
+        monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
+        self.electrodes = {"kajimoto61": 61}.get(kind, 8)
+        _, port = start_emulator(
+            f"--books={folder}", "--linger=2", protocol=kind, electrodes=self.electrodes
+        )
+        self.line, self.folder, self.kind = faulty_line(port), folder, kind
+        self.limits = SafetyLimits(self.electrodes, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.8)
+        output = Output(kind="weighted" if kind == "link" else "one-against-all")
+        self.board = make_board(f"{kind}:{self.line.path}", self.limits, output)
+        self.step = 0
+
+    def send(self, times=1, level_ua=1000):
+        """Send the next sequence, another level each time; the first after a loss is silent."""
+        self.step += 1
+        level = (level_ua + 20 * (self.step % 10)) * (self.step > 1)
+        sequence = one_each(
+            self.limits, level, 50, float(level > 0), self.step * 10**9, cathodic=False,
+            sites=[1, 2, 3], discharge_us=150, period_us=20_000,
+        )  # fmt: skip
+        try:
+            self.board.send(sequence, times)
+        except BoardRestartedError:
+            self.step = 0
+            raise
+        self.board.drain()
+
+    def state(self):
+        time.sleep(0.3)
+        return read_state(self.folder)
+
+    def assert_zero(self):
+        state = self.state()
+        assert (state["state"], state["unsafe"], state["violations"]) == ("shorted", 0, 0)
+        assert self.state()["slots"] == state["slots"]
+
+
+@pytest.fixture
+def hosted(request, start_emulator, faulty_line, tmp_path, monkeypatch):
+    return Hosted(request.param, start_emulator, faulty_line, tmp_path, monkeypatch)

@@ -62,7 +62,7 @@ class Contract:
 
     def state(self):
         # The process writes its books within this time of the event.
-        threading.Event().wait(0.3)
+        threading.Event().wait(0.15)
         state = read_state(self.folder)
         assert (state["violations"], state["unsafe"]) == (0, 0)
         return state

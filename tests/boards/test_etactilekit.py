@@ -215,7 +215,7 @@ def test_what_it_has_only_one_of_is_refused(mixed):
         sequence.current_ua[1] *= -1
     else:
         sequence.width_us[1] = 90
-    with pytest.raises(BoardError, match="one polarity|one pulse width"):
+    with pytest.raises(BoardError, match=r"one polarity|one pulse width"):
         board._encode(sequence)
 
 

@@ -12,21 +12,23 @@ from pathlib import Path
 import pytest
 
 from smarttouch.boards.emulator.books import read_state
-from smarttouch.boards.emulator.driver import open_emulator
-from smarttouch.boards.link import open_link
+from smarttouch.boards.emulator.driver import EmulatorBoard
+from smarttouch.boards.link import LinkBoard
 from smarttouch.errors import BoardError
+from smarttouch.profile.device import Output
 
 HOST = """
 import sys, time
+from pathlib import Path
 import numpy as np
-from smarttouch.boards.emulator.driver import open_emulator
+from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
 
 limits = SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 column = np.full(600, 100, np.uint16)
 current = np.tile(np.array([700] + [-100] * 7, np.int16), (600, 1))
-board = open_emulator("", limits, books=sys.argv[1])
+board = EmulatorBoard("", limits, books=Path(sys.argv[1]))
 board.open()
 for step in range(10_000):
     quiet = current * (step > 0)
@@ -85,7 +87,7 @@ def alive(process_id):
 
 
 def test_a_killed_board_is_told_of_at_the_next_send(make_limits, make_sequence):
-    with open_emulator("", make_limits()) as board:
+    with EmulatorBoard("", make_limits()) as board:
         board.send(make_sequence(0))
         board.drain()
         os.kill(board.process_id, signal.SIGKILL)
@@ -95,13 +97,13 @@ def test_a_killed_board_is_told_of_at_the_next_send(make_limits, make_sequence):
 
 
 def test_a_killed_board_can_be_closed(make_limits):
-    with open_emulator("", make_limits()) as board:
+    with EmulatorBoard("", make_limits()) as board:
         os.kill(board.process_id, signal.SIGKILL)
     assert board.refused == 0
 
 
 def test_a_board_that_hangs_is_told_of(make_limits, make_sequence):
-    with open_emulator("", make_limits()) as board:
+    with EmulatorBoard("", make_limits()) as board:
         board.send(make_sequence(0))
         board.drain()
         os.kill(board.process_id, signal.SIGSTOP)
@@ -125,7 +127,7 @@ def test_sigterm_and_no_ctrl_c_ends_the_board(tmp_path, start_emulator):
 
 def test_a_board_without_a_host_ends_by_itself(make_limits, start_emulator):
     process, port = start_emulator("--linger=0.1")
-    with open_link(port, make_limits()):
+    with LinkBoard(port, make_limits()):
         pass
     assert process.wait(5) == 0
 
@@ -133,36 +135,36 @@ def test_a_board_without_a_host_ends_by_itself(make_limits, start_emulator):
 def test_a_busy_port_is_named(make_limits, start_emulator):
     _, port = start_emulator()
     with (
-        open_link(port, make_limits()),
+        LinkBoard(port, make_limits()),
         pytest.raises(BoardError, match=f"{port}.*in use") as error,
     ):
-        open_link(port, make_limits()).open()
+        LinkBoard(port, make_limits()).open()
     sentence(error)
 
 
 def test_a_missing_port_is_named(make_limits):
     with pytest.raises(BoardError, match=r"/dev/nowhere.*no such port"):
-        open_link("/dev/nowhere", make_limits()).open()
+        LinkBoard("/dev/nowhere", make_limits()).open()
 
 
 def test_a_link_needs_a_port(make_limits):
     with pytest.raises(BoardError, match="needs a port"):
-        open_link("", make_limits())
+        LinkBoard("", make_limits()).open()
 
 
 def test_another_board_than_the_profiles_is_refused(make_limits, start_emulator):
     _, port = start_emulator()
     with pytest.raises(BoardError, match="8 electrodes, the profile 9"):
-        open_link(port, make_limits(9)).open()
+        LinkBoard(port, make_limits(9)).open()
     with pytest.raises(BoardError, match="weighted, the profile needs three-state"):
-        open_link(port, make_limits(), output="three-state").open()
+        LinkBoard(port, make_limits(), Output(kind="three-state")).open()
 
 
 def test_a_silent_port_is_told_of(make_limits):
     master, slave = os.openpty()
     try:
         with pytest.raises(BoardError, match=r"does not answer|silent"):
-            open_link(os.ttyname(slave), make_limits()).open()
+            LinkBoard(os.ttyname(slave), make_limits()).open()
     finally:
         os.close(master)
         os.close(slave)
@@ -171,24 +173,24 @@ def test_a_silent_port_is_told_of(make_limits):
 def test_a_board_that_someone_else_stopped_is_told_of(make_limits, make_sequence):
     from smarttouch.boards.protocol import Kind, encode
 
-    with open_emulator("", make_limits()) as board:
+    with EmulatorBoard("", make_limits()) as board:
         board.send(make_sequence(0))
-        board._serial.write(encode(Kind.STOP))
+        board._line.write(encode(Kind.STOP))
         with pytest.raises(BoardError, match="someone else"):
             send_on(board, make_sequence)
 
 
 def test_stopping_before_opening_is_fine(make_limits):
-    board = open_link("/dev/nowhere", make_limits())
+    board = LinkBoard("/dev/nowhere", make_limits())
     board.stop()
 
 
 def test_a_stop_overtakes_a_long_packet(make_limits, make_sequence, monkeypatch):
     """From another thread, while a send is halfway through its bytes."""
-    with open_emulator("", make_limits()) as board:
+    with EmulatorBoard("", make_limits()) as board:
         board.send(make_sequence(0))
         board.drain()
-        write, halfway, raised = board._serial.write, threading.Event(), []
+        write, halfway, raised = board._line._port.write, threading.Event(), []
 
         def slowly(data):
             time.sleep(0.005)
@@ -201,7 +203,7 @@ def test_a_stop_overtakes_a_long_packet(make_limits, make_sequence, monkeypatch)
             except BoardError as error:
                 raised.append(str(error))
 
-        monkeypatch.setattr(board._serial, "write", slowly)
+        monkeypatch.setattr(board._line._port, "write", slowly)
         thread = threading.Thread(target=send)
         thread.start()
         assert halfway.wait(5)
@@ -213,10 +215,10 @@ def test_a_stop_overtakes_a_long_packet(make_limits, make_sequence, monkeypatch)
 
 
 def test_a_signal_handler_may_stop_in_the_middle_of_a_send(make_limits, make_sequence, monkeypatch):
-    with open_emulator("", make_limits()) as board:
+    with EmulatorBoard("", make_limits()) as board:
         board.send(make_sequence(0))
         board.drain()
-        write, calls = board._serial.write, []
+        write, calls = board._line._port.write, []
 
         def interrupted(data):
             calls.append(len(data))
@@ -225,7 +227,7 @@ def test_a_signal_handler_may_stop_in_the_middle_of_a_send(make_limits, make_seq
                 board.stop()
             return sent
 
-        monkeypatch.setattr(board._serial, "write", interrupted)
+        monkeypatch.setattr(board._line._port, "write", interrupted)
         with pytest.raises(BoardError, match="stopped"):
             board.send(make_sequence(1, slots=4000, period_us=3_000_000))
         assert board.report().slots == 0
@@ -233,7 +235,7 @@ def test_a_signal_handler_may_stop_in_the_middle_of_a_send(make_limits, make_seq
 
 def test_heartbeats_keep_an_idle_board(make_limits, make_sequence):
     """Longer without a sequence than either end bears silence."""
-    with open_emulator("", make_limits()) as board:
+    with EmulatorBoard("", make_limits()) as board:
         time.sleep(0.8)
         board.send(make_sequence(0))
         board.drain()

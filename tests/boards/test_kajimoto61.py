@@ -155,7 +155,7 @@ def test_a_measurement_above_the_limits_is_never_asked_for(script):
 
 
 def test_another_profile_is_refused():
-    with pytest.raises(BoardError, match="61 electrodes, the profile 64.*kajimoto-61"):
+    with pytest.raises(BoardError, match=r"61 electrodes, the profile 64.*kajimoto-61"):
         Kajimoto61Board("x", SafetyLimits(64, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0))
     with pytest.raises(BoardError, match="one-against-all, the profile needs weighted"):
         Kajimoto61Board("x", LIMITS, Output(kind="weighted"))

@@ -119,3 +119,24 @@ def test_an_endless_packet_does_not_fill_the_memory():
     assert len(deframer._waiting) <= protocol.LARGEST_PACKET * 1.1
     assert list(deframer.feed(b"\0")) == []
     assert len(list(deframer.feed(protocol.encode(Kind.STOP)))) == 1
+
+
+@given(hnp.arrays(np.float64, st.integers(0, 50), elements=st.floats(0, 655)))
+def test_voltages_survive_the_wire(volts):
+    packet = only(Deframer().feed(encode_volts(5, volts)))
+    assert (packet.kind, packet.number) == (Kind.VOLTAGES, 5)
+    np.testing.assert_allclose(decode_volts(packet.payload), volts, atol=0.006)
+
+
+@given(current=currents, times=st.integers(1, 65535), measure=st.booleans())
+def test_repetition_and_measuring_survive_the_wire(current, times, measure):
+    data = encode_sequence(7, "weighted", 9000, *columns(current), current, times, measure)
+    wire = decode_sequence(only(Deframer().feed(data)).payload)
+    assert (wire.times, wire.measure) == (times, measure)
+
+
+def test_no_times_at_all_is_no_sequence():
+    current = np.zeros((1, 4), np.int16)
+    data = encode_sequence(7, "weighted", 9000, *columns(current), current, 0)
+    with pytest.raises(ValueError, match="0 times"):
+        decode_sequence(only(Deframer().feed(data)).payload)

@@ -56,7 +56,7 @@ def start_emulator(tmp_path):
     """Return a starter of board emulators: their process, port and books."""
     running = []
 
-    def start(electrodes=64):
+    def start(electrodes=64, protocol="link", *more):
         books = tmp_path / f"books{len(running)}"
         books.mkdir()
         process = subprocess.Popen(
@@ -64,9 +64,11 @@ def start_emulator(tmp_path):
                 sys.executable,
                 "-m",
                 "smarttouch.boards.emulator",
+                f"--protocol={protocol}",
                 f"--electrodes={electrodes}",
                 f"--books={books}",
-                "--linger=0.5",
+                "--linger=2",
+                *more,
             ],
             stdout=subprocess.PIPE,
             text=True,

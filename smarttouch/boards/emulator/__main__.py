@@ -14,7 +14,7 @@ from smarttouch.boards.emulator import serve
 from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
 from smarttouch.boards.emulator.finger import Finger
-from smarttouch.boards.emulator.firmware import Firmware
+from smarttouch.boards.emulator.firmware import Firmware as LinkFirmware
 from smarttouch.boards.emulator.kajimoto61 import ELECTRODES, Kajimoto61Firmware
 from smarttouch.boards.emulator.skin import COMPLIANCE_V
 from smarttouch.boards.protocol import OUTPUTS
@@ -51,7 +51,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except OSError as error:
         parser.error(f"cannot open a port: {error.strerror or error}")
     firmware.books.write()
-    print(line.name, flush=True)
     # The circuit is small: a second thread would only take the host's processor.
     with threadpool_limits(1):
         serve.serve(firmware, line, options.linger)
@@ -74,7 +73,7 @@ def _make(options: argparse.Namespace) -> serve.Firmware:
         return Kajimoto61Firmware(books, finger, options.compliance)
     if protocol == "etactilekit":
         return ETactileKitFirmware(books, finger, options.compliance, options.variant)
-    return Firmware(electrodes, options.output, books, finger, options.compliance)
+    return LinkFirmware(electrodes, options.output, books, finger, options.compliance)
 
 
 def _parser() -> argparse.ArgumentParser:

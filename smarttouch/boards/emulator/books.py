@@ -94,6 +94,7 @@ class Books:
             record["number"], record["slot"], record["site"] = number, slot, site
             record["time_us"] = time_us
             record["current_ua"] = np.rint(delivered.current_ua)
+            record["charge_uc"] = delivered.charge_pc * 1e-6
             record["volts"], record["residual_uc"] = delivered.volts, residual_uc
             self._delivered += record.tobytes()
 
@@ -125,7 +126,7 @@ def read_slots(folder: Path) -> NDArray[Any]:
     -------
     slots : structured ndarray, (N,)
         ``number``, ``slot``, ``site``, ``time_us``, and per electrode (E,) ``current_ua``
-        (mean over the pulse), ``volts`` (against the tissue at its end) and ``residual_uc``
+        (mean over the pulse), ``charge_uc`` of the pulse, ``volts`` (against the tissue at its end) and ``residual_uc``
         (charge left after the discharge), all positive cathodic.
     """
     kind = _record(int(str(read_state(folder)["electrodes"])))
@@ -163,6 +164,7 @@ def _record(electrodes: int) -> np.dtype[np.void]:
             ("site", "<u2"),
             ("time_us", "<i8"),
             ("current_ua", "<i4", each),
+            ("charge_uc", "<f4", each),
             ("volts", "<f2", each),
             ("residual_uc", "<f2", each),
         ]

@@ -154,7 +154,7 @@ class TcpLine:
 
 
 def serve(firmware: Firmware, line: Line, linger_s: float = 2.0) -> None:
-    """Run a board until SIGTERM, or until it has been without a host for so long.
+    """Print a line's name and run a board on it until SIGTERM, or so long without a host.
 
     Ctrl-C belongs to the host, which ends with a stop and a closed port; it ends the
     board only if that would go on for ever by itself.
@@ -166,6 +166,8 @@ def serve(firmware: Firmware, line: Line, linger_s: float = 2.0) -> None:
 
     signal.signal(signal.SIGTERM, end)
     signal.signal(signal.SIGINT, end if math.isinf(linger_s) else signal.SIG_IGN)
+    # Who reads the name may signal at once.
+    print(line.name, flush=True)
     clock = BoardClock()
     alone_since: float | None = FIRST_HOST_S * 1e9
     had_host = False

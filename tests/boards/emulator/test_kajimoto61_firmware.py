@@ -1,0 +1,245 @@
+"""The kit of 61 electrodes, to the byte, on a clock of the test's own."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.boards.emulator.books import Books, read_slots
+from smarttouch.boards.emulator.finger import Finger
+from smarttouch.boards.emulator.kajimoto61 import BUFFER, ELECTRODES, Kajimoto61Firmware
+
+MS = 1_000_000
+ZERO = b"\xff" + bytes(ELECTRODES)
+SLOT_MS = 0.208
+
+
+def frame(**intensities):
+    data = bytearray(ZERO)
+    for electrode, value in intensities.items():
+        data[1 + int(electrode[1:])] = value
+    return bytes(data)
+
+
+@pytest.fixture
+def books(tmp_path):
+    return Books(ELECTRODES, tmp_path)
+
+
+@pytest.fixture
+def board(books):
+    """A board whose self-test is over."""
+    board = Kajimoto61Firmware(books)
+    assert board.feed(ZERO, 0) == b""
+    return board
+
+
+def delivered(books):
+    books.write()
+    return read_slots(books.folder)
+
+
+def test_a_pulse_is_anodic_and_all_others_are_its_return(board, books):
+    board.feed(frame(e30=26), 1 * MS)
+    board.advance(2 * MS)
+    (slot,) = delivered(books)
+    assert (slot["site"], slot["time_us"]) == (30, 1000)
+    assert slot["current_ua"][30] == -round(26 * 39.0625)
+    others = np.delete(slot["current_ua"], 30)
+    assert (others > 0).all()
+    assert others.sum() == pytest.approx(26 * 39.0625, abs=30)
+    assert books.max_charge_uc == pytest.approx(26 * 1.953e-3, rel=1e-3)
+
+
+def test_electrodes_come_in_order_and_only_those_that_are_on(board, books):
+    board.feed(frame(e60=10, e2=20, e5=0, e9=201, e10=255, e11=200), 0)
+    board.advance(10 * MS)
+    slots = delivered(books)
+    assert slots["site"].tolist() == [2, 11, 60]
+    assert slots["time_us"].tolist() == [0, 208, 416]
+    assert slots["slot"].tolist() == [0, 1, 2]
+
+
+def test_a_packet_is_one_scan(board, books):
+    board.feed(frame(e1=50, e2=50), 0)
+    board.advance(1000 * MS)
+    assert (books.slots, books.sequences) == (2, 2)
+    assert (books.state, books.reason) == ("shorted", "end")
+    assert not board.busy
+
+
+def test_a_scan_goes_slot_after_slot(board, books):
+    board.feed(frame(e1=50, e2=50, e3=50), 0)
+    for now_ms, slots in ((0, 1), (0.207, 1), (0.209, 2), (0.5, 3)):
+        board.advance(int(now_ms * MS))
+        assert books.slots == slots
+    assert books.state == "driving"
+    board.advance(int(0.625 * MS))
+    assert books.state == "shorted"
+
+
+def test_a_packet_waits_until_the_scan_is_over(board, books):
+    full = b"\xff" + bytes([20] * ELECTRODES)
+    board.feed(full, 0)
+    board.feed(frame(e0=50), 1 * MS)
+    board.advance(12 * MS)
+    assert books.sequences == 1
+    board.advance(13 * MS)
+    assert books.sequences == 3
+    assert delivered(books)["time_us"][-1] == pytest.approx(61 * SLOT_MS * 1000, abs=1)
+
+
+def test_what_its_buffer_cannot_hold_is_lost(board, books):
+    board.feed(frame(e0=50) * 20, 0)
+    board.advance(1000 * MS)
+    whole = 1 + BUFFER // 62
+    assert books.slots == whole
+    # What is left of the next one waits for its end for ever.
+    board.feed(bytes(61), 1001 * MS)
+    board.feed(frame(e3=50), 1002 * MS)
+    board.advance(2000 * MS)
+    assert books.slots == whole + 2
+
+
+def test_a_short_packet_waits_for_ever_and_zeros_are_the_way_out(board, books):
+    board.feed(frame(e60=50)[:-1], 0)
+    board.advance(3_600_000 * MS)
+    board.hang_up(3_600_000 * MS)
+    assert books.slots == 0
+    # The next packet's first byte completes it, and the rest is ignored.
+    board.feed(frame(e0=50)[:1] + bytes(30), 3_600_001 * MS)
+    board.advance(3_600_010 * MS)
+    assert books.slots == 0
+    board.feed(frame(e0=50), 3_600_011 * MS)
+    board.advance(3_600_012 * MS)
+    assert books.slots == 1
+    board.feed(b"\xff\x01", 3_600_013 * MS)
+    board.feed(bytes(61), 3_600_014 * MS)
+    board.advance(3_600_020 * MS)
+    board.feed(ZERO, 3_600_030 * MS)
+    assert books.slots == 2
+    board.feed(frame(e1=50), 3_600_040 * MS)
+    board.advance(3_600_050 * MS)
+    assert books.slots == 3
+
+
+@pytest.mark.parametrize("junk", [b"\x00", bytes(range(254)), b"\xfd" * 1000])
+def test_other_bytes_are_ignored(board, books, junk):
+    board.feed(junk + frame(e7=50), 0)
+    board.advance(5 * MS)
+    assert (books.slots, delivered(books)["site"].tolist()) == (1, [7])
+
+
+def test_until_the_first_zero_frame_it_tests_itself():
+    books = Books(ELECTRODES)
+    board = Kajimoto61Firmware(books)
+    assert books.state == "self-test"
+    assert board.feed(frame(e1=50), 0) == b""
+    board.feed(b"\xfe", 1 * MS)
+    assert board.advance(100 * MS) == b""
+    assert (books.slots, books.state) == (0, "self-test")
+    board.feed(ZERO, 101 * MS)
+    assert books.state == "shorted"
+    board.feed(frame(e1=50), 102 * MS)
+    board.advance(110 * MS)
+    assert books.slots == 1
+
+
+def test_a_measurement_takes_its_time_and_its_readings_are_volts(board, books):
+    assert board.feed(b"\xfe", 0) == b""
+    assert board.advance(int(2.06 * MS)) == b""
+    assert board.busy
+    reply = board.advance(int(2.08 * MS))
+    assert len(reply) == 62
+    assert reply[-1] == 0xFF
+    assert 0xFF not in reply[:-1]
+    slots = delivered(books)
+    assert slots["site"].tolist() == list(range(61))
+    np.testing.assert_array_equal(slots["current_ua"][range(61), range(61)], -2500)
+    own = -slots["volts"][range(61), range(61)].astype(float)
+    volts = np.frombuffer(reply[:-1], np.uint8) * (4 * 0.0893)
+    # The return through sixty others adds a little.
+    assert ((volts > own - 1) & (volts < 1.2 * own + 2)).all()
+    assert books.unsafe == 0
+
+
+def test_a_reading_wraps_and_never_looks_like_the_end():
+    board = Kajimoto61Firmware(Books(ELECTRODES), Finger(ELECTRODES, ["0 open 5", "0 short 6"]))
+    board.feed(ZERO, 0)
+    board.feed(b"\xfe", 1 * MS)
+    reply = board.advance(10 * MS)
+    # 300 V are 3,359 counts, 839 after the shift, and 839 - 3 * 256 = 71 in a byte.
+    assert reply[5] == 71
+    assert reply[6] < 10
+    readings = set()
+    for percent in range(30, 100):
+        event = f"0 peel 5 {percent / 100}"
+        board = Kajimoto61Firmware(Books(ELECTRODES), Finger(ELECTRODES, [event]), 2000.0)
+        board.feed(ZERO + b"\xfe", 0)
+        readings.add(board.advance(10 * MS)[5])
+    assert 255 not in readings
+    assert len(readings) > 50
+
+
+def test_a_command_after_a_measurement_waits_for_it(board, books):
+    board.feed(b"\xfe" + frame(e3=50), 0)
+    board.advance(10 * MS)
+    assert delivered(books)["time_us"][-1] == 61 * 25
+
+
+def test_a_lost_host_leaves_everything_as_it_is(board, books):
+    board.feed(frame(e1=50, e2=50), 0)
+    board.hang_up(int(0.1 * MS))
+    board.advance(1 * MS)
+    assert books.slots == 2
+    board.feed(frame(e1=50), 500 * MS)
+    board.advance(501 * MS)
+    assert books.slots == 3
+
+
+def test_without_power_nothing_flows(board, books):
+    board.feed(frame(e1=50, e2=50), 0)
+    board.zero("signal", 1000)
+    board.advance(100 * MS)
+    assert (books.slots, books.state, books.reason) == (1, "shorted", "signal")
+
+
+@pytest.mark.parametrize(("value", "unsafe"), [(1, 0), (128, 0), (129, 1), (200, 1), (201, 0)])
+def test_from_129_on_a_byte_is_more_than_5_ma(board, books, value, unsafe):
+    board.feed(frame(e30=value), 0)
+    board.advance(1 * MS)
+    assert books.unsafe == unsafe
+    assert books.max_current_ma <= 7.8126
+
+
+@settings(max_examples=60, deadline=None)
+@given(pieces=st.lists(st.binary(max_size=70) | st.sampled_from([b"\xff", b"\xfe"]), max_size=8))
+def test_any_bytes_are_survived_and_only_their_intensities_flow(pieces):
+    books = Books(ELECTRODES)
+    board = Kajimoto61Firmware(books)
+    board.feed(ZERO, 0)
+    for step, piece in enumerate(pieces):
+        board.feed(piece, step * MS)
+    board.advance(100 * MS)
+    assert books.max_current_ma <= 7.8126
+    assert books.max_charge_uc <= 7.8126 * 0.050001
+    if not any(129 <= byte <= 200 for piece in pieces for byte in piece):
+        assert books.unsafe == 0
+
+
+@settings(max_examples=30, deadline=None)
+@given(data=st.binary(max_size=200), cuts=st.lists(st.integers(0, 200), max_size=5))
+def test_how_the_bytes_are_cut_does_not_matter(data, cuts):
+    whole, pieces = Books(ELECTRODES), Books(ELECTRODES)
+    board = Kajimoto61Firmware(whole)
+    board.feed(ZERO + data, 0)
+    board.advance(100 * MS)
+    board = Kajimoto61Firmware(pieces)
+    board.feed(ZERO, 0)
+    edges = sorted({0, *(min(cut, len(data)) for cut in cuts), len(data)})
+    for start, end in pairwise(edges):
+        board.feed(data[start:end], 0)
+    board.advance(100 * MS)
+    assert (pieces.slots, pieces.sequences) == (whole.slots, whole.sequences)

@@ -1,0 +1,154 @@
+"""The emulator as a process: its ports, its options and its end."""
+
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import termios
+import time
+
+import pytest
+import serial
+
+from smarttouch.boards.emulator.__main__ import main
+from smarttouch.boards.emulator.books import read_slots, read_state
+
+ZERO = b"\xff" + bytes(61)
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Return a starter of emulators: the process and the name of its port."""
+    started = []
+
+    def run(*arguments):
+        command = [sys.executable, "-m", "smarttouch.boards.emulator", f"--books={tmp_path}"]
+        process = subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, text=True)
+        started.append(process)
+        assert select.select([process.stdout], [], [], 20)[0], "the emulator prints no port"
+        return process, process.stdout.readline().strip()
+
+    yield run
+    for process in started:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def connect(name):
+    line = socket.create_connection(("127.0.0.1", int(name.rpartition(":")[2])), 5)
+    line.settimeout(5)
+    return line
+
+
+def wait_for(condition, timeout_s=10.0):
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "it never came true"
+        time.sleep(0.02)
+
+
+def test_bytes_pass_as_they_are_before_a_host_sets_up_its_end(start):
+    _, name = start("--protocol=etactilekit", "--electrodes=8")
+    port = os.open(name, os.O_RDWR | os.O_NOCTTY)
+    try:
+        local = termios.tcgetattr(port)[3]
+        assert not local & (termios.ICANON | termios.ECHO | termios.ISIG)
+        # Counts that a terminal in its usual mode would eat or change.
+        for count in (3, 4, 10, 13, 17, 19, 26, 127):
+            os.write(port, bytes([0xFC, count, 0xF4]))
+            assert select.select([port], [], [], 5)[0]
+            assert os.read(port, 10) == bytes([count])
+    finally:
+        os.close(port)
+
+
+def test_a_kajimoto61_on_a_serial_port(start, tmp_path):
+    _, name = start("--protocol=kajimoto61", "--event=0 open 5")
+    with serial.Serial(name, 921600, timeout=5) as port:
+        port.write(ZERO)
+        port.write(b"\xfe")
+        reply = port.read(62)
+    assert (len(reply), reply[-1], reply[5]) == (62, 0xFF, 71)
+    # It outlives its host, as it was.
+    time.sleep(0.2)
+    with serial.Serial(name, 921600, timeout=5) as port:
+        port.write(b"\xfe")
+        assert len(port.read(62)) == 62
+    wait_for(lambda: read_state(tmp_path)["slots"] == 122)
+
+
+def test_an_etactilekit_goes_on_without_its_host(start, tmp_path):
+    process, name = start("--protocol=etactilekit", "--electrodes=4", "--tcp", "--linger=0.6")
+    assert name.startswith("tcp://127.0.0.1:")
+    with connect(name) as host:
+        host.sendall(bytes.fromhex("FC04 FD01 FA6400 F732 F4 FE 0000 6400 0000 0000"))
+        assert host.recv(10) == b"\x04"
+    assert process.wait(10) == 0
+    assert read_state(tmp_path)["state"] == "driving"
+    lasted_us = read_slots(tmp_path)["time_us"]
+    assert lasted_us[-1] - lasted_us[0] > 400_000
+
+
+def test_version_1_does_not_answer(start):
+    _, name = start("--protocol=etactilekit", "--tcp", "--variant=1")
+    with connect(name) as host:
+        host.sendall(b"\xf5\xf4\xfc\x02\xff")
+        assert host.recv(10) == bytes(4)
+
+
+def test_one_host_after_another_and_discovery(start):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        udp = free.getsockname()[1]
+    _, name = start("--protocol=etactilekit", "--tcp", f"--discovery-port={udp}")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+        asking.settimeout(5)
+
+        def ask():
+            asking.sendto(b"ETK?", ("127.0.0.1", udp))
+            return asking.recv(200).decode()
+
+        port = name.rpartition(":")[2]
+        wanted = f"ETK!;id=A1B2C3;name=emulator;ip=127.0.0.1;port={port};mode=STA;busy=%d;fw=1.0"
+        assert ask() == wanted % 0
+        for _ in range(2):
+            with connect(name) as host:
+                host.sendall(b"\xf5")
+                assert host.recv(10) == b"\x04"
+                assert ask() == wanted % 1
+            wait_for(lambda: ask() == wanted % 0)
+
+
+def test_what_stays_for_ever_ends_on_ctrl_c(start, tmp_path):
+    process, _ = start("--protocol=kajimoto61", "--linger=inf")
+    time.sleep(0.3)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(5) == 0
+    assert read_state(tmp_path)["reason"] == "signal"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ("", "say how many with --electrodes"),
+        ("--electrodes=0", "say how many"),
+        ("--protocol=kajimoto61 --electrodes=60", "a kajimoto61 has 61 electrodes, not 60"),
+        ("--protocol=etactilekit --electrodes=256", "1 to 255 outputs, not 256"),
+        ("--protocol=other", "invalid choice"),
+        ("--electrodes=4 --discovery-port=8888", "add --tcp"),
+        ("--electrodes=4 --linger=-1", "--linger -1 is no time"),
+        ("--electrodes=4 --linger=nan", "--linger nan is no time"),
+        ("--electrodes=4 --compliance=0", "--compliance 0 is out of range"),
+        ("--electrodes=4 --books=/nowhere", "/nowhere is no folder"),
+        ("--electrodes=4 --event=soon", "event 'soon' is none"),
+        ("--electrodes=4 --event=1_open_4", "electrode 4, the board has 0 to 3"),
+    ],
+)
+def test_what_it_cannot_do_is_one_sentence(capsys, arguments, says):
+    with pytest.raises(SystemExit) as ended:
+        main([each.replace("_", " ") for each in arguments.split()])
+    assert ended.value.code == 2
+    assert says in capsys.readouterr().err.splitlines()[-1]

@@ -1,0 +1,115 @@
+"""Bytes at random, into every parser and every emulated firmware.
+
+``SMARTTOUCH_FUZZ_BYTES=10000000 pytest tests/boards/test_fuzz.py --timeout 0`` for the long run.
+"""
+
+import contextlib
+import os
+
+import numpy as np
+import pytest
+
+from smarttouch.boards import protocol
+from smarttouch.boards.discovery import parse_answer
+from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
+from smarttouch.boards.emulator.finger import Finger
+from smarttouch.boards.emulator.firmware import Firmware
+from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
+from smarttouch.boards.protocol_sequence import decode_sequence, decode_volts, encode_sequence
+from smarttouch.errors import SmartTouchError
+
+BYTES = int(os.environ.get("SMARTTOUCH_FUZZ_BYTES", "100000"))
+MS = 1_000_000
+CURRENT = np.array([[300, -100, -100, -100]], np.int16)
+COLUMN = np.full(1, 100, np.uint16)
+SEEDS = {
+    "link": [
+        protocol.encode(protocol.Kind.HELLO),
+        protocol.encode(protocol.Kind.STATUS),
+        encode_sequence(1, "weighted", 5000, COLUMN, COLUMN, COLUMN * 0, CURRENT, 3, True),
+    ],
+    "kajimoto61": [b"\xff" + bytes(61), b"\xff" + bytes([100] * 61), b"\xfe"],
+    "etactilekit": [b"\xf5\xfc\x04\xf4", b"\xfa\x64\x00\xf7\x32\xf6\x3c\x00", b"\xfe" + bytes(8)],
+}
+
+
+def pieces(seed, whole):
+    """Yield `BYTES` of noise, of packets, and of packets that noise has got at."""
+    random = np.random.default_rng(seed)
+    left = BYTES
+    while left > 0:
+        piece = bytearray(random.integers(0, 256, random.integers(1, 600), np.uint8).tobytes())
+        if random.random() < 0.7:
+            piece = bytearray(
+                b"".join(whole[i] for i in random.integers(0, len(whole), random.integers(1, 8)))
+            )
+            for _ in range(random.integers(0, 4)):
+                where = int(random.integers(len(piece)))
+                if random.random() < 0.5:
+                    piece[where] = int(random.integers(256))
+                else:
+                    del piece[where]
+                    piece.append(0)
+        left -= len(piece)
+        yield bytes(piece)
+
+
+@pytest.mark.parametrize("parse", [decode_sequence, decode_volts, parse_answer])
+def test_payloads(parse):
+    for piece in pieces(1, SEEDS["link"]):
+        with contextlib.suppress(ValueError):
+            parse(piece)
+
+
+def test_the_deframer_and_what_it_finds():
+    deframer, found = protocol.Deframer(), 0
+    for piece in pieces(2, SEEDS["link"]):
+        for packet in deframer.feed(piece):
+            found += 1
+            with contextlib.suppress(ValueError):
+                decode_sequence(packet.payload)
+    assert found > 10
+    assert deframer.errors > 10
+
+
+def test_events():
+    letters = np.array(list("0123456789. liftouchdrpenskajb-"))
+    random = np.random.default_rng(3)
+    for _ in range(BYTES // 100):
+        with contextlib.suppress(SmartTouchError):
+            Finger(4, ["".join(random.choice(letters, 12))])
+
+
+def firmware(name):
+    books = Books({"kajimoto61": 61}.get(name, 4))
+    if name == "link":
+        return Firmware(4, "weighted", books)
+    return Kajimoto61Firmware(books) if name == "kajimoto61" else ETactileKitFirmware(books)
+
+
+@pytest.mark.parametrize(
+    ("name", "most_ma"),
+    # The two real ones check nothing: what holds is what their firmware can ask of its source.
+    [("link", 5.0), ("kajimoto61", 200 * 0.0390625), ("etactilekit", 4095 * 0.00999)],
+)
+def test_firmwares(name, most_ma):
+    board, now = firmware(name), 0
+    for piece in pieces(4, SEEDS[name]):
+        now += 7 * MS
+        board.feed(piece, now)
+        board.advance(now + 3 * MS)
+    assert board.books.max_current_ma <= most_ma * (1 + 1e-6)
+    if name == "link":
+        assert board.books.slots > 0
+        assert board.books.unsafe == 0
+    # It still listens, once it has what it waits for.
+    board.feed(b"\0" * 600, now + 10 * MS)
+    board.advance(now + 3000 * MS)
+    question = {
+        "link": SEEDS["link"][0],
+        "kajimoto61": b"\xff" + bytes(61) + b"\xfe",
+        "etactilekit": b"\xf5",
+    }
+    heard = board.feed(question[name], now + 3001 * MS)
+    assert heard + board.advance(now + 3030 * MS)

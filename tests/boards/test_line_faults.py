@@ -1,0 +1,151 @@
+"""What goes wrong on a line: the driver recovers or stops at zero, and says which."""
+
+import threading
+
+import pytest
+
+from smarttouch.errors import BoardError, BoardRestartedError
+
+
+def sentence(error):
+    text = str(error.value)
+    assert "\n" not in text
+    return text
+
+
+def once(change):
+    """Return what does something to the next piece of bytes, and leaves those after it alone."""
+    left = [change]
+
+    def pass_on(data):
+        return left.pop()(data) if left else data
+
+    return pass_on
+
+
+def every(step, change):
+    """Return what does something to each so many-th piece."""
+    count = [0]
+
+    def pass_on(data):
+        count[0] += 1
+        return change(data) if count[0] % step == 0 else data
+
+    return pass_on
+
+
+def drop_one(data):
+    middle = len(data) // 2
+    return data[:middle] + data[middle + 1 :]
+
+
+def double_one(data):
+    middle = len(data) // 2
+    return data[: middle + 1] + data[middle:]
+
+
+def cut_short(data):
+    return data[: len(data) // 2]
+
+
+def send_on(hosted, pull_out_after=None):
+    for count in range(30):
+        if count == pull_out_after:
+            hosted.line.pull_out()
+        hosted.send()
+
+
+ALL = pytest.mark.parametrize("hosted", ["link", "kajimoto61", "etactilekit"], indirect=True)
+
+
+@ALL
+@pytest.mark.parametrize("change", [drop_one, cut_short, lambda data: b""])
+def test_bytes_lost_on_the_way_to_the_board(hosted, change):
+    with hosted.board as board:
+        for _ in range(4):
+            hosted.send()
+        hosted.line.to_board = once(change)
+        for _ in range(6):
+            hosted.send()
+        # It went on: the last ones arrived.
+        before = hosted.state()["slots"]
+        hosted.send()
+        hosted.send()
+        assert hosted.state()["slots"] > before
+        assert board.refused <= 2
+    hosted.assert_zero()
+
+
+@pytest.mark.parametrize("hosted", ["link", "kajimoto61"], indirect=True)
+def test_a_byte_doubled_on_the_way_to_the_board(hosted):
+    with hosted.board:
+        for _ in range(4):
+            hosted.send()
+        hosted.line.to_board = once(double_one)
+        for _ in range(6):
+            hosted.send()
+        before = hosted.state()["slots"]
+        hosted.send()
+        hosted.send()
+        assert hosted.state()["slots"] > before
+    hosted.assert_zero()
+
+
+@pytest.mark.parametrize("hosted", ["link", "etactilekit"], indirect=True)
+@pytest.mark.parametrize("change", [drop_one, double_one, cut_short, lambda data: b""])
+def test_a_reply_that_is_not_whole(hosted, change):
+    with hosted.board:
+        for _ in range(4):
+            hosted.send()
+        hosted.line.to_host = once(change)
+        for _ in range(6):
+            hosted.send()
+        assert hosted.board.acknowledged >= 8
+    hosted.assert_zero()
+
+
+@ALL
+def test_a_measurement_that_is_cut_short_ends_in_zero_and_the_next_is_whole(hosted):
+    with hosted.board as board:
+        hosted.line.to_host = every(1, cut_short)
+        with pytest.raises(BoardError, match=r"again|does not|did not|silent") as error:
+            board.measure()
+        sentence(error)
+        hosted.line.to_host = bytes
+        if hosted.kind == "link":
+            with pytest.raises(BoardError):
+                board.measure()
+            return
+        assert len(board.measure().kohm) == hosted.electrodes
+    hosted.assert_zero()
+
+
+@ALL
+def test_a_port_that_goes_and_comes_back_begins_at_zero(hosted):
+    with hosted.board as board:
+        for _ in range(4):
+            hosted.send()
+        hosted.line.pull_out()
+        threading.Timer(0.5, hosted.line.plug_in).start()
+        with pytest.raises(BoardRestartedError, match=str(hosted.line.path)) as error:
+            send_on(hosted)
+        assert "started anew" in sentence(error)
+        assert len(board.notes) == 1
+        before = hosted.state()["slots"]
+        for _ in range(4):
+            hosted.send()
+        assert hosted.state()["slots"] > before
+    hosted.assert_zero()
+
+
+@ALL
+def test_a_port_that_stays_away_is_told_of(hosted, monkeypatch):
+    for module in ("link", "streamed"):
+        monkeypatch.setattr(f"smarttouch.boards.{module}.RECOVER_S", 0.3)
+    with pytest.raises(BoardError, match=r"vanished|written|silent") as error, hosted.board:
+        send_on(hosted, pull_out_after=4)
+    text = sentence(error)
+    if hosted.kind == "etactilekit":
+        assert "goes on with its last pattern" in text
+    else:
+        hosted.assert_zero()

@@ -1,0 +1,86 @@
+"""Whatever happens to a line, for as long as it likes: nothing unsafe ever flows.
+
+``SMARTTOUCH_FAULT_SECONDS=600 pytest tests/boards/test_random_faults.py --timeout 0 -s`` for the
+long run, and figures.
+"""
+
+import os
+import random
+import threading
+import time
+
+import pytest
+
+from smarttouch.boards.emulator.books import read_state
+from smarttouch.errors import BoardError, BoardRestartedError
+
+SECONDS = float(os.environ.get("SMARTTOUCH_FAULT_SECONDS", "4"))
+
+
+class Weather:
+    """Something goes wrong with one piece in so many."""
+
+    def __init__(self, seed, doubles):
+        self.random = random.Random(seed)
+        self.kinds = ["drop", "cut", "none", "swallow"] + ["double"] * doubles
+        self.counts = dict.fromkeys(self.kinds, 0)
+
+    def __call__(self, data):
+        if not data or self.random.random() > 0.03:
+            return data
+        kind, where = self.random.choice(self.kinds), self.random.randrange(len(data))
+        self.counts[kind] += 1
+        return {
+            "drop": data[:where] + data[where + 1 :],
+            "double": data[: where + 1] + data[where:],
+            "cut": data[:where],
+            "swallow": b"",
+            "none": data,
+        }[kind]
+
+
+@pytest.mark.parametrize("hosted", ["link", "kajimoto61", "etactilekit"], indirect=True)
+def test_nothing_unsafe_flows(hosted, capsys):
+    # USB and TCP lose bytes only by whole pieces or at their end; they never double one.
+    weather = Weather(1, doubles=hosted.kind != "etactilekit")
+    hosted.line.to_board = hosted.line.to_host = weather
+    end = time.monotonic() + SECONDS
+    opened = sent = restarts = 0
+    sentences = []
+    while time.monotonic() < end:
+        hosted.step = 0
+        try:
+            with hosted.board:
+                opened += 1
+                pull = threading.Timer(weather.random.uniform(1, 20), unplug, [hosted.line])
+                pull.start()
+                try:
+                    while time.monotonic() < end:
+                        try:
+                            hosted.send(times=weather.random.choice([1, 1, 1, 4]))
+                            sent += 1
+                        except BoardRestartedError:
+                            restarts += 1
+                finally:
+                    pull.cancel()
+                    pull.join()
+        except BoardError as error:
+            sentences.append(str(error))
+    hosted.line.to_board = hosted.line.to_host = bytes
+    time.sleep(0.4)
+    state = read_state(hosted.folder)
+    with capsys.disabled():
+        print(
+            f"\n{hosted.kind}: {SECONDS:g} s, {sent} sequences, {state['slots']} slots; "
+            f"{weather.counts}; opened {opened}, restarts {restarts}, ended by a fault {len(sentences)}; "
+            f"unsafe slots {state['unsafe']}"
+        )
+    assert sent > 10
+    assert not any("\n" in sentence for sentence in sentences)
+    assert state["unsafe"] == 0
+
+
+def unplug(line):
+    line.pull_out()
+    time.sleep(0.5)
+    line.plug_in()

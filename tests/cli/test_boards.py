@@ -1,0 +1,207 @@
+"""Boards from the command line: found, looked at, measured, tried, stopped, and run."""
+
+import json
+import signal
+import time
+
+import pytest
+
+from smarttouch.boards.emulator.books import read_slots, read_state
+
+KITS = {
+    "kajimoto61": (61, "kajimoto61"),
+    "etactilekit": (32, "etactilekit"),
+    "etactilekit over TCP": (32, "etactilekit", "--tcp"),
+}
+
+
+@pytest.fixture
+def kit(request, start_emulator):
+    """The URL of an emulated board, and its books."""
+    electrodes, protocol, *more = {"link": (64, "link"), **KITS}[request.param]
+    _, port, books = start_emulator(electrodes, protocol, *more)
+    return f"{protocol}:{port}", books
+
+
+def on(*names):
+    return pytest.mark.parametrize("kit", names, indirect=True)
+
+
+def state_of(books):
+    time.sleep(0.15)
+    return read_state(books)
+
+
+@on(*KITS)
+def test_live_end_to_end_ends_in_zero(program, tmp_path, kit):
+    url, books = kit
+    done = program("live", "--board", url, "--seconds", 2, "--json", "run.json")
+    assert done.returncode == 0, done.stderr
+    assert "all electrodes off" in done.stdout
+    assert ("goes on with its last pattern" in done.stderr) == url.startswith("etactilekit")
+    figures = json.loads((tmp_path / "run.json").read_text())
+    assert figures["frames"] > 50
+    assert figures["acknowledged"] >= 0.5 * figures["frames"]
+    assert (figures["reported_by"], figures["restarts"]) == ("host", 0)
+    state = state_of(books)
+    assert (state["state"], state["unsafe"]) == ("shorted", 0)
+    assert state["slots"] > 100
+    assert state["max_current_ma"] <= figures["max_current_ma"] + 0.04
+    assert state_of(books)["slots"] == state["slots"]
+
+
+@on(*KITS)
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_in_zero(start_program, kit, how):
+    url, books = kit
+    running = start_program("live", "--board", url)
+    wait_for_pulses(books)
+    running.send_signal(how)
+    out, _ = running.communicate(timeout=20)
+    assert running.returncode == 0
+    assert "all electrodes off" in out
+    state = state_of(books)
+    assert (state["state"], state["unsafe"]) == ("shorted", 0)
+
+
+def wait_for_pulses(books):
+    deadline = time.monotonic() + 20
+    while not read_state(books)["slots"]:
+        assert time.monotonic() < deadline, "it never pulsed"
+        time.sleep(0.05)
+
+
+@on("kajimoto61", "etactilekit")
+def test_a_killed_host(start_program, kit):
+    """The host-clocked board is at zero; the other goes on, as its firmware does."""
+    url, books = kit
+    running = start_program("live", "--board", url)
+    wait_for_pulses(books)
+    time.sleep(0.5)
+    running.kill()
+    running.wait()
+    before = state_of(books)
+    after = state_of(books)
+    assert after["unsafe"] == 0
+    assert (after["slots"] > before["slots"]) == url.startswith("etactilekit")
+
+
+@on("kajimoto61", "etactilekit", "link")
+def test_info(program, kit):
+    done = program("board", "info", kit[0])
+    assert done.returncode == 0, done.stderr
+    assert all(word in done.stdout for word in ("firmware", "electrodes", "host lost", "profile"))
+    assert state_of(kit[1])["slots"] == 0
+
+
+def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(
+    program, tmp_path, start_emulator
+):
+    events = ("--event=0 open 5", "--event=0 short 9")
+    _, port, books = start_emulator(32, "etactilekit", *events)
+    url = f"etactilekit:{port}"
+    done = program("board", "measure", url, "--json", "found.json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert found["masked"] == [5, 9]
+    assert "masked = [5, 9]" in done.stdout
+    assert found["impedance_kohm"][5] is None
+    done = program("live", "--board", url, "--measure", "--seconds", 2)
+    assert done.returncode == 0, done.stderr
+    assert "30 of 32 electrodes are good; planned without [5, 9]" in done.stdout
+    time.sleep(0.3)
+    slots = read_slots(books)
+    # The measurement itself went through all of them; the run did not.
+    run = slots[slots["number"] > slots["number"].min() + 5]
+    assert len(run) > 100
+    assert not {5, 9} & set(run["site"].tolist())
+
+
+def test_measuring_without_a_finger_says_so(program, start_emulator):
+    _, port, _ = start_emulator(64, "link", "--event=0 lift")
+    done = program("board", "measure", f"link:{port}")
+    assert done.returncode == 0, done.stderr
+    assert "No electrode touches anything" in done.stdout
+    done = program("live", "--board", f"link:{port}", "--measure", "--seconds", 1)
+    assert done.returncode == 2
+    assert "put the finger on the array first" in done.stderr
+
+
+@on("kajimoto61", "etactilekit")
+def test_a_walk_through_the_electrodes(program, kit):
+    url, books = kit
+    done = program("board", "test", url, "--seconds", 0.12, "--current-ma", 0.3)
+    assert done.returncode == 0, done.stderr
+    count = {"kajimoto61": 61, "etactilekit": 32}[url.partition(":")[0]]
+    assert f"{count} of {count} electrodes tried; all are at zero" in done.stdout
+    state = state_of(books)
+    assert (state["state"], state["unsafe"]) == ("shorted", 0)
+    assert state["max_current_ma"] <= 0.33
+    slots = read_slots(books)
+    assert list(dict.fromkeys(slots["site"].tolist())) == list(range(count))
+
+
+@on("etactilekit")
+def test_stop(program, kit):
+    done = program("board", "stop", kit[0])
+    assert (done.returncode, done.stdout) == (0, "All electrodes are at zero.\n")
+
+
+@on("kajimoto61")
+def test_the_scale_from_a_resistor(program, kit):
+    done = program("board", "calibrate-scale", kit[0], "--volts", 1.1, "--ohm", 1000)
+    assert done.returncode == 0, done.stderr
+    assert "1.100 of nominal" in done.stdout
+    assert "ua_per_count = 2.686" in done.stdout
+    assert state_of(kit[1])["slots"] == 0
+
+
+def test_what_is_there_is_listed_and_nothing_is_opened(program):
+    done = program("boards", "--no-network")
+    assert done.returncode == 0, done.stderr
+    assert "kajimoto61:" in done.stdout
+
+
+@pytest.mark.parametrize("name", ["link", "kajimoto61", "etactilekit"])
+def test_an_emulator_is_played_until_ctrl_c(program, start_program, name):
+    playing = start_program("board", "emulate", name)
+    lines = [playing.stdout.readline() for _ in range(3)]
+    url = lines[2].split()[-1]
+    assert url.startswith(f"{name}:/dev/")
+    done = program("board", "info", url)
+    assert done.returncode == 0, done.stderr
+    playing.send_signal(signal.SIGINT)
+    assert playing.wait(10) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("board", "emulate", "optacon"), "no emulator 'optacon': choose"),
+        (("board", "emulate", "link", "--books", "nowhere"), "no folder"),
+        (("board", "info", "kajimoto61:"), "needs a port"),
+        (("board", "info", "kajimoto61:/dev/nowhere"), "no such port"),
+        (("board", "info", "etactilekit:/dev/x?fast"), "knows the option ?slow"),
+        (("board", "info", "kajimoto61:/dev/x", "--profile", "electric-mouse"), "--profile"),
+        (("board", "test", "memory:"), "give --seconds"),
+        (("board", "test", "memory:", "--seconds", "0"), "--seconds 0 must be above 0"),
+        (("board", "test", "memory:", "--seconds", "1", "--current-ma", "9"), "at most the 2.4 mA"),
+        (("board", "measure", "memory:"), "does not measure"),
+        (("board", "calibrate-scale", "memory:", "--ohm", "0"), "--ohm 0 must be above 0"),
+        (("board", "calibrate-scale", "memory:", "--volts", "-1"), "check the connections"),
+        (("board", "calibrate-scale", "memory:", "--electrode", "64"), "site 64"),
+        (("live", "--board", "memory:", "--hold", "power"), "choose charge or energy"),
+        (("live", "--board", "memory:", "--hold", "charge"), "tells the voltage"),
+        (("live", "--board", "memory:", "--measure"), "does not measure"),
+        (
+            ("live", "--profile", "kajimoto-61", "--board", "memory:", "--mode", "SAI"),
+            "it offers RA (other classes reach 0.",
+        ),
+    ],
+)
+def test_bad_input_is_one_sentence(program, arguments, says):
+    done = program(*arguments)
+    assert done.returncode == 2
+    assert says in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert "Traceback" not in done.stderr
