@@ -1,21 +1,6 @@
 """Driver of the eTactileKit, version 2: the board loops the last pattern, the host sends changes.
 
-On the wire (native USB, or TCP port 8080; little endian, no framing, no checksum)::
-
-    FC u8   electrodes N        FB u8   0 monophasic, 1 biphasic, 2 impedance only
-    FD u8   1 anodic 0 cathodic FA u16  pulse width µs
-    F9 u8   sense height        F8 u8   sense width µs
-    F7 u8   discharge µs        F6 u16  scans per second
-    FE N×u16 heights in counts  FF      reply N×u16: ADC of the last finished scan
-    F5      reply: chips        F4      reply: N, the only echo
-
-A byte lost inside FE would leave the board waiting, and the next byte sent would
-complete a pattern shifted by eight bits: up to 41 mA. So every change is guarded:
-impedance-only with a sense height of zero (no pulses) goes before it, F4 after it,
-and pulses come back only when its echo has come. A lost byte eats the F4: no echo,
-no pulses, and the driver starts the board's parser afresh. Heights avoid bytes that
-look like commands. A *doubled* byte cannot be told by anything on this wire; USB and
-TCP do not double bytes.
+What goes over the wire, and what guards it, stands in `etactilekit_wire`.
 """
 
 import time
@@ -25,6 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards.board import BOTH, Capabilities
+from smarttouch.boards.etactilekit_wire import (
+    CHIPS,
+    LARGEST,
+    NO_SENSE,
+    ON,
+    PING,
+    QUIET,
+    READINGS,
+    SENSE,
+    SENSE_COUNTS,
+    SENSE_US,
+    ZEROS,
+    Settings,
+    heights_of,
+    pattern,
+    settings_of,
+)
 from smarttouch.boards.impedance import Impedance, judge
 from smarttouch.boards.probe import one_each
 from smarttouch.boards.streamed import Job, StreamedBoard, one_against_all
@@ -36,14 +38,11 @@ from smarttouch.scan.timing import ScanTiming
 
 UA_PER_COUNT = 9.99
 """Nominal; its firmware does not cap 4095 counts, which are 41 mA."""
-LARGEST = 1000
-"""Counts, about 10 mA: nothing above leaves this host, whatever the limits."""
 VOLTS_PER_COUNT = 0.0893
 DUMMY_KOHM = 66.0
 """A load fitted beside the skin; it takes V / 66 kΩ of the current."""
 COMPLIANCE_V = 300.0
 """Of its switches (HV513), the most a reading can be worth."""
-FIRST_COMMAND = 0xF4
 ECHO_S = 0.1
 CHIPS_S = 0.5
 FORGETS_S = 2.15
@@ -53,10 +52,6 @@ GRACE_S = 0.1
 PIECE, PAUSE_S = 8, 0.003
 """What USB of older firmware takes without losing bytes."""
 LOSSES_UNTIL_SLOW = 2
-SENSE_COUNTS, SENSE_US = 100, 50
-
-QUIET = bytes([0xFB, 2])
-PING = bytes([0xF4])
 
 
 class ETactileKitBoard(StreamedBoard):
@@ -87,10 +82,11 @@ class ETactileKitBoard(StreamedBoard):
         measured = None if output is None else output.ua_per_count
         self.ua_per_count: float = measured or UA_PER_COUNT
         self._largest = min(LARGEST, int(limits.current_ma * 1000 / self.ua_per_count))
+        self._nothing = bytes(2 * self._outputs)
         self._slow = option == "slow"
         self._lost_frames = 0
         self._on_board = b""
-        self._settings: tuple[int, int, int, bool] | None = None
+        self._settings: Settings | None = None
         self._sent: ScanSequence | None = None
         self._volts: list[tuple[ScanSequence, NDArray[np.float32]]] = []
 
@@ -98,15 +94,16 @@ class ETactileKitBoard(StreamedBoard):
 
     def _greet(self) -> None:
         self._on_board, self._settings, self._sent = b"", None, None
-        self._flush()
-        self._write(b"\xf5")
-        answer = self._read(1, CHIPS_S)
-        if not answer:
-            # A host before us may have left half a command: it forgets that in silence.
-            time.sleep(FORGETS_S)
+        # A host before us may have left half a pattern: any other byte would complete it, as a
+        # current. What zeros do not end, it forgets in silence.
+        self._write_out(ZEROS)
+        answer = b""
+        for pause_s in (0.01, FORGETS_S):
+            time.sleep(pause_s)
             self._flush()
-            self._write(b"\xf5")
-            answer = self._read(1, CHIPS_S)
+            self._write(CHIPS)
+            if answer := self._read(1, CHIPS_S):
+                break
         if not answer:
             raise BoardError(
                 f"the board at {self._port_name} does not answer as an eTactileKit v2 does: check "
@@ -119,13 +116,13 @@ class ETactileKitBoard(StreamedBoard):
                 f"{self._outputs}: use the profile of this board"
             )
         # No sense pulses: the guard of every change counts on that.
-        self._write_out(b"\xf9\0\0\xf8\0\0" + bytes([0xFC, self._outputs]) + PING)
+        self._write_out(NO_SENSE + bytes([0xFC, self._outputs]) + PING)
         if self._read(1, ECHO_S) != bytes([self._outputs]):
             raise BoardError(
                 f"the board at {self._port_name} does not echo its number of electrodes: its "
                 "firmware is not eTactileKit v2; update it"
             )
-        if not self._transmit(self._frame(bytes(2 * self._outputs)), None):
+        if not self._transmit(self._nothing, None):
             raise self._lost("does not answer to a pattern of zeros")
         self.capabilities = Capabilities(
             electrodes=self._gate.limits.electrodes,
@@ -141,9 +138,9 @@ class ETactileKitBoard(StreamedBoard):
         )
 
     def _zero(self) -> None:
-        if self._transmit(self._frame(bytes(2 * self._outputs)), None):
+        if self._transmit(self._nothing, None):
             return
-        if self._resync() and self._transmit(self._frame(bytes(2 * self._outputs)), None):
+        if self._resync() and self._transmit(self._nothing, None):
             return
         raise self._lost("does not confirm a pattern of zeros")
 
@@ -153,32 +150,9 @@ class ETactileKitBoard(StreamedBoard):
     # -- sequences ---------------------------------------------------------
 
     def _encode(self, sequence: ScanSequence) -> bytes:
-        electrode, current_ua = one_against_all(sequence)
-        if len(np.unique(np.sign(current_ua))) > 1:
-            raise BoardError(
-                "some slots are anodic, some cathodic, and this board has one polarity for all: "
-                "send them as two sequences"
-            )
-        if sequence.slots and np.ptp(sequence.width_us):
-            raise BoardError(
-                f"slots of {int(sequence.width_us.min())} to {int(sequence.width_us.max())} µs in "
-                "one sequence, and this board has one pulse width for all"
-            )
-        discharge = int(sequence.discharge_us.max(initial=0))
-        if discharge >= FIRST_COMMAND:
-            raise BoardError(
-                f"a discharge of {discharge} µs is too long: at most {FIRST_COMMAND - 1}"
-            )
-        counts = np.minimum(np.rint(np.abs(current_ua) / self.ua_per_count), self._largest)
-        heights = np.zeros(self._outputs, np.uint16)
-        heights[self._wiring[electrode]] = counts.astype(np.uint16)
-        # A byte that looks like a command would be one, if the FE before it were lost.
-        low = heights & 0xFF
-        heights -= np.where(low >= FIRST_COMMAND, low - (FIRST_COMMAND - 1), 0).astype(np.uint16)
-        return heights.astype("<u2").tobytes()
-
-    def _frame(self, heights: bytes) -> bytes:
-        return QUIET + b"\xfe" + heights
+        settings_of(sequence)
+        assert self.ua_per_count is not None
+        return heights_of(sequence, self._wiring, self.ua_per_count, self._largest)
 
     def _serve(self) -> None:
         until_s: float | None = None
@@ -209,53 +183,33 @@ class ETactileKitBoard(StreamedBoard):
     def _show(self, job: Job) -> bool:
         """Put a sequence on the board if it is another; return whether the board has it."""
         sequence = job.sequence
-        settings = self._settings_of(sequence)
+        settings = settings_of(sequence)
         if sequence.slots and settings != self._settings:
             if not self._set(settings):
                 return False
             self._settings = settings
         elif job.data == self._on_board:
             return True
-        return self._transmit(self._frame(job.data), sequence)
+        return self._transmit(job.data, sequence)
 
-    def _settings_of(self, sequence: ScanSequence) -> tuple[int, int, int, bool]:
-        anodic = bool(sequence.slots) and bool(
-            sequence.current_ua[0, np.abs(sequence.current_ua[0].astype(int)).argmax()] < 0
-        )
-        return (
-            int(sequence.width_us.max(initial=0)),
-            int(sequence.discharge_us.max(initial=0)),
-            max(1, round(1e6 / sequence.period_us)),
-            anodic,
-        )
-
-    def _set(self, settings: tuple[int, int, int, bool]) -> bool:
-        """Set pulse and rate while nothing flows, each followed by zeros that end it."""
-        width, discharge, rate, anodic = settings
-        # Were the first byte of a word lost, the zeros would make it zero, not a longer pulse.
-        end = bytes(3)
-        commands = (
-            QUIET + end + b"\xf9\0" + end + b"\xf8\0" + end
-            + bytes([0xFD, anodic]) + end
-            + b"\xfa" + width.to_bytes(2, "little") + end
-            + bytes([0xF7, discharge]) + end
-            + b"\xf6" + rate.to_bytes(2, "little") + end
-        )  # fmt: skip
+    def _set(self, settings: Settings) -> bool:
+        """Set pulse and rate while nothing flows; return whether the board has them."""
+        commands = pattern(self._nothing)[:-1] + settings.commands() + PING
         self._on_board = b""
-        self._write_out(QUIET + b"\xfe" + bytes(2 * self._outputs) + commands * 2 + PING)
-        if self._read(1, ECHO_S + self._wire_s(commands * 2)) == bytes([self._outputs]):
+        self._write_out(commands)
+        if self._read(1, ECHO_S + self._wire_s(commands)) == bytes([self._outputs]):
             return True
         self._note_loss()
         self._resync()
         return False
 
-    def _transmit(self, frame: bytes, sequence: ScanSequence | None) -> bool:
+    def _transmit(self, heights: bytes, sequence: ScanSequence | None) -> bool:
         """Send a pattern under guard; return whether the board has it and pulses again."""
-        heights = frame[len(QUIET) + 1 :]
         self._on_board = b""
         # The voltages are those of the pattern before: ask while it is still there.
         ask = self._sent is not None and self._sent.slots > 0
-        self._write_out((b"\xff" if ask else b"") + frame + PING)
+        frame = (READINGS if ask else b"") + pattern(heights)
+        self._write_out(frame)
         expected = 2 * self._outputs * ask + 1
         answer = self._read(expected, ECHO_S + self._wire_s(frame))
         if len(answer) != expected or answer[-1] != self._outputs:
@@ -264,7 +218,7 @@ class ETactileKitBoard(StreamedBoard):
             return False
         if ask and self._sent is not None:
             self._note_volts(self._sent, answer[:-1])
-        self._write_out(bytes([0xFB, 0]))
+        self._write_out(ON)
         self._on_board, self._sent = heights, sequence
         return True
 
@@ -288,8 +242,8 @@ class ETactileKitBoard(StreamedBoard):
         """Bring the board's parser back to where a command begins; nothing flows meanwhile."""
         self._sent = None
         # Zeros complete any half pattern, and are no commands; if not, silence does.
-        for zeros, pause_s in ((2 * 255 + 4, 0.01), (0, FORGETS_S)):
-            self._write_out(bytes(zeros))
+        for zeros, pause_s in ((ZEROS, 0.01), (b"", FORGETS_S)):
+            self._write_out(zeros)
             time.sleep(pause_s)
             self._flush()
             self._write_out(QUIET + bytes(4) + PING)
@@ -322,11 +276,11 @@ class ETactileKitBoard(StreamedBoard):
     # -- measuring ---------------------------------------------------------
 
     def _measure(self) -> Impedance:
-        width, counts = SENSE_US, min(SENSE_COUNTS, self._largest)
-        level_ua = int(counts * self.ua_per_count)
+        assert self.ua_per_count is not None
+        level_ua = int(SENSE_COUNTS * self.ua_per_count)
         self._gate.prove_measurement(
             one_each(
-                self._gate.limits, level_ua, width, 1.0, time.monotonic_ns(), cathodic=False,
+                self._gate.limits, level_ua, SENSE_US, 1.0, time.monotonic_ns(), cathodic=False,
                 period_us=100_000,
             )
         )  # fmt: skip
@@ -334,11 +288,9 @@ class ETactileKitBoard(StreamedBoard):
         with self._line:
             self._zero()
             # Ten scans a second; two of them are over when the readings are asked for.
-            self._write_out(
-                QUIET + b"\xfd\x01\xf7\x64\xf6\x0a\0" + bytes([0xF8, width, 0xF9, counts])
-            )
+            self._write_out(SENSE)
             time.sleep(0.25)
-            self._write_out(b"\xff\xf9\0\xf8\0" + PING)
+            self._write_out(READINGS + NO_SENSE + PING)
             answer = self._read(2 * self._outputs + 1, 0.5)
             self._settings = None
             self._zero()

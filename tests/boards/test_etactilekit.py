@@ -16,7 +16,8 @@ LIMITS = SafetyLimits(4, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
 QUIET, PING, ON = b"\xfb\x02", b"\xf4", b"\xfb\x00"
 NOTHING = b"\xfe" + bytes(8)
 ZERO = [(QUIET + NOTHING + PING, b"\x04"), (ON, b"")]
-HELLO = [(b"\xf5", b"\x01"), (b"\xf9\0\0\xf8\0\0\xfc\x04" + PING, b"\x04")]
+ZEROS = (bytes(514), b"")
+HELLO = [ZEROS, (b"\xf5", b"\x01"), (b"\xf9\0\0\xf8\0\0\xfc\x04" + PING, b"\x04")]
 OPEN = [*HELLO, *ZERO]
 
 
@@ -101,7 +102,7 @@ def test_another_polarity_is_set_while_nothing_flows(script):
 
 def test_wiring_puts_each_electrode_on_its_output(script):
     output = Output(kind="one-against-all", wiring=(5, 3, 0, 1))
-    hello = [(b"\xf5", b"\x01"), (b"\xf9\0\0\xf8\0\0\xfc\x06" + PING, b"\x06")]
+    hello = [ZEROS, (b"\xf5", b"\x01"), (b"\xf9\0\0\xf8\0\0\xfc\x06" + PING, b"\x06")]
     nothing = (QUIET + b"\xfe" + bytes(12) + PING, b"\x06")
     script(
         *hello,
@@ -119,7 +120,7 @@ def test_wiring_puts_each_electrode_on_its_output(script):
 
 def test_a_lost_echo_brings_no_current_and_the_next_frame_goes_on(script, monkeypatch):
     monkeypatch.setattr(etactilekit, "FORGETS_S", 0.05)
-    fresh = [(bytes(514), b""), (QUIET + bytes(4) + PING, b"\x04")]
+    fresh = [ZEROS, (QUIET + bytes(4) + PING, b"\x04")]
     script(
         *OPEN,
         settings(),
@@ -138,7 +139,7 @@ def test_a_lost_echo_brings_no_current_and_the_next_frame_goes_on(script, monkey
 def test_a_board_that_never_echoes_again_is_told_of(script, monkeypatch):
     monkeypatch.setattr(etactilekit, "FORGETS_S", 0.05)
     ping = (QUIET + bytes(4) + PING, b"")
-    silent = [(bytes(514), b""), ping, ping]
+    silent = [ZEROS, ping, ping]
     lost = (QUIET + NOTHING + PING, b"")
     script(
         *OPEN, settings(), (QUIET + heights(0, 100, 0, 0) + PING, b""), *silent,
@@ -154,9 +155,9 @@ def test_a_board_that_never_echoes_again_is_told_of(script, monkeypatch):
 @pytest.mark.parametrize(
     ("exchanges", "says"),
     [
-        ([(b"\xf5", b""), (b"\xf5", b"")], "not answer as an eTactileKit v2"),
-        ([(b"\xf5", b"\x01"), (HELLO[1][0], b"")], "does not echo"),
-        ([(b"\xf5", b"\x01"), (HELLO[1][0], b"\x05")], "does not echo"),
+        ([ZEROS, (b"\xf5", b""), (b"\xf5", b"")], "not answer as an eTactileKit v2"),
+        ([*HELLO[:2], (HELLO[2][0], b"")], "does not echo"),
+        ([*HELLO[:2], (HELLO[2][0], b"\x05")], "does not echo"),
     ],
 )
 def test_another_variant_is_refused_before_any_pattern(script, monkeypatch, exchanges, says):
@@ -167,7 +168,7 @@ def test_another_variant_is_refused_before_any_pattern(script, monkeypatch, exch
 
 
 def test_a_smaller_kit_than_the_profile_is_refused(script):
-    script((b"\xf5", b"\x01"))
+    script(*HELLO[:2])
     limits = SafetyLimits(32, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
     with pytest.raises(BoardError, match="8 outputs, the profile needs 32"):
         ETactileKitBoard("x", limits).open()
@@ -176,8 +177,8 @@ def test_a_smaller_kit_than_the_profile_is_refused(script):
 def test_a_measurement_takes_the_dummy_load_off(script):
     # 0.999 mA at 50 µs; 200 counts are 17.9 V, of which 17.9 V / 66 kΩ pass beside the skin.
     ask = (
-        QUIET + b"\xfd\x01\xf7\x64\xf6\x0a\0" + bytes([0xF8, 50, 0xF9, 100]) + b"\xff\xf9\0\xf8\0"
-        + PING
+        QUIET + b"\xfd\x01\xf7\x64\xf6\x0a\0" + bytes([0xF8, 50, 0xF9, 100])
+        + b"\xff\xf9\0\0\xf8\0\0" + PING
     )  # fmt: skip
     readings = b"\xc8\0\xc8\0\xff\x0f\x02\0"
     script(*OPEN, *ZERO, (ask, readings + b"\x04"), *ZERO, *ZERO)

@@ -72,7 +72,7 @@ def test_nothing_unsafe_flows(hosted, capsys):
     with capsys.disabled():
         print(
             f"\n{hosted.kind}: {SECONDS:g} s, {sent} sequences, {state['slots']} slots; "
-            f"{weather.counts}; opened {opened}, restarts {restarts}, ended by a fault {len(sentences)}; "
+            f"{weather.counts}; opened {opened}, restarts {restarts}, faults {len(sentences)}; "
             f"unsafe slots {state['unsafe']}"
         )
     assert sent > 10

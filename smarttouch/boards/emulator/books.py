@@ -126,8 +126,8 @@ def read_slots(folder: Path) -> NDArray[Any]:
     -------
     slots : structured ndarray, (N,)
         ``number``, ``slot``, ``site``, ``time_us``, and per electrode (E,) ``current_ua``
-        (mean over the pulse), ``charge_uc`` of the pulse, ``volts`` (against the tissue at its end) and ``residual_uc``
-        (charge left after the discharge), all positive cathodic.
+        (mean over the pulse), ``charge_uc`` of the pulse, ``volts`` (against the tissue at its
+        end) and ``residual_uc`` (charge left after the discharge), all positive cathodic.
     """
     kind = _record(int(str(read_state(folder)["electrodes"])))
     data = (folder / DELIVERED_FILE).read_bytes()

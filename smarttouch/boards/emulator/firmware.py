@@ -12,15 +12,11 @@ from numpy.typing import NDArray
 from smarttouch.boards import protocol
 from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.finger import Finger
+from smarttouch.boards.emulator.rules import MAX_CURRENT_UA, MAX_SLOTS, Rules
 from smarttouch.boards.emulator.skin import COMPLIANCE_V, Skin
 from smarttouch.boards.protocol import Feature, Kind, Output, Packet, Refusal
 from smarttouch.boards.protocol_sequence import WireSequence, decode_sequence, encode_volts
 
-MAX_CURRENT_UA = 5000
-MAX_WIDTH_US = 200
-MAX_CHARGE_PC = 500_000
-MIN_PERIOD_US = 5000
-MAX_SLOTS = 4096
 NAME = "SmartTouch board emulator 1"
 
 
@@ -73,6 +69,7 @@ class Firmware:
         compliance_v: float = COMPLIANCE_V,
     ) -> None:
         self._electrodes, self._output, self.books = electrodes, output, books
+        self._rules = Rules(electrodes, output)
         self._skin = Skin(electrodes, compliance_v=compliance_v)
         self._finger = finger or Finger(electrodes)
         self._compliance_v = compliance_v
@@ -234,7 +231,7 @@ class Firmware:
         except ValueError as error:
             self.books.violations += 1
             return self._refuse(number, Refusal.MALFORMED, str(error))
-        if complaint := self._complaint(sequence):
+        if complaint := self._rules.complaint(sequence):
             self.books.violations += 1
             return self._refuse(number, Refusal.UNSAFE, complaint)
         self._last = (number, False)
@@ -247,41 +244,6 @@ class Firmware:
 
     def _refuse(self, number: int, reason: Refusal, text: str) -> None:
         self._answers.append(protocol.encode(Kind.NAK, number, bytes([reason]) + text.encode()))
-
-    def _complaint(self, sequence: WireSequence) -> str:
-        """Return what is wrong with a sequence, by the board's own rules; empty if nothing."""
-        weighted = self._output == "weighted"
-        current = _nominal(sequence)
-        if sequence.electrodes != self._electrodes:
-            return f"{sequence.electrodes} electrodes on a board of {self._electrodes}"
-        if weighted != (sequence.current_ua is not None):
-            return f"wrong kind of sequence for a {self._output} board"
-        if len(sequence.width_us) > MAX_SLOTS:
-            return f"{len(sequence.width_us)} slots"
-        if sequence.period_us < MIN_PERIOD_US:
-            return f"period {sequence.period_us} us"
-        width = sequence.width_us.astype(np.int64)
-        if int((width + sequence.discharge_us).sum()) > sequence.period_us:
-            return "slots do not fit the period"
-        if len(width) and not 0 < int(width.min()) <= int(width.max()) <= MAX_WIDTH_US:
-            return f"pulse width {int(width.max())} us"
-        if np.any(np.abs(current.sum(axis=1)) > 1e-6):
-            return "a slot is out of balance"
-        peaks = np.abs(current).max(axis=1, initial=0)
-        if np.any(peaks > MAX_CURRENT_UA):
-            return f"current {peaks.max():.0f} uA"
-        if np.any(peaks * width > MAX_CHARGE_PC):
-            return f"charge {(peaks * width).max():.0f} pC"
-        if sequence.state is not None and self._states_wrong(sequence.state):
-            return "a slot without both poles, or with an unknown state"
-        return ""
-
-    def _states_wrong(self, state: NDArray[np.int8]) -> bool:
-        cathodes, anodes = (state == 1).sum(axis=1), (state == -1).sum(axis=1)
-        wrong = (state == 2).any(axis=1) | (cathodes == 0) | (anodes == 0)
-        if self._output == "one-against-all":
-            wrong |= (state == 0).any(axis=1) | (np.minimum(cathodes, anodes) != 1)
-        return bool(wrong.any())
 
     def _capabilities(self) -> bytes:
         head = protocol.CAPABILITIES.pack(
@@ -307,16 +269,3 @@ class Firmware:
             books.max_net_charge_uc,
             (self._running is not None) + (self._waiting is not None),
         )
-
-
-def _nominal(sequence: WireSequence) -> NDArray[np.float64]:
-    """Return what is asked for, (S, E) µA; a source divides equally among equal electrodes."""
-    if sequence.current_ua is not None:
-        return sequence.current_ua.astype(np.float64)
-    assert sequence.state is not None
-    assert sequence.source_ua is not None
-    share = np.zeros(sequence.state.shape)
-    for pole in (1, -1):
-        connected = sequence.state == pole
-        share += pole * connected / np.maximum(connected.sum(axis=1, keepdims=True), 1)
-    return share * sequence.source_ua[:, None]
