@@ -5,6 +5,7 @@ import threading
 import numpy as np
 import pytest
 
+from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.live import Regulator, StopRequest, Tally, run
@@ -293,3 +294,21 @@ def test_what_was_measured_changes_what_is_sent(profile, pipeline, board, monkey
     late = [s for s in board.sequences[30:] if s.slots]
     assert {bool(s.current_ua[0, s.site[0]] > 0) for s in late} == {True, False}
     assert regulator.ledger.worst_uc < 1.0
+
+
+def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
+    """By the voltages and the force that the board tells; it comes back from zero."""
+    found = []
+    board = EmulatorBoard(
+        "", SafetyLimits.of(profile), profile.output, events=["1.5 lift", "2.1 touch"]
+    )
+    with board:
+        run(
+            Bars(240), pipeline, board, stop=StopRequest(), tally=Tally(),
+            observers=[lambda sent: found.append(sent.step.sequence.intensity)],
+        )  # fmt: skip
+    down = found.index(0, 10)
+    assert max(found[:down]) == 1
+    assert max(found[down : down + 15]) == 0
+    assert max(np.diff(found)) <= 0.041
+    assert found[-1] > 0.5

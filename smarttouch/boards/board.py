@@ -1,7 +1,9 @@
 """The contract that every display board keeps."""
 
 import threading
+import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, ClassVar, Literal, Self
@@ -89,6 +91,8 @@ class BoardReport:
 
 
 LONGEST_REPEAT = 0xFFFF
+SLOW_ANSWER_S = 0.008
+"""FTDI chips keep what comes back for 16 ms unless told otherwise."""
 
 
 class Board(ABC):
@@ -218,6 +222,19 @@ class Board(ABC):
         finally:
             # What comes next begins at zero, and its time may start anew.
             self._gate = SafetyGate(self._gate.limits)
+
+    def _note_round_trip(self, ask: Callable[[], object]) -> None:
+        """Time a question; note it if the line keeps answers back."""
+        times_s = []
+        for _ in range(3):
+            start = time.perf_counter()
+            ask()
+            times_s.append(time.perf_counter() - start)
+        if min(times_s) > SLOW_ANSWER_S:
+            self.notes.append(
+                f"the board answers after {1000 * min(times_s):.0f} ms: if its USB chip is an "
+                "FTDI, set the port's latency timer to 1 ms"
+            )
 
     def stop(self) -> None:
         """Put all electrodes at zero now, from any thread; nothing can be sent after."""

@@ -52,6 +52,8 @@ GRACE_S = 0.1
 PIECE, PAUSE_S = 8, 0.003
 """What USB of older firmware takes without losing bytes."""
 LOSSES_UNTIL_SLOW = 2
+OPEN_SHARE = 0.95
+"""Of the voltage without a finger: where every slot needs that much, there is none."""
 
 
 class ETactileKitBoard(StreamedBoard):
@@ -124,6 +126,7 @@ class ETactileKitBoard(StreamedBoard):
             )
         if not self._transmit(self._nothing, None):
             raise self._lost("does not answer to a pattern of zeros")
+        self._note_round_trip(self._ping)
         self.capabilities = Capabilities(
             electrodes=self._gate.limits.electrodes,
             output="one-against-all",
@@ -136,6 +139,10 @@ class ETactileKitBoard(StreamedBoard):
             measures=True,
             compliance_v=COMPLIANCE_V,
         )
+
+    def _ping(self) -> bytes:
+        self._write(PING)
+        return self._read(1, ECHO_S)
 
     def _zero(self) -> None:
         if self._transmit(self._nothing, None):
@@ -224,12 +231,14 @@ class ETactileKitBoard(StreamedBoard):
 
     def _note_volts(self, sequence: ScanSequence, readings: bytes) -> None:
         adc = np.frombuffer(readings, "<u2")
-        electrode, _ = one_against_all(sequence)
+        electrode, current_ua = one_against_all(sequence)
         volts = (adc[self._wiring[electrode]] * VOLTS_PER_COUNT).astype(np.float32)
         with self._news:
             self._volts = [*self._volts[-63:], (sequence, volts)]
         if volts.any():
-            self.lifted = bool((volts >= 0.97 * COMPLIANCE_V).all())
+            # Without a finger all of it goes through the load beside the skin.
+            alone_v = np.minimum(np.abs(current_ua) / 1000 * DUMMY_KOHM, COMPLIANCE_V)
+            self.lifted = bool((volts >= OPEN_SHARE * alone_v).all())
 
     def take_volts(self) -> list[tuple[ScanSequence, NDArray[np.float32]]]:
         with self._news:

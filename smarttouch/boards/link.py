@@ -193,6 +193,7 @@ class LinkBoard(Board):
                 f"the board at {name} is {self.capabilities.output}, the profile needs "
                 f"{self._output.kind}: use the profile of this board"
             )
+        self._note_round_trip(self._status)
 
     def _status(self) -> tuple[Any, ...]:
         answer = self._line.ask(Kind.STATUS, Kind.REPORT)

@@ -67,6 +67,7 @@ class StreamedBoard(Board):
         self._waiting: Job | None = None
         self._busy = False
         self._over_s = 0.0
+        self._last_begun = 0
         self._fault: BoardError | None = None
         self._closing = threading.Event()
         self._news = threading.Condition()
@@ -192,8 +193,10 @@ class StreamedBoard(Board):
     def _delivered(self, job: Job, scans: int = 1) -> None:
         with self._news:
             self._over_s = time.monotonic() + scans * job.sequence.period_us / 1e6
-            self._books.add(job.sequence)
-            self.acknowledged += 1
+            self._books.add(job.sequence, scans)
+            # A repetition is the same sequence once more.
+            self.acknowledged += job.number != self._last_begun
+            self._last_begun = job.number
 
     def _rest(self) -> None:
         """Tell who drains that nothing is left to do."""

@@ -54,7 +54,7 @@ def delivered(tmp_path, kind, hold):
 
 
 @pytest.mark.parametrize("kind", ["weighted", "three-state"])
-def test_charge_is_held_where_adaptation_is_on(tmp_path, capsys, kind):
+def test_charge_is_held_where_adaptation_is_on(tmp_path, kind):
     found = {}
     for hold in (None, "charge"):
         slots = delivered(tmp_path, kind, hold)
@@ -64,17 +64,16 @@ def test_charge_is_held_where_adaptation_is_on(tmp_path, capsys, kind):
             charge = np.abs(rows["charge_uc"][:, site].astype(float)) / asked
             found[hold, site] = (charge.min(), charge.max())
     off, on = found[None, DRIFTING], found["charge", DRIFTING]
-    with capsys.disabled():
-        print(
-            f"\n{kind}, impedance x 4 in {SECONDS:g} s: delivered charge, of what was asked: "
-            f"{off[0]:.3f} to {off[1]:.3f} without, {on[0]:.3f} to {on[1]:.3f} with adaptation"
-        )
+    print(
+        f"\n{kind}, impedance x 4 in {SECONDS:g} s: delivered charge, of what was asked: "
+        f"{off[0]:.3f} to {off[1]:.3f} without, {on[0]:.3f} to {on[1]:.3f} with adaptation"
+    )
     assert off[0] < 0.88
     assert 0.95 <= on[0] <= on[1] <= 1.05
     assert found["charge", STEADY] == pytest.approx((1, 1), abs=0.01)
 
 
-def test_energy_is_held(tmp_path, capsys):
+def test_energy_is_held(tmp_path):
     energy = {}
     for hold in (None, "energy"):
         slots = delivered(tmp_path, "weighted", hold)
@@ -83,10 +82,8 @@ def test_energy_is_held(tmp_path, capsys):
             rows["charge_uc"][:, DRIFTING].astype(float) * rows["volts"][:, DRIFTING].astype(float)
         )
     spread = {hold: values.max() / values.min() for hold, values in energy.items()}
-    with capsys.disabled():
-        print(
-            f"\ncurrent x voltage, largest over least: {spread[None]:.2f}, "
-            f"held {spread['energy']:.2f}"
-        )
+    print(
+        f"\ncurrent x voltage, largest over least: {spread[None]:.2f}, held {spread['energy']:.2f}"
+    )
     assert spread[None] > 1.5
     assert spread["energy"] < 1.15

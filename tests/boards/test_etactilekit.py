@@ -18,7 +18,8 @@ NOTHING = b"\xfe" + bytes(8)
 ZERO = [(QUIET + NOTHING + PING, b"\x04"), (ON, b"")]
 ZEROS = (bytes(514), b"")
 HELLO = [ZEROS, (b"\xf5", b"\x01"), (b"\xf9\0\0\xf8\0\0\xfc\x04" + PING, b"\x04")]
-OPEN = [*HELLO, *ZERO]
+PINGS = [(PING, b"\x04")] * 3
+OPEN = [*HELLO, *ZERO, *PINGS]
 
 
 def settings(width=100, discharge=50, rate=50, anodic=1):
@@ -70,6 +71,23 @@ def test_a_run_to_the_byte(script):
         assert (board.acknowledged, board.refused) == (3, 0)
 
 
+@pytest.mark.parametrize(("share", "lifted"), [(1.0, True), (0.7, False)])
+def test_a_finger_that_is_gone_is_known_by_the_load_beside_it(script, share, lifted):
+    # 2,000 µA through 66 kOhm alone are 132 V.
+    reading = int(share * 2 * 66 / 0.0893).to_bytes(2, "little")
+    script(
+        *OPEN,
+        settings(),
+        (QUIET + heights(0, 200, 0, 0) + PING, b"\x04"),
+        (ON, b""),
+        (b"\xff" + QUIET + NOTHING + PING, b"\0\0" + reading + bytes(4) + b"\x04"),
+        (ON, b""),
+    )
+    with ETactileKitBoard("x", LIMITS) as board:
+        send(board, anodic(0, 0), anodic(2000))
+    assert board.lifted == lifted
+
+
 def test_only_changes_are_sent(script):
     script(
         *OPEN,
@@ -108,6 +126,7 @@ def test_wiring_puts_each_electrode_on_its_output(script):
         *hello,
         nothing,
         (ON, b""),
+        *[(PING, b"\x06")] * 3,
         (settings()[0].replace(NOTHING, b"\xfe" + bytes(12)), b"\x06"),
         (QUIET + heights(0, 0, 0, 100, 0, 0) + PING, b"\x06"),
         (ON, b""),

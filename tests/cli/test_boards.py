@@ -1,12 +1,18 @@
 """Boards from the command line: found, looked at, measured, tried, stopped, and run."""
 
 import json
+import os
 import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from smarttouch.boards.emulator.books import read_slots, read_state
+
+PROGRAM = Path(sys.executable).with_name("smarttouch")
 
 KITS = {
     "kajimoto61": (61, "kajimoto61"),
@@ -139,6 +145,31 @@ def test_a_walk_through_the_electrodes(program, kit):
     assert state["max_current_ma"] <= 0.33
     slots = read_slots(books)
     assert list(dict.fromkeys(slots["site"].tolist())) == list(range(count))
+
+
+def test_a_key_goes_on_to_the_next_electrode_and_q_ends_it():
+    keyboard, there = os.openpty()
+    with subprocess.Popen(
+        [PROGRAM, "board", "test", "memory:"], stdin=there, stdout=subprocess.PIPE, text=True
+    ) as walking:
+        os.close(there)
+        for number, key in enumerate("nnq"):
+            assert walking.stdout.readline().startswith(f"electrode {number}: up to 0.5 mA")
+            time.sleep(0.1)
+            os.write(keyboard, key.encode())
+        assert walking.stdout.readline() == "3 of 64 electrodes tried; all are at zero.\n"
+        assert walking.wait(10) == 0
+    os.close(keyboard)
+
+
+def test_a_voltage_is_asked_for_while_it_pulses():
+    done = subprocess.run(
+        [PROGRAM, "board", "calibrate-scale", "memory:", "--electrode", "3"],
+        input="one volt\n", capture_output=True, text=True, timeout=30, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "No finger on the array: 1000 ohm" in " ".join(done.stdout.split())
+    assert "'one volt' is no voltage" in done.stderr
 
 
 @on("etactilekit")

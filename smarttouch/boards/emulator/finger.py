@@ -23,8 +23,8 @@ import numpy as np
 from smarttouch.boards.emulator.skin import Skin
 from smarttouch.errors import BoardError
 
-FORCE_N = 0.6
-"""A light touch. An estimate of ours."""
+FORCE_N = 1.0
+"""A firm reading pressure, so that it gates nothing by itself."""
 OPEN_FACTOR = 5e5
 """About 1 GΩ: what is left of an electrode that touches nothing."""
 SHORT_FACTOR = 1e-4

@@ -21,7 +21,7 @@ def at(now_s, *events, skin=None):
 def test_a_finger_without_events_changes_nothing():
     finger, skin = at(100.0)
     np.testing.assert_array_equal(skin.series_ohm, HEALTHY)
-    assert finger.force_n == pytest.approx(0.6)
+    assert finger.force_n == pytest.approx(1.0)
 
 
 def test_lifting_opens_every_electrode_and_touching_is_as_before():
