@@ -272,7 +272,7 @@ class Hosted:
         self.board.drain()
 
     def state(self):
-        time.sleep(0.3)
+        time.sleep(0.15)
         return read_state(self.folder)
 
     def assert_zero(self):

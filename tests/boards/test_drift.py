@@ -15,7 +15,7 @@ from smarttouch.profile import load_profile
 from smarttouch.scan.adaptation import Adaptation
 from smarttouch.scan.safety import SafetyLimits
 
-SECONDS = float(os.environ.get("SMARTTOUCH_DRIFT_SECONDS", "2"))
+SECONDS = float(os.environ.get("SMARTTOUCH_DRIFT_SECONDS", "1.2"))
 DRIFTING, STEADY = 6, 9
 LEVEL_MA, WIDTH_US, PERIOD_S = 2.2, 100, 0.02
 
@@ -35,7 +35,7 @@ def delivered(tmp_path, kind, hold):
         adaptation = None
         if hold is not None:
             adaptation = Adaptation(profile, hold, board.capabilities.compliance_v)
-        for step in range(int((SECONDS + 1.2) / PERIOD_S)):
+        for step in range(int((SECONDS + 1) / PERIOD_S)):
             part = min(1.0, step / 40)
             sequence = one_each(
                 limits, round(1000 * LEVEL_MA * part), WIDTH_US, part * LEVEL_MA / limits.full_ma,
