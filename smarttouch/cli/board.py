@@ -163,6 +163,7 @@ def emulate(
 ) -> None:
     """Play a board on skin, behind a port whose name is printed, until Ctrl-C."""
     import contextlib
+    import signal
     import subprocess
     import sys
 
@@ -189,9 +190,12 @@ def emulate(
             raise BoardError(f"the emulator did not start (exit {process.wait()})")
         typer.echo(f"A {name} board on emulated skin. In another terminal:\n")
         typer.echo(f"  smarttouch live --board {name}:{port}\n\nCtrl-C ends it.")
-        with contextlib.suppress(KeyboardInterrupt):
-            process.wait()
-        process.terminate()
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+        try:
+            with contextlib.suppress(KeyboardInterrupt):
+                process.wait()
+        finally:
+            process.terminate()
 
 
 def _driver(url: str, profile: str | None) -> tuple["Profile", "Board"]:

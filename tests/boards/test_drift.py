@@ -3,6 +3,7 @@
 ``SMARTTOUCH_DRIFT_SECONDS=60 pytest tests/boards/test_drift.py --timeout 0 -s`` for the figures.
 """
 
+import functools
 import os
 
 import numpy as np
@@ -20,16 +21,20 @@ DRIFTING, STEADY = 6, 9
 LEVEL_MA, WIDTH_US, PERIOD_S = 2.2, 100, 0.02
 
 
-def delivered(tmp_path, kind, hold):
-    """Return charge of the drifting and a steady electrode in each scan, of what was asked."""
+@pytest.fixture(scope="module")
+def delivered(tmp_path_factory):
+    """Return what gives the slots of a run at full current, each run done once."""
+    return functools.lru_cache(functools.partial(_run, tmp_path_factory))
+
+
+def _run(tmp_path_factory, kind, hold):
     profile = load_profile("smarttouch-4x4")
     table = profile.model_dump()
     table["pulse"]["width_us"] = WIDTH_US
     table["output"]["kind"] = kind
     profile = type(profile).model_validate(table)
     limits = SafetyLimits.of(profile)
-    books = tmp_path / f"{kind}-{hold}"
-    books.mkdir()
+    books = tmp_path_factory.mktemp("books")
     event = f"1 drift {DRIFTING} 4 {SECONDS}"
     with EmulatorBoard("", limits, profile.output, books, [event]) as board:
         adaptation = None
@@ -54,10 +59,10 @@ def delivered(tmp_path, kind, hold):
 
 
 @pytest.mark.parametrize("kind", ["weighted", "three-state"])
-def test_charge_is_held_where_adaptation_is_on(tmp_path, kind):
+def test_charge_is_held_where_adaptation_is_on(delivered, kind):
     found = {}
     for hold in (None, "charge"):
-        slots = delivered(tmp_path, kind, hold)
+        slots = delivered(kind, hold)
         asked = LEVEL_MA * WIDTH_US / 1000
         for site in (DRIFTING, STEADY):
             rows = slots[slots["site"] == site]
@@ -73,10 +78,10 @@ def test_charge_is_held_where_adaptation_is_on(tmp_path, kind):
     assert found["charge", STEADY] == pytest.approx((1, 1), abs=0.01)
 
 
-def test_energy_is_held(tmp_path):
+def test_energy_is_held(delivered):
     energy = {}
     for hold in (None, "energy"):
-        slots = delivered(tmp_path, "weighted", hold)
+        slots = delivered("weighted", hold)
         rows = slots[slots["site"] == DRIFTING]
         energy[hold] = np.abs(
             rows["charge_uc"][:, DRIFTING].astype(float) * rows["volts"][:, DRIFTING].astype(float)

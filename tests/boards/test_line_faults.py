@@ -59,7 +59,7 @@ ALL = pytest.mark.parametrize("hosted", ["link", "kajimoto61", "etactilekit"], i
 
 
 @ALL
-@pytest.mark.parametrize("change", [drop_one, cut_short, lambda data: b""])
+@pytest.mark.parametrize("change", [drop_one, cut_short])
 def test_bytes_lost_on_the_way_to_the_board(hosted, change):
     with hosted.board as board:
         for _ in range(4):
@@ -92,7 +92,7 @@ def test_a_byte_doubled_on_the_way_to_the_board(hosted):
 
 
 @pytest.mark.parametrize("hosted", ["link", "etactilekit"], indirect=True)
-@pytest.mark.parametrize("change", [drop_one, double_one, cut_short, lambda data: b""])
+@pytest.mark.parametrize("change", [double_one, cut_short])
 def test_a_reply_that_is_not_whole(hosted, change):
     with hosted.board:
         for _ in range(4):

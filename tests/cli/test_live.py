@@ -86,7 +86,7 @@ def test_the_sample_page(program, tmp_path):
 
 def test_a_photographed_page(program, tmp_path):
     Image.fromarray(data.page()).save(tmp_path / "page.png")
-    options = ("--page-width-mm", 110, "--speed", 200, "--quiet")
+    options = ("--page-width-mm", 110, "--speed", 500, "--quiet")
     done = program("live", "--sensor", "page:page.png", *options, "--json", "run.json")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     figures = figures_of(tmp_path / "run.json")
@@ -107,7 +107,7 @@ BLANK = {
 @pytest.mark.parametrize("name", BLANK)
 def test_blank_pages_are_silent(program, tmp_path, name):
     Image.fromarray(BLANK[name]).save(tmp_path / "blank.png")
-    options = ("--dpi", 300, "--speed", 120, "--quiet", "--json", "run.json")
+    options = ("--dpi", 300, "--speed", 360, "--quiet", "--json", "run.json")
     done = program("live", "--sensor", "page:blank.png", *options)
     assert done.returncode == 0, done.stderr
     assert figures_of(tmp_path / "run.json")["active_fraction"] <= 0.02
@@ -119,7 +119,7 @@ def test_every_profile_runs(program, tmp_path, name):
         "live",
         "--sensor=text:Hello",
         f"--profile={name}",
-        "--speed=60",
+        "--speed=120",
         "--felt=felt.png",
         "--json=run.json",
     )
@@ -130,14 +130,14 @@ def test_every_profile_runs(program, tmp_path, name):
 
 def test_sai_and_light_on_dark(program, tmp_path):
     page = data_folder("sample_images") / "light_on_dark.png"
-    options = ("--mode=sai", "--light-on-dark", "--speed=300", "--json=run.json")
+    options = ("--mode=sai", "--light-on-dark", "--speed=600", "--json=run.json")
     done = program("live", f"--sensor=page:{page}", *options)
     assert done.returncode == 0, done.stderr
     assert_safe(figures_of(tmp_path / "run.json"))
 
 
 def recorded(program, tmp_path, name, seed):
-    options = ("--sensor=text:same", "--speed=80", f"--seed={seed}", f"--record={name}")
+    options = ("--sensor=text:same", "--speed=200", f"--seed={seed}", f"--record={name}")
     done = program("live", *options, "--quiet")
     assert done.returncode == 0, done.stderr
     sequences = messages(tmp_path / name, "/sequence")
