@@ -45,6 +45,7 @@ COMPLIANCE_V = 300.0
 """Of its switches (HV513), the most a reading can be worth."""
 ECHO_S = 0.1
 CHIPS_S = 0.5
+"""The longest that it takes to answer anything."""
 FORGETS_S = 2.15
 """After such a silence it has dropped whatever half command it had."""
 GRACE_S = 0.1
@@ -256,7 +257,8 @@ class ETactileKitBoard(StreamedBoard):
             time.sleep(pause_s)
             self._flush()
             self._write_out(QUIET + bytes(4) + PING)
-            if self._read(1, ECHO_S) == bytes([self._outputs]):
+            # It may only have been late, and silence costs far more than waiting here.
+            if self._read(1, CHIPS_S) == bytes([self._outputs]):
                 return True
         return False
 

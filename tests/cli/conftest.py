@@ -1,11 +1,15 @@
 """The installed program, run as a user runs it."""
 
+import contextlib
+import io
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from smarttouch.cli import main
 
 PROGRAM = Path(sys.executable).with_name("smarttouch")
 
@@ -24,6 +28,26 @@ def program(tmp_path):
             stdin=subprocess.DEVNULL,
             check=False,
         )
+
+    return run
+
+
+@pytest.fixture
+def program_here(tmp_path, monkeypatch):
+    """Return a runner of the program in this process: where no board runs, and much sooner."""
+
+    def run(*arguments):
+        out, err, code = io.StringIO(), io.StringIO(), 0
+        with monkeypatch.context() as patch:
+            patch.chdir(tmp_path)
+            patch.setattr(sys, "argv", ["smarttouch", *map(str, arguments)])
+            patch.setattr(sys, "stdin", io.StringIO())
+            with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+                try:
+                    main()
+                except SystemExit as ended:
+                    code = ended.code or 0
+        return subprocess.CompletedProcess(arguments, code, out.getvalue(), err.getvalue())
 
     return run
 

@@ -69,8 +69,8 @@ def folder(tmp_path):
         ("design --profile kajimoto-61 --mode SAI", "mode SAI is not possible"),
     ],
 )
-def test_one_sentence(program, folder, arguments, words):
-    done = program(*arguments.split(" "))
+def test_one_sentence(program_here, folder, arguments, words):
+    done = program_here(*arguments.split(" "))
     assert done.returncode == 2, done.stdout
     assert words in done.stderr
     assert done.stderr.count("\n") == 1
@@ -79,24 +79,24 @@ def test_one_sentence(program, folder, arguments, words):
 
 
 @pytest.mark.parametrize("arguments", ["live --nonsense", "live --rate abc", "nothing"])
-def test_usage(program, arguments):
-    done = program(*arguments.split(" "))
+def test_usage(program_here, arguments):
+    done = program_here(*arguments.split(" "))
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
 
 
-def test_busy_port(program, start_emulator):
+def test_busy_port(program_here, start_emulator):
     _, port, _ = start_emulator()
     with make_board(f"link:{port}", SafetyLimits.of(load_profile("electric-mouse"))):
-        done = program("live", "--board", f"link:{port}")
+        done = program_here("live", "--board", f"link:{port}")
     assert done.returncode == 2
     assert f"cannot open {port}: it is in use by another program" in done.stderr
     assert done.stderr.count("\n") == 1
 
 
-def test_the_profile_of_another_board(program, start_emulator):
+def test_the_profile_of_another_board(program_here, start_emulator):
     _, port, _ = start_emulator(electrodes=16)
-    done = program("live", "--board", f"link:{port}")
+    done = program_here("live", "--board", f"link:{port}")
     assert done.returncode == 2
     assert "has 16 electrodes, the profile 64" in done.stderr
 
@@ -111,8 +111,8 @@ def test_help_imports_nothing_heavy():
     assert done.stdout.strip() == "[]"
 
 
-def test_help_names_every_command(program):
-    done = program("--help")
+def test_help_names_every_command(program_here):
+    done = program_here("--help")
     assert done.returncode == 0
     for command in ("live", "profiles", "design"):
         assert command in done.stdout

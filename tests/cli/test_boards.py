@@ -1,6 +1,5 @@
 """Boards from the command line: found, looked at, measured, tried, stopped, and run."""
 
-import io
 import json
 import os
 import signal
@@ -12,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from smarttouch.boards.emulator.books import read_slots, read_state
-from smarttouch.cli import main
 
 PROGRAM = Path(sys.executable).with_name("smarttouch")
 
@@ -83,9 +81,8 @@ def wait_for_pulses(books):
 def test_a_killed_host(start_program, kit):
     """The host-clocked board is at zero; the other goes on, as its firmware does."""
     url, books = kit
-    running = start_program("live", "--board", url)
+    running = start_program("board", "test", url, "--seconds", 30)
     wait_for_pulses(books)
-    time.sleep(0.5)
     running.kill()
     running.wait()
     time.sleep(0.3)
@@ -237,12 +234,8 @@ def test_an_emulator_is_played_until_it_is_ended(program, start_program, name, h
         ),
     ],
 )
-def test_bad_input_is_one_sentence(monkeypatch, capsys, arguments, says):
-    monkeypatch.setattr(sys, "argv", ["smarttouch", *arguments])
-    monkeypatch.setattr(sys, "stdin", io.StringIO())
-    with pytest.raises(SystemExit) as ended:
-        main()
-    said = capsys.readouterr().err
-    assert ended.value.code == 2
-    assert says in said
-    assert said.count("\n") == 1
+def test_bad_input_is_one_sentence(program_here, arguments, says):
+    done = program_here(*arguments)
+    assert done.returncode == 2
+    assert says in done.stderr
+    assert done.stderr.count("\n") == 1

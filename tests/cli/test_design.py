@@ -17,11 +17,11 @@ KEYS = {
 
 
 @pytest.fixture
-def designed(program, tmp_path):
+def designed(program_here, tmp_path):
     """Return a runner of ``design`` that gives what it printed and its kernels."""
 
     def run(*arguments):
-        done = program("design", "--json=k.json", *arguments)
+        done = program_here("design", "--json=k.json", *arguments)
         assert done.returncode == 0, done.stderr
         table = json.loads((tmp_path / "k.json").read_text())
         for kernel in table["kernels"]:
@@ -34,8 +34,8 @@ def designed(program, tmp_path):
     return run
 
 
-def test_profiles(program):
-    done = program("profiles")
+def test_profiles(program_here):
+    done = program_here("profiles")
     assert done.returncode == 0
     for name in profile_names():
         assert name in done.stdout
@@ -103,16 +103,16 @@ def test_kinds_compared(designed):
     assert min(over_spread, key=over_spread.get) == "robust"
 
 
-def test_a_bank_is_made_anew(program, tmp_path):
-    done = program("design", "--profile=smarttouch-4x4", "--bank=bank.npz")
+def test_a_bank_is_made_anew(program_here, tmp_path):
+    done = program_here("design", "--profile=smarttouch-4x4", "--bank=bank.npz")
     assert done.returncode == 0, done.stderr
     with np.load(tmp_path / "bank.npz") as bank:
         assert bank["weights_RA"].shape == (16, 16)
 
 
 @pytest.mark.parametrize("profile", ["electric-mouse", "line-7", "kajimoto-61"])
-def test_a_site_is_drawn(program, tmp_path, profile):
-    done = program("design", f"--profile={profile}", "--site=5", "--plot=k.png")
+def test_a_site_is_drawn(program_here, tmp_path, profile):
+    done = program_here("design", f"--profile={profile}", "--site=5", "--plot=k.png")
     assert done.returncode == 0, done.stderr
     with Image.open(tmp_path / "k.png") as picture:
         assert min(picture.size) > 400
@@ -176,15 +176,15 @@ def test_an_array_and_a_skin_of_one_s_own(designed, tmp_path):
         (["--plot=no/k.png"], "cannot write no/k.png"),
     ],
 )
-def test_nonsense_is_one_sentence(program, arguments, words):
-    done = program("design", *arguments)
+def test_nonsense_is_one_sentence(program_here, arguments, words):
+    done = program_here("design", *arguments)
     assert done.returncode == 2
     assert words in done.stderr
     assert done.stderr.count("\n") == 1
 
 
-def test_figures(program, tmp_path):
-    done = program("figures", "drawn", "--profile=line-8", "--format=svg")
+def test_figures(program_here, tmp_path):
+    done = program_here("figures", "drawn", "--profile=line-8", "--format=svg")
     assert done.returncode == 0, done.stderr
     names = {path.name for path in (tmp_path / "drawn").iterdir()}
     expected = {f"fig-{number}.svg" for number in (5, 8, 9, 10)} | {
@@ -224,8 +224,8 @@ def test_figures_without_matplotlib(monkeypatch):
         (["drawn", "--profile=nothing"], "no profile 'nothing'"),
     ],
 )
-def test_figures_of_nonsense(program, tmp_path, arguments, words):
-    done = program("figures", *arguments)
+def test_figures_of_nonsense(program_here, tmp_path, arguments, words):
+    done = program_here("figures", *arguments)
     assert done.returncode == 2
     assert words in done.stderr
     assert not (tmp_path / "drawn").exists()

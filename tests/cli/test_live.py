@@ -130,7 +130,7 @@ def test_every_profile_runs(program, tmp_path, name):
 
 def test_sai_and_light_on_dark(program, tmp_path):
     page = data_folder("sample_images") / "light_on_dark.png"
-    options = ("--mode=sai", "--light-on-dark", "--speed=600", "--json=run.json")
+    options = ("--mode=sai", "--light-on-dark", "--speed=500", "--json=run.json")
     done = program("live", f"--sensor=page:{page}", *options)
     assert done.returncode == 0, done.stderr
     assert_safe(figures_of(tmp_path / "run.json"))
