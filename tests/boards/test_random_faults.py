@@ -14,7 +14,7 @@ import pytest
 from smarttouch.boards.emulator.books import read_state
 from smarttouch.errors import BoardError, BoardRestartedError
 
-SECONDS = float(os.environ.get("SMARTTOUCH_FAULT_SECONDS", "2.5"))
+SECONDS = float(os.environ.get("SMARTTOUCH_FAULT_SECONDS", "1.5"))
 
 
 class Weather:

@@ -56,7 +56,7 @@ def test_live_end_to_end_ends_in_zero(program, tmp_path, kit):
     assert state_of(books)["slots"] == state["slots"]
 
 
-@on(*KITS)
+@on("kajimoto61", "etactilekit")
 def test_a_signal_ends_in_zero(start_program, kit):
     url, books = kit
     how = signal.SIGTERM if url.startswith("kajimoto61") else signal.SIGINT
@@ -83,6 +83,8 @@ def test_a_killed_host(start_program, kit):
     url, books = kit
     running = start_program("board", "test", url, "--seconds", 30)
     wait_for_pulses(books)
+    # By then its current has risen, and nothing changes any more.
+    time.sleep(0.5)
     running.kill()
     running.wait()
     time.sleep(0.3)
@@ -112,7 +114,7 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(
     assert found["masked"] == [5, 9]
     assert "masked = [5, 9]" in done.stdout
     assert found["impedance_kohm"][5] is None
-    done = program("live", "--board", url, "--measure", "--seconds", 2)
+    done = program("live", "--board", url, "--measure", "--seconds", 1.5)
     assert done.returncode == 0, done.stderr
     assert "30 of 32 electrodes are good; planned without [5, 9]" in done.stdout
     time.sleep(0.3)
@@ -136,7 +138,7 @@ def test_measuring_without_a_finger_says_so(program, start_emulator):
 @on("etactilekit")
 def test_a_walk_through_the_electrodes(program, kit):
     url, books = kit
-    done = program("board", "test", url, "--seconds", 0.12, "--current-ma", 0.3)
+    done = program("board", "test", url, "--seconds", 0.08, "--current-ma", 0.3)
     assert done.returncode == 0, done.stderr
     assert "32 of 32 electrodes tried; all are at zero" in done.stdout
     state = state_of(books)

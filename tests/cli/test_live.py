@@ -86,7 +86,7 @@ def test_the_sample_page(program, tmp_path):
 
 def test_a_photographed_page(program, tmp_path):
     Image.fromarray(data.page()).save(tmp_path / "page.png")
-    options = ("--page-width-mm", 110, "--speed", 500, "--quiet")
+    options = ("--page-width-mm", 110, "--speed", 300, "--seconds", 3, "--quiet")
     done = program("live", "--sensor", "page:page.png", *options, "--json", "run.json")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     figures = figures_of(tmp_path / "run.json")
@@ -105,10 +105,10 @@ BLANK = {
 
 
 @pytest.mark.parametrize("name", BLANK)
-def test_blank_pages_are_silent(program, tmp_path, name):
+def test_blank_pages_are_silent(program_here, tmp_path, name):
     Image.fromarray(BLANK[name]).save(tmp_path / "blank.png")
     options = ("--dpi", 300, "--speed", 360, "--quiet", "--json", "run.json")
-    done = program("live", "--sensor", "page:blank.png", *options)
+    done = program_here("live", "--board", "memory:", "--sensor", "page:blank.png", *options)
     assert done.returncode == 0, done.stderr
     assert figures_of(tmp_path / "run.json")["active_fraction"] <= 0.02
 
@@ -130,15 +130,15 @@ def test_every_profile_runs(program, tmp_path, name):
 
 def test_sai_and_light_on_dark(program, tmp_path):
     page = data_folder("sample_images") / "light_on_dark.png"
-    options = ("--mode=sai", "--light-on-dark", "--speed=500", "--json=run.json")
+    options = ("--mode=sai", "--light-on-dark", "--speed=500", "--seconds=2", "--json=run.json")
     done = program("live", f"--sensor=page:{page}", *options)
     assert done.returncode == 0, done.stderr
     assert_safe(figures_of(tmp_path / "run.json"))
 
 
-def recorded(program, tmp_path, name, seed):
+def recorded(program_here, tmp_path, name, seed):
     options = ("--sensor=text:same", "--speed=200", f"--seed={seed}", f"--record={name}")
-    done = program("live", *options, "--quiet")
+    done = program_here("live", "--board", "memory:", *options, "--quiet")
     assert done.returncode == 0, done.stderr
     sequences = messages(tmp_path / name, "/sequence")
     return [
@@ -147,10 +147,10 @@ def recorded(program, tmp_path, name, seed):
     ]
 
 
-def test_same_seed_same_sequences(program, tmp_path):
-    first = recorded(program, tmp_path, "a.mcap", 5)
-    assert first == recorded(program, tmp_path, "b.mcap", 5)
-    assert first != recorded(program, tmp_path, "c.mcap", 6)
+def test_same_seed_same_sequences(program_here, tmp_path):
+    first = recorded(program_here, tmp_path, "a.mcap", 5)
+    assert first == recorded(program_here, tmp_path, "b.mcap", 5)
+    assert first != recorded(program_here, tmp_path, "c.mcap", 6)
 
 
 def test_seconds(program, tmp_path):

@@ -95,7 +95,7 @@ def test_impossible_rates(profile, bank, rate):
         PointScan(profile, bank, Primary.RA, rate)
 
 
-@pytest.fixture(scope="module", params=["line-7", "smarttouch-4x4", "kajimoto-61"])
+@pytest.fixture(scope="module", params=["line-7", "kajimoto-61"])
 def masked(request, changed):
     """A profile without electrodes 2 and 5, and its bank."""
     profile = changed(load_profile(request.param), {"output.masked": [2, 5]})
