@@ -146,11 +146,8 @@ class ETactileKitBoard(StreamedBoard):
         return self._read(1, ECHO_S)
 
     def _zero(self) -> None:
-        if self._transmit(self._nothing, None):
-            return
-        if self._resync() and self._transmit(self._nothing, None):
-            return
-        raise self._lost("does not confirm a pattern of zeros")
+        if not (self._transmit(self._nothing, None) or self._transmit(self._nothing, None)):
+            raise self._lost("does not confirm a pattern of zeros")
 
     def _aftermath(self) -> str:
         return "; an eTactileKit goes on with its last pattern: lift the finger, then switch it off"
@@ -195,7 +192,6 @@ class ETactileKitBoard(StreamedBoard):
         if sequence.slots and settings != self._settings:
             if not self._set(settings):
                 return False
-            self._settings = settings
         elif job.data == self._on_board:
             return True
         return self._transmit(job.data, sequence)
@@ -203,11 +199,12 @@ class ETactileKitBoard(StreamedBoard):
     def _set(self, settings: Settings) -> bool:
         """Set pulse and rate while nothing flows; return whether the board has them."""
         commands = pattern(self._nothing)[:-1] + settings.commands() + PING
-        self._on_board = b""
+        self._on_board, self._settings = b"", None
+        self._flush()
         self._write_out(commands)
         if self._read(1, ECHO_S + self._wire_s(commands)) == bytes([self._outputs]):
+            self._settings = settings
             return True
-        self._note_loss()
         self._resync()
         return False
 
@@ -217,11 +214,12 @@ class ETactileKitBoard(StreamedBoard):
         # The voltages are those of the pattern before: ask while it is still there.
         ask = self._sent is not None and self._sent.slots > 0
         frame = (READINGS if ask else b"") + pattern(heights)
+        # An echo that was late must not pass for that of this pattern.
+        self._flush()
         self._write_out(frame)
         expected = 2 * self._outputs * ask + 1
         answer = self._read(expected, ECHO_S + self._wire_s(frame))
         if len(answer) != expected or answer[-1] != self._outputs:
-            self._note_loss()
             self._resync()
             return False
         if ask and self._sent is not None:
@@ -248,8 +246,15 @@ class ETactileKitBoard(StreamedBoard):
 
     # -- a byte was lost ---------------------------------------------------
 
-    def _resync(self) -> bool:
-        """Bring the board's parser back to where a command begins; nothing flows meanwhile."""
+    def _resync(self) -> None:
+        """Bring the board's parser back to where a command begins; nothing flows meanwhile.
+
+        Raises
+        ------
+        LineLostError
+            If it does not echo any more.
+        """
+        self._note_loss()
         self._sent = None
         # Zeros complete any half pattern, and are no commands; if not, silence does.
         for zeros, pause_s in ((ZEROS, 0.01), (b"", FORGETS_S)):
@@ -259,8 +264,8 @@ class ETactileKitBoard(StreamedBoard):
             self._write_out(QUIET + bytes(4) + PING)
             # It may only have been late, and silence costs far more than waiting here.
             if self._read(1, CHIPS_S) == bytes([self._outputs]):
-                return True
-        return False
+                return
+        raise self._lost("does not echo any more")
 
     def _note_loss(self) -> None:
         self._lost_frames += 1

@@ -75,11 +75,11 @@ class StreamedBoard(Board):
         self._line = threading.RLock()
         self._serial: Port | None = None
         self._thread: threading.Thread | None = None
-        self._books = HostBooks(limits.electrodes)
 
     # -- the contract ------------------------------------------------------
 
     def _open(self) -> None:
+        self._books = HostBooks(self._gate.limits.electrodes)
         self._start(open_port(self._port_name))
 
     def _start(self, port: Port) -> None:
@@ -124,8 +124,8 @@ class StreamedBoard(Board):
             try:
                 self._zero()
             except LineLostError:
-                # What went wrong before is what the user has been, or will be, told of.
-                if self._fault is None:
+                # Where silence is zero, what went wrong before is all that need be told.
+                if self._fault is None or self.capabilities.time_to_zero_ms is None:
                     raise
 
     def _close(self) -> None:

@@ -77,6 +77,7 @@ def spread_us(spin_ns, monkeypatch):
     return np.sort(np.abs(off - np.median(off))), len(times), board.replaced
 
 
+@pytest.mark.timeout(0)
 def test_spread(benchmark, monkeypatch, capsys):
     rows = []
     with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as hog:

@@ -161,14 +161,31 @@ def test_a_board_that_never_echoes_again_is_told_of(script, monkeypatch):
     silent = [ZEROS, ping, ping]
     lost = (QUIET + NOTHING + PING, b"")
     script(
-        *OPEN, settings(), (QUIET + heights(0, 100, 0, 0) + PING, b""), *silent,
-        lost, *silent, *silent,
+        *OPEN, settings(), (QUIET + heights(0, 100, 0, 0) + PING, b""), *silent, lost, *silent,
     )  # fmt: skip
     board = ETactileKitBoard("x", LIMITS)
     board.open()
     send(board, anodic(0, 0), anodic(1000))
-    with pytest.raises(LineLostError, match=r"does not confirm.*goes on with its last pattern"):
+    # Even if nothing is sent any more: its last pattern may still be running.
+    with pytest.raises(LineLostError, match=r"not echo any more.*goes on with its last pattern"):
         board.close()
+
+
+def test_settings_that_were_not_confirmed_are_set_again(script):
+    script(
+        *OPEN,
+        (settings()[0], b""),
+        ZEROS,
+        (QUIET + bytes(4) + PING, b"\x04"),
+        settings(),
+        (QUIET + heights(0, 100, 0, 0) + PING, b"\x04"),
+        (ON, b""),
+        (b"\xff" + QUIET + NOTHING + PING, bytes(8) + b"\x04"),
+        (ON, b""),
+    )
+    with ETactileKitBoard("x", LIMITS) as board:
+        send(board, anodic(0, 0), anodic(1000), anodic(1000, 2))
+        assert (board.acknowledged, board.refused) == (2, 1)
 
 
 @pytest.mark.parametrize(
