@@ -1,13 +1,14 @@
 """The loop ends in order, whatever happens in it."""
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.memory import MemoryBoard
-from smarttouch.errors import BoardError, LineLostError
+from smarttouch.errors import BoardError, BoardRestartedError, LineLostError, SafetyError
 from smarttouch.live import Regulator, StopRequest, Tally, run
 from smarttouch.pipeline import Pipeline
 from smarttouch.scan.adaptation import Adaptation
@@ -233,6 +234,23 @@ def test_a_board_that_was_lost_and_is_back_begins_at_zero(monkeypatch, pipeline,
     assert (tally.restarts, tally.frames) == (1, 59)
     assert intensities(board)[39:42] == [1, 0, pytest.approx(0.04)]
     assert board.notes == ["the board at x has vanished: started anew"]
+
+
+def test_after_a_loss_nothing_but_zero_is_let_through(monkeypatch, profile, pipeline, board):
+    def lost(*_):
+        raise LineLostError("the board at x has vanished")
+
+    with board:
+        run(Bars(40), pipeline, board, stop=StopRequest(), tally=Tally(), clock=FakeClock())
+        last = board.sequences[-1]
+        assert last.intensity == 1
+        with monkeypatch.context() as patch:
+            patch.setattr(board, "_send", lost)
+            patch.setattr(board, "_recover", lambda lost: None)
+            with pytest.raises(BoardRestartedError):
+                board.send(replace(last, time_ns=last.time_ns + 10**9))
+        with pytest.raises(SafetyError, match="rises from 0"):
+            board.send(replace(last, time_ns=last.time_ns + 2 * 10**9))
 
 
 def test_a_board_that_stays_lost_ends_the_run(monkeypatch, pipeline, board):

@@ -174,18 +174,22 @@ def test_a_board_that_never_echoes_again_is_told_of(script, monkeypatch):
 def test_settings_that_were_not_confirmed_are_set_again(script):
     script(
         *OPEN,
-        (settings()[0], b""),
-        ZEROS,
-        (QUIET + bytes(4) + PING, b"\x04"),
         settings(),
         (QUIET + heights(0, 100, 0, 0) + PING, b"\x04"),
+        (ON, b""),
+        (settings(anodic=0)[0], b""),
+        ZEROS,
+        (QUIET + bytes(4) + PING, b"\x04"),
+        # What of the cathodic ones has arrived, nobody knows: the anodic ones go out again.
+        settings(),
+        (QUIET + heights(0, 101, 0, 0) + PING, b"\x04"),
         (ON, b""),
         (b"\xff" + QUIET + NOTHING + PING, bytes(8) + b"\x04"),
         (ON, b""),
     )
     with ETactileKitBoard("x", LIMITS) as board:
-        send(board, anodic(0, 0), anodic(1000), anodic(1000, 2))
-        assert (board.acknowledged, board.refused) == (2, 1)
+        send(board, anodic(0, 0), anodic(1000), anodic(1000, 2, cathodic=True), anodic(1010, 3))
+        assert (board.acknowledged, board.refused) == (3, 1)
 
 
 @pytest.mark.parametrize(

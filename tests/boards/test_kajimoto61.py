@@ -67,13 +67,13 @@ def test_the_scale_of_the_profile_counts(script):
 
 
 def test_rounding_never_passes_the_limit(script):
-    limits = SafetyLimits(61, 3.96, 200, 0.5, 200, 0.8, 0.5, 3.96)
-    script(*OPEN, (packet(), b""), (packet(e3=101), b""), *OPEN)
+    limits = SafetyLimits(61, 3.9, 200, 0.5, 200, 0.8, 0.5, 3.9)
+    script(*OPEN, (packet(), b""), (packet(e3=99), b""), *OPEN)
     with Kajimoto61Board("x", limits) as board:
         board.send(anodic({}, 0))
         board.drain()
-        # 101.4 bytes; the limit lies at 101.4 as well, and 102 would be above it.
-        board.send(anodic({3: 3960}))
+        # 99.84 steps of 39.0625 µA: the nearest, 100, are 3.906 mA and above the limit.
+        board.send(anodic({3: 3900}))
         board.drain()
 
 
