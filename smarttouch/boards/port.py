@@ -2,6 +2,7 @@
 
 import os
 import socket
+import termios
 import time
 from urllib.parse import urlsplit
 
@@ -12,7 +13,7 @@ from smarttouch.errors import BoardError
 
 __all__ = ["LINE_ERRORS", "Port", "open_port", "reason", "reopen_port"]
 
-LINE_ERRORS = (OSError, serial.SerialException, TypeError)
+LINE_ERRORS = (OSError, serial.SerialException, termios.error, TypeError)
 """What pyserial raises when a port vanishes, or is closed by another thread."""
 
 
@@ -38,7 +39,7 @@ def open_port(name: str, baudrate: int = 921600, timeout_s: float = 0.05) -> Por
         if tcp:
             # Short commands must not wait for the answer to those before them.
             port._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    except (OSError, ValueError, AttributeError, TypeError) as error:
+    except (*LINE_ERRORS, ValueError, AttributeError) as error:
         raise BoardError(f"cannot open {name}: {_advice(error)}") from None
     return port
 

@@ -183,10 +183,11 @@ class Contract:
                     board.send(self.sequence(1, level_ua=3100))
             assert written == []
 
-    @pytest.mark.parametrize("times", [0, -1, 65_536])
-    def test_impossible_repetitions_are_named(self, make_board, times):
-        with make_board() as board, pytest.raises(BoardError, match=f"{times} repetitions"):
-            board.send(self.sequence(0), times)
+    def test_impossible_repetitions_are_named(self, make_board):
+        with make_board() as board:
+            for times in (0, -1, 65_536):
+                with pytest.raises(BoardError, match=f"{times} repetitions"):
+                    board.send(self.sequence(0), times)
 
     def test_it_can_be_opened_again_and_begins_at_zero(self, make_board):
         board = make_board()

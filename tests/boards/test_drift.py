@@ -62,7 +62,7 @@ def _run(tmp_path_factory, kind, hold):
 def test_charge_is_held_where_adaptation_is_on(delivered, kind):
     found = {}
     for hold in (None, "charge"):
-        slots = delivered(kind, hold)
+        slots = delivered(kind if hold else "weighted", hold)
         asked = LEVEL_MA * WIDTH_US / 1000
         for site in (DRIFTING, STEADY):
             rows = slots[slots["site"] == site]
@@ -71,7 +71,7 @@ def test_charge_is_held_where_adaptation_is_on(delivered, kind):
     off, on = found[None, DRIFTING], found["charge", DRIFTING]
     print(
         f"\n{kind}, impedance x 4 in {SECONDS:g} s: delivered charge, of what was asked: "
-        f"{off[0]:.3f} to {off[1]:.3f} without, {on[0]:.3f} to {on[1]:.3f} with adaptation"
+        f"{off[0]:.3f} to {off[1]:.3f} without (weighted), {on[0]:.3f} to {on[1]:.3f} with adaptation"
     )
     assert off[0] < 0.88
     assert 0.95 <= on[0] <= on[1] <= 1.05

@@ -41,7 +41,7 @@ def state_of(books):
 @on(*KITS)
 def test_live_end_to_end_ends_in_zero(program, tmp_path, kit):
     url, books = kit
-    done = program("live", "--board", url, "--seconds", 2, "--json", "run.json")
+    done = program("live", "--board", url, "--seconds", 1.7, "--json", "run.json")
     assert done.returncode == 0, done.stderr
     assert "all electrodes off" in done.stdout
     assert ("goes on with its last pattern" in done.stderr) == url.startswith("etactilekit")

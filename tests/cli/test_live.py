@@ -117,7 +117,7 @@ def test_blank_pages_are_silent(program_here, tmp_path, name):
 def test_every_profile_runs(program, tmp_path, name):
     done = program(
         "live",
-        "--sensor=text:Hello",
+        "--sensor=text:Hi",
         f"--profile={name}",
         "--speed=120",
         "--felt=felt.png",
