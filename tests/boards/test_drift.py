@@ -71,7 +71,8 @@ def test_charge_is_held_where_adaptation_is_on(delivered, kind):
     off, on = found[None, DRIFTING], found["charge", DRIFTING]
     print(
         f"\n{kind}, impedance x 4 in {SECONDS:g} s: delivered charge, of what was asked: "
-        f"{off[0]:.3f} to {off[1]:.3f} without (weighted), {on[0]:.3f} to {on[1]:.3f} with adaptation"
+        f"{off[0]:.3f} to {off[1]:.3f} without (weighted), {on[0]:.3f} to "
+        f"{on[1]:.3f} with adaptation"
     )
     assert off[0] < 0.88
     assert 0.95 <= on[0] <= on[1] <= 1.05
