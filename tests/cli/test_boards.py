@@ -29,6 +29,12 @@ def kit(request, start_emulator):
     return f"{protocol}:{port}", books
 
 
+@pytest.fixture(autouse=True)
+def _no_boot(monkeypatch):
+    """Emulators need no time to boot: drivers in this process do not wait for it."""
+    monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
+
+
 def on(*names):
     return pytest.mark.parametrize("kit", names, indirect=True)
 
@@ -39,9 +45,9 @@ def state_of(books):
 
 
 @on(*KITS)
-def test_live_end_to_end_ends_in_zero(program, tmp_path, kit):
+def test_live_end_to_end_ends_in_zero(program_here, tmp_path, kit):
     url, books = kit
-    done = program("live", "--board", url, "--seconds", 1.7, "--json", "run.json")
+    done = program_here("live", "--board", url, "--seconds", 1.7, "--json", "run.json")
     assert done.returncode == 0, done.stderr
     assert "all electrodes off" in done.stdout
     assert ("goes on with its last pattern" in done.stderr) == url.startswith("etactilekit")
@@ -95,26 +101,26 @@ def test_a_killed_host(start_program, kit):
 
 
 @on("kajimoto61", "etactilekit", "link")
-def test_info(program, kit):
-    done = program("board", "info", kit[0])
+def test_info(program_here, kit):
+    done = program_here("board", "info", kit[0])
     assert done.returncode == 0, done.stderr
     assert all(word in done.stdout for word in ("firmware", "electrodes", "host lost", "profile"))
     assert state_of(kit[1])["slots"] == 0
 
 
 def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(
-    program, tmp_path, start_emulator
+    program_here, tmp_path, start_emulator
 ):
     events = ("--event=0 open 5", "--event=0 short 9")
     _, port, books = start_emulator(32, "etactilekit", *events)
     url = f"etactilekit:{port}"
-    done = program("board", "measure", url, "--json", "found.json")
+    done = program_here("board", "measure", url, "--json", "found.json")
     assert done.returncode == 0, done.stderr
     found = json.loads((tmp_path / "found.json").read_text())
     assert found["masked"] == [5, 9]
     assert "masked = [5, 9]" in done.stdout
     assert found["impedance_kohm"][5] is None
-    done = program("live", "--board", url, "--measure", "--seconds", 1.5)
+    done = program_here("live", "--board", url, "--measure", "--seconds", 1.5)
     assert done.returncode == 0, done.stderr
     assert "30 of 32 electrodes are good; planned without [5, 9]" in done.stdout
     time.sleep(0.3)
@@ -125,20 +131,20 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(
     assert not {5, 9} & set(run["site"].tolist())
 
 
-def test_measuring_without_a_finger_says_so(program, start_emulator):
+def test_measuring_without_a_finger_says_so(program_here, start_emulator):
     _, port, _ = start_emulator(64, "link", "--event=0 lift")
-    done = program("board", "measure", f"link:{port}")
+    done = program_here("board", "measure", f"link:{port}")
     assert done.returncode == 0, done.stderr
     assert "No electrode touches anything" in done.stdout
-    done = program("live", "--board", f"link:{port}", "--measure", "--seconds", 1)
+    done = program_here("live", "--board", f"link:{port}", "--measure", "--seconds", 1)
     assert done.returncode == 2
     assert "put the finger on the array first" in done.stderr
 
 
 @on("etactilekit")
-def test_a_walk_through_the_electrodes(program, kit):
+def test_a_walk_through_the_electrodes(program_here, kit):
     url, books = kit
-    done = program("board", "test", url, "--seconds", 0.08, "--current-ma", 0.3)
+    done = program_here("board", "test", url, "--seconds", 0.08, "--current-ma", 0.3)
     assert done.returncode == 0, done.stderr
     assert "32 of 32 electrodes tried; all are at zero" in done.stdout
     state = state_of(books)
@@ -174,22 +180,22 @@ def test_a_voltage_is_asked_for_while_it_pulses():
 
 
 @on("etactilekit")
-def test_stop(program, kit):
-    done = program("board", "stop", kit[0])
+def test_stop(program_here, kit):
+    done = program_here("board", "stop", kit[0])
     assert (done.returncode, done.stdout) == (0, "All electrodes are at zero.\n")
 
 
 @on("kajimoto61")
-def test_the_scale_from_a_resistor(program, kit):
-    done = program("board", "calibrate-scale", kit[0], "--volts", 1.1, "--ohm", 1000)
+def test_the_scale_from_a_resistor(program_here, kit):
+    done = program_here("board", "calibrate-scale", kit[0], "--volts", 1.1, "--ohm", 1000)
     assert done.returncode == 0, done.stderr
     assert "1.100 of nominal" in done.stdout
     assert "ua_per_count = 2.686" in done.stdout
     assert state_of(kit[1])["slots"] == 0
 
 
-def test_what_is_there_is_listed_and_nothing_is_opened(program):
-    done = program("boards", "--no-network")
+def test_what_is_there_is_listed_and_nothing_is_opened(program_here):
+    done = program_here("boards", "--no-network")
     assert done.returncode == 0, done.stderr
     assert "kajimoto61:" in done.stdout
 

@@ -84,10 +84,10 @@ def test_the_sample_page(program, tmp_path):
         assert len(messages(tmp_path / "run.mcap", topic)) == figures["frames"]
 
 
-def test_a_photographed_page(program, tmp_path):
+def test_a_photographed_page(program_here, tmp_path):
     Image.fromarray(data.page()).save(tmp_path / "page.png")
     options = ("--page-width-mm", 110, "--speed", 300, "--seconds", 3, "--quiet")
-    done = program("live", "--sensor", "page:page.png", *options, "--json", "run.json")
+    done = program_here("live", "--sensor", "page:page.png", *options, "--json", "run.json")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     figures = figures_of(tmp_path / "run.json")
     assert_safe(figures)
@@ -114,8 +114,8 @@ def test_blank_pages_are_silent(program_here, tmp_path, name):
 
 
 @pytest.mark.parametrize("name", profile_names())
-def test_every_profile_runs(program, tmp_path, name):
-    done = program(
+def test_every_profile_runs(program_here, tmp_path, name):
+    done = program_here(
         "live",
         "--sensor=text:Hi",
         f"--profile={name}",
@@ -128,10 +128,10 @@ def test_every_profile_runs(program, tmp_path, name):
     assert (tmp_path / "felt.png").stat().st_size > 1000
 
 
-def test_sai_and_light_on_dark(program, tmp_path):
+def test_sai_and_light_on_dark(program_here, tmp_path):
     page = data_folder("sample_images") / "light_on_dark.png"
     options = ("--mode=sai", "--light-on-dark", "--speed=500", "--seconds=2", "--json=run.json")
-    done = program("live", f"--sensor=page:{page}", *options)
+    done = program_here("live", f"--sensor=page:{page}", *options)
     assert done.returncode == 0, done.stderr
     assert_safe(figures_of(tmp_path / "run.json"))
 
