@@ -20,6 +20,8 @@ from smarttouch.sensing.frame import Frame, Sensor
 
 STALL_NS = 100_000_000
 """After such a delay the board may have fallen silent: intensity starts from zero again."""
+HELD_UP_NS = 1_000_000
+"""A send that takes longer than this has waited for the board."""
 LIFT_NS = 300_000_000
 """After a lifted finger: so long there is no current, then it rises from zero again."""
 
@@ -205,6 +207,7 @@ def run(
             pipeline.restart_softly()
         in_hand = clock.now_ns()
         step = regulator.regulate(pipeline.process(_pressed(frame, board)), board)
+        sending = clock.now_ns()
         try:
             number = board.send(step.sequence)
         except BoardRestartedError:
@@ -214,6 +217,10 @@ def run(
             elapsed += step.sequence.period_us * 1000
             continue
         sent = Sent(step, number, (clock.now_ns() - in_hand) / 1000)
+        waited = clock.now_ns() - sending
+        if HELD_UP_NS < waited < STALL_NS:
+            # The board's clock is behind: frames taken later reach the skin as soon, and fresher.
+            shift += waited
         tally.count(sent, pipeline.period_us)
         for observe in observers:
             observe(sent)

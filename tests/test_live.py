@@ -120,6 +120,23 @@ def test_a_little_lateness_does_not_add_up(pipeline, board):
     assert clock.deadlines == [i * 20_000_000 for i in range(21)]
 
 
+def test_a_board_whose_clock_is_behind_is_followed(pipeline, board, monkeypatch):
+    clock, tally, send = FakeClock(), Tally(), board._send
+
+    def held_up(sequence, times):
+        # Its scans begin 7 ms after their time: who asks earlier has to wait.
+        phase = (clock.time_ns - 5_000 - 7_000_000) % 20_000_000
+        clock.time_ns += (20_000_000 - phase) if phase > 10_000_000 else 0
+        return send(sequence, times)
+
+    monkeypatch.setattr(board, "_send", held_up)
+    with board:
+        run(Bars(20), pipeline, board, stop=StopRequest(), tally=tally, clock=clock)
+    # It waits once, and from then on takes its frames 7 ms later.
+    assert np.diff(clock.deadlines).tolist() == [27_000_000] + [20_000_000] * 19
+    assert sorted(tally.latency_us)[-2] == 0
+
+
 def test_same_frames_same_sequences(profile, bank):
     runs = []
     for _ in range(2):
