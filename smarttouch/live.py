@@ -141,6 +141,13 @@ class Regulator:
             self.ledger.add(step.sequence)
         return step
 
+    def notes(self) -> list[str]:
+        """Return what a user should know after the run."""
+        limited = () if self.adaptation is None else self.adaptation.limited
+        if not limited:
+            return []
+        return [f"charge could not be held at {len(limited)} sites: pulses are at their longest"]
+
 
 def run(
     sensor: Sensor,

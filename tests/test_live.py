@@ -8,6 +8,7 @@ import pytest
 
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.memory import MemoryBoard
+from smarttouch.boards.probe import one_each
 from smarttouch.errors import BoardError, BoardRestartedError, LineLostError, SafetyError
 from smarttouch.live import Regulator, StopRequest, Tally, run
 from smarttouch.pipeline import Pipeline
@@ -329,6 +330,21 @@ def test_what_was_measured_changes_what_is_sent(profile, pipeline, board, monkey
     late = [s for s in board.sequences[30:] if s.slots]
     assert {bool(s.current_ua[0, s.site[0]] > 0) for s in late} == {True, False}
     assert regulator.ledger.worst_uc < 1.0
+
+
+def test_what_could_not_be_held_is_told(profile):
+    """This profile's pulses are at their limit: there is no room to lengthen them."""
+    adaptation = Adaptation(profile, "charge", 100.0)
+    assert Regulator().notes() == Regulator(adaptation).notes() == []
+    sequence = one_each(
+        SafetyLimits.of(profile), 2000, profile.pulse.width_us, 1.0, 0, cathodic=True, sites=[5, 9]
+    )
+    for _ in range(20):
+        adaptation.observe(sequence, np.full(2, 100.0, np.float32))
+        adaptation.apply(sequence)
+    assert Regulator(adaptation).notes() == [
+        "charge could not be held at 2 sites: pulses are at their longest"
+    ]
 
 
 def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):

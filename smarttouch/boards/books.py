@@ -21,9 +21,9 @@ class HostBooks:
         self._current_ma = self._charge_uc = self._net_uc = 0.0
         self._ledger = ChargeLedger(electrodes)
 
-    def add(self, sequence: ScanSequence, times: int = 1) -> None:
-        """Write down a sequence that was sent."""
-        self._sequences += 1
+    def add(self, sequence: ScanSequence, times: int = 1, again: bool = False) -> None:
+        """Write down a sequence that was sent, or was repeated."""
+        self._sequences += not again
         if not sequence.slots:
             return
         self._slots += times * sequence.slots

@@ -193,9 +193,9 @@ class StreamedBoard(Board):
     def _delivered(self, job: Job, scans: int = 1) -> None:
         with self._news:
             self._over_s = time.monotonic() + scans * job.sequence.period_us / 1e6
-            self._books.add(job.sequence, scans)
-            # A repetition is the same sequence once more.
-            self.acknowledged += job.number != self._last_begun
+            again = job.number == self._last_begun
+            self._books.add(job.sequence, scans, again)
+            self.acknowledged += not again
             self._last_begun = job.number
 
     def _rest(self) -> None:

@@ -151,6 +151,7 @@ def live(
                         regulator=regulator,
                     )
                 report = display.report()
+            display.notes += regulator.notes()
             ended = stop.reason or "end of the page"
         finally:
             figures = _figures(tally, source, display, report, pipeline.period_us, ended)
