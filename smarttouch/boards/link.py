@@ -7,18 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards import protocol
+from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.impedance import Impedance, judge
 from smarttouch.boards.link_line import AGAIN_S, ANSWER_S, LinkLine
-from smarttouch.boards.port import Port, open_port, reopen_port
+from smarttouch.boards.link_protocol import Feature, Kind, Refusal
+from smarttouch.boards.link_sequence import decode_volts, encode_sequence
 from smarttouch.boards.probe import probe_sequences
-from smarttouch.boards.protocol import Feature, Kind, Packet, Refusal
-from smarttouch.boards.protocol_sequence import decode_volts, encode_sequence
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
+from smarttouch.wire.framing import Packet
+from smarttouch.wire.port import Port, open_port, reopen_port
 
 RECOVER_S = 3.0
 """How long a port that is gone is waited for."""

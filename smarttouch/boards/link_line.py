@@ -5,10 +5,11 @@ import threading
 import time
 from collections.abc import Callable
 
-from smarttouch.boards import protocol
-from smarttouch.boards.port import LINE_ERRORS, Port, reason
-from smarttouch.boards.protocol import Kind, Packet
+from smarttouch.boards import link_protocol as protocol
+from smarttouch.boards.link_protocol import Kind
 from smarttouch.errors import BoardError, LineLostError
+from smarttouch.wire.framing import Deframer, Packet
+from smarttouch.wire.port import LINE_ERRORS, Port, reason
 
 HEARTBEAT_S = 0.03
 """Longest silence of the host: the board gives up after 0.1 s."""
@@ -147,7 +148,7 @@ class LinkLine:
         return BoardError(f"the board at {self.name} {what}{self._aftermath()}")
 
     def _read_all(self) -> None:
-        deframer = protocol.Deframer()
+        deframer = Deframer()
         while not self._closing.is_set():
             try:
                 assert self._port is not None

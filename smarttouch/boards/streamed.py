@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from smarttouch.boards.board import Board, BoardReport
 from smarttouch.boards.books import HostBooks
-from smarttouch.boards.port import LINE_ERRORS, Port, open_port, reason, reopen_port
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
+from smarttouch.wire.port import LINE_ERRORS, Port, open_port, reason, reopen_port
 
 BOOT_S = 1.0
 """Opening the port may reset the board: it needs about this long to boot."""

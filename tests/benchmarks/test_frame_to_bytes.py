@@ -17,7 +17,7 @@ import pytest
 from skimage.filters import threshold_sauvola
 from skimage.transform import resize
 
-from smarttouch.boards.protocol_sequence import encode_sequence
+from smarttouch.boards.link_sequence import encode_sequence
 from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile

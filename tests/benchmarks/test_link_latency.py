@@ -2,7 +2,7 @@
 
 Run with::
 
-    pytest tests/benchmarks/test_link_latency.py --benchmark-only -s
+    pytest tests/benchmarks/test_link_latency.py --benchmark-only -n0 -s
 
 Both go over pseudo-terminals to a process of its own: once through the driver to the
 emulator, once as the same number of bytes written and the ACK's number read back from
@@ -20,9 +20,9 @@ import tty
 import numpy as np
 import pytest
 
-from smarttouch.boards import protocol
+from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.emulator.driver import EmulatorBoard
-from smarttouch.boards.protocol_sequence import encode_sequence
+from smarttouch.boards.link_sequence import encode_sequence
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence

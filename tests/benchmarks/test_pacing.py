@@ -2,7 +2,7 @@
 
 Run with::
 
-    pytest tests/benchmarks/test_pacing.py --benchmark-only -s
+    pytest tests/benchmarks/test_pacing.py --benchmark-only -n0 -s
 
 One core is kept busy by another process; a feeder hands a sequence over every
 10 ms, as the loop does, and the intervals at which the driver writes are compared with

@@ -171,7 +171,7 @@ def test_a_silent_port_is_told_of(make_limits):
 
 
 def test_a_board_that_someone_else_stopped_is_told_of(make_limits, make_sequence):
-    from smarttouch.boards.protocol import Kind, encode
+    from smarttouch.boards.link_protocol import Kind, encode
 
     with EmulatorBoard("", make_limits()) as board:
         board.send(make_sequence(0))

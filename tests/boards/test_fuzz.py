@@ -9,15 +9,16 @@ import os
 import numpy as np
 import pytest
 
-from smarttouch.boards import protocol
+from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.discovery import parse_answer
 from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
 from smarttouch.boards.emulator.finger import Finger
-from smarttouch.boards.emulator.firmware import Firmware
 from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
-from smarttouch.boards.protocol_sequence import decode_sequence, decode_volts, encode_sequence
+from smarttouch.boards.emulator.link import LinkFirmware
+from smarttouch.boards.link_sequence import decode_sequence, decode_volts, encode_sequence
 from smarttouch.errors import SmartTouchError
+from smarttouch.wire.framing import Deframer
 
 BYTES = int(os.environ.get("SMARTTOUCH_FUZZ_BYTES", "100000"))
 MS = 1_000_000
@@ -63,7 +64,7 @@ def test_payloads(parse):
 
 
 def test_the_deframer_and_what_it_finds():
-    deframer, found = protocol.Deframer(), 0
+    deframer, found = Deframer(), 0
     for piece in pieces(2, SEEDS["link"]):
         for packet in deframer.feed(piece):
             found += 1
@@ -84,7 +85,7 @@ def test_events():
 def firmware(name):
     books = Books({"kajimoto61": 61}.get(name, 4))
     if name == "link":
-        return Firmware(4, "weighted", books)
+        return LinkFirmware(4, "weighted", books)
     return Kajimoto61Firmware(books) if name == "kajimoto61" else ETactileKitFirmware(books)
 
 

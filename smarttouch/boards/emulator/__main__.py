@@ -14,11 +14,12 @@ from smarttouch.boards.emulator import serve
 from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
 from smarttouch.boards.emulator.finger import Finger
-from smarttouch.boards.emulator.firmware import Firmware as LinkFirmware
 from smarttouch.boards.emulator.kajimoto61 import ELECTRODES, Kajimoto61Firmware
+from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.skin import COMPLIANCE_V
-from smarttouch.boards.protocol import OUTPUTS
+from smarttouch.boards.link_protocol import OUTPUTS
 from smarttouch.errors import BoardError
+from smarttouch.wire.pty_line import PtyLine
 
 PROTOCOLS = ("link", "kajimoto61", "etactilekit")
 MOST_OUTPUTS = 255
@@ -47,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.books is not None and not options.books.is_dir():
         parser.error(f"--books {options.books} is no folder: create it first")
     try:
-        line = serve.TcpLine(options.discovery_port) if options.tcp else serve.PtyLine()
+        line = serve.TcpLine(options.discovery_port) if options.tcp else PtyLine()
     except OSError as error:
         parser.error(f"cannot open a port: {error.strerror or error}")
     firmware.books.write()

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards.protocol import Output
-from smarttouch.boards.protocol_sequence import WireSequence
+from smarttouch.boards.link_protocol import Output
+from smarttouch.boards.link_sequence import WireSequence
 
 MAX_CURRENT_UA = 5000
 MAX_WIDTH_US = 200

@@ -1,14 +1,10 @@
 """Keeps an emulated board on a line: as long as there is a host, and a while longer."""
 
-import errno
 import math
-import os
-import pty
 import select
 import signal
 import socket
 import time
-import tty
 from types import FrameType
 from typing import Protocol
 
@@ -48,41 +44,6 @@ class Line(Protocol):
 
     def write(self, data: bytes) -> bytes:
         """Write what fits; return the rest."""
-
-
-class PtyLine:
-    """A serial port of this machine, raw from the start."""
-
-    def __init__(self) -> None:
-        self._master, slave = pty.openpty()
-        self.name = os.ttyname(slave)
-        # What a host writes must pass as it is, whenever it sets up its end.
-        tty.setraw(slave)
-        os.set_blocking(self._master, False)
-        # With our end of the slave closed, the host's last close shows as a hang-up.
-        os.close(slave)
-
-    def read(self, timeout_s: float) -> bytes | None:
-        try:
-            if not select.select([self._master], [], [], timeout_s)[0]:
-                return b""
-            return os.read(self._master, _LARGEST_READ)
-        except BlockingIOError:
-            # A hang-up looks readable; the host has opened the port since.
-            return b""
-        except OSError as error:
-            if error.errno == errno.EIO:
-                time.sleep(0.002)
-                return None
-            raise
-
-    def write(self, data: bytes) -> bytes:
-        try:
-            return data[os.write(self._master, data) :]
-        except BlockingIOError:
-            return data
-        except OSError:
-            return b""
 
 
 class TcpLine:

@@ -9,15 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from smarttouch.boards import protocol
-from smarttouch.boards.protocol import Deframer, Kind
-from smarttouch.boards.protocol_sequence import (
+from smarttouch.boards import link_protocol as protocol
+from smarttouch.boards.link_protocol import Kind
+from smarttouch.boards.link_sequence import (
     decode_sequence,
     decode_volts,
     encode_sequence,
     encode_volts,
 )
 from smarttouch.errors import BoardError
+from smarttouch.wire.framing import Deframer
 
 u16 = st.integers(0, 65535)
 currents = hnp.arrays(

@@ -9,13 +9,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards import protocol
+from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.rules import MAX_CURRENT_UA, MAX_SLOTS, Rules
 from smarttouch.boards.emulator.skin import COMPLIANCE_V, Skin
-from smarttouch.boards.protocol import Feature, Kind, Output, Packet, Refusal
-from smarttouch.boards.protocol_sequence import WireSequence, decode_sequence, encode_volts
+from smarttouch.boards.link_protocol import Feature, Kind, Output, Refusal
+from smarttouch.boards.link_sequence import WireSequence, decode_sequence, encode_volts
+from smarttouch.wire.framing import Deframer, Packet
 
 NAME = "SmartTouch board emulator 1"
 
@@ -43,7 +44,7 @@ class _Table:
         self.volts.clear()
 
 
-class Firmware:
+class LinkFirmware:
     """The board between its serial line and its electrodes.
 
     Parameters
@@ -73,7 +74,7 @@ class Firmware:
         self._skin = Skin(electrodes, compliance_v=compliance_v)
         self._finger = finger or Finger(electrodes)
         self._compliance_v = compliance_v
-        self._deframer = protocol.Deframer()
+        self._deframer = Deframer()
         self._running: _Table | None = None
         self._waiting: _Table | None = None
         self._last = (-1, False)

@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 import serial
 from serial import SerialBase as Port
 
-from smarttouch.errors import BoardError
+from smarttouch.errors import BoardError, SmartTouchError
 
 __all__ = ["LINE_ERRORS", "Port", "open_port", "reason", "reopen_port"]
 
@@ -17,15 +17,20 @@ LINE_ERRORS = (OSError, serial.SerialException, termios.error, TypeError)
 """What pyserial raises when a port vanishes, or is closed by another thread."""
 
 
-def open_port(name: str, baudrate: int = 921600, timeout_s: float = 0.05) -> Port:
+def open_port(
+    name: str,
+    baudrate: int = 921600,
+    timeout_s: float = 0.05,
+    error: type[SmartTouchError] = BoardError,
+) -> Port:
     """Open a device, ``tcp://HOST:PORT``, or any URL that pyserial knows.
 
     Both modem lines are held inactive: on many boards they are wired to reset.
 
     Raises
     ------
-    BoardError
-        Saying what to do about it.
+    SmartTouchError
+        Of the class ``error``, saying what to do about it.
     """
     tcp = name.startswith("tcp://")
     url = name.replace("tcp://", "socket://", 1) if tcp else name
@@ -39,8 +44,8 @@ def open_port(name: str, baudrate: int = 921600, timeout_s: float = 0.05) -> Por
         if tcp:
             # Short commands must not wait for the answer to those before them.
             port._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    except (*LINE_ERRORS, ValueError, AttributeError) as error:
-        raise BoardError(f"cannot open {name}: {_advice(error)}") from None
+    except (*LINE_ERRORS, ValueError, AttributeError) as failure:
+        raise error(f"cannot open {name}: {_advice(failure)}") from None
     return port
 
 
@@ -75,7 +80,7 @@ def _advice(error: Exception) -> str:
     if "ioctl" in text:
         return "it is no serial port: check the name"
     if "refused" in text:
-        return "nobody listens there: check that the board is on, its address and port"
+        return "nobody listens there: check that it is on, its address and port"
     if "No such file" in text or getattr(error, "errno", None) == 2:
         return "there is no such port: check the cable and the name"
     if "ermission" in text:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards.protocol import Kind, Output, encode
+from smarttouch.boards.link_protocol import Kind, Output, encode
 from smarttouch.errors import BoardError
 
 _SEQUENCE = struct.Struct("<IHHBBH")

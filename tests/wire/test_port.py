@@ -4,8 +4,8 @@ import socket
 
 import pytest
 
-from smarttouch.boards.port import open_port, reopen_port
 from smarttouch.errors import BoardError
+from smarttouch.wire.port import open_port, reopen_port
 
 
 @pytest.mark.parametrize(

@@ -75,30 +75,21 @@ What a board does:
 """
 
 import struct
-import zlib
-from collections.abc import Iterator
-from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Literal, get_args
 
-from cobs import cobs
-
 from smarttouch.errors import BoardError
+from smarttouch.wire.framing import LARGEST_PACKET, frame_packet
 
 VERSION = 2
 SILENCE_MS = 100
 ALIVE_MS = 20
-LARGEST_PACKET = 4 * 2**20
-"""1,024 slots of 1,024 weighted electrodes need half of it."""
-
 Output = Literal["weighted", "three-state", "one-against-all"]
 OUTPUTS: tuple[Output, ...] = get_args(Output)
 
 CAPABILITIES = struct.Struct("<HBBHHHH")
 ALIVE = struct.Struct("<h")
 REPORT = struct.Struct("<IIQIdddB")
-_HEAD = struct.Struct("<BBI")
-_CRC = struct.Struct("<I")
 
 
 class Kind(IntEnum):
@@ -136,16 +127,6 @@ class Refusal(IntEnum):
     GARBLED = 6
 
 
-@dataclass(frozen=True)
-class Packet:
-    """One packet that came whole."""
-
-    kind: int
-    number: int
-    payload: bytes
-    version: int = VERSION
-
-
 def encode(kind: Kind, number: int = 0, payload: bytes = b"") -> bytes:
     """Return a packet as it goes over the wire.
 
@@ -154,55 +135,9 @@ def encode(kind: Kind, number: int = 0, payload: bytes = b"") -> bytes:
     BoardError
         If it is larger than any receiver accepts.
     """
-    body = _HEAD.pack(VERSION, kind, number) + payload
-    if len(body) > LARGEST_PACKET:
+    if len(payload) > LARGEST_PACKET:
         raise BoardError(
-            f"a packet of {len(body)} bytes is above the limit of {LARGEST_PACKET}: "
+            f"a packet of {len(payload)} bytes is above the limit of {LARGEST_PACKET}: "
             "scan fewer points at once"
         )
-    return bytes(cobs.encode(body + _CRC.pack(zlib.crc32(body)))) + b"\0"
-
-
-class Deframer:
-    """Finds packets in whatever bytes come.
-
-    Attributes
-    ----------
-    errors : int
-        Pieces between zeros that were no valid packet.
-    """
-
-    def __init__(self) -> None:
-        self.errors = 0
-        self._waiting = bytearray()
-        self._skipping = False
-
-    def feed(self, data: bytes) -> Iterator[Packet]:
-        """Yield every packet that is complete with these bytes."""
-        *whole, rest = data.split(b"\0")
-        for piece in whole:
-            body = bytes(self._waiting) + piece
-            self._waiting.clear()
-            packet = None if self._skipping else _parse(body)
-            self._skipping = False
-            if packet is not None:
-                yield packet
-            elif body:
-                self.errors += 1
-        self._waiting += rest
-        if len(self._waiting) > LARGEST_PACKET * 1.01 + 64:
-            self._waiting.clear()
-            self._skipping = True
-
-
-def _parse(piece: bytes) -> Packet | None:
-    try:
-        body = cobs.decode(piece)
-    except cobs.DecodeError:
-        return None
-    if len(body) < _HEAD.size + _CRC.size:
-        return None
-    if zlib.crc32(body[: -_CRC.size]) != _CRC.unpack_from(body, len(body) - _CRC.size)[0]:
-        return None
-    version, kind, number = _HEAD.unpack_from(body)
-    return Packet(kind, number, body[_HEAD.size : -_CRC.size], version)
+    return frame_packet(VERSION, kind, number, payload)

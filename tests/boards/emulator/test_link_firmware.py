@@ -9,12 +9,13 @@ from cobs import cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.boards import protocol
+from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.finger import Finger
-from smarttouch.boards.emulator.firmware import Firmware
-from smarttouch.boards.protocol import ALIVE, Deframer, Kind, Refusal
-from smarttouch.boards.protocol_sequence import decode_volts, encode_sequence
+from smarttouch.boards.emulator.link import LinkFirmware
+from smarttouch.boards.link_protocol import ALIVE, Kind, Refusal
+from smarttouch.boards.link_sequence import decode_volts, encode_sequence
+from smarttouch.wire.framing import Deframer
 
 MS = 1_000_000
 
@@ -26,7 +27,7 @@ class Rig:
         self.output = output
         self.alive = []
         self.books = Books(electrodes)
-        self.board = Firmware(electrodes, output, self.books, finger)
+        self.board = LinkFirmware(electrodes, output, self.books, finger)
         if hello:
             self.say(0, Kind.HELLO)
 

@@ -1,0 +1,84 @@
+"""Packets on a byte stream: COBS between zeros, and a CRC, for boards and sensors alike."""
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from cobs import cobs
+
+LARGEST_PACKET = 4 * 2**20
+_HEAD = struct.Struct("<BBI")
+_CRC = struct.Struct("<I")
+
+
+@dataclass(frozen=True)
+class Packet:
+    """One packet that came whole."""
+
+    kind: int
+    number: int
+    payload: bytes
+    version: int
+
+
+def frame_packet(version: int, kind: int, number: int, payload: bytes) -> bytes:
+    """Return a packet as it goes over the wire.
+
+    It is COBS-encoded and ends with one 0x00, so a receiver that has lost its
+    place finds it again at the next zero. Decoded, all little endian: u8
+    version, u8 kind, u32 number, the payload, u32 CRC-32 of all before it.
+    """
+    body = _HEAD.pack(version, kind, number) + payload
+    return bytes(cobs.encode(body + _CRC.pack(zlib.crc32(body)))) + b"\0"
+
+
+class Deframer:
+    """Finds packets in whatever bytes come.
+
+    Parameters
+    ----------
+    largest : int
+        Bytes of the largest packet to expect; what is longer is skipped.
+
+    Attributes
+    ----------
+    errors : int
+        Pieces between zeros that were no valid packet.
+    """
+
+    def __init__(self, largest: int = LARGEST_PACKET) -> None:
+        self.errors = 0
+        self._most = largest * 1.01 + 64
+        self._waiting = bytearray()
+        self._skipping = False
+
+    def feed(self, data: bytes) -> Iterator[Packet]:
+        """Yield every packet that is complete with these bytes."""
+        *whole, rest = data.split(b"\0")
+        for piece in whole:
+            body = bytes(self._waiting) + piece
+            self._waiting.clear()
+            packet = None if self._skipping else _parse(body)
+            self._skipping = False
+            if packet is not None:
+                yield packet
+            elif body:
+                self.errors += 1
+        self._waiting += rest
+        if len(self._waiting) > self._most:
+            self._waiting.clear()
+            self._skipping = True
+
+
+def _parse(piece: bytes) -> Packet | None:
+    try:
+        body = cobs.decode(piece)
+    except cobs.DecodeError:
+        return None
+    if len(body) < _HEAD.size + _CRC.size:
+        return None
+    if zlib.crc32(body[: -_CRC.size]) != _CRC.unpack_from(body, len(body) - _CRC.size)[0]:
+        return None
+    version, kind, number = _HEAD.unpack_from(body)
+    return Packet(kind, number, body[_HEAD.size : -_CRC.size], version)
