@@ -1,6 +1,6 @@
 """The tactile primary colors: the afferent classes a display mixes."""
 
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 
 
 class Primary(IntEnum):
@@ -15,3 +15,18 @@ class Primary(IntEnum):
     """Merkel cell: static pressure."""
     PC = 2
     """Pacinian corpuscle: vibration, best at 250 Hz."""
+
+
+class Mode(StrEnum):
+    """What drives which afferents."""
+
+    RA = "RA"
+    """Ink drives RA alone."""
+    SAI = "SAI"
+    """Ink drives SAI alone."""
+    NATURAL = "natural"
+    """Moving edges of the ink drive RA, what stays drives SAI."""
+
+    @property
+    def primaries(self) -> tuple[Primary, ...]:
+        return (Primary.RA, Primary.SAI) if self is Mode.NATURAL else (Primary[self.name],)

@@ -112,8 +112,6 @@ class Board(ABC):
     usual_profile: ClassVar[str] = DEFAULT_PROFILE
     """The shipped profile of such a board."""
     takes_wiring: ClassVar[bool] = False
-    one_width: ClassVar[bool] = False
-    """Whether all slots of a sequence have the same pulse width."""
     ua_per_count: float | None = None
     """Its current scale, if it has one that can be measured."""
     timing: ScanTiming = ScanTiming()

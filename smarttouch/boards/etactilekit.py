@@ -65,10 +65,11 @@ class ETactileKitBoard(StreamedBoard):
     """
 
     kind = "etactilekit"
-    one_width: ClassVar[bool] = True
     usual_profile: ClassVar[str] = "etactilekit-32"
     takes_wiring: ClassVar[bool] = True
-    timing = ScanTiming(slot_extra_us=10, every_electrode=True, whole_hz=True, load=0.9)
+    timing = ScanTiming(
+        slot_extra_us=10, every_electrode=True, own_widths=False, whole_hz=True, load=0.9
+    )
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         port, _, option = port.partition("?")

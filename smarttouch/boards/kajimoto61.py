@@ -55,7 +55,6 @@ class Kajimoto61Board(StreamedBoard):
     """The kit of 61 electrodes: ``kajimoto61:PORT``."""
 
     kind = "kajimoto61"
-    one_width: ClassVar[bool] = True
     usual_profile: ClassVar[str] = "kajimoto-61"
     timing = ScanTiming(
         width_us=WIDTH_US,
@@ -63,6 +62,7 @@ class Kajimoto61Board(StreamedBoard):
         slot_extra_us=8,
         scan_us=700,
         in_index_order=True,
+        own_widths=False,
         load=1 / 1.1,
     )
 

@@ -65,10 +65,11 @@ class Binarizer:
             image = np.asarray(cv2.bitwise_not(image, dst=self._inverted), np.uint8)
         smooth = self._smooth
         cv2.blur(image, (3, 3), dst=smooth)
-        ranked = np.sort(smooth[self._sampled].ravel())
-        dark, bright = float(ranked[self._darkest]), float(ranked[self._brightest])
+        # Counts of all that is no brighter: quicker than sorting, and as good.
+        counts = np.bincount(smooth[self._sampled].ravel(), minlength=256).cumsum()
+        dark, bright = counts.searchsorted((self._darkest, self._brightest), "right").tolist()
         white = self._track_white(bright, time_ns, touching)
-        if white - dark < CONTRAST_GUARD or _between(ranked, dark, bright) > GREY_GUARD:
+        if white - dark < CONTRAST_GUARD or _between(counts, dark, bright) > GREY_GUARD:
             self._ink.fill(0)
             return self._ink
         cv2.threshold(smooth, INK_LEVEL * white, 255, cv2.THRESH_BINARY_INV, dst=self._ink)
@@ -82,8 +83,8 @@ class Binarizer:
         return self._white
 
 
-def _between(ranked: NDArray[np.uint8], dark: float, bright: float) -> float:
-    """Return the part of sorted grey levels in the middle four tenths of their range."""
-    edges = (dark + 0.3 * (bright - dark), dark + 0.7 * (bright - dark))
-    low, high = np.searchsorted(ranked, edges)
-    return float(high - low) / len(ranked)
+def _between(counts: NDArray[np.intp], dark: float, bright: float) -> float:
+    """Return the part of all grey levels in the middle four tenths of their range."""
+    low, high = (math.ceil(dark + part * (bright - dark)) for part in (0.3, 0.7))
+    below = counts[low - 1] if low else 0
+    return float((counts[high - 1] if high else 0) - below) / float(counts[-1])

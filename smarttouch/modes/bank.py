@@ -124,7 +124,7 @@ def problem_hash(profile: Profile) -> str:
         problem["masked"] = sorted(profile.output.masked)
     if limits.total_ma is not None or limits.electrode_ma is not None:
         problem["limits"] = [limits.total_ma, limits.electrode_ma]
-        problem["full_ma"] = (profile.threshold_ma * profile.perception.comfort_ratio).tolist()
+        problem["full_ma"] = profile.full_ma.tolist()
     return hashlib.sha256(json.dumps(problem, sort_keys=True).encode()).hexdigest()
 
 

@@ -89,7 +89,7 @@ def design_kernel(
         if best == np.inf:
             raise DesignError(
                 f"no kernel for {problem.describe(site)} keeps limits.total_ma and "
-                "limits.electrode_ma of the profile: raise them, or lower comfort_ratio"
+                "limits.electrode_ma of the profile: raise them, or lower the strongest current"
             )
     weights = rows.orbits @ programme.settled()
     return problem.judge(weights, site, node)

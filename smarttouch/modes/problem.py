@@ -191,8 +191,7 @@ class Problem:
 
     def full_ma(self, site: int) -> float:
         """Return the strongest comfortable current at a site, mA."""
-        profile = self.profile
-        return float(profile.threshold_ma[site]) * profile.perception.comfort_ratio
+        return float(self.profile.full_ma[site])
 
     @cached_property
     def limits_ma(self) -> tuple[float, Array]:

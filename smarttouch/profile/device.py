@@ -1,5 +1,6 @@
 """A profile: one device on one finger."""
 
+from datetime import datetime
 from functools import cached_property
 from typing import Literal, Self
 
@@ -58,6 +59,12 @@ class Optics(Table):
     rotation_deg: float = Field(default=0.0, ge=-180, le=180)
     offset_x_mm: float = Field(default=0.0, allow_inf_nan=False)
     offset_y_mm: float = Field(default=0.0, allow_inf_nan=False)
+    homography: tuple[float, ...] | None = Field(default=None, min_length=9, max_length=9)
+    """Of a tilted camera, row by row: millimeters on the page around the middle of what the array
+    covers become pixels of a frame of ``sensor_columns`` by ``sensor_rows`` (centers at whole
+    numbers). Field, rotation and offset are not used where it is given."""
+    flat_field: str | None = None
+    """File with the dark level and the gain of every pixel, beside the profile."""
 
 
 class ForceLaw(Table):
@@ -66,6 +73,8 @@ class ForceLaw(Table):
     law: Literal["linear", "logarithmic"]
     contact_n: Positive
     full_n: Positive
+    curve: tuple[float, ...] | None = Field(default=None, min_length=2, max_length=6)
+    """From the reading of a load cell to newtons: coefficients of a polynomial, lowest first."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -80,6 +89,16 @@ class Pulse(Table):
     width_us: int = Field(ge=10, le=int(CEILING_PULSE_US))
     discharge_us: int = Field(ge=20, le=5000)
     rate_hz: float = Field(ge=1, le=200)
+    carrier: Literal["height", "width"] = "height"
+    """What grows with intensity: the current, or how long it flows."""
+    chronaxie_us: Positive = 200.0
+    """Of the afferents: what the same current does in a shorter pulse."""
+    ra_rate_hz: float = Field(default=30.0, ge=1, le=200)
+    """Pulses of RA in natural mode; RA answers best at 30 Hz (paper, Fig. 2)."""
+    sai_rate_hz: float = Field(default=50.0, ge=1, le=200)
+    """Pulses of SAI in natural mode, at full force."""
+    softness: float = Field(default=1.0, ge=0, le=1)
+    """How little the rate of SAI pulses follows force: 1 soft, 0 hard (paper, Section III-B.2)."""
 
 
 class Limits(Table):
@@ -102,6 +121,16 @@ class Perception(Table):
 
     threshold_ma: Positive | tuple[Positive, ...]
     comfort_ratio: float = Field(gt=1, le=10)
+    comfort_ma: tuple[Positive, ...] | None = None
+    """Measured strongest of each electrode; ``threshold_ma`` × ``comfort_ratio`` if not given."""
+
+
+class Calibrated(Table):
+    """What a calibration found, when, and with what."""
+
+    when: datetime
+    versions: str
+    found: str
 
 
 class Profile(Table):
@@ -117,6 +146,7 @@ class Profile(Table):
     pulse: Pulse
     limits: Limits
     perception: Perception
+    calibrated: dict[str, Calibrated] = Field(default_factory=dict)
 
     @cached_property
     def electrodes(self) -> ElectrodeArray:
@@ -128,6 +158,13 @@ class Profile(Table):
         return np.broadcast_to(
             np.asarray(self.perception.threshold_ma, np.float32), (len(self.electrodes),)
         ).copy()
+
+    @cached_property
+    def full_ma(self) -> NDArray[np.float32]:
+        """Strongest comfortable current of each electrode, (E,) mA (magnitude)."""
+        if self.perception.comfort_ma is not None:
+            return np.asarray(self.perception.comfort_ma, np.float32)
+        return self.threshold_ma * self.perception.comfort_ratio
 
     @cached_property
     def admittance(self) -> NDArray[np.float64]:
@@ -161,6 +198,7 @@ class Profile(Table):
             )
         for key, values in (
             ("perception.threshold_ma", self.perception.threshold_ma),
+            ("perception.comfort_ma", self.perception.comfort_ma),
             ("output.impedance_kohm", self.output.impedance_kohm),
         ):
             if isinstance(values, tuple) and len(values) != count:
@@ -179,26 +217,35 @@ class Profile(Table):
                 f"limits.electrode_ma lists {len(lowered)} electrodes, the array has {count}: "
                 f"give {count} numbers, or leave it out"
             )
-        full_ma = self.threshold_ma * self.perception.comfort_ratio
+        full_ma = self.full_ma
+        measured = self.perception.comfort_ma is not None
+        strongest_of = "comfort_ma" if measured else "threshold_ma × comfort_ratio"
+        painful = full_ma <= self.threshold_ma
+        if painful.any():
+            index = int(painful.argmax())
+            raise ValueError(
+                f"comfort_ma is {full_ma[index]:.2f} mA at electrode {index}, not above its "
+                f"threshold_ma of {self.threshold_ma[index]:.2f}: measure both again"
+            )
         # Thresholds are single precision: a limit of just their product is kept.
         over = full_ma > np.multiply(np.inf if lowered is None else lowered, 1 + 1e-6)
         if lowered is not None and over.any():
             index = int(over.argmax())
             raise ValueError(
-                f"threshold_ma × comfort_ratio is {full_ma[index]:.2f} mA at electrode {index}, "
+                f"{strongest_of} is {full_ma[index]:.2f} mA at electrode {index}, "
                 f"above its limits.electrode_ma {lowered[index]:g}: lower one of the two"
             )
         strongest = float(full_ma.max())
         if strongest > self.limits.current_ma:
             raise ValueError(
-                f"threshold_ma × comfort_ratio reaches {strongest:.2f} mA, above "
+                f"{strongest_of} reaches {strongest:.2f} mA, above "
                 f"limits.current_ma {self.limits.current_ma}: lower one of the two"
             )
         total = self.limits.total_ma
         if total is not None and total < strongest:
             raise ValueError(
-                f"limits.total_ma {total:g} is below the {strongest:.2f} mA that threshold_ma × "
-                "comfort_ratio sends through one electrode: raise it, or lower one of the two"
+                f"limits.total_ma {total:g} is below the {strongest:.2f} mA that {strongest_of} "
+                "sends through one electrode: raise it, or lower one of the two"
             )
         if self.pulse.width_us > self.limits.pulse_us:
             raise ValueError(
@@ -209,6 +256,6 @@ class Profile(Table):
         if charge > self.limits.charge_uc:
             raise ValueError(
                 f"the strongest pulse carries {charge:.3f} µC, above limits.charge_uc "
-                f"{self.limits.charge_uc}: lower comfort_ratio or pulse.width_us"
+                f"{self.limits.charge_uc}: lower {strongest_of} or pulse.width_us"
             )
         return self

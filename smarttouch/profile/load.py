@@ -37,11 +37,16 @@ def load_profile(name: str | Path) -> Profile:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
         raise ProfileError(f"{path} is not a readable TOML file: {error}") from None
     try:
-        return Profile.model_validate({**table, "name": path.stem})
+        profile = Profile.model_validate({**table, "name": path.stem})
     except ProfileError as error:
         raise ProfileError(f"{path}: {error}") from None
     except ValidationError as error:
         raise ProfileError(_first_complaint(path, error)) from None
+    if profile.optics.flat_field is None:
+        return profile
+    beside = str(path.parent / profile.optics.flat_field)
+    optics = profile.optics.model_copy(update={"flat_field": beside})
+    return profile.model_copy(update={"optics": optics})
 
 
 def _first_complaint(path: Path, error: ValidationError) -> str:

@@ -39,6 +39,8 @@ class SafetyLimits:
     """Of all cathodes together in one slot."""
     electrode_ma: tuple[float, ...] | None = None
     """Of each electrode by itself."""
+    full_us: float | None = None
+    """The longest pulse at intensity 1, where width carries intensity: it then bounds charge."""
 
     def __post_init__(self) -> None:
         for name, value, ceiling in (
@@ -73,9 +75,10 @@ class SafetyLimits:
             rate_hz=limits.rate_hz,
             duty=limits.duty,
             ramp_s=limits.ramp_s,
-            full_ma=float(profile.threshold_ma.max()) * profile.perception.comfort_ratio,
+            full_ma=float(profile.full_ma.max()),
             total_ma=limits.total_ma,
             electrode_ma=limits.electrode_ma,
+            full_us=profile.pulse.width_us if profile.pulse.carrier == "width" else None,
         )
 
 
@@ -200,12 +203,30 @@ class SafetyGate:
                 f"slot {int(np.argmax(charges))}: {charge / 1e6:.3f} µC is above the limit of "
                 f"{limits.charge_uc:g} µC per pulse"
             )
+        self._prove_intensity(sequence.intensity, peaks, charges)
+
+    def _prove_intensity(
+        self, intensity: float, peaks: NDArray[np.int64], charges: NDArray[np.int64]
+    ) -> None:
+        """Raise unless current, or charge where width carries intensity, is in proportion to it."""
+        limits = self.limits
         # Rounding every electrode to whole µA may shift the one that keeps the balance.
-        allowed = sequence.intensity * limits.full_ma * 1000 + limits.electrodes / 2 + 1
-        if peak > allowed:
+        rounding = limits.electrodes / 2 + 1
+        full_ua = limits.full_ma * 1000 + rounding
+        allowed = intensity * limits.full_ma * 1000 + rounding
+        if limits.full_us is not None:
+            allowed = full_ua
+            allowed_pc = intensity * full_ua * limits.full_us
+            # Pulses have whole microseconds, rounded down but for what single precision loses.
+            if charges.max() > allowed_pc * (1 + 1e-3):
+                raise SafetyError(
+                    f"slot {int(np.argmax(charges))}: {charges.max() / 1e6:.3f} µC is more than "
+                    f"intensity {intensity:.3f} allows, {allowed_pc / 1e6:.3f} µC"
+                )
+        if peaks.max() > allowed:
             raise SafetyError(
-                f"slot {int(np.argmax(peaks))}: {peak / 1000:.3f} mA is more than intensity "
-                f"{sequence.intensity:.3f} allows, {allowed / 1000:.3f} mA"
+                f"slot {int(np.argmax(peaks))}: {peaks.max() / 1000:.3f} mA is more than intensity "
+                f"{intensity:.3f} allows, {allowed / 1000:.3f} mA"
             )
 
     def _prove_slew(self, sequence: ScanSequence) -> None:

@@ -1,7 +1,6 @@
 """Tactile image times kernels times intensity: the slots of one frame."""
 
 import math
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,8 @@ from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.modes.bank import KernelBank
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
+from smarttouch.scan.points import PointSlots, Slots
+from smarttouch.scan.rates import PulseRates, rate_share
 from smarttouch.scan.sequence import ScanSequence
 from smarttouch.scan.timing import ScanTiming
 
@@ -24,122 +25,127 @@ class PointScan:
         Pulse, limits and thresholds.
     bank : KernelBank
         Kernels of the profile's array.
-    primary : Primary
-        Which of them to use.
-    rate_hz : float, Hz
-        Sequences a second asked for.
+    primaries : tuple of Primary
+        Which of them to use; each of several has its own pulse rate.
+    rate_hz : float, Hz, optional
+        Sequences a second asked for, with one primary; with several, the
+        profile says how often each pulses.
     timing : ScanTiming, optional
         What the board fixes; nothing if not given.
+    softness : float, in [0, 1]
+        How little the rate of SAI pulses follows force.
+
+    Attributes
+    ----------
+    asked_us : int, µs
+        Period that the last sequence would have if its slots fit.
 
     Raises
     ------
     ScheduleError
-        If the rate is impossible, the board has other pulses than the profile,
-        or the bank drives a masked electrode.
+        If the rate is impossible, the board has other pulses than the profile
+        or only one rate, or the bank drives a masked electrode.
     """
 
     def __init__(
         self,
         profile: Profile,
         bank: KernelBank,
-        primary: Primary,
-        rate_hz: float,
+        primaries: tuple[Primary, ...],
+        rate_hz: float | None = None,
         timing: ScanTiming | None = None,
+        softness: float = 1.0,
     ) -> None:
-        if not 0 < rate_hz <= profile.limits.rate_hz:
-            raise ScheduleError(
-                f"a rate of {rate_hz:g} Hz is not possible: it must be above 0 and at most the "
-                f"profile's limit of {profile.limits.rate_hz:g} Hz"
-            )
         timing = ScanTiming() if timing is None else timing
         timing.check(profile)
-        weights = np.asarray(bank.kernels(primary), np.float32)
-        masked = list(profile.output.masked)
-        if weights[:, masked].any():
-            raise ScheduleError(
-                f"the kernels drive an electrode that output.masked {masked} lists: design the "
-                "bank of this very profile"
-            )
-        full_ua = profile.threshold_ma * profile.perception.comfort_ratio * 1000
-        self._primary = primary
-        self._kernels_ua = weights * full_ua[:, None]
-        self._strongest = np.abs(weights).argmax(axis=1)
-        self._faintest = 1 / profile.perception.comfort_ratio
-        self._weakest_level = self._weakest_that_switches(profile.output.kind)
-        self._weakest_level[masked] = np.inf
-        self._currents = np.empty_like(weights)
-        self._width_us = profile.pulse.width_us
-        self._discharge_us = profile.pulse.discharge_us
-        self._duty_slot_us = math.ceil(self._width_us / profile.limits.duty)
+        pulse, limits = profile.pulse, profile.limits
+        rates_hz = {primaries[0]: pulse.rate_hz if rate_hz is None else rate_hz}
+        if len(primaries) > 1:
+            rates_hz = {Primary.RA: pulse.ra_rate_hz, Primary.SAI: pulse.sai_rate_hz}
+            if rate_hz is not None:
+                raise ScheduleError(
+                    f"one rate of {rate_hz:g} Hz is not for several classes at once: set "
+                    "pulse.ra_rate_hz and pulse.sai_rate_hz of the profile"
+                )
+            if timing.whole_hz or timing.every_electrode or timing.in_index_order:
+                raise ScheduleError(
+                    "natural mode pulses at two rates, and this board scans all electrodes at "
+                    "one: choose RA or SAI"
+                )
+        for each_hz in rates_hz.values():
+            if not 0 < each_hz <= limits.rate_hz:
+                raise ScheduleError(
+                    f"a rate of {each_hz:g} Hz is not possible: it must be above 0 and at most "
+                    f"the profile's limit of {limits.rate_hz:g} Hz"
+                )
+        self._points = {each: PointSlots(profile, bank, each, timing) for each in primaries}
+        self.asked_us = 0
+        self._first = primaries[0]
+        self._softness = softness
+        self._rates = PulseRates(rates_hz, math.ceil(1e6 / limits.rate_hz))
+        self._one_rate_hz = rates_hz[primaries[0]] if len(primaries) == 1 else None
+        self._discharge_us = pulse.discharge_us
+        self._duty = limits.duty
         self._timing = timing
-        self._rate_period_us = timing.possible_period_us(1e6 / rate_hz)
+        self._electrodes = len(profile.electrodes)
         # Before anything is sent: the longest scan must be possible too.
-        self._period_us(len(weights))
+        self._shortest_us(np.full(self._electrodes, pulse.width_us, np.uint16))
 
-    def _weakest_that_switches(self, kind: str) -> NDArray[np.float32]:
-        """Level per site below which a switched electrode would round to insulated."""
-        if kind == "weighted":
-            return np.zeros(len(self._kernels_ua), np.float32)
-        magnitude = np.abs(self._kernels_ua)
-        return np.asarray(1 / np.where(magnitude > 0, magnitude, np.inf).min(axis=1))
+    def restart(self) -> None:
+        """Begin anew: all classes are due."""
+        self._rates.restart()
 
-    def _period_us(self, slots: int) -> int:
-        """Return the shortest period for so many slots, no shorter than asked for, µs."""
-        timing = self._timing
-        shortest = timing.shortest_period_us(
-            slots, len(self._kernels_ua), self._width_us, self._discharge_us
-        )
-        within_duty = timing.possible_period_us(slots * self._duty_slot_us)
-        return max(self._rate_period_us, shortest, within_duty)
-
-    def schedule(self, image: TactileImage, intensity: float) -> ScanSequence:
+    def schedule(
+        self, image: TactileImage, intensity: float, pressure: float = 1.0
+    ) -> ScanSequence:
         """Return the sequence for one tactile image.
 
-        An active point gets its threshold current times intensity at the
-        faintest activation and its strongest comfortable current times
-        intensity at full activation. Currents are whole µA that sum to zero
-        in every slot: what rounding leaves over goes to the strongest
-        electrode of the kernel. Where the slots do not fit the period asked
-        for, the period grows. A masked electrode has no slot.
+        Where the slots do not fit the period asked for, the period grows. At
+        intensity 0 there are none.
+
+        Parameters
+        ----------
+        image : TactileImage
+            What to feel.
+        intensity : float, in [0, 1]
+            What all currents are scaled with.
+        pressure : float, in [0, 1]
+            What the finger's force asks for: the rate of SAI pulses follows it.
         """
-        activation = image.activation[self._primary]
-        site = np.flatnonzero(activation) if intensity > 0 else np.empty(0, np.intp)
-        if not self._timing.in_index_order:
-            site = site[spread_order(len(site))]
-        level = activation[site]
-        level *= 1 - self._faintest
-        level += self._faintest
-        level *= intensity
-        felt = level >= self._weakest_level[site]
-        if not felt.all():
-            site, level = site[felt], level[felt]
-        slots = len(site)
-        currents = self._currents[:slots]
-        np.take(self._kernels_ua, site, axis=0, out=currents)
-        currents *= level[:, None]
-        np.rint(currents, out=currents)
-        current_ua = currents.astype(np.int16)
-        surplus = current_ua.sum(axis=1, dtype=np.int16)
-        current_ua[np.arange(slots), self._strongest[site]] -= surplus
+        due, self.asked_us = self._due(image.time_ns, pressure)
+        parts = [self._points[each].slots(image.activation[each], intensity) for each in due]
+        if not parts:
+            # The rate has fallen since this time was set.
+            parts = [self._points[self._first].slots(image.activation[self._first], 0.0)]
+        site, current_ua, width_us = parts[0] if len(parts) == 1 else _joined(parts)
         return ScanSequence(
             current_ua=current_ua,
-            width_us=np.full(slots, self._width_us, np.uint16),
-            discharge_us=np.full(slots, self._discharge_us, np.uint16),
-            site=site.astype(np.uint16),
-            period_us=self._period_us(slots),
+            width_us=width_us,
+            discharge_us=np.full(len(site), self._discharge_us, np.uint16),
+            site=site,
+            period_us=max(self.asked_us, self._shortest_us(width_us)),
             intensity=float(intensity),
             time_ns=image.time_ns,
         )
 
+    def _due(self, time_ns: int, pressure: float) -> tuple[tuple[Primary, ...], int]:
+        """Return which classes pulse now, and how long until the next is due, µs."""
+        share = rate_share(pressure, self._softness)
+        if self._one_rate_hz is None:
+            return self._rates.due(time_ns, {Primary.RA: 1.0, Primary.SAI: share})
+        slowed_hz = self._one_rate_hz * (share if self._first is Primary.SAI else 1.0)
+        return (self._first,), self._timing.possible_period_us(1e6 / slowed_hz)
 
-@lru_cache(maxsize=4096)
-def spread_order(count: int) -> NDArray[np.intp]:
-    """Return an order of ``count`` points that keeps successive ones apart.
+    def _shortest_us(self, width_us: NDArray[np.uint16]) -> int:
+        """Return the shortest period that slots of these widths need, µs."""
+        timing, slots = self._timing, len(width_us)
+        pulses_us = int(width_us.sum(dtype=np.int64))
+        mean_us = pulses_us / slots if slots else 0.0
+        shortest = timing.shortest_period_us(slots, self._electrodes, mean_us, self._discharge_us)
+        return max(shortest, timing.possible_period_us(pulses_us / self._duty))
 
-    Steps through the row-by-row list by about the golden section of its
-    length, the stride whose neighbors in time are evenly far in the list.
-    """
-    stride = round(count * 0.382)
-    while stride > 1 and math.gcd(stride, count) > 1:
-        stride += 1
-    return np.asarray(np.arange(count) * max(1, stride) % max(1, count), np.intp)
+
+def _joined(parts: list[Slots]) -> Slots:
+    """Return the slots of several classes one after another."""
+    site, current_ua, width_us = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return site, current_ua, width_us

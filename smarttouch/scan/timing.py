@@ -23,6 +23,8 @@ class ScanTiming:
     """Idle electrodes take a slot too."""
     in_index_order: bool = False
     """The board scans by electrode number."""
+    own_widths: bool = True
+    """Each slot may have its own pulse width."""
     whole_hz: bool = False
     """Its rate is a whole number of hertz."""
     load: float = 1.0
@@ -78,3 +80,8 @@ class ScanTiming:
                     f"the profile's pulse.{key} is {asked} µs, the board's is always {fixed} µs: "
                     f"set pulse.{key} = {fixed}"
                 )
+        if profile.pulse.carrier == "width" and not self.own_widths:
+            raise ScheduleError(
+                "pulse.carrier 'width' needs a pulse width of its own for each slot, and this "
+                "board has one for all: set pulse.carrier = 'height'"
+            )

@@ -40,7 +40,7 @@ class Finger:
 
     def __init__(self, profile, hold, **more):
         self.adaptation = Adaptation(profile, hold, COMPLIANCE_V, **more)
-        self.scan = PointScan(profile, load_bank(profile), Primary.RA, profile.pulse.rate_hz)
+        self.scan = PointScan(profile, load_bank(profile), (Primary.RA,), profile.pulse.rate_hz)
         self.kohm = np.full(len(profile.electrodes), KOHM)
         self.time_ns = 0
 
@@ -243,7 +243,7 @@ def test_whatever_is_measured_the_result_is_safe(profile, hold, seed, density):
         SafetyGate(SafetyLimits.of(profile)),
     )
     bank = SAFE_BANKS[profile.name]
-    scan = PointScan(profile, bank, Primary.RA, profile.pulse.rate_hz)
+    scan = PointScan(profile, bank, (Primary.RA,), profile.pulse.rate_hz)
     for step in range(6):
         rows = np.zeros((3, count), np.float32)
         rows[Primary.RA] = rng.random(count) * (rng.random(count) < density)

@@ -12,8 +12,9 @@ from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.modes.bank import design_bank, load_bank
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile, profile_names
+from smarttouch.scan.points import spread_order
 from smarttouch.scan.safety import SafetyGate, SafetyLimits
-from smarttouch.scan.schedule import PointScan, spread_order
+from smarttouch.scan.schedule import PointScan
 from smarttouch.scan.timing import ScanTiming
 
 
@@ -25,7 +26,7 @@ def tactile(activation, time_ns=10**9, primary=Primary.RA):
 
 def started(profile):
     gate = SafetyGate(SafetyLimits.of(profile))
-    scan = PointScan(profile, load_bank(profile), Primary.RA, 20.0)
+    scan = PointScan(profile, load_bank(profile), (Primary.RA,), 20.0)
     gate.prove(scan.schedule(tactile(np.zeros(len(profile.electrodes)), 0), 0.0))
     return gate
 
@@ -42,7 +43,7 @@ def test_every_sequence_of_every_profile_is_safe(name, data):
     density, intensity = data.draw(level), data.draw(level)
     rng = np.random.default_rng(seed)
     activation = rng.random(count, np.float32) * (rng.random(count) < density)
-    scan = PointScan(profile, bank, primary, profile.pulse.rate_hz)
+    scan = PointScan(profile, bank, (primary,), profile.pulse.rate_hz)
     sequence = scan.schedule(tactile(activation, primary=primary), intensity)
     started(profile).prove(sequence)
     assert not sequence.current_ua.sum(axis=1).any()
@@ -52,7 +53,7 @@ def test_every_sequence_of_every_profile_is_safe(name, data):
 def test_full_activation_gets_the_comfortable_current_and_faint_the_threshold(profile, bank):
     activation = np.zeros(64)
     activation[[9, 50]] = 1.0, 1e-6
-    sequence = PointScan(profile, bank, Primary.RA, 50).schedule(tactile(activation), 1.0)
+    sequence = PointScan(profile, bank, (Primary.RA,), 50).schedule(tactile(activation), 1.0)
     peak = dict(zip(sequence.site.tolist(), np.abs(sequence.current_ua).max(axis=1), strict=True))
     assert peak[9] == pytest.approx(2400, abs=32)
     assert peak[50] == pytest.approx(1200, abs=32)
@@ -61,18 +62,18 @@ def test_full_activation_gets_the_comfortable_current_and_faint_the_threshold(pr
 def test_ra_is_anodic_at_its_point(profile, bank):
     activation = np.zeros(64)
     activation[27] = 1.0
-    sequence = PointScan(profile, bank, Primary.RA, 50).schedule(tactile(activation), 1.0)
+    sequence = PointScan(profile, bank, (Primary.RA,), 50).schedule(tactile(activation), 1.0)
     assert sequence.current_ua[0, 27] == sequence.current_ua[0].min() < 0
     assert sequence.state[0, 27] == -1
 
 
 def test_no_intensity_no_slots(profile, bank):
-    scan = PointScan(profile, bank, Primary.RA, 50)
+    scan = PointScan(profile, bank, (Primary.RA,), 50)
     assert scan.schedule(tactile(np.ones(64)), 0.0).slots == 0
 
 
 def test_rate_is_kept_where_it_fits_and_lowered_where_not(profile, bank):
-    scan = PointScan(profile, bank, Primary.RA, 100)
+    scan = PointScan(profile, bank, (Primary.RA,), 100)
     few = np.zeros(64)
     few[:33] = 1
     assert scan.schedule(tactile(few), 1.0).rate_hz == pytest.approx(100)
@@ -82,7 +83,7 @@ def test_rate_is_kept_where_it_fits_and_lowered_where_not(profile, bank):
 
 def test_switched_boards_never_lose_an_electrode_to_rounding():
     profile = load_profile("kajimoto-61")
-    scan = PointScan(profile, load_bank(profile), Primary.RA, 50)
+    scan = PointScan(profile, load_bank(profile), (Primary.RA,), 50)
     for intensity in (0.001, 0.01, 0.02, 0.05, 0.3, 1.0):
         state = scan.schedule(tactile(np.ones(61)), intensity).state
         assert np.all(state != 0)
@@ -92,7 +93,7 @@ def test_switched_boards_never_lose_an_electrode_to_rounding():
 @pytest.mark.parametrize("rate", [0, -1, 1000, float("nan")])
 def test_impossible_rates(profile, bank, rate):
     with pytest.raises(ScheduleError, match="rate"):
-        PointScan(profile, bank, Primary.RA, rate)
+        PointScan(profile, bank, (Primary.RA,), rate)
 
 
 @pytest.fixture(scope="module", params=["line-7", "kajimoto-61"])
@@ -108,7 +109,7 @@ def test_a_masked_electrode_is_never_driven(masked, data):
     primary = data.draw(st.sampled_from(sorted(bank.weights)))
     count = len(profile.electrodes)
     activation = np.array(data.draw(st.lists(st.floats(0, 1), min_size=count, max_size=count)))
-    scan = PointScan(profile, bank, primary, 20)
+    scan = PointScan(profile, bank, (primary,), 20)
     sequence = scan.schedule(tactile(activation, primary=primary), 1.0)
     started(load_profile(profile.name)).prove(sequence)
     assert not np.isin(sequence.site, profile.output.masked).any()
@@ -120,7 +121,7 @@ def test_a_masked_electrode_is_never_driven(masked, data):
 def test_kernels_of_before_the_mask_are_refused(profile, bank, changed):
     mine = changed(profile, {"output.masked": [27]})
     with pytest.raises(ScheduleError, match=r"output\.masked \[27\].*design"):
-        PointScan(mine, bank, Primary.RA, 50)
+        PointScan(mine, bank, (Primary.RA,), 50)
 
 
 def test_the_board_s_clock_sets_the_period():
@@ -128,7 +129,7 @@ def test_the_board_s_clock_sets_the_period():
     timing = ScanTiming(slot_extra_us=10, every_electrode=True, whole_hz=True, load=0.9)
     few = tactile(np.r_[np.ones(3), np.zeros(29)])
     for asked_hz, got_hz in ((50, 50), (60, 60), (52.5, 52), (133, 133), (134, 133), (200, 133)):
-        scan = PointScan(profile, load_bank(profile), Primary.SAI, asked_hz, timing)
+        scan = PointScan(profile, load_bank(profile), (Primary.SAI,), asked_hz, timing)
         sequence = scan.schedule(tactile(few.activation[Primary.RA], primary=Primary.SAI), 1.0)
         assert sequence.slots == 3
         assert sequence.period_us == math.ceil(1e6 / got_hz)
@@ -137,7 +138,7 @@ def test_the_board_s_clock_sets_the_period():
 def test_a_board_in_index_order_gets_its_order():
     profile = load_profile("kajimoto-61")
     timing = ScanTiming(50, 150, slot_extra_us=8, scan_us=700, in_index_order=True, load=1 / 1.1)
-    scan = PointScan(profile, load_bank(profile), Primary.RA, 100, timing)
+    scan = PointScan(profile, load_bank(profile), (Primary.RA,), 100, timing)
     sequence = scan.schedule(tactile(np.ones(61)), 1.0)
     assert sequence.site.tolist() == list(range(61))
     assert sequence.period_us == pytest.approx((700 + 208 * 61) * 1.1, abs=1)

@@ -136,22 +136,24 @@ def read_slots(folder: Path) -> NDArray[Any]:
 
 def read_delivered(
     folder: Path,
-) -> tuple[NDArray[np.uint32], NDArray[np.uint16], NDArray[np.int16]]:
-    """Return every pulse an emulator delivered, as its sequence, point and currents.
+) -> tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]:
+    """Return every pulse an emulator delivered, as its sequence, width and currents.
 
     Returns
     -------
     numbers : ndarray, (N,)
         Sequence of each slot.
-    sites : ndarray, (N,)
-        Point each slot was for.
+    width_us : ndarray, (N,) µs
+        How long each lasted.
     current_ua : ndarray, (N, E) int16, µA
         What flowed, positive cathodic; what no int16 can hold is cut.
     """
     table = read_slots(folder)
     limit = np.iinfo(np.int16)
     current = np.clip(table["current_ua"], limit.min, limit.max).astype(np.int16)
-    return table["number"], table["site"], current
+    peak_pc = 1e6 * np.abs(table["charge_uc"]).max(axis=1, initial=0)
+    peak_ua = np.abs(table["current_ua"]).max(axis=1, initial=0)
+    return table["number"], (peak_pc / np.maximum(peak_ua, 1)).astype(np.float32), current
 
 
 @cache

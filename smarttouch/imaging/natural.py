@@ -1,0 +1,71 @@
+"""What moves drives RA, what stays drives SAI: as in a finger that explores by itself."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.primary import Primary
+
+ADAPTATION_S = 0.1
+"""Time constant in which something that stays stops being a change. Ours: RA afferents fall silent
+within a few tenths of a second after a step (Johansson & Vallbo 1979, Fig. 2)."""
+FAINTEST_CHANGE = 0.15
+"""Smaller changes are the sensor's noise."""
+
+
+class NaturalDrive:
+    """Splits a tactile image into what changes and what is sustained.
+
+    Each electrode keeps a slow memory of its activation. What differs from it
+    is an edge on the move and drives RA, on arrival and on leaving; what the
+    memory agrees with drives SAI. On a finger that has just landed all is new.
+
+    Parameters
+    ----------
+    electrodes : int
+        E.
+    """
+
+    def __init__(self, electrodes: int) -> None:
+        self._slow = np.zeros(electrodes, np.float32)
+        self._time_ns: int | None = None
+
+    def drive(
+        self,
+        activation: NDArray[np.float32],
+        ink: NDArray[np.float32],
+        time_ns: int,
+        touching: bool,
+    ) -> None:
+        """Fill the rows RA and SAI of an activation.
+
+        Parameters
+        ----------
+        activation : ndarray, (3, E) float32
+            Zeros; filled.
+        ink : ndarray, (E,) float32, in [0, 1]
+            What lies under each electrode now.
+        time_ns : int
+            Now.
+        touching : bool
+            A lifted finger remembers nothing.
+        """
+        if self._time_ns is not None and touching:
+            elapsed_s = max(0, time_ns - self._time_ns) / 1e9
+            self._slow += (ink - self._slow) * np.float32(1 - math.exp(-elapsed_s / ADAPTATION_S))
+        else:
+            self._slow[:] = 0
+        self._time_ns = time_ns if touching else None
+        change, sustained = activation[Primary.RA], activation[Primary.SAI]
+        np.subtract(ink, self._slow, out=change)
+        np.abs(change, out=change)
+        change -= FAINTEST_CHANGE
+        change *= 1 / (1 - FAINTEST_CHANGE)
+        np.clip(change, 0, 1, out=change)
+        np.minimum(ink, self._slow, out=sustained)
+        sustained[sustained < FAINTEST_CHANGE] = 0
+
+    def forget(self) -> None:
+        """Take the next image as all new."""
+        self._time_ns = None

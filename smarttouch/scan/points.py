@@ -1,0 +1,137 @@
+"""The slots of one afferent class: a kernel at each active point, as strong as it should be."""
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import ScheduleError
+from smarttouch.modes.bank import KernelBank
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+from smarttouch.scan.timing import ScanTiming
+
+SHORTEST_PULSE_US = 10
+"""Where pulse width carries intensity, what would be shorter is not felt."""
+
+Slots = tuple[NDArray[np.uint16], NDArray[np.int16], NDArray[np.uint16]]
+"""Site, current and width: (S,), (S, E) µA, (S,) µs."""
+
+
+class PointSlots:
+    """Makes the slots of one primary.
+
+    Parameters
+    ----------
+    profile : Profile
+        Pulse, limits and thresholds.
+    bank : KernelBank
+        Kernels of the profile's array.
+    primary : Primary
+        Which of them to use.
+    timing : ScanTiming
+        Whether the order of slots is the board's.
+
+    Raises
+    ------
+    ScheduleError
+        If the bank drives a masked electrode.
+    """
+
+    def __init__(
+        self, profile: Profile, bank: KernelBank, primary: Primary, timing: ScanTiming
+    ) -> None:
+        weights = np.asarray(bank.kernels(primary), np.float32)
+        masked = list(profile.output.masked)
+        if weights[:, masked].any():
+            raise ScheduleError(
+                f"the kernels drive an electrode that output.masked {masked} lists: design the "
+                "bank of this very profile"
+            )
+        self._kernels_ua = weights * (profile.full_ma * 1000)[:, None]
+        self._strongest = np.abs(weights).argmax(axis=1)
+        self._faintest = np.asarray(profile.threshold_ma / profile.full_ma, np.float32)
+        self._range = 1 - self._faintest
+        self._weakest_level = self._weakest_that_switches(profile.output.kind)
+        self._weakest_level[masked] = np.inf
+        self._currents = np.empty_like(weights)
+        self._pulse = profile.pulse
+        self._by_width = profile.pulse.carrier == "width"
+        self._in_index_order = timing.in_index_order
+
+    def _weakest_that_switches(self, kind: str) -> NDArray[np.float32]:
+        """Level per site below which a switched electrode would round to insulated."""
+        if kind == "weighted":
+            return np.zeros(len(self._kernels_ua), np.float32)
+        magnitude = np.abs(self._kernels_ua)
+        return np.asarray(1 / np.where(magnitude > 0, magnitude, np.inf).min(axis=1))
+
+    def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
+        """Return the slots of one row of a tactile image.
+
+        An active point gets its threshold current times intensity at the
+        faintest activation and its strongest comfortable current times
+        intensity at full activation; where width is the carrier, the strongest
+        current for as short as does the same. Currents are whole µA that sum to
+        zero in every slot: what rounding leaves over goes to the strongest
+        electrode of the kernel. A masked electrode has no slot.
+
+        Parameters
+        ----------
+        activation : ndarray, (E,) float32, in [0, 1]
+            What each electrode should let the finger feel.
+        intensity : float, in [0, 1]
+            What all currents are scaled with.
+        """
+        site = np.flatnonzero(activation) if intensity > 0 else np.empty(0, np.intp)
+        if not self._in_index_order:
+            site = site[spread_order(len(site))]
+        level = activation[site]
+        level *= self._range[site]
+        level += self._faintest[site]
+        level *= intensity
+        width_us = None
+        if self._by_width:
+            width_us = self._widths_us(level)
+            level = np.where(width_us >= SHORTEST_PULSE_US, np.float32(1), np.float32(0))
+            felt = level > 0
+        else:
+            felt = level >= self._weakest_level[site]
+        if not felt.all():
+            site, level = site[felt], level[felt]
+            width_us = None if width_us is None else width_us[felt]
+        slots = len(site)
+        if width_us is None:
+            width_us = np.full(slots, self._pulse.width_us, np.uint16)
+        currents = self._currents[:slots]
+        np.take(self._kernels_ua, site, axis=0, out=currents)
+        currents *= level[:, None]
+        np.rint(currents, out=currents)
+        current_ua = currents.astype(np.int16)
+        surplus = current_ua.sum(axis=1, dtype=np.int16)
+        current_ua[np.arange(slots), self._strongest[site]] -= surplus
+        return site.astype(np.uint16), current_ua, width_us
+
+    def _widths_us(self, level: NDArray[np.float32]) -> NDArray[np.uint16]:
+        """Return how long the strongest current does what a part of it does for a whole pulse, µs.
+
+        By Weiss's law a pulse of width w needs a current in proportion to 1 + c/w, c the
+        chronaxie.
+        """
+        full, chronaxie = self._pulse.width_us, self._pulse.chronaxie_us
+        width = chronaxie * level / (1 + chronaxie / full - level)
+        return np.asarray(np.floor(width + 1e-3), np.uint16)
+
+
+@lru_cache(maxsize=4096)
+def spread_order(count: int) -> NDArray[np.intp]:
+    """Return an order of ``count`` points that keeps successive ones apart.
+
+    Steps through the row-by-row list by about the golden section of its
+    length, the stride whose neighbors in time are evenly far in the list.
+    """
+    stride = round(count * 0.382)
+    while stride > 1 and math.gcd(stride, count) > 1:
+        stride += 1
+    return np.asarray(np.arange(count) * max(1, stride) % max(1, count), np.intp)

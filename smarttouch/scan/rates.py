@@ -1,0 +1,74 @@
+"""When each afferent class is due: pulse rates, and what force does to them."""
+
+from collections.abc import Mapping
+
+from smarttouch.primary import Primary
+
+SLOWEST = 0.2
+"""Of the full rate, at the lightest touch of something hard: 10 of 50 Hz, the slowest pulses of
+the paper's experiments (Section III-B.2)."""
+_ON_TIME = 0.25
+"""Of its interval: a class later than this begins a new grid."""
+
+
+def rate_share(pressure: float, softness: float) -> float:
+    """Return the share of the full pulse rate at a finger pressure.
+
+    SAI afferents encode pressure in their firing rate. Pressed on something
+    hard they fire faster; on something soft the rate hardly changes (paper,
+    Section III-B.2, where a constant rate under a moving finger felt soft).
+
+    Parameters
+    ----------
+    pressure : float, in [0, 1]
+        What the finger's force asks for, see `force_gate`.
+    softness : float, in [0, 1]
+        1 leaves the rate as it is, 0 lets it follow force.
+    """
+    return softness + (1 - softness) * max(SLOWEST, pressure)
+
+
+class PulseRates:
+    """Keeps several classes on grids of their own.
+
+    Parameters
+    ----------
+    rates_hz : mapping of Primary to float, Hz
+        Full rate of each.
+    merge_us : int, µs
+        Classes that are due closer together than this pulse in one sequence:
+        the shortest period of a sequence.
+    """
+
+    def __init__(self, rates_hz: Mapping[Primary, float], merge_us: int) -> None:
+        self._rates_hz = dict(rates_hz)
+        self._merge_us = merge_us
+        self._last_ns: dict[Primary, float] = {}
+
+    def due(self, time_ns: int, shares: Mapping[Primary, float]) -> tuple[tuple[Primary, ...], int]:
+        """Return which classes pulse now, and how long until the next is due, µs.
+
+        Parameters
+        ----------
+        time_ns : int
+            Now.
+        shares : mapping of Primary to float
+            Of each full rate, see `rate_share`.
+        """
+        now, merge_ns = [], 1000 * self._merge_us
+        next_ns = []
+        for primary, rate_hz in self._rates_hz.items():
+            interval_ns = 1e9 / (rate_hz * shares[primary])
+            due_ns = self._last_ns.get(primary, -float("inf")) + interval_ns
+            if due_ns - time_ns < merge_ns:
+                now.append(primary)
+                if time_ns - due_ns > _ON_TIME * interval_ns:
+                    due_ns = time_ns
+                self._last_ns[primary] = due_ns
+                due_ns += interval_ns
+            next_ns.append(due_ns)
+        return tuple(now), max(self._merge_us, round((min(next_ns) - time_ns) / 1000))
+
+    def restart(self) -> None:
+        """Begin anew: all classes are due."""
+        self._last_ns.clear()
