@@ -13,6 +13,14 @@ class SensorError(SmartTouchError):
     """A source of frames cannot be opened or has failed."""
 
 
+class SourceLostError(SensorError):
+    """A sensor is gone that was there; it may come back."""
+
+
+class CalibrationError(SmartTouchError):
+    """A calibration cannot be done, or what it measured makes no sense."""
+
+
 class DesignError(SmartTouchError):
     """No kernel exists for what was asked."""
 

@@ -10,6 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 from smarttouch.errors import SmartTouchError
 from smarttouch.live import Sent
 from smarttouch.modes.bank import KernelBank
+from smarttouch.mosaic import Mosaic
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.sensing.frame import Pose
@@ -34,47 +35,59 @@ class FeltImage:
         Array, thresholds and magnification.
     bank : KernelBank
         Its kernels, for what a full pulse does, and its receptors.
-    primary : Primary
-        Whose receptors are asked.
-    page : Page
-        What the finger passed over.
+    primaries : tuple of Primary
+        Whose receptors are asked; of several the one that answers most counts.
+    page : Page, optional
+        What the finger passed over; put together from the frames if not given.
     """
 
-    def __init__(self, profile: Profile, bank: KernelBank, primary: Primary, page: Page) -> None:
-        self._page, self._primary = page, primary
+    def __init__(
+        self, profile: Profile, bank: KernelBank, primaries: tuple[Primary, ...], page: Page | None
+    ) -> None:
+        self._given, self._primaries, self._pulse = page, primaries, profile.pulse
+        self._mosaic = Mosaic(profile.optics)
         electrodes, magnification = profile.electrodes, profile.optics.magnification
         self._position_mm = electrodes.position_mm / magnification
         self._cell_mm = tuple(side / magnification for side in electrodes.cell_mm)
-        self._receptor = bank.receptor[primary]
-        ratio = profile.perception.comfort_ratio
-        full_ua = profile.threshold_ma * ratio * 1000
-        full = full_ua * (self._receptor * bank.kernels(primary)).sum(axis=1)
-        # Masked sites have no kernel: nothing is felt there.
-        self._full = np.where(full > 0, full, np.inf)
-        self._threshold = 1 / ratio
-        width_mm, height_mm = page.size_mm
-        self._pixel_mm = max(FINEST_MM, max(width_mm, height_mm) / 4000)
-        shape = (round(height_mm / self._pixel_mm), round(width_mm / self._pixel_mm))
-        self._touch = np.zeros(shape, np.float32)
-        self._passes = np.zeros(shape, np.float32)
+        full_ua = profile.full_ma * 1000
+        self._receptors = []
+        for primary in primaries:
+            receptor = bank.receptor[primary]
+            full = full_ua * (receptor * bank.kernels(primary)).sum(axis=1)
+            # Masked sites have no kernel: nothing is felt there.
+            self._receptors.append((receptor.T, np.where(full > 0, full, np.inf)))
+        self._threshold = profile.threshold_ma / profile.full_ma
         self._poses: dict[int, Pose] = {}
 
     def watch(self, sent: Sent) -> None:
         """Remember where the finger was for a sequence, if it touched."""
-        if sent.step.sequence.intensity > 0:
+        if sent.number is not None and sent.step.sequence.intensity > 0:
             self._poses[sent.number] = sent.step.frame.pose
+            if self._given is None:
+                self._mosaic.add(sent.step.frame)
 
-    def deliver(self, numbers: NDArray[np.uint32], current_ua: NDArray[np.int16]) -> None:
+    def deliver(
+        self,
+        numbers: NDArray[np.uint32],
+        width_us: NDArray[np.float32],
+        current_ua: NDArray[np.int16],
+    ) -> None:
         """Add delivered slots.
 
         Parameters
         ----------
         numbers : ndarray, (N,)
             The sequence each slot belongs to.
+        width_us : ndarray, (N,), µs
+            How long it lasted: by Weiss's law a shorter pulse does less.
         current_ua : ndarray, (N, E) int16, µA
             Delivered current, positive cathodic.
         """
-        activation = (current_ua.astype(np.float32) @ self._receptor.T) / self._full
+        self._lay_out()
+        chronaxie_us, full_us = self._pulse.chronaxie_us, self._pulse.width_us
+        strength = (1 + chronaxie_us / full_us) / (1 + chronaxie_us / np.maximum(width_us, 1))
+        current = current_ua * strength[:, None].astype(np.float32)
+        activation = np.maximum.reduce([current @ axons / full for axons, full in self._receptors])
         answers = np.clip((activation - self._threshold) / (1 - self._threshold), 0, 1)
         starts = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
         strongest = np.maximum.reduceat(answers, starts, axis=0) if len(starts) else answers
@@ -83,11 +96,23 @@ class FeltImage:
         for number, pose in self._poses.items():
             self._add(pose, by_number.get(number, silent))
 
+    def _lay_out(self) -> None:
+        """Make room for the touch, beside the page."""
+        self._page, self._corner_mm = (
+            self._mosaic.page() if self._given is None else (self._given, (0.0, 0.0))
+        )
+        width_mm, height_mm = self._page.size_mm
+        self._pixel_mm = max(FINEST_MM, max(width_mm, height_mm) / 4000)
+        shape = (round(height_mm / self._pixel_mm), round(width_mm / self._pixel_mm))
+        self._touch = np.zeros(shape, np.float32)
+        self._passes = np.zeros(shape, np.float32)
+
     def _add(self, pose: Pose, answer: NDArray[np.float32]) -> None:
         cos, sin = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
         x, y = self._position_mm[:, 0], self._position_mm[:, 1]
-        column = np.rint((pose.x_mm + x * cos - y * sin) / self._pixel_mm).astype(np.intp)
-        row = np.rint((pose.y_mm + x * sin + y * cos) / self._pixel_mm).astype(np.intp)
+        left, top = pose.x_mm - self._corner_mm[0], pose.y_mm - self._corner_mm[1]
+        column = np.rint((left + x * cos - y * sin) / self._pixel_mm).astype(np.intp)
+        row = np.rint((top + x * sin + y * cos) / self._pixel_mm).astype(np.intp)
         rows, columns = self._touch.shape
         on = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
         np.add.at(self._touch, (row[on], column[on]), answer[on])
@@ -117,9 +142,13 @@ class FeltImage:
         sheet = Image.new("L", (size[0] + 2 * margin, 2 * (size[1] + label) + 3 * margin), 226)
         draw = ImageDraw.Draw(sheet)
         font = ImageFont.load_default(17)
+        what = "The page, as it lies under the finger"
+        if self._given is None:
+            what = "What the sensor saw, put together by its own motion"
+        names = " and ".join(each.name for each in self._primaries)
         rows = (
-            (self._page.grey, "The page, as it lies under the finger"),
-            (touch, f"What the skin got: {self._primary.name} pulses where the finger was"),
+            (self._page.grey, what),
+            (touch, f"What the skin got: {names} pulses where the finger was"),
         )
         for index, (image, text) in enumerate(rows):
             top = margin + index * (size[1] + label + margin)

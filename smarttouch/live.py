@@ -1,22 +1,23 @@
 """The loop: one clock, absolute deadlines, and an orderly end whatever happens."""
 
 import gc
-import signal
-import threading
+import math
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from types import FrameType
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from smarttouch.boards.board import Board
 from smarttouch.clock import Clock, MonotonicClock
+from smarttouch.controls import Controls, StopRequest, Wish
 from smarttouch.errors import BoardRestartedError
 from smarttouch.pipeline import Pipeline, Step
-from smarttouch.scan.adaptation import Adaptation
-from smarttouch.scan.ledger import ChargeLedger
+from smarttouch.regulator import Regulator
+from smarttouch.sensing.force import ForceSource
 from smarttouch.sensing.frame import Frame, Sensor
+from smarttouch.tally import Tally
 
 STALL_NS = 100_000_000
 """After such a delay the board may have fallen silent: intensity starts from zero again."""
@@ -25,82 +26,29 @@ HELD_UP_NS = 1_000_000
 LIFT_NS = 300_000_000
 """After a lifted finger: so long there is no current, then it rises from zero again."""
 
-
-@dataclass
-class StopRequest:
-    """Set from a signal, another thread or the keyboard to end a run."""
-
-    event: threading.Event = field(default_factory=threading.Event)
-    reason: str = ""
-
-    def ask(self, reason: str) -> None:
-        # The first reason is the true one: a second Ctrl-C changes nothing.
-        self.reason = self.reason or reason
-        self.event.set()
+Tell = Callable[[int, str], None]
+"""Told of what happens: nanoseconds since the start of the run, and a few words."""
 
 
-@contextmanager
-def stop_on_signals(stop: StopRequest) -> Iterator[None]:
-    """Let SIGINT, SIGTERM and SIGHUP end the run in order."""
-    names = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM", signal.SIGHUP: "SIGHUP"}
-
-    def ask(number: int, _frame: FrameType | None) -> None:
-        stop.ask(names[signal.Signals(number)])
-
-    before = {number: signal.signal(number, ask) for number in names}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sent:
-    """One frame that went out."""
+    """One step, and how it went out.
+
+    Attributes
+    ----------
+    step : Step
+    number : int or None
+        The board's number of its sequence; None if the board was lost with it.
+    latency_us : float
+        From the frame in hand to the last byte written.
+    work_us : float
+        Processor time that it took the loop.
+    """
 
     step: Step
-    number: int
-    """The board's number of its sequence."""
+    number: int | None
     latency_us: float
-    """From the frame in hand to the last byte written."""
-
-
-@dataclass
-class Tally:
-    """What a run adds up to, kept as it goes."""
-
-    frames: int = 0
-    slots: int = 0
-    slowed: int = 0
-    """Sequences longer than the period asked for."""
-    lowest_rate_hz: float = float("inf")
-    late: int = 0
-    """Frames that came more than a period after their time."""
-    restarts: int = 0
-    """How often the board was lost and started anew."""
-    lifts: int = 0
-    """How often the board found the finger lifted."""
-    active: float = 0.0
-    latency_us: list[float] = field(default_factory=list)
-    seconds: float = 0.0
-
-    def count(self, sent: Sent, asked_period_us: int) -> None:
-        sequence = sent.step.sequence
-        self.frames += 1
-        self.slots += sequence.slots
-        self.slowed += sequence.period_us > asked_period_us
-        self.lowest_rate_hz = min(self.lowest_rate_hz, sequence.rate_hz)
-        activation = sent.step.tactile.activation
-        self.active += np.count_nonzero(activation.any(axis=0)) / activation.shape[1]
-        self.latency_us.append(sent.latency_us)
-
-    def latency(self) -> dict[str, float]:
-        """Return p50, p99 and maximum latency, µs."""
-        if not self.latency_us:
-            return {"p50": 0.0, "p99": 0.0, "max": 0.0}
-        p50, p99 = np.percentile(self.latency_us, (50, 99))
-        return {"p50": float(p50), "p99": float(p99), "max": max(self.latency_us)}
+    work_us: float = 0.0
 
 
 @contextmanager
@@ -115,40 +63,6 @@ def settled(pipeline: Pipeline) -> Iterator[None]:
         gc.unfreeze()
 
 
-@dataclass
-class Regulator:
-    """Closes the loop from what the board measured to what it is sent next.
-
-    Parameters
-    ----------
-    adaptation : Adaptation, optional
-        Holds charge or energy against drifting impedance.
-    ledger : ChargeLedger, optional
-        Turns the polarity of a sequence where that brings net charge to zero.
-    """
-
-    adaptation: Adaptation | None = None
-    ledger: ChargeLedger | None = None
-
-    def regulate(self, step: Step, board: Board) -> Step:
-        """Return the step with its sequence as it is to be sent."""
-        if self.adaptation is not None:
-            for sequence, volts in board.take_volts():
-                self.adaptation.observe(sequence, volts)
-            step = replace(step, sequence=self.adaptation.apply(step.sequence))
-        if self.ledger is not None:
-            step = replace(step, sequence=self.ledger.balancing(step.sequence))
-            self.ledger.add(step.sequence)
-        return step
-
-    def notes(self) -> list[str]:
-        """Return what a user should know after the run."""
-        limited = () if self.adaptation is None else self.adaptation.limited
-        if not limited:
-            return []
-        return [f"charge could not be held at {len(limited)} sites: pulses are at their longest"]
-
-
 def run(
     sensor: Sensor,
     pipeline: Pipeline,
@@ -158,6 +72,9 @@ def run(
     tally: Tally,
     seconds: float | None = None,
     observers: Sequence[Callable[[Sent], None]] = (),
+    controls: Controls | None = None,
+    force: ForceSource | None = None,
+    tell: Tell = lambda _time_ns, _words: None,
     regulator: Regulator | None = None,
     clock: Clock | None = None,
 ) -> None:
@@ -178,70 +95,176 @@ def run(
     seconds : float, optional
         Longest run by the clock.
     observers : sequence of callable
-        Told of every frame sent.
+        Told of every step, also of one that was lost with the board.
+    controls : Controls, optional
+        What the user wants; full intensity in the pipeline's mode if not given.
+    force : ForceSource, optional
+        How hard the finger presses; the sensor's own word if not given.
+    tell : callable, optional
+        Told of what users do and of what goes wrong.
     regulator : Regulator, optional
         What the board's own measurements do to the sequences.
     clock : Clock, optional
         The machine's if not given.
     """
-    clock = clock or MonotonicClock()
-    regulator = regulator or Regulator()
-    start = clock.now_ns()
-    elapsed = 0
-    shift = 0
-    lifted_until = start
-    while not stop.event.is_set():
-        clock.wait_until(start + elapsed + shift, stop.event)
-        if stop.event.is_set():
-            break
-        now = clock.now_ns()
-        tally.seconds = (now - start) / 1e9
-        if seconds is not None and tally.seconds >= seconds:
-            stop.ask(f"{seconds:g} s are over")
-            break
-        late = now - (start + elapsed + shift)
-        if late > STALL_NS:
-            pipeline.restart_softly()
-        frame = sensor.read(elapsed)
+    controls = controls or Controls(Wish(pipeline.mode))
+    inputs = _Inputs(sensor, force, board, pipeline, controls, tally, tell)
+    loop = _Loop(inputs, regulator or Regulator(), stop, observers, clock or MonotonicClock())
+    loop.run(seconds)
+    tell(loop.elapsed_ns, stop.reason or "the end of what the sensor sees")
+
+
+@dataclass
+class _Inputs:
+    """What comes into the loop, and what is made of it where something is not known."""
+
+    sensor: Sensor
+    force: ForceSource | None
+    board: Board
+    pipeline: Pipeline
+    controls: Controls
+    tally: Tally
+    tell: Tell
+    _told: Wish | None = None
+    _blind: bool = False
+    _lifted_until_ns: int = 0
+
+    def look(self, time_ns: int) -> Frame | None:
+        """Return the frame with the force that counts: zero where it or the image is unknown."""
+        frame = self.sensor.read(time_ns)
         if frame is None:
-            break
-        if board.lifted and now >= lifted_until:
+            return None
+        self.tally.see(frame)
+        force_n = frame.force_n if self.force is None else self.force.read(time_ns)
+        on_board = self.board.force_n
+        if on_board is not None:
+            force_n = on_board if math.isnan(force_n) else min(force_n, on_board)
+        blind = frame.stale or math.isnan(force_n)
+        self.tally.blind += blind
+        if blind is not self._blind:
+            what = "the image is stale" if frame.stale else "the force is not known"
+            self.tell(time_ns, f"{what}: no current" if blind else "image and force are known")
+            self._blind = blind
+        return replace(frame, force_n=0.0 if blind else force_n)
+
+    def wish(self, time_ns: int) -> Wish:
+        """Return what the user wants; tell of what has changed."""
+        wish, told = self.controls.wish(time_ns), self._told
+        if wish != told:
+            if told is None or wish.level != told.level:
+                self.tell(time_ns, f"intensity {wish.level:.2f}")
+            if wish.paused != (told is not None and told.paused):
+                self.tell(time_ns, "paused" if wish.paused else "goes on")
+            if told is None or wish.mode is not told.mode:
+                self.tell(time_ns, f"mode {wish.mode}")
+            self._told = wish
+        if wish.mode is not self.pipeline.mode:
+            self.pipeline.change_mode(wish.mode)
+        return wish
+
+    def heed_lifts(self, time_ns: int, now_ns: int) -> None:
+        """Feel nothing for a while after the board found the finger lifted."""
+        if self.board.lifted and now_ns >= self._lifted_until_ns:
             # Only a pulse can tell whether the finger is back: try again, from zero.
-            board.lifted = False
-            tally.lifts += 1
-            lifted_until = now + LIFT_NS
-        if now < lifted_until:
+            self.board.lifted = False
+            self.tally.lifts += 1
+            self.tell(time_ns, "the finger is lifted")
+            self._lifted_until_ns = now_ns + LIFT_NS
+        if now_ns < self._lifted_until_ns:
+            self.pipeline.restart_softly()
+
+
+@dataclass
+class _Loop:
+    inputs: _Inputs
+    regulator: Regulator
+    stop: StopRequest
+    observers: Sequence[Callable[[Sent], None]]
+    clock: Clock
+    elapsed_ns: int = 0
+    _shift_ns: int = 0
+    _before_ns: int | None = None
+    _period_ns: int = 0
+
+    def run(self, seconds: float | None) -> None:
+        tally, clock, stop = self.inputs.tally, self.clock, self.stop
+        start_ns = clock.now_ns()
+        while not stop.event.is_set():
+            deadline_ns = start_ns + self.elapsed_ns + self._shift_ns
+            clock.wait_until(deadline_ns, stop.event)
+            if stop.event.is_set():
+                break
+            now_ns = clock.now_ns()
+            tally.seconds = (now_ns - start_ns) / 1e9
+            if seconds is not None and tally.seconds >= seconds:
+                stop.ask(f"{seconds:g} s are over")
+                break
+            if not self._step(now_ns, now_ns - deadline_ns):
+                break
+        self.inputs.board.drain()
+        tally.seconds = (clock.now_ns() - start_ns) / 1e9
+
+    def _step(self, now_ns: int, late_ns: int) -> bool:
+        """Let one frame be felt; return False where there is none any more."""
+        inputs, clock, elapsed_ns = self.inputs, self.clock, self.elapsed_ns
+        pipeline, tally = inputs.pipeline, inputs.tally
+        if late_ns > STALL_NS:
             pipeline.restart_softly()
-        in_hand = clock.now_ns()
-        step = regulator.regulate(pipeline.process(_pressed(frame, board)), board)
-        sending = clock.now_ns()
-        try:
-            number = board.send(step.sequence)
-        except BoardRestartedError:
-            tally.restarts += 1
-            pipeline.restart_softly()
-            shift += clock.now_ns() - now
-            elapsed += step.sequence.period_us * 1000
-            continue
-        sent = Sent(step, number, (clock.now_ns() - in_hand) / 1000)
-        waited = clock.now_ns() - sending
-        if HELD_UP_NS < waited < STALL_NS:
-            # The board's clock is behind: frames taken later reach the skin as soon, and fresher.
-            shift += waited
-        tally.count(sent, pipeline.period_us)
-        for observe in observers:
+        frame = inputs.look(elapsed_ns)
+        if frame is None:
+            return False
+        wish = inputs.wish(elapsed_ns)
+        inputs.heed_lifts(elapsed_ns, now_ns)
+        in_hand_ns, worked_ns = clock.now_ns(), time.thread_time_ns()
+        step = self.regulator.regulate(pipeline.process(frame, wish.current_level), inputs.board)
+        sending_ns = clock.now_ns()
+        number = self._send(step)
+        sent_ns = clock.now_ns()
+        work_us = (time.thread_time_ns() - worked_ns) / 1000
+        sent = Sent(step, number, (sent_ns - in_hand_ns) / 1000, work_us)
+        period_ns = 1000 * step.sequence.period_us
+        if number is None:
+            self._shift_ns += sent_ns - now_ns
+            self._before_ns = None
+        else:
+            self._count(sent, now_ns)
+            waited_ns = sent_ns - sending_ns
+            if HELD_UP_NS < waited_ns < STALL_NS:
+                # The board's clock is behind: frames taken later reach the skin as soon, and
+                # fresher.
+                self._shift_ns += waited_ns
+            if late_ns > period_ns:
+                tally.late += 1
+                self._shift_ns += late_ns
+        self.elapsed_ns += period_ns
+        for observe in self.observers:
             observe(sent)
-        period_ns = step.sequence.period_us * 1000
-        if late > period_ns:
-            tally.late += 1
-            shift += late
-        elapsed += period_ns
-    board.drain()
-    tally.seconds = (clock.now_ns() - start) / 1e9
+        return True
 
+    def _send(self, step: Step) -> int | None:
+        """Send; return the board's number of the sequence, or None if it was lost and is back."""
+        inputs = self.inputs
+        try:
+            return inputs.board.send(step.sequence)
+        except BoardRestartedError as lost:
+            inputs.tally.restarts += 1
+            inputs.tell(self.elapsed_ns, str(lost))
+            inputs.pipeline.restart_softly()
+            return None
 
-def _pressed(frame: Frame, board: Board) -> Frame:
-    """Return the frame with the force that the board measures, if that is less."""
-    if board.force_n is None or board.force_n >= frame.force_n:
-        return frame
-    return replace(frame, force_n=board.force_n)
+    def _count(self, sent: Sent, now_ns: int) -> None:
+        tally, sequence = self.inputs.tally, sent.step.sequence
+        tally.feel(sent.step.frame)
+        tally.slots += sequence.slots
+        tally.slowed += sequence.period_us > sent.step.asked_us
+        tally.asked_us += sent.step.asked_us
+        tally.lowest_rate_hz = min(tally.lowest_rate_hz, sequence.rate_hz)
+        tally.scan_us += sequence.period_us
+        tally.latency.add(sent.latency_us)
+        tally.motion_to_bytes.add(sent.latency_us + sent.step.frame.age_ns / 1000)
+        tally.work.add(sent.work_us)
+        activation = sent.step.tactile.activation
+        tally.active += np.count_nonzero(activation.any(axis=0)) / activation.shape[1]
+        if self._before_ns is not None:
+            tally.period_error.add(abs(now_ns - self._before_ns - self._period_ns) / 1000)
+        self._before_ns, self._period_ns = now_ns, 1000 * sequence.period_us

@@ -1,14 +1,16 @@
 """Frame in, scan sequence out: pure, without I/O and without a clock."""
 
-import math
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from smarttouch.errors import SmartTouchError
 from smarttouch.imaging.mapping import TactileMapper
 from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.modes.bank import KernelBank
-from smarttouch.primary import Primary
+from smarttouch.primary import Mode
 from smarttouch.profile import Profile
 from smarttouch.scan.intensity import SoftStart, force_gate
 from smarttouch.scan.schedule import PointScan
@@ -16,14 +18,40 @@ from smarttouch.scan.sequence import ScanSequence
 from smarttouch.scan.timing import ScanTiming
 from smarttouch.sensing.frame import Frame, Pose
 
+Measured = tuple[ScanSequence, NDArray[np.float32]]
+"""A sequence that was delivered, and what its source needed in each slot, (S,) V."""
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Step:
-    """One frame's way through the corridor."""
+    """One frame's way through the corridor, and all that it depended on.
+
+    Attributes
+    ----------
+    frame : Frame
+        With the force that counted.
+    tactile : TactileImage
+    sequence : ScanSequence
+        As it is sent.
+    mode : Mode
+    level : float, in [0, 1]
+        What the user asked for.
+    restarted : bool
+        Whether intensity began at zero here.
+    asked_us : int, µs
+        Period that was wanted; longer ones did not fit.
+    observed : tuple of (ScanSequence, ndarray)
+        What the board had measured until then, where sequences depend on it.
+    """
 
     frame: Frame
     tactile: TactileImage
     sequence: ScanSequence
+    mode: Mode
+    level: float = 1.0
+    restarted: bool = False
+    asked_us: int = 0
+    observed: tuple[Measured, ...] = ()
 
 
 class Pipeline:
@@ -35,44 +63,97 @@ class Pipeline:
         Device and finger.
     bank : KernelBank
         Kernels of the profile's array.
-    primary : Primary
-        The tactile primary color to stimulate.
+    mode : Mode
+        What drives which afferents.
     rate_hz : float, optional
-        Sequences a second; the profile's own if not given.
+        Sequences a second; the profile's own if not given. Natural mode has none.
     light_on_dark : bool
         For light print on dark paper.
     timing : ScanTiming, optional
         What the board fixes about the time of a scan.
+    softness : float, in [0, 1], optional
+        How little the rate of SAI pulses follows force; the profile's own if not given.
     """
 
     def __init__(
         self,
         profile: Profile,
         bank: KernelBank,
-        primary: Primary = Primary.RA,
+        mode: Mode = Mode.RA,
         rate_hz: float | None = None,
         light_on_dark: bool = False,
         timing: ScanTiming | None = None,
+        softness: float | None = None,
     ) -> None:
-        if rate_hz is None:
-            rate_hz = profile.pulse.rate_hz
-        self.period_us = math.ceil(1e6 / rate_hz) if rate_hz > 0 else 0
-        self._settings = (profile, bank, primary, rate_hz, light_on_dark, timing)
+        self._settings = (profile, bank, mode, rate_hz, light_on_dark, timing, softness)
         self._profile = profile
-        self._mapper = TactileMapper(profile, primary, light_on_dark)
+        self._mapper = TactileMapper(profile, light_on_dark)
         self._soft_start = SoftStart(profile.limits.ramp_s)
-        self._scan = PointScan(profile, bank, primary, rate_hz, timing)
+        self._restarted = True
+        self._scans: dict[Mode, PointScan] = {}
+        self.change_mode(mode)
 
-    def process(self, frame: Frame) -> Step:
-        """Return the tactile image and the scan sequence of a frame."""
-        tactile = self._mapper.map(frame)
-        wanted = force_gate(frame.force_n, self._profile.force)
-        intensity = self._soft_start.follow(wanted, frame.time_ns)
-        return Step(frame, tactile, self._scan.schedule(tactile, intensity))
+    def change_mode(self, mode: Mode) -> None:
+        """Drive other afferents from the next frame on; intensity begins at zero.
+
+        Raises
+        ------
+        SmartTouchError
+            If the board, the profile or its kernels do not offer the mode; then the mode
+            stays as it was.
+        """
+        self._scan(mode)
+        self.mode = mode
+        self.restart_softly()
+
+    def offered(self) -> tuple[Mode, ...]:
+        """Return the modes that the board, the profile and its kernels offer."""
+        modes = []
+        for mode in Mode:
+            with contextlib.suppress(SmartTouchError):
+                self._scan(mode)
+                modes.append(mode)
+        return tuple(modes)
+
+    def _scan(self, mode: Mode) -> PointScan:
+        if mode not in self._scans:
+            profile, bank, _, rate_hz, _, timing, softness = self._settings
+            # A rate asked for in one mode is not for the two of natural mode.
+            natural = mode is Mode.NATURAL and bool(self._scans)
+            self._scans[mode] = PointScan(
+                profile,
+                bank,
+                mode.primaries,
+                None if natural else rate_hz,
+                timing,
+                profile.pulse.softness if softness is None else softness,
+            )
+        return self._scans[mode]
+
+    def process(self, frame: Frame, level: float = 1.0) -> Step:
+        """Return the tactile image and the scan sequence of a frame.
+
+        Parameters
+        ----------
+        frame : Frame
+            Its force gates intensity; one that is not a number is no contact.
+        level : float, in [0, 1]
+            What the user asked for, of the strongest.
+        """
+        tactile = self._mapper.map(frame, self.mode)
+        pressure = force_gate(frame.force_n, self._profile.force)
+        intensity = self._soft_start.follow(pressure * level, frame.time_ns)
+        scan = self._scans[self.mode]
+        sequence = scan.schedule(tactile, intensity, pressure)
+        restarted, self._restarted = self._restarted, False
+        return Step(frame, tactile, sequence, self.mode, level, restarted, scan.asked_us)
 
     def restart_softly(self) -> None:
         """Let intensity rise from zero again, after the skin has felt nothing for a while."""
         self._soft_start.restart()
+        for scan in self._scans.values():
+            scan.restart()
+        self._restarted = True
 
     def warm_up(self) -> None:
         """Run a printed frame through a twin of this pipeline, which is then thrown away.

@@ -1,5 +1,7 @@
 """The picture of what was felt shows current where it was delivered."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -8,7 +10,7 @@ from smarttouch.errors import SmartTouchError
 from smarttouch.felt import FeltImage
 from smarttouch.live import Sent
 from smarttouch.pipeline import Step
-from smarttouch.primary import Primary
+from smarttouch.primary import Mode, Primary
 from smarttouch.scan.sequence import ScanSequence
 from smarttouch.sensing.frame import Frame, Pose
 from smarttouch.sensing.page_image import Page
@@ -19,7 +21,7 @@ def drawing(profile, make_bank):
     """An array whose receptors answer only to anodic current of their own electrode."""
     own = -np.eye(64, dtype=np.float32)
     return FeltImage(
-        profile, make_bank(own, own), Primary.RA, Page(np.full((200, 300), 255, np.uint8), 0.1)
+        profile, make_bank(own, own), (Primary.RA,), Page(np.full((200, 300), 255, np.uint8), 0.1)
     )
 
 
@@ -29,13 +31,18 @@ def at(number, x, y, angle=0.0, intensity=1.0):
     sequence = ScanSequence(
         np.zeros((0, 64), np.int16), empty, empty, empty, 20_000, intensity, number
     )
-    return Sent(Step(frame, None, sequence), number, 1.0)
+    return Sent(Step(frame, None, sequence, Mode.RA), number, 1.0)
 
 
 def slot(electrode, current_ua=-2000):
     current = np.zeros((1, 64), np.int16)
     current[0, electrode] = current_ua
     return current
+
+
+def deliver(drawing, numbers, currents, width_us=200.0):
+    numbers = np.array(numbers, np.uint32)
+    drawing.deliver(numbers, np.full(len(numbers), width_us, np.float32), currents)
 
 
 def darkest(picture):
@@ -45,25 +52,25 @@ def darkest(picture):
 
 def test_a_pulse_is_drawn_where_the_electrode_was(drawing):
     drawing.watch(at(1, 12.0, 9.0))
-    drawing.deliver(np.array([1], np.uint32), slot(0))
+    deliver(drawing, [1], slot(0))
     assert darkest(drawing.picture()) == pytest.approx((12.0 - 7 / 3.2, 9.0 - 7 / 3.2), abs=0.11)
 
 
 def test_the_array_turns_with_the_finger(drawing):
     drawing.watch(at(1, 12.0, 9.0, angle=np.pi / 2))
-    drawing.deliver(np.array([1], np.uint32), slot(0))
+    deliver(drawing, [1], slot(0))
     assert darkest(drawing.picture()) == pytest.approx((12.0 + 7 / 3.2, 9.0 - 7 / 3.2), abs=0.11)
 
 
 def test_cathodic_current_is_not_what_ra_feels(drawing):
     drawing.watch(at(1, 12.0, 9.0))
-    drawing.deliver(np.array([1], np.uint32), slot(0, 2000))
+    deliver(drawing, [1], slot(0, 2000))
     assert drawing.picture().min() == 255
 
 
 def test_below_threshold_nothing_is_felt(drawing):
     drawing.watch(at(1, 12.0, 9.0))
-    drawing.deliver(np.array([1], np.uint32), slot(0, -1200))
+    deliver(drawing, [1], slot(0, -1200))
     assert drawing.picture().min() == 255
 
 
@@ -71,25 +78,39 @@ def test_a_full_pulse_is_black_and_a_weaker_one_grey(drawing):
     drawing.watch(at(1, 8.0, 9.0))
     drawing.watch(at(2, 20.0, 9.0))
     currents = np.vstack([slot(0, -2400), slot(0, -1800)])
-    drawing.deliver(np.array([1, 2], np.uint32), currents)
+    deliver(drawing, [1, 2], currents)
     picture = drawing.picture()
     assert picture.min() == 0
     assert abs(int(picture[:, 150:].min()) - 128) <= 2
 
 
+def test_a_shorter_pulse_does_less_than_a_long_one_and_more_than_its_charge(drawing):
+    drawing.watch(at(1, 12.0, 9.0))
+    # Weiss, chronaxie 200 µs: at 100 µs a current does 2/3 of what it does at 200 µs.
+    deliver(drawing, [1], slot(0, -2400), 100.0)
+    assert drawing.picture().min() == pytest.approx(255 * (1 - 1 / 3), abs=2)
+
+
+def test_a_sequence_that_was_lost_with_the_board_is_not_drawn(drawing):
+    drawing.watch(replace(at(1, 12.0, 9.0), number=None))
+    deliver(drawing, [1], slot(0))
+    assert drawing.picture().min() == 255
+
+
 def test_nothing_delivered_nothing_drawn(drawing):
     drawing.watch(at(1, 12.0, 9.0))
-    drawing.deliver(np.empty(0, np.uint32), np.empty((0, 64), np.int16))
+    deliver(drawing, [], np.empty((0, 64), np.int16))
     assert drawing.picture().min() == 255
 
 
 def test_off_the_page_is_left_out(drawing):
     drawing.watch(at(1, -50.0, 900.0))
-    drawing.deliver(np.array([1], np.uint32), slot(0))
+    deliver(drawing, [1], slot(0))
     assert drawing.picture().min() == 255
 
 
 def test_save(drawing, tmp_path):
+    deliver(drawing, [], np.empty((0, 64), np.int16))
     drawing.save(tmp_path / "felt.png")
     with Image.open(tmp_path / "felt.png") as sheet:
         assert sheet.width > 700

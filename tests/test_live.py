@@ -9,13 +9,18 @@ import pytest
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.boards.probe import one_each
+from smarttouch.controls import Controls, StopRequest, Wish
 from smarttouch.errors import BoardError, BoardRestartedError, LineLostError, SafetyError
-from smarttouch.live import Regulator, StopRequest, Tally, run
+from smarttouch.live import run
 from smarttouch.pipeline import Pipeline
+from smarttouch.primary import Mode
+from smarttouch.regulator import Regulator
 from smarttouch.scan.adaptation import Adaptation
 from smarttouch.scan.ledger import ChargeLedger
 from smarttouch.scan.safety import SafetyLimits
-from smarttouch.sensing.frame import Frame, Pose
+from smarttouch.sensing.force import ForceSource
+from smarttouch.sensing.frame import Frame, Pose, Sensor
+from smarttouch.tally import Tally
 
 
 class FakeClock:
@@ -35,23 +40,27 @@ class FakeClock:
         self.time_ns = max(self.time_ns, deadline_ns) + late
 
 
-class Bars:
+class Bars(Sensor):
     """A sensor over black bars."""
 
-    title, duration_s, dropped_frames = "bars", 1.0, 0
-
-    def __init__(self, frames=100, fails_at=None):
-        self.times, self.frames, self.fails_at = [], frames, fails_at
+    def __init__(self, most=100, fails_at=None, **frame):
+        super().__init__("bars")
+        self.times, self.most, self.fails_at = [], most, fails_at
+        self.frame = {"force_n": 1.0, **frame}
 
     def read(self, time_ns):
         if self.fails_at == len(self.times):
             raise RuntimeError("the sensor broke")
-        if len(self.times) == self.frames:
+        if len(self.times) == self.most:
             return None
         self.times.append(time_ns)
+        self.frames += 1
         image = np.full((64, 64), 220, np.uint8)
         image[:, 20:30] = 20
-        return Frame(image, time_ns, Pose(0, 0), 1.0)
+        now = {
+            key: value(time_ns) if callable(value) else value for key, value in self.frame.items()
+        }
+        return Frame(image, time_ns, Pose(0, 0), **{"number": self.frames - 1, **now})
 
 
 class Watched(MemoryBoard):
@@ -135,7 +144,7 @@ def test_a_board_whose_clock_is_behind_is_followed(pipeline, board, monkeypatch)
         run(Bars(20), pipeline, board, stop=StopRequest(), tally=tally, clock=clock)
     # It waits once, and from then on takes its frames 7 ms later.
     assert np.diff(clock.deadlines).tolist() == [27_000_000] + [20_000_000] * 19
-    assert sorted(tally.latency_us)[-2] == 0
+    assert tally.latency.total_us == tally.latency.largest_us > 0
 
 
 def test_same_frames_same_sequences(profile, bank):
@@ -216,10 +225,6 @@ def test_soft_start_from_the_first_frame(pipeline, board):
     assert intensity[0] == 0
     assert intensity[25] == pytest.approx(1.0)
     assert np.diff(intensity).max() <= 0.0401
-
-
-def test_tally_of_an_empty_run():
-    assert Tally().latency() == {"p50": 0.0, "p99": 0.0, "max": 0.0}
 
 
 def test_stopping_is_safe_from_another_thread(pipeline, board):
@@ -363,3 +368,140 @@ def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
     assert max(found[down : down + 15]) == 0
     assert max(np.diff(found)) <= 0.041
     assert found[-1] > 0.5
+
+
+def felt(board):
+    return [sequence.intensity for sequence in board.sequences]
+
+
+class Pressing(ForceSource):
+    """A force source that a test writes."""
+
+    def __init__(self, force_n):
+        super().__init__("a test")
+        self.force_n = force_n
+
+    def read(self, time_ns):
+        return self.force_n(time_ns)
+
+
+def play(board, pipeline, sensor, **options):
+    tally, told = Tally(), []
+    with board:
+        run(
+            sensor,
+            pipeline,
+            board,
+            stop=StopRequest(),
+            tally=tally,
+            clock=FakeClock(),
+            tell=lambda time_ns, words: told.append((time_ns, words)),
+            **options,
+        )
+    return tally, told
+
+
+@pytest.mark.parametrize("unknown", ["stale", "force"])
+def test_what_is_not_known_has_no_current(pipeline, board, unknown):
+    """From 0.8 to 1.2 s: then it rises from zero again."""
+
+    def gone(time_ns):
+        return 800_000_000 <= time_ns < 1_200_000_000
+
+    frame = (
+        {"stale": gone}
+        if unknown == "stale"
+        else {"force_n": lambda time_ns: float("nan") if gone(time_ns) else 1.0}
+    )
+    tally, told = play(board, pipeline, Bars(90, **frame))
+    intensity = felt(board)
+    assert intensity[39] == 1
+    assert not any(intensity[40:60])
+    assert intensity[60] <= 0.041
+    assert intensity[89] == 1
+    assert tally.blind == 20
+    words = [words for time_ns, words in told if time_ns in (800_000_000, 1_200_000_000)]
+    assert words[0].endswith("no current")
+    assert words[1] == "image and force are known"
+
+
+def test_a_force_source_has_the_last_word(pipeline, board):
+    play(board, pipeline, Bars(40), force=Pressing(lambda _: 0.5))
+    assert max(felt(board)) == pytest.approx((0.5 - 0.15) / 0.75, abs=1e-6)
+
+
+def test_the_board_s_force_counts_where_nobody_else_knows_it(pipeline, board):
+    board.force_n = 0.5
+    play(board, pipeline, Bars(40, force_n=float("nan")))
+    assert max(felt(board)) == pytest.approx((0.5 - 0.15) / 0.75, abs=1e-6)
+
+
+class Scripted(Controls):
+    """A user whose wishes come at set times."""
+
+    def __init__(self, *wishes):
+        self.wishes = list(wishes)
+
+    def wish(self, time_ns):
+        return [wish for since, wish in self.wishes if since <= time_ns][-1]
+
+
+def test_the_user_s_wish_is_heeded_and_told_of(pipeline, board):
+    controls = Scripted(
+        (0, Wish(Mode.RA, 0.5)),
+        (800_000_000, Wish(Mode.RA, 0.5, paused=True)),
+        (1_000_000_000, Wish(Mode.RA, 0.25)),
+        (1_600_000_000, Wish(Mode.SAI, 0.25)),
+    )
+    _, told = play(board, pipeline, Bars(120), controls=controls)
+    intensity = felt(board)
+    assert intensity[39] == 0.5
+    assert not any(intensity[40:50])
+    assert intensity[50] <= 0.041
+    assert intensity[79] == 0.25
+    assert intensity[80] == 0
+    assert intensity[119] == 0.25
+    # Kernels of the other class: its center is cathodic.
+    current_ua = [
+        sequence.current_ua[0, sequence.site[0]]
+        for sequence in (board.sequences[i] for i in (79, 119))
+    ]
+    assert current_ua[0] < 0 < current_ua[1]
+    assert told == [
+        (0, "intensity 0.50"),
+        (0, "mode RA"),
+        (800_000_000, "paused"),
+        (1_000_000_000, "intensity 0.25"),
+        (1_000_000_000, "goes on"),
+        (1_600_000_000, "mode SAI"),
+        (2_400_000_000, "the end of what the sensor sees"),
+    ]
+
+
+def test_the_same_image_again_is_felt_once(pipeline, board):
+    tally, _ = play(board, pipeline, Bars(40, number=lambda time_ns: time_ns // 50_000_000))
+    assert (tally.frames, tally.seen, tally.felt) == (40, 16, 16)
+
+
+def test_every_step_is_observed_also_one_that_was_lost(pipeline, board, monkeypatch):
+    send, seen = board._send, []
+
+    def lose(sequence, times):
+        if sequence.time_ns == 400_000_000:
+            raise LineLostError("the line is lost")
+        return send(sequence, times)
+
+    monkeypatch.setattr(board, "_send", lose)
+    monkeypatch.setattr(board, "_recover", lambda lost: None)
+    tally, told = play(board, pipeline, Bars(30), observers=[seen.append])
+    assert [sent.number is None for sent in seen] == [i == 20 for i in range(30)]
+    assert (tally.seen, tally.felt) == (30, 29)
+    assert [sent.step.restarted for sent in seen] == [i in (0, 21) for i in range(30)]
+    assert any("started anew" in words for _, words in told)
+
+
+def test_the_age_of_an_image_counts(pipeline, board):
+    tally, _ = play(board, pipeline, Bars(10, age_ns=7_000_000))
+    assert tally.motion_to_bytes.largest_us == tally.latency.largest_us + 7000
+    assert tally.period_error.largest_us == 0
+    assert 0 < tally.work_share < 1

@@ -5,9 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from smarttouch.boards.kajimoto61 import Kajimoto61Board
 from smarttouch.errors import ScheduleError
+from smarttouch.modes.bank import load_bank
 from smarttouch.pipeline import Pipeline
-from smarttouch.primary import Primary
+from smarttouch.primary import Mode, Primary
+from smarttouch.profile import load_profile
 from smarttouch.scan.safety import SafetyGate, SafetyLimits
 from smarttouch.scan.timing import ScanTiming
 from smarttouch.sensing.frame import Frame, Pose
@@ -71,3 +74,38 @@ def test_frames_of_another_size_are_taken(profile, bank, make_frame, patch):
     large = patch(24, 40).repeat(10, 1).repeat(7, 0)
     step = pipeline.process(make_frame(large, 10**9))
     assert (step.tactile.activation[Primary.RA].reshape(8, 8)[:, 3:5] > 0).all()
+
+
+def test_a_change_of_mode_begins_at_zero(profile, bank, make_frame, patch):
+    pipeline = Pipeline(profile, bank)
+    for step in range(60):
+        sequence = pipeline.process(make_frame(patch(), step * 20_000_000)).sequence
+    assert sequence.intensity == 1
+    pipeline.change_mode(Mode.NATURAL)
+    steps = [pipeline.process(make_frame(patch(), (60 + i) * 20_000_000)) for i in range(60)]
+    assert [step.restarted for step in steps] == [i == 0 for i in range(60)]
+    assert steps[0].sequence.intensity == 0
+    assert steps[-1].sequence.intensity == 1
+    # What stays is felt by SAI alone.
+    assert not steps[-1].tactile.activation[Primary.RA].any()
+    assert steps[-1].tactile.activation[Primary.SAI].any()
+
+
+def test_modes_that_a_board_offers(profile, bank):
+    assert Pipeline(profile, bank).offered() == tuple(Mode)
+    assert Pipeline(profile, bank, rate_hz=40).offered() == tuple(Mode)
+    one_rate = Pipeline(profile, bank, timing=ScanTiming(whole_hz=True))
+    assert one_rate.offered() == (Mode.RA, Mode.SAI)
+    with pytest.raises(ScheduleError, match="choose RA or SAI"):
+        one_rate.change_mode(Mode.NATURAL)
+    assert one_rate.mode is Mode.RA
+    kit = load_profile("kajimoto-61")
+    assert Pipeline(kit, load_bank(kit), timing=Kajimoto61Board.timing).offered() == (Mode.RA,)
+
+
+def test_the_user_s_level_scales_intensity(profile, bank, make_frame, patch):
+    pipeline = Pipeline(profile, bank)
+    for step in range(60):
+        sequence = pipeline.process(make_frame(patch(), step * 20_000_000), 0.3).sequence
+    assert sequence.intensity == pytest.approx(0.3)
+    assert pipeline.process(make_frame(patch(), 1_200_000_000), 0.0).sequence.slots == 0

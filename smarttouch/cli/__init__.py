@@ -11,6 +11,7 @@ from smarttouch.cli.design import design
 from smarttouch.cli.figures import figures
 from smarttouch.cli.live import live
 from smarttouch.cli.profiles import profiles
+from smarttouch.cli.stop import stop
 from smarttouch.errors import SmartTouchError
 
 app = typer.Typer(
@@ -21,6 +22,7 @@ app = typer.Typer(
     add_completion=False,
 )
 app.command()(live)
+app.command()(stop)
 app.command()(profiles)
 app.command()(design)
 app.command()(figures)

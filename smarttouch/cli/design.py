@@ -50,15 +50,14 @@ def design(
 ) -> None:
     """Show the kernels of a profile: current patterns that reach one class of afferents."""
     from smarttouch.cli import kernels
-    from smarttouch.cli.files import parse_mode, require_folder, require_site, write_json
+    from smarttouch.cli.files import parse_primary, require_folder, require_site, write_json
     from smarttouch.cli.progress import bank_progress
     from smarttouch.errors import DesignError, SmartTouchError
     from smarttouch.modes.bank import find_bank, load_bank, make_bank
     from smarttouch.modes.switching import possible_modes
-    from smarttouch.primary import Primary
     from smarttouch.profile import load_profile
 
-    primary = None if mode is None else parse_mode(mode, tuple(Primary))
+    primary = None if mode is None else parse_primary(mode)
     chosen = load_profile(profile)
     for output in (json_file, plot_file, bank_file):
         require_folder(output)

@@ -5,18 +5,36 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from smarttouch.errors import SmartTouchError
-from smarttouch.primary import Primary
+from smarttouch.primary import Mode, Primary
 
 if TYPE_CHECKING:
     from smarttouch.profile import Profile
 
 
-def parse_mode(mode: str, offered: tuple[Primary, ...]) -> Primary:
+def parse_mode(mode: str) -> Mode:
+    """Return the mode that ``--mode`` names."""
+    for each in Mode:
+        if mode.lower() == each.value.lower():
+            return each
+    raise SmartTouchError(f"--mode {mode!r} is not offered: choose {' or '.join(Mode)}")
+
+
+def parse_primary(mode: str) -> Primary:
     """Return the primary that ``--mode`` names."""
-    names = [each.name for each in offered]
-    if mode.upper() not in names:
-        raise SmartTouchError(f"--mode {mode!r} is not offered: choose {' or '.join(names)}")
+    if mode.upper() not in Primary.__members__:
+        names = " or ".join(Primary.__members__)
+        raise SmartTouchError(f"--mode {mode!r} is not offered: choose {names}")
     return Primary[mode.upper()]
+
+
+def parse_size(size: str | None) -> tuple[int, int] | None:
+    """Return width and height that ``--size`` names, as in 640x480."""
+    if size is None:
+        return None
+    width, _, height = size.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+        raise SmartTouchError(f"--size {size!r} is not a size: give width and height as 640x480")
+    return int(width), int(height)
 
 
 def require_site(profile: "Profile", site: int) -> None:

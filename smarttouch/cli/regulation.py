@@ -4,8 +4,8 @@ import typer
 
 from smarttouch.boards.board import Board
 from smarttouch.errors import BoardError, SmartTouchError
-from smarttouch.live import Regulator
 from smarttouch.profile import Profile
+from smarttouch.regulator import Regulator
 from smarttouch.scan.adaptation import Adaptation
 from smarttouch.scan.ledger import ChargeLedger
 
@@ -58,7 +58,7 @@ def make_regulator(
             raise BoardError(
                 "--hold needs a board that tells the voltage of each slot, and this one does not"
             )
-        if board.one_width and hold == "charge":
+        if not board.timing.own_widths and hold == "charge":
             raise BoardError(
                 "--hold charge needs a pulse width of its own for each slot, and this board has "
                 "one for all: choose --hold energy"

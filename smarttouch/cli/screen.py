@@ -16,13 +16,18 @@ from rich.table import Table
 from rich.text import Text
 
 from smarttouch.boards.board import Board
-from smarttouch.live import Sent, Tally
-from smarttouch.primary import Primary
+from smarttouch.controls import Controls
+from smarttouch.live import Sent
 from smarttouch.profile import Profile
 from smarttouch.sensing.frame import Sensor
+from smarttouch.tally import Tally
 
 _SENSOR_ROWS = 16
 _REFRESH_PER_S = 10
+_KEYS = (
+    "+ −  intensity    0  none    space  pause    m  mode    q, Esc, Ctrl-C  end, all electrodes "
+    "at zero"
+)
 
 
 class Screen:
@@ -35,16 +40,17 @@ class Screen:
         self,
         source: Sensor,
         profile: Profile,
-        primary: Primary,
+        controls: Controls,
         url: str,
         board: Board,
         tally: Tally,
         quiet: bool,
     ) -> None:
-        self._source, self._profile, self._primary = source, profile, primary
+        self._source, self._profile, self._controls = source, profile, controls
         self._url, self._board, self._tally = url, board, tally
         self._console = Console()
         self._latest: Sent | None = None
+        self._event = ""
         self._layout = _ArrayLayout(profile)
         self._live: Live | None = None
         if not quiet and self._console.is_terminal:
@@ -77,6 +83,10 @@ class Screen:
         """Keep the newest; the screen's own thread draws it when it gets to it."""
         self._latest = sent
 
+    def tell(self, time_ns: int, words: str) -> None:
+        """Keep what happened last."""
+        self._event = f"{time_ns / 1e9:.1f} s: {words}"
+
     def _render(self) -> Group | Text:
         sent = self._latest
         if sent is None:
@@ -84,13 +94,14 @@ class Screen:
         sensor = Panel(_grey(sent.step.frame.image), title="sensor sees", expand=False)
         electrodes = Panel(
             self._layout.draw(_felt_ma(sent)),
-            title=f"{self._primary.name} electrodes",
+            title=f"{sent.step.mode} electrodes",
             expand=False,
         )
         return Group(
             Text(f"{self._source.title}  →  {self._profile.title}  →  {self._url}", style="bold"),
             Columns([sensor, electrodes, Panel(self._numbers(sent), title="now", expand=False)]),
-            Text("Ctrl-C ends with all electrodes at zero.", style="dim"),
+            Text(_KEYS if sys.stdin.isatty() else "", style="dim"),
+            Text(self._event, style="dim"),
         )
 
     def _numbers(self, sent: Sent) -> Table:
@@ -98,15 +109,19 @@ class Screen:
         limits, force = self._profile.limits, self._profile.force
         peak_ma = float(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0)) / 1000
         charge_uc = peak_ma * float(sequence.width_us.max(initial=0)) / 1000
-        pose = frame.pose
+        pose, wish = frame.pose, self._controls.wish(frame.time_ns)
+        dropped = self._source.dropped_frames + tally.seen - tally.felt
         length = "" if self._source.duration_s is None else f" of {self._source.duration_s:.0f}"
         rows = (
             ("time", f"{frame.time_ns / 1e9:5.1f}{length} s"),
             ("finger", f"x {pose.x_mm:5.1f}  y {pose.y_mm:5.1f} mm"),
             ("pressure", f"{_bar(frame.force_n / force.full_n)} {frame.force_n:.2f} N"),
+            ("asked for", f"{_bar(wish.level)} {wish.level:.2f}{' paused' * wish.paused}"),
             ("intensity", f"{_bar(sequence.intensity)} {sequence.intensity:.2f}"),
             ("rate", f"{sequence.rate_hz:.0f} Hz, {sequence.slots} slots"),
-            ("latency", f"{sent.latency_us:.0f} µs, frame to last byte"),
+            ("frames", f"{tally.felt} felt, {dropped} dropped of {self._source.frames}"),
+            ("latency", f"{frame.age_ns / 1e6 + sent.latency_us / 1e3:.1f} ms, image to last byte"),
+            ("own work", f"{sent.work_us:.0f} µs, {tally.work_share:.1%} of the scans"),
             (
                 "current",
                 f"{_bar(peak_ma / limits.current_ma)} {peak_ma:.2f}/{limits.current_ma} mA",
@@ -124,7 +139,7 @@ class Screen:
 
     def summarize(self, figures: dict[str, Any], notes: list[str], files: list[Path]) -> None:
         """Print how the run went."""
-        latency = figures["latency_us"]
+        latency = figures["motion_to_bytes_us"]
         net_uc = figures["max_net_charge_uc"] or 0
         net = (
             f"all pulses add up to {net_uc:.2g} µC on one electrode"
@@ -133,13 +148,14 @@ class Screen:
         )
         lines = [
             f"Ended after {figures['seconds']:.1f} s ({figures['ended']}): all electrodes off.",
-            f"  {figures['frames']} frames, {figures['slots']} slots, "
+            f"  {figures['frames_in']} frames in, {figures['frames_felt']} felt, "
+            f"{figures['dropped_frames']} dropped; {figures['slots']} slots in "
             f"{figures['acknowledged']} sequences "
-            f"{'acknowledged' if self._board.capabilities.acknowledges else 'sent'}, "
-            f"{figures['dropped_frames']} frames dropped",
-            f"  {figures['rate_hz']:.1f} Hz of {figures['rate_asked_hz']:.1f} asked"
+            f"{'acknowledged' if self._board.capabilities.acknowledges else 'sent'}",
+            f"  {figures['rate_hz']:.1f} Hz of {figures['rate_asked_hz'] or 0:.1f} asked"
             + self._slowed(figures)
-            + f"; frame to last byte {latency['p50']:.0f} µs median, {latency['p99']:.0f} µs p99",
+            + f"; image to last byte {latency['p50'] / 1000:.1f} ms median, "
+            f"{latency['p99'] / 1000:.1f} ms p99; own work {figures['work_share']:.1%} of it",
             f"  strongest pulse {figures['max_current_ma']:.2f} mA, "
             f"{figures['max_charge_uc']:.3f} µC; {net}",
             "  by the host's own account: this board keeps none"
@@ -148,6 +164,9 @@ class Screen:
         ]
         if figures["lifts"]:
             lines.append(f"  the finger was lifted {figures['lifts']} times")
+        blind = figures["without_force_or_image"]
+        if blind:
+            lines.append(f"  {blind} sequences without current: force or image were not known")
         lines += [f"  {note}" for note in notes]
         lines += [f"  wrote {path}" for path in files]
         for line in lines:
@@ -201,7 +220,7 @@ class _ArrayLayout:
         self._column = np.rint((position[:, 0] - position[:, 0].min()) / step_x).astype(int)
         self._row = np.rint((position[:, 1] - position[:, 1].min()) / step_y).astype(int)
         self._width = 3 if step_x >= step_y else 2
-        self._full_ma = float(profile.threshold_ma.max()) * profile.perception.comfort_ratio
+        self._full_ma = float(profile.full_ma.max())
 
     def draw(self, current_ma: NDArray[np.float32]) -> Text:
         cells = [

@@ -2,16 +2,14 @@
 
 import select
 import sys
-import termios
 import time
-import tty
 from collections.abc import Iterator
-from contextlib import contextmanager
 
 import typer
 
 from smarttouch.boards.board import Board
 from smarttouch.boards.probe import one_each
+from smarttouch.cli.keyboard import keyboard, read_key
 from smarttouch.errors import SmartTouchError
 from smarttouch.profile import Profile
 from smarttouch.scan.safety import SafetyLimits
@@ -36,7 +34,7 @@ def walk(board: Board, profile: Profile, current_ma: float, seconds: float | Non
         raise SmartTouchError(f"--seconds {seconds:g} must be above 0")
     _check(profile, current_ma)
     tried = 0
-    with _keys():
+    with keyboard():
         for site in range(len(profile.electrodes)):
             if site in profile.output.masked:
                 typer.echo(f"electrode {site}: masked")
@@ -46,7 +44,7 @@ def walk(board: Board, profile: Profile, current_ma: float, seconds: float | Non
             tried += 1
             end = None if seconds is None else time.monotonic() + seconds
             for _ in _pulses(board, profile, site, current_ma):
-                key = _key()
+                key = read_key()
                 if key in ("q", "\x03", "\x04"):
                     return tried
                 if key or (end is not None and time.monotonic() >= end):
@@ -67,7 +65,7 @@ def pulse_until_line(
 
 
 def _check(profile: Profile, current_ma: float) -> None:
-    full_ma = float(profile.threshold_ma.max()) * profile.perception.comfort_ratio
+    full_ma = float(profile.full_ma.max())
     if not 0 < current_ma <= full_ma:
         raise SmartTouchError(
             f"--current-ma {current_ma:g} must be above 0 and at most the {full_ma:g} mA that the "
@@ -103,23 +101,3 @@ def _point(
         discharge_us=pulse.discharge_us,
         period_us=round(1e6 / pulse.rate_hz),
     )
-
-
-@contextmanager
-def _keys() -> Iterator[None]:
-    """Let single keys through, where there is a keyboard."""
-    if not sys.stdin.isatty():
-        yield
-        return
-    before = termios.tcgetattr(sys.stdin)
-    tty.setcbreak(sys.stdin)
-    try:
-        yield
-    finally:
-        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
-
-
-def _key() -> str:
-    if sys.stdin.isatty() and select.select([sys.stdin], [], [], 0)[0]:
-        return sys.stdin.read(1)
-    return ""

@@ -1,8 +1,9 @@
 """What every sensor delivers, and the contract of a sensor."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol, Self, runtime_checkable
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,40 +31,64 @@ class Frame:
     image : ndarray, (H, W) uint8
         Grey levels, bright is white.
     time_ns : int
-        When it was taken, on the sensor's own clock.
+        When it is felt: the time that was asked for, since the start of the run.
     pose : Pose
         Where it was taken.
     force_n : float, N
-        How hard the finger presses.
+        How hard the finger presses; NaN where the sensor does not know.
+    number : int
+        Of the image at its source, from 0; the same number is the same image again.
+    age_ns : int
+        How old the image was when it was asked for.
+    stale : bool
+        The sensor has fallen silent: what the image shows may be gone.
     """
 
     image: NDArray[np.uint8]
     time_ns: int
     pose: Pose
     force_n: float
+    number: int = 0
+    age_ns: int = 0
+    stale: bool = False
 
 
-@runtime_checkable
-class Sensor(Protocol):
-    """A source of frames, opened by its URL."""
+class Sensor(ABC):
+    """A source of frames, opened by its URL.
+
+    Every frame of the source is either read or dropped: at the end ``frames``
+    is the number of distinct frames read plus ``dropped_frames``.
+    """
 
     title: str
     """What it is, in a few words, for the screen."""
-    duration_s: float | None
+    duration_s: float | None = None
     """How long it lasts; None if it never ends by itself."""
-    dropped_frames: int
+    knows_force: ClassVar[bool] = False
+    """Whether its frames tell how hard the finger presses."""
+    frames: int = 0
+    """Frames that its source delivered."""
+    dropped_frames: int = 0
     """Frames that came but were never read."""
 
+    def __init__(self, title: str) -> None:
+        self.title = title
+        self.notes: list[str] = []
+
+    @abstractmethod
     def read(self, time_ns: int) -> Frame | None:
         """Return the frame at ``time_ns`` since the start; None at the end."""
 
-    def close(self) -> None: ...
+    def close(self) -> None:  # noqa: B027
+        """Let go of what is held open."""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(
         self,
         kind: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
-    ) -> None: ...
+    ) -> None:
+        self.close()

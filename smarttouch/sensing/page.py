@@ -1,15 +1,13 @@
 """A virtual finger over a page: frames as a photo-sensor patch would take them."""
 
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.profile import Profile
-from smarttouch.sensing.frame import Frame
+from smarttouch.sensing.frame import Frame, Sensor
 from smarttouch.sensing.page_image import Page, load_page, print_text
 from smarttouch.sensing.reading_path import Path2D, ReadingPath, RecordedPath
 
@@ -19,6 +17,7 @@ BLUR_MM = 0.06
 """Standard deviation of the optics' blur."""
 NOISE_LEVELS = 2.0
 """Standard deviation of the read noise, in grey levels."""
+USUAL_MM_S = 40.0
 _SHADE = 0.1
 """How much darker the corners of the patch are lit than its middle."""
 _SLOPE = 0.03
@@ -28,20 +27,38 @@ _MARGIN_BLUR_MM = 1.0
 _MOST_PIXELS = 60_000_000
 
 
-def open_page(rest: str, profile: Profile, **options: Any) -> "PageSensor":
-    """Open ``page:FILE``; options are those of `PageSensor`, ``dpi`` and ``page_width_mm``."""
-    scale = {name: options.pop(name, None) for name in ("dpi", "page_width_mm")}
-    return PageSensor(load_page(Path(rest), **scale), profile, Path(rest).name, **options)
+def open_page(
+    rest: str,
+    profile: Profile,
+    *,
+    dpi: float | None = None,
+    page_width_mm: float | None = None,
+    seed: int = 0,
+    speed_mm_s: float = USUAL_MM_S,
+    path: Path | None = None,
+    light_on_dark: bool = False,
+) -> "PageSensor":
+    """Open ``page:FILE``; options are those of `PageSensor`, and its scale."""
+    page = load_page(Path(rest), dpi=dpi, page_width_mm=page_width_mm)
+    title = Path(rest).name
+    return PageSensor(page, profile, title, seed, speed_mm_s, path, light_on_dark)
 
 
-def open_text(rest: str, profile: Profile, **options: Any) -> "PageSensor":
+def open_text(
+    rest: str,
+    profile: Profile,
+    *,
+    seed: int = 0,
+    speed_mm_s: float = USUAL_MM_S,
+    path: Path | None = None,
+    light_on_dark: bool = False,
+) -> "PageSensor":
     """Open ``text:STRING``, a page printed on the spot."""
-    for name in ("dpi", "page_width_mm"):
-        options.pop(name, None)
-    return PageSensor(print_text(rest), profile, "printed text", **options)
+    page = print_text(rest)
+    return PageSensor(page, profile, "printed text", seed, speed_mm_s, path, light_on_dark)
 
 
-class PageSensor:
+class PageSensor(Sensor):
     """Frames of a finger that moves over a page.
 
     Parameters
@@ -63,26 +80,26 @@ class PageSensor:
         For light print on dark paper.
     """
 
-    dropped_frames = 0
+    knows_force = True
 
     def __init__(
         self,
         page: Page,
         profile: Profile,
         title: str,
-        *,
         seed: int = 0,
-        speed_mm_s: float = 40.0,
+        speed_mm_s: float = USUAL_MM_S,
         path: Path | None = None,
         light_on_dark: bool = False,
     ) -> None:
-        self.page, self.title = page, title
+        super().__init__(title)
+        self.page = page
         self.path: Path2D = (
             ReadingPath(page, profile, speed_mm_s, seed, light_on_dark)
             if path is None
             else RecordedPath(path)
         )
-        self.duration_s: float | None = self.path.duration_s
+        self.duration_s = self.path.duration_s
         self._seed = seed
         optics = profile.optics
         self._shape = (optics.sensor_rows, optics.sensor_columns)
@@ -125,21 +142,8 @@ class PageSensor:
         lit *= NOISE_LEVELS
         lit += self._coarse * self._light
         image = np.clip(np.rint(lit, out=lit), 0, 255).astype(np.uint8)
-        return Frame(image, time_ns, pose, force_n)
-
-    def close(self) -> None:
-        """Nothing is held open."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
+        self.frames += 1
+        return Frame(image, time_ns, pose, force_n, number=self.frames - 1)
 
 
 def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float, int]:

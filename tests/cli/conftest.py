@@ -3,8 +3,10 @@
 import contextlib
 import io
 import os
+import pty
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -73,6 +75,36 @@ def start_program(tmp_path):
     for process in running:
         process.kill()
         process.communicate()
+
+
+@pytest.fixture
+def start_at_a_terminal(tmp_path, monkeypatch):
+    """Return a starter of a run with a keyboard: its process, once it runs, and the keyboard."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    running = []
+
+    def start(*arguments):
+        keys, terminal = pty.openpty()
+        process = subprocess.Popen(
+            [PROGRAM, *map(str, arguments)],
+            cwd=tmp_path,
+            stdin=terminal,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        os.close(terminal)
+        running.append((process, keys))
+        while process.poll() is None and not list((tmp_path / "state").rglob("*.run")):
+            time.sleep(0.02)
+        return process, keys
+
+    yield start
+    for process, keys in running:
+        process.kill()
+        process.communicate()
+        with contextlib.suppress(OSError):
+            os.close(keys)
 
 
 @pytest.fixture

@@ -1,0 +1,78 @@
+"""Single keys from the terminal, where there is one."""
+
+import os
+import select
+import sys
+import termios
+import threading
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+LOST = ""
+"""What `Keys` calls a terminal that is gone."""
+
+
+@contextmanager
+def keyboard() -> Iterator[None]:
+    """Let single keys through, where there is a keyboard."""
+    if not sys.stdin.isatty():
+        yield
+        return
+    before = termios.tcgetattr(sys.stdin)
+    tty.setcbreak(sys.stdin)
+    try:
+        yield
+    finally:
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+
+
+def read_key() -> str:
+    """Return the key that was pressed, empty if none was; never waits."""
+    if sys.stdin.isatty() and select.select([sys.stdin], [], [], 0)[0]:
+        return sys.stdin.read(1)
+    return ""
+
+
+@contextmanager
+def keys_heeded(heed: Callable[[str], None]) -> Iterator[None]:
+    """Hand every key to a function, from a thread, until the block ends.
+
+    Arrow keys come as ``up`` and ``down``, a terminal that is gone as `LOST`.
+    """
+    if not sys.stdin.isatty():
+        yield
+        return
+    over = threading.Event()
+
+    def listen() -> None:
+        number = sys.stdin.fileno()
+        while not over.is_set():
+            if not select.select([number], [], [], 0.1)[0]:
+                continue
+            try:
+                data = os.read(number, 64)
+            except OSError:
+                data = b""
+            if not data:
+                heed(LOST)
+                return
+            for key in _keys(data.decode("utf-8", "replace")):
+                heed(key)
+
+    with keyboard():
+        thread = threading.Thread(target=listen, name="keyboard", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
+
+
+def _keys(text: str) -> Iterator[str]:
+    arrows = {"\x1b[A": "up", "\x1b[B": "down", "\x1bOA": "up", "\x1bOB": "down"}
+    while text:
+        arrow = arrows.get(text[:3])
+        yield arrow or text[0]
+        text = text[3:] if arrow else text[1:]

@@ -1,0 +1,267 @@
+"""One run from an open sensor to a board: what ``live`` and ``replay`` share."""
+
+import contextlib
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from smarttouch.boards.board import Board, BoardReport, make_board
+from smarttouch.cli.files import require_folder, write_json
+from smarttouch.cli.keyboard import LOST, keys_heeded
+from smarttouch.cli.progress import bank_progress
+from smarttouch.cli.regulation import make_regulator, masked_where_broken
+from smarttouch.cli.running import announced
+from smarttouch.cli.screen import Screen
+from smarttouch.controls import STEP, Controls, StopRequest, Wish, stop_on_signals
+from smarttouch.errors import SensorError, SmartTouchError
+from smarttouch.live import Sent, Tell, run, settled
+from smarttouch.modes.bank import KernelBank, load_bank
+from smarttouch.pipeline import Pipeline
+from smarttouch.primary import Mode
+from smarttouch.profile import Profile
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.sensing.force import ForceSource
+from smarttouch.sensing.frame import Sensor
+from smarttouch.tally import Tally
+
+
+@dataclass
+class Plan:
+    """What a run is asked to be."""
+
+    sensor_url: str
+    board_url: str
+    mode: Mode
+    rate_hz: float | None = None
+    seconds: float | None = None
+    level: float | None = None
+    softness: float | None = None
+    light_on_dark: bool = False
+    force_url: str | None = None
+    measure: bool = False
+    hold: str | None = None
+    balance: bool = False
+    felt: Path | None = None
+    record: Path | None = None
+    json_file: Path | None = None
+    quiet: bool = False
+    seed: int = 0
+    subject: str = ""
+    note: str = ""
+    controls: Callable[[Wish, tuple[Mode, ...]], Controls] = field(default=Controls)
+
+    def __post_init__(self) -> None:
+        for output in (self.felt, self.record, self.json_file):
+            require_folder(output)
+        if self.felt is not None and not self.board_url.startswith("emulator:"):
+            raise SmartTouchError(
+                f"--felt needs a board that reports every pulse, and {self.board_url!r} does not: "
+                "use --board emulator:"
+            )
+        for name, value in (("--intensity", self.level), ("--softness", self.softness)):
+            if value is not None and not 0 <= value <= 1:
+                raise SmartTouchError(f"{name} {value:g} must be from 0 to 1")
+        if self.seconds is not None and not self.seconds > 0:
+            raise SmartTouchError(f"--seconds {self.seconds:g} must be above 0")
+
+    @property
+    def first_level(self) -> float:
+        """Intensity at the start: where someone can turn it up on a real board, nothing."""
+        if self.level is not None:
+            return self.level
+        return 0.0 if sys.stdin.isatty() and not self.board_url.startswith("emulator:") else 1.0
+
+
+def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile) -> None:
+    """Let a finger feel what a sensor sees, until it ends or a user ends it."""
+    stop, tally = StopRequest(), Tally()
+    with contextlib.ExitStack() as stack:
+        options: dict[str, Any] = {}
+        if plan.felt is not None:
+            books = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="smarttouch-")))
+            options["books"] = books
+        display = make_board(plan.board_url, SafetyLimits.of(profile), profile.output, **options)
+        if plan.measure:
+            with display:
+                profile = masked_where_broken(display, profile, plan.quiet)
+        with bank_progress(plan.quiet) as progress:
+            bank = load_bank(profile, progress)
+        # Until here an interrupt may end the program at once: no board pulses.
+        stack.enter_context(stop_on_signals(stop))
+        stack.enter_context(announced())
+        pipeline = Pipeline(
+            profile,
+            bank,
+            plan.mode,
+            plan.rate_hz,
+            plan.light_on_dark,
+            display.timing,
+            plan.softness,
+        )
+        drawing = None if plan.felt is None else _drawing(source, profile, bank, plan.mode)
+        observers: list[Callable[[Sent], None]] = [] if drawing is None else [drawing.watch]
+        wish = Wish(plan.mode, plan.first_level)
+        controls = plan.controls(wish, pipeline.offered())
+        report: BoardReport | None = None
+        ended = "fault"
+        screen = Screen(source, profile, controls, plan.board_url, display, tally, plan.quiet)
+        observers.append(screen.show)
+        try:
+            with settled(pipeline), display:
+                _require_force(source, force, display)
+                regulator = make_regulator(display, profile, plan.hold, plan.balance, plan.quiet)
+                tells: list[Tell] = [screen.tell]
+                if plan.record is not None:
+                    recorder = _recorder(plan, profile, source, force, display)
+                    stack.callback(recorder.close)
+                    tells.append(recorder.event)
+                    observers.append(
+                        lambda sent: recorder.record(sent, display.acknowledged, display.refused)
+                    )
+                with screen, keys_heeded(_keys(controls, stop)):
+                    run(
+                        source,
+                        pipeline,
+                        display,
+                        stop=stop,
+                        tally=tally,
+                        seconds=plan.seconds,
+                        observers=observers,
+                        controls=controls,
+                        force=force,
+                        tell=_told_to(tells),
+                        regulator=regulator,
+                    )
+                report = display.report()
+            display.notes += regulator.notes()
+            ended = stop.reason or "end of the page"
+        finally:
+            source.close()
+            figures = _figures(tally, source, display, report, ended)
+            if plan.json_file is not None:
+                write_json(plan.json_file, figures)
+        if plan.felt is not None and drawing is not None:
+            from smarttouch.boards.emulator.books import read_delivered
+
+            drawing.deliver(*read_delivered(books))
+            drawing.save(plan.felt)
+    if not plan.quiet:
+        notes = [*display.notes, *source.notes, *(force.notes if force is not None else ())]
+        written = [each for each in (plan.felt, plan.record, plan.json_file) if each is not None]
+        screen.summarize(figures, notes, written)
+
+
+def _keys(controls: Controls, stop: StopRequest) -> Callable[[str], None]:
+    """Return what each key does: the subject's own control, and the way out."""
+    does: dict[str, Callable[[], None]] = {
+        "+": lambda: controls.change_level(STEP),
+        "-": lambda: controls.change_level(-STEP),
+        "0": controls.silence,
+        " ": controls.toggle_pause,
+        "m": controls.next_mode,
+        "q": lambda: stop.ask("key q"),
+        "\x1b": lambda: stop.ask("key Esc"),
+        LOST: lambda: stop.ask("the terminal is gone"),
+    }
+    does |= {"=": does["+"], "up": does["+"], "down": does["-"], "_": does["-"]}
+    return lambda key: does.get(key, lambda: None)()
+
+
+def _told_to(tells: list[Tell]) -> Tell:
+    def tell(time_ns: int, words: str) -> None:
+        for each in tells:
+            each(time_ns, words)
+
+    return tell
+
+
+def _require_force(source: Sensor, force: ForceSource | None, board: Board) -> None:
+    if not (source.knows_force or force is not None or board.capabilities.force):
+        raise SensorError(
+            f"nobody knows how hard the finger presses, neither {source.title} nor the board, so "
+            "there would be no current: give --force, for example hx711:PORT, or fixed:0.5 (N)"
+        )
+
+
+def _drawing(source: Sensor, profile: Profile, bank: KernelBank, mode: Mode) -> Any:
+    from smarttouch.felt import FeltImage
+
+    return FeltImage(profile, bank, mode.primaries, getattr(source, "page", None))
+
+
+def _recorder(
+    plan: Plan, profile: Profile, source: Sensor, force: ForceSource | None, board: Board
+) -> Any:
+    from dataclasses import asdict
+
+    from smarttouch.recording.recorder import Recorder, about_run
+
+    started_unix_ns = time.time_ns()
+    settings = {
+        "mode": plan.mode.value,
+        "rate_hz": plan.rate_hz,
+        "light_on_dark": plan.light_on_dark,
+        "softness": plan.softness,
+        "hold": plan.hold,
+        "balance": plan.balance,
+        "timing": asdict(board.timing),
+        "compliance_v": board.capabilities.compliance_v,
+        "sensor": plan.sensor_url,
+        "sensor_title": source.title,
+        "board": plan.board_url,
+        "firmware": board.capabilities.firmware,
+        "force": plan.force_url,
+        "seed": plan.seed,
+        "subject": plan.subject,
+        "note": plan.note,
+    }
+    assert plan.record is not None
+    about = about_run(profile, settings, started_unix_ns)
+    return Recorder(plan.record, about, started_unix_ns)
+
+
+def _figures(
+    tally: Tally,
+    source: Sensor,
+    board: Board,
+    report: BoardReport | None,
+    ended: str,
+) -> dict[str, Any]:
+    """Return what ``--json`` writes; the board's own figures are null after a fault."""
+    return {
+        "ended": ended,
+        "seconds": tally.seconds,
+        "frames": tally.frames,
+        "frames_in": source.frames,
+        "frames_felt": tally.felt,
+        "dropped_frames": source.dropped_frames + tally.seen - tally.felt,
+        "sequences": tally.frames,
+        "slots": tally.slots,
+        "pulses": report and report.pulses,
+        "acknowledged": board.acknowledged,
+        "refused": board.refused,
+        "late_frames": tally.late,
+        "without_force_or_image": tally.blind,
+        "replaced": board.replaced,
+        "restarts": tally.restarts,
+        "lifts": tally.lifts,
+        "reported_by": report and report.by,
+        "rate_asked_hz": 1e6 * tally.frames / tally.asked_us if tally.asked_us else None,
+        "rate_hz": tally.frames / tally.seconds if tally.seconds else 0.0,
+        "lowest_rate_hz": tally.lowest_rate_hz if tally.frames else None,
+        "slowed_sequences": tally.slowed,
+        "latency_us": tally.latency.figures(),
+        "motion_to_bytes_us": tally.motion_to_bytes.figures(),
+        "period_error_us": tally.period_error.figures(),
+        "work_us": tally.work.figures(),
+        "work_share": tally.work_share,
+        "max_current_ma": report and report.max_current_ma,
+        "max_charge_uc": report and report.max_charge_uc,
+        "max_net_charge_uc": report and report.max_net_charge_uc,
+        "emulator_violations": report.violations if report and report.by == "board" else None,
+        "active_fraction": tally.active / tally.frames if tally.frames else 0.0,
+    }

@@ -1,0 +1,114 @@
+"""A page put together from what the sensor saw while it moved."""
+
+import math
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import SmartTouchError
+from smarttouch.profile import Optics
+from smarttouch.sensing.frame import Frame
+from smarttouch.sensing.page_image import Page
+
+PIXEL_MM = 0.1
+LARGEST_PIXELS = 40_000_000
+"""Of the page; frames farther away are left out."""
+_BLOCK = 256
+"""Pixels by which the canvas grows at least."""
+
+
+class Mosaic:
+    """Averages frames where their poses put them; grows as the sensor moves.
+
+    Parameters
+    ----------
+    optics : Optics
+        Field of view of the frames.
+    """
+
+    def __init__(self, optics: Optics) -> None:
+        self._optics = optics
+        self._sum = np.zeros((0, 0), np.float32)
+        self._count = np.zeros((0, 0), np.float32)
+        self._first = (0, 0)
+        """Row and column of the canvas's corner, in pixels of the page."""
+        self._number: int | None = None
+
+    def add(self, frame: Frame) -> None:
+        """Add a frame; one that was added before, or is stale, is left out."""
+        if frame.number == self._number or frame.stale:
+            return
+        self._number = frame.number
+        optics, pose = self._optics, frame.pose
+        # A warp samples points: a frame finer than the page is averaged down first.
+        wide, high = (
+            round(each / PIXEL_MM) for each in (optics.field_width_mm, optics.field_height_mm)
+        )
+        image: NDArray[Any] = frame.image
+        if image.shape[1] > wide and image.shape[0] > high:
+            image = cv2.resize(image, (wide, high), interpolation=cv2.INTER_AREA)
+        height, width = image.shape
+        turn = pose.angle_rad - math.radians(optics.rotation_deg)
+        cos, sin = math.cos(turn), math.sin(turn)
+        half = math.hypot(optics.field_width_mm, optics.field_height_mm) / 2 / PIXEL_MM
+        left, top = (math.floor(center / PIXEL_MM - half) for center in (pose.x_mm, pose.y_mm))
+        side = 2 * math.ceil(half) + 2
+        if not self._reach(top, left, side):
+            return
+        # Pixels of the frame become pixels of a tile of the page.
+        scale_x = optics.field_width_mm / width / PIXEL_MM
+        scale_y = optics.field_height_mm / height / PIXEL_MM
+        turned = np.array([[cos * scale_x, -sin * scale_y], [sin * scale_x, cos * scale_y]])
+        middle = np.array([pose.x_mm / PIXEL_MM - left, pose.y_mm / PIXEL_MM - top]) - 0.5
+        shift = middle - turned @ [(width - 1) / 2, (height - 1) / 2]
+        to_tile = np.column_stack([turned, shift])
+        size = (side, side)
+        tile = cv2.warpAffine(image, to_tile, size, borderMode=cv2.BORDER_REPLICATE)
+        seen = cv2.warpAffine(np.ones_like(image), to_tile, size, flags=cv2.INTER_NEAREST)
+        rows = slice(top - self._first[0], top - self._first[0] + side)
+        columns = slice(left - self._first[1], left - self._first[1] + side)
+        self._sum[rows, columns] += tile * seen
+        self._count[rows, columns] += seen
+
+    def _reach(self, top: int, left: int, side: int) -> bool:
+        """Grow the canvas so that a tile lies on it; return whether it does."""
+        rows, columns = self._sum.shape
+        if not rows:
+            self._first = (top, left)
+        before = [max(0, self._first[0] - top), max(0, self._first[1] - left)]
+        after = [
+            max(0, top + side - self._first[0] - rows),
+            max(0, left + side - self._first[1] - columns),
+        ]
+        before = [grow and max(grow, _BLOCK) for grow in before]
+        after = [grow and max(grow, _BLOCK) for grow in after]
+        if (rows + before[0] + after[0]) * (columns + before[1] + after[1]) > LARGEST_PIXELS:
+            return False
+        if any(before) or any(after):
+            borders = list(zip(before, after, strict=True))
+            self._sum, self._count = (np.pad(each, borders) for each in (self._sum, self._count))
+            self._first = (self._first[0] - before[0], self._first[1] - before[1])
+        return True
+
+    def page(self) -> tuple[Page, tuple[float, float]]:
+        """Return the page, and where its top left corner is, (x, y) mm.
+
+        Raises
+        ------
+        SmartTouchError
+            If nothing was seen.
+        """
+        rows, columns = (np.flatnonzero(self._count.any(axis=axis)) for axis in (1, 0))
+        if not len(rows):
+            raise SmartTouchError("the sensor saw nothing: there is no page to draw")
+        area = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+        count = self._count[area]
+        paper = np.full_like(count, 226.0)
+        grey: NDArray[np.float32] = np.divide(self._sum[area], count, out=paper, where=count > 0)
+        corner_mm = (
+            (self._first[1] + int(columns[0])) * PIXEL_MM,
+            (self._first[0] + int(rows[0])) * PIXEL_MM,
+        )
+        return Page(np.rint(grey).astype(np.uint8), PIXEL_MM), corner_mm

@@ -1,0 +1,98 @@
+"""What a run adds up to, in as much memory after an afternoon as after a second."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from smarttouch.sensing.frame import Frame
+
+_PER_E = 100
+"""Bins for each factor of e: a figure is true to half a percent."""
+_FACTORS = 17
+"""From 1 µs to 24 s."""
+
+
+class Spread:
+    """Durations in bins of one percent; the largest is kept as it is."""
+
+    def __init__(self) -> None:
+        self._bins = np.zeros(_PER_E * _FACTORS + 1, np.int64)
+        self.count = 0
+        self.largest_us = 0.0
+        self.total_us = 0.0
+
+    def add(self, value_us: float) -> None:
+        """Count one duration, µs."""
+        self.count += 1
+        self.total_us += value_us
+        self.largest_us = max(self.largest_us, value_us)
+        index = 0 if value_us <= 1 else min(len(self._bins) - 1, int(_PER_E * math.log(value_us)))
+        self._bins[index] += 1
+
+    def quantile(self, share: float) -> float:
+        """Return the duration that so many are not above, µs."""
+        if not self.count:
+            return 0.0
+        index = int(np.searchsorted(np.cumsum(self._bins), share * self.count))
+        return min(self.largest_us, math.exp((index + 0.5) / _PER_E))
+
+    def figures(self) -> dict[str, float]:
+        """Return p50, p99 and the maximum, µs."""
+        return {"p50": self.quantile(0.5), "p99": self.quantile(0.99), "max": self.largest_us}
+
+
+@dataclass
+class Tally:
+    """What a run adds up to, kept as it goes."""
+
+    frames: int = 0
+    """Sequences sent; each from one look of the sensor."""
+    seen: int = 0
+    """Different frames read from the sensor."""
+    felt: int = 0
+    """Different frames of which a sequence was sent."""
+    slots: int = 0
+    slowed: int = 0
+    """Sequences longer than the period asked for."""
+    lowest_rate_hz: float = float("inf")
+    late: int = 0
+    """Frames that came more than a period after their time."""
+    restarts: int = 0
+    """How often the board was lost and started anew."""
+    lifts: int = 0
+    """How often the board found the finger lifted."""
+    blind: int = 0
+    """Sequences without current because the force or the image was not known."""
+    active: float = 0.0
+    seconds: float = 0.0
+    scan_us: int = 0
+    """Sum of the periods of all sequences sent."""
+    asked_us: int = 0
+    """Sum of the periods they would have had if their slots had fit."""
+    latency: Spread = field(default_factory=Spread)
+    """From the frame in hand to the last byte written."""
+    motion_to_bytes: Spread = field(default_factory=Spread)
+    """From the taking of the image to the last byte written."""
+    work: Spread = field(default_factory=Spread)
+    """Processor time that a frame took the loop, without waiting."""
+    period_error: Spread = field(default_factory=Spread)
+    """How far the time between two frames was off their period."""
+    _last_seen: int | None = None
+    _last_felt: int | None = None
+
+    def see(self, frame: Frame) -> None:
+        """Count a frame that was read."""
+        self.seen += frame.number != self._last_seen
+        self._last_seen = frame.number
+
+    def feel(self, frame: Frame) -> None:
+        """Count a frame that was sent."""
+        self.frames += 1
+        self.felt += frame.number != self._last_felt
+        self._last_felt = frame.number
+
+    @property
+    def work_share(self) -> float:
+        """The loop's own work, of the time that the board scans."""
+        return self.work.total_us / self.scan_us if self.scan_us else 0.0
