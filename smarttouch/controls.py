@@ -32,7 +32,7 @@ def stop_on_signals(stop: StopRequest) -> Iterator[None]:
     names = {
         signal.SIGINT: "Ctrl-C",
         signal.SIGTERM: "SIGTERM",
-        signal.SIGHUP: "the terminal is gone",
+        signal.SIGHUP: "SIGHUP",
     }
 
     def ask(number: int, _frame: FrameType | None) -> None:

@@ -92,7 +92,6 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
             bank = load_bank(profile, progress)
         # Until here an interrupt may end the program at once: no board pulses.
         stack.enter_context(stop_on_signals(stop))
-        stack.enter_context(announced())
         pipeline = Pipeline(
             profile,
             bank,
@@ -122,7 +121,7 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
                     observers.append(
                         lambda sent: recorder.record(sent, display.acknowledged, display.refused)
                     )
-                with screen, keys_heeded(_keys(controls, stop)):
+                with screen, keys_heeded(_keys(controls, stop)), announced():
                     run(
                         source,
                         pipeline,

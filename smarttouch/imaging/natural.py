@@ -7,9 +7,12 @@ from numpy.typing import NDArray
 
 from smarttouch.primary import Primary
 
-ADAPTATION_S = 0.1
-"""Time constant in which something that stays stops being a change. Ours: RA afferents fall silent
-within a few tenths of a second after a step (Johansson & Vallbo 1979, Fig. 2)."""
+ADAPTATION_S = 0.04
+"""Time constant in which something that stays stops being a change. Ours: longer than between two
+pulses of RA, and so short that a stroke at reading speed does not smear over the next letter."""
+LEAVING = 0.4
+"""Of an arrival: RA afferents answer the end of a touch, and less than its beginning. (At full
+strength the stroke that has just left would be felt beside the one that is there.)"""
 FAINTEST_CHANGE = 0.15
 """Smaller changes are the sensor's noise."""
 
@@ -51,20 +54,20 @@ class NaturalDrive:
         touching : bool
             A lifted finger remembers nothing.
         """
-        if self._time_ns is not None and touching:
-            elapsed_s = max(0, time_ns - self._time_ns) / 1e9
-            self._slow += (ink - self._slow) * np.float32(1 - math.exp(-elapsed_s / ADAPTATION_S))
-        else:
+        if self._time_ns is None or not touching:
             self._slow[:] = 0
-        self._time_ns = time_ns if touching else None
         change, sustained = activation[Primary.RA], activation[Primary.SAI]
         np.subtract(ink, self._slow, out=change)
-        np.abs(change, out=change)
+        if self._time_ns is not None and touching:
+            elapsed_s = max(0, time_ns - self._time_ns) / 1e9
+            np.minimum(ink, self._slow, out=sustained)
+            sustained[sustained < FAINTEST_CHANGE] = 0
+            self._slow += change * np.float32(1 - math.exp(-elapsed_s / ADAPTATION_S))
+        self._time_ns = time_ns if touching else None
+        change[change < 0] *= -LEAVING
         change -= FAINTEST_CHANGE
         change *= 1 / (1 - FAINTEST_CHANGE)
         np.clip(change, 0, 1, out=change)
-        np.minimum(ink, self._slow, out=sustained)
-        sustained[sustained < FAINTEST_CHANGE] = 0
 
     def forget(self) -> None:
         """Take the next image as all new."""

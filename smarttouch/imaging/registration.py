@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
 from smarttouch.electrodes import ElectrodeArray
+from smarttouch.errors import ProfileError
 from smarttouch.profile import Optics
 
 PIXELS_PER_CELL = 8
@@ -20,17 +21,24 @@ class Registration:
     """Averages the ink under each electrode's own aperture.
 
     A cell of the array, divided by the magnification, is a rectangle on the
-    page. Each electrode gets the area-weighted mean over that rectangle; a
-    bare warp would sample single pixels and alias.
+    page, which a tilted camera sees as a quadrilateral. Each electrode gets the
+    area-weighted mean over that; a bare warp would sample single pixels and
+    alias.
 
     Parameters
     ----------
     electrodes : ElectrodeArray
         The E electrodes.
     optics : Optics
-        Field of view, magnification, rotation and offset.
+        Magnification, and the homography from page to pixels, or field of view,
+        rotation and offset.
     frame_shape : tuple of int
         Rows and columns of the frames that will come.
+
+    Raises
+    ------
+    ProfileError
+        If the homography cannot be that of a camera over the page.
 
     Attributes
     ----------
@@ -45,10 +53,11 @@ class Registration:
         cell_mm = min(electrodes.cell_mm) / optics.magnification
         finest = cell_mm / PIXELS_PER_CELL
         rows, columns = frame_shape
+        width_mm, height_mm = _field_mm(electrodes, optics)
         self.frame_shape = frame_shape
         self.working_shape = (
-            _reduced_side(rows, math.ceil(optics.field_height_mm / finest)),
-            _reduced_side(columns, math.ceil(optics.field_width_mm / finest)),
+            _reduced_side(rows, _whole(height_mm / finest)),
+            _reduced_side(columns, _whole(width_mm / finest)),
         )
         self._reduced = np.empty(self.working_shape, np.uint8)
         self._flat = np.empty(self.working_shape[0] * self.working_shape[1], np.float32)
@@ -71,6 +80,11 @@ class Registration:
         return np.asarray(self._weights @ self._flat, np.float32)
 
 
+def _whole(side: float) -> int:
+    """Return the next whole number, whatever rounding has added to one."""
+    return math.ceil(side * (1 - 1e-9))
+
+
 def _reduced_side(side: int, wanted: int) -> int:
     """Return ``side`` over the largest whole number that leaves ``wanted`` or more.
 
@@ -85,27 +99,74 @@ def _aperture_matrix(
 ) -> csr_array[np.float32]:
     rows, columns = shape
     width_mm, height_mm = (side / optics.magnification for side in electrodes.cell_mm)
-    pixel_x = optics.field_width_mm / columns
-    pixel_y = optics.field_height_mm / rows
-    across = max(2, math.ceil(width_mm / pixel_x * _SAMPLES))
-    down = max(2, math.ceil(height_mm / pixel_y * _SAMPLES))
+    field_mm = _field_mm(electrodes, optics, finest=True)
+    across = max(2, math.ceil(width_mm / (field_mm[0] / columns) * _SAMPLES))
+    down = max(2, math.ceil(height_mm / (field_mm[1] / rows) * _SAMPLES))
     dx, dy = np.meshgrid(
         ((np.arange(across) + 0.5) / across - 0.5) * width_mm,
         ((np.arange(down) + 0.5) / down - 0.5) * height_mm,
     )
-    turn = math.radians(optics.rotation_deg)
-    cos, sin = math.cos(turn), math.sin(turn)
     center = electrodes.position_mm / optics.magnification
     x = center[:, 0, None] + dx.ravel()
     y = center[:, 1, None] + dy.ravel()
-    column = np.floor((x * cos - y * sin + optics.offset_x_mm) / pixel_x + columns / 2)
-    row = np.floor((x * sin + y * cos + optics.offset_y_mm) / pixel_y + rows / 2)
+    across_frame, down_frame = _on_frame(x, y, optics)
+    column, row = np.floor(across_frame * columns), np.floor(down_frame * rows)
     # What lies outside the field of view is not seen: those samples count as paper.
     seen = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     electrode = np.broadcast_to(np.arange(len(electrodes))[:, None], seen.shape)
-    pixel = (row * columns + column).astype(np.int64)
+    pixel = (row[seen] * columns + column[seen]).astype(np.int64)
     share = np.full(int(seen.sum()), 1 / (255 * across * down), np.float32)
-    entries = coo_array(
-        (share, (electrode[seen], pixel[seen])), shape=(len(electrodes), rows * columns)
-    )
+    entries = coo_array((share, (electrode[seen], pixel)), shape=(len(electrodes), rows * columns))
     return entries.tocsr()
+
+
+def _on_frame(
+    x_mm: NDArray[np.float64], y_mm: NDArray[np.float64], optics: Optics
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return where places on the page are on a frame, as parts of its width and height.
+
+    NaN for what lies behind a tilted camera.
+    """
+    if optics.homography is None:
+        turn = math.radians(optics.rotation_deg)
+        cos, sin = math.cos(turn), math.sin(turn)
+        across = x_mm * cos - y_mm * sin + optics.offset_x_mm
+        down = x_mm * sin + y_mm * cos + optics.offset_y_mm
+        return across / optics.field_width_mm + 0.5, down / optics.field_height_mm + 0.5
+    a, b, c, d, e, f, g, h, one = optics.homography
+    before = g * x_mm + h * y_mm + one
+    # In front of the camera is the side on which the middle of the array lies.
+    before = np.where(before * np.sign(one) > 1e-9, before, np.nan)
+    column, row = (a * x_mm + b * y_mm + c) / before, (d * x_mm + e * y_mm + f) / before
+    return (column + 0.5) / optics.sensor_columns, (row + 0.5) / optics.sensor_rows
+
+
+def _field_mm(
+    electrodes: ElectrodeArray, optics: Optics, finest: bool = False
+) -> tuple[float, float]:
+    """Return what a frame shows, width and height, as if all of it had one electrode's scale.
+
+    A tilted camera sees some electrodes coarser than others: the coarsest counts, or the finest.
+
+    Raises
+    ------
+    ProfileError
+        If the homography cannot be that of a camera over the page.
+    """
+    if optics.homography is None:
+        return optics.field_width_mm, optics.field_height_mm
+    x_mm, y_mm = electrodes.position_mm.T / optics.magnification
+    step_mm = min(electrodes.cell_mm) / optics.magnification / 100
+    middle = np.array(_on_frame(x_mm, y_mm, optics))
+    right = np.array(_on_frame(x_mm + step_mm, y_mm, optics)) - middle
+    down = np.array(_on_frame(x_mm, y_mm + step_mm, optics)) - middle
+    # Parts of the frame per millimeter, along its rows and along its columns.
+    parts = np.hypot(right, down) / step_mm
+    chosen = parts.max(axis=1) if finest else parts.min(axis=1)
+    if not ((chosen > 0) & (chosen * min(electrodes.cell_mm) <= optics.magnification)).all():
+        raise ProfileError(
+            "optics.homography takes some electrode out of the camera's sight, or sees less than "
+            "one: calibrate the registration again, or remove it"
+        )
+    width_mm, height_mm = (1 / chosen).tolist()
+    return width_mm, height_mm

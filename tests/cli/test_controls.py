@@ -29,7 +29,7 @@ def test_keys_turn_intensity_and_end_the_run(start_at_a_terminal, tmp_path):
     time.sleep(0.3)
     os.write(keys, b"q")
     assert ended(process, tmp_path)["ended"] == "key q"
-    words = [event.words for event in Recording(tmp_path / "run.mcap").events()]
+    words = [words for _, words in Recording(tmp_path / "run.mcap").events()]
     assert words == [
         "intensity 0.10",
         "mode RA",
@@ -55,7 +55,7 @@ def test_a_run_ends_in_order(start_at_a_terminal, tmp_path, end):
     else:
         os.dup2(os.open(os.devnull, os.O_RDONLY), keys)
     reason = ended(process, tmp_path)["ended"]
-    assert reason == {"Esc": "key Esc"}.get(end, "the terminal is gone")
+    assert reason == {"Esc": "key Esc", "SIGHUP": "SIGHUP"}.get(end, "the terminal is gone")
 
 
 def test_another_process_stops_all_runs(start_at_a_terminal, program, tmp_path):

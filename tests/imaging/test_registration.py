@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from smarttouch.errors import ProfileError
 from smarttouch.imaging.registration import Registration
 from smarttouch.profile import load_profile, profile_names
 
@@ -63,3 +64,66 @@ def test_free_positions(profile):
     two = dataclasses.replace(profile.electrodes, position_mm=places)
     registration = Registration(two, profile.optics, (64, 64))
     assert registration.sample(np.full((64, 64), 255, np.uint8)) == pytest.approx([1.0, 1.0])
+
+
+def flat(optics, **changes):
+    """The homography of an upright camera, as field of view, rotation and offset have it."""
+    across = optics.sensor_columns / optics.field_width_mm
+    down = optics.sensor_rows / optics.field_height_mm
+    turn = np.radians(optics.rotation_deg)
+    matrix = np.array(
+        [
+            [across * np.cos(turn), -across * np.sin(turn), 0],
+            [down * np.sin(turn), down * np.cos(turn), 0],
+            [0, 0, 1],
+        ]
+    )
+    matrix[0, 2] = across * optics.offset_x_mm + (optics.sensor_columns - 1) / 2
+    matrix[1, 2] = down * optics.offset_y_mm + (optics.sensor_rows - 1) / 2
+    return optics.model_copy(update={"homography": tuple(matrix.ravel()), **changes})
+
+
+@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("shape", [None, (480, 640)])
+def test_an_upright_homography_is_field_rotation_and_offset(name, shape):
+    profile = load_profile(name)
+    optics = changed(profile, rotation_deg=12.0, offset_x_mm=0.3, offset_y_mm=-0.2)
+    shape = shape or (optics.sensor_rows, optics.sensor_columns)
+    plain = Registration(profile.electrodes, optics, shape)
+    # Nothing but the homography is looked at where there is one.
+    wrong = {"rotation_deg": -90.0, "offset_x_mm": 9.0, "offset_y_mm": 9.0}
+    by_matrix = Registration(profile.electrodes, flat(optics, **wrong), shape)
+    assert by_matrix.working_shape == plain.working_shape
+    ink = np.random.default_rng(1).integers(0, 2, plain.working_shape, np.uint8) * 255
+    assert by_matrix.sample(ink) == pytest.approx(plain.sample(ink), abs=0.01)
+
+
+def test_a_tilted_camera_sees_a_quadrilateral_of_each_cell(profile):
+    """Against polygons filled at 16 times the resolution."""
+    import cv2
+
+    matrix = np.array([[9.5, 1.2, 31.0], [-0.8, 9.9, 29.0], [0.012, -0.03, 1.0]])
+    optics = changed(profile, homography=tuple(matrix.ravel()))
+    ink = np.random.default_rng(2).integers(0, 2, (64, 64), np.uint8) * 255
+    found = Registration(profile.electrodes, optics, (64, 64)).sample(ink)
+    fine = np.kron(ink, np.ones((16, 16), np.uint8))
+    half = np.array(profile.electrodes.cell_mm) / 2
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
+    for site in (0, 7, 27, 56, 63):
+        place = (profile.electrodes.position_mm[site] + corners) / optics.magnification
+        seen = np.column_stack([place, np.ones(4)]) @ matrix.T
+        pixel = (seen[:, :2] / seen[:, 2:] + 0.5) * 16 - 0.5
+        mask = np.zeros(fine.shape, np.uint8)
+        cv2.fillConvexPoly(mask, np.rint(pixel).astype(np.int32), 1)
+        assert found[site] == pytest.approx(fine[mask == 1].mean() / 255, abs=0.06), site
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [np.zeros(9), [0, 0, 1, 0, 0, 1, 0, 0, 1], [1e9, 0, 0, 0, 1e9, 0, 0, 0, 1],
+     [12.8, 0, 32, 0, 12.8, 32, 1.0, 0, 1]],
+)  # fmt: skip
+def test_a_homography_that_is_none(profile, matrix):
+    optics = changed(profile, homography=tuple(map(float, matrix)))
+    with pytest.raises(ProfileError, match="calibrate the registration again"):
+        Registration(profile.electrodes, optics, (64, 64))
