@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from smarttouch.boards.board import Board
@@ -57,9 +58,13 @@ def settled(pipeline: Pipeline) -> Iterator[None]:
     pipeline.warm_up()
     gc.collect()
     gc.freeze()
+    threads = cv2.getNumThreads()
+    # Images are small: a second thread costs more than it saves, and takes the other core.
+    cv2.setNumThreads(1)
     try:
         yield
     finally:
+        cv2.setNumThreads(threads)
         gc.unfreeze()
 
 

@@ -1,0 +1,1 @@
+"""Sensors without hardware: a process of its own behind a pseudo-terminal."""

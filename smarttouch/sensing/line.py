@@ -1,0 +1,36 @@
+"""Reading from a serial line without waiting for more than has come."""
+
+import contextlib
+
+from smarttouch.errors import SourceLostError
+from smarttouch.wire.port import LINE_ERRORS, Port, reason
+
+_LARGEST_READ = 65536
+
+
+def read_what_came(port: Port, title: str) -> bytes:
+    """Return the bytes that have come; wait for the first no longer than the port's timeout.
+
+    Parameters
+    ----------
+    port : Port
+        Open.
+    title : str
+        Of what is at its other end, for the message.
+
+    Raises
+    ------
+    SourceLostError
+        If the port is gone.
+    """
+    try:
+        # One byte more than has come would cost the whole timeout.
+        data = bytes(port.read(port.in_waiting or 1))
+        # Over TCP pyserial never says how much has come.
+        wire = getattr(port, "_socket", None)
+        if data and wire is not None:
+            with contextlib.suppress(BlockingIOError):
+                data += wire.recv(_LARGEST_READ)
+    except LINE_ERRORS as error:
+        raise SourceLostError(f"{title} is gone: {reason(error)}") from None
+    return data

@@ -1,0 +1,230 @@
+"""The wire format of sensors; firmware can be written from this page.
+
+The device streams by itself, over a USB or any other serial line; the host says
+nothing. A packet is COBS-encoded and ends with one 0x00, so a receiver that has
+lost its place finds it again at the next zero. Decoded, all little endian::
+
+    u8  version = 1
+    u8  type
+    u32 number      counts the packets of its type from 0 on and wraps; a gap
+                    tells the host how many were lost
+    ... payload
+    u32 CRC-32      (IEEE 802.3) of all before it
+
+==== ===== ==================================================================
+type name  payload
+==== ===== ==================================================================
+0x41 FRAME u8 rows H, u8 columns W, u32 device time µs, u8 pixels [H][W]: row
+           by row from the top left, 0 black to 255 white, as seen on the page
+0x42 FORCE i32 reading of the load cell, u32 device time µs; the reading
+           −2147483648 says that there is none
+0x43 INFO  name of the device and its firmware in UTF-8, at most 255 bytes;
+           once a second is enough, and none is needed
+==== ===== ==================================================================
+
+What a device does:
+
+- It sends a FRAME as soon as it has one, whole, and never queues: one that cannot
+  be sent in time is dropped, and its number with it.
+- Device time is when the frame or reading was taken, on any clock that does not
+  stop; it wraps after 71.6 minutes. The host counts age from the arrival.
+- A device with a patch and a load cell may send both over one line.
+
+A FRAME of 64 × 64 is up to 4,130 bytes on the line, so 200 a second need 826 kB/s: USB.
+921,600 baud carry 22 of them a second, 88 of 32 × 32, 335 of 16 × 16 and 2,700 of 4 × 4.
+"""
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import SensorError
+from smarttouch.wire.framing import Deframer, Packet, frame_packet
+
+VERSION = 1
+MOST_PIXELS_A_SIDE = 255
+LARGEST_NAME = 255
+"""Bytes of the name in INFO."""
+NO_READING = -(2**31)
+LARGEST_BODY = MOST_PIXELS_A_SIDE**2 + 16
+"""No packet is longer, its head and CRC included."""
+NUMBERS = 2**32
+
+_FRAME = struct.Struct("<BBI")
+_FORCE = struct.Struct("<iI")
+
+
+class Kind(IntEnum):
+    """Types of packets."""
+
+    FRAME = 0x41
+    FORCE = 0x42
+    INFO = 0x43
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayFrame:
+    """One frame of a sensor array.
+
+    Attributes
+    ----------
+    number : int
+        Of the frame, modulo 2³².
+    time_us : int
+        Device time, modulo 2³².
+    image : ndarray, (H, W) uint8
+        Read-only.
+    """
+
+    number: int
+    time_us: int
+    image: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class CellReading:
+    """One reading of a load cell; None where the device has none."""
+
+    number: int
+    time_us: int
+    reading: int | None
+
+
+@dataclass(frozen=True)
+class Info:
+    """What a device says of itself."""
+
+    number: int
+    name: str
+
+
+Message = ArrayFrame | CellReading | Info
+
+
+def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
+    """Return a frame as it goes over the wire.
+
+    Parameters
+    ----------
+    number, time_us : int
+        Taken modulo 2³².
+    image : ndarray, (H, W) uint8
+        1 to 255 rows and columns.
+
+    Raises
+    ------
+    SensorError
+        If it is larger or empty, or of another kind.
+    """
+    if image.ndim != 2 or image.dtype != np.uint8:
+        raise SensorError(
+            f"a frame on the wire is grey, one byte a pixel, not {image.dtype} of {image.shape}"
+        )
+    rows, columns = image.shape
+    if not (1 <= rows <= MOST_PIXELS_A_SIDE and 1 <= columns <= MOST_PIXELS_A_SIDE):
+        raise SensorError(
+            f"a frame on the wire has 1 to {MOST_PIXELS_A_SIDE} rows and columns, "
+            f"not {rows} x {columns}"
+        )
+    head = _FRAME.pack(rows, columns, time_us % NUMBERS)
+    return frame_packet(VERSION, Kind.FRAME, number % NUMBERS, head + image.tobytes())
+
+
+def encode_force(number: int, time_us: int, reading: int | None) -> bytes:
+    """Return a load cell's reading as it goes over the wire.
+
+    Raises
+    ------
+    SensorError
+        If no signed 32 bits can hold it.
+    """
+    value = NO_READING if reading is None else reading
+    if not NO_READING <= value < 2**31:
+        raise SensorError(f"reading {value} does not fit 32 bits: scale it down")
+    payload = _FORCE.pack(value, time_us % NUMBERS)
+    return frame_packet(VERSION, Kind.FORCE, number % NUMBERS, payload)
+
+
+def encode_info(number: int, name: str) -> bytes:
+    """Return what a device says of itself; a name that is too long is cut."""
+    text = name.encode("utf-8", "replace")[:LARGEST_NAME].decode("utf-8", "ignore")
+    return frame_packet(VERSION, Kind.INFO, number % NUMBERS, text.encode())
+
+
+def decode(packet: Packet) -> Message | None:
+    """Return what a packet says; None if it is malformed or of an unknown kind or version."""
+    if packet.version != VERSION:
+        return None
+    payload = packet.payload
+    match packet.kind:
+        case Kind.FRAME:
+            return _decode_frame(packet.number, payload)
+        case Kind.FORCE:
+            if len(payload) != _FORCE.size:
+                return None
+            value, time_us = _FORCE.unpack(payload)
+            return CellReading(packet.number, time_us, None if value == NO_READING else value)
+        case Kind.INFO:
+            if len(payload) > LARGEST_NAME:
+                return None
+            return Info(packet.number, payload.decode("utf-8", "replace"))
+    return None
+
+
+def _decode_frame(number: int, payload: bytes) -> ArrayFrame | None:
+    if len(payload) < _FRAME.size:
+        return None
+    rows, columns, time_us = _FRAME.unpack_from(payload)
+    if not rows * columns or len(payload) != _FRAME.size + rows * columns:
+        return None
+    pixels = np.frombuffer(payload, np.uint8, offset=_FRAME.size)
+    return ArrayFrame(number, time_us, pixels.reshape(rows, columns))
+
+
+def gap(before: int, number: int) -> int:
+    """Return how many packets are missing between two numbers.
+
+    A device that has started anew, or an old packet, is no gap.
+    """
+    missing = (number - before - 1) % NUMBERS
+    return missing if missing < NUMBERS // 2 else 0
+
+
+class MessageStream:
+    """Messages in a stream that one began to hear somewhere in its middle.
+
+    Attributes
+    ----------
+    broken : int
+        Pieces between zeros that were no packet or said nothing known; but not the
+        first one, which may have lost its start.
+    """
+
+    def __init__(self) -> None:
+        self.broken = 0
+        self._deframer = Deframer(LARGEST_BODY)
+        self._begun = False
+
+    def feed(self, data: bytes) -> list[Message]:
+        """Return the messages that are complete with these bytes."""
+        messages: list[Message] = []
+        before = self._deframer.errors
+        for packet in self._deframer.feed(data):
+            self._begin()
+            message = decode(packet)
+            if message is None:
+                self.broken += 1
+            else:
+                messages.append(message)
+        if self._deframer.errors > before:
+            self._begin()
+        self.broken += self._deframer.errors - before
+        return messages
+
+    def _begin(self) -> None:
+        if not self._begun:
+            self.broken -= min(1, self._deframer.errors)
+            self._begun = True
