@@ -25,11 +25,11 @@ class Regulator:
 
     def regulate(self, step: Step, board: Board) -> Step:
         """Return the step with its sequence as it is to be sent."""
+        step = replace(step, observed=tuple(board.take_volts()))
         if self.adaptation is not None:
-            observed = tuple(board.take_volts())
-            for sequence, volts in observed:
+            for sequence, volts in step.observed:
                 self.adaptation.observe(sequence, volts)
-            step = replace(step, sequence=self.adaptation.apply(step.sequence), observed=observed)
+            step = replace(step, sequence=self.adaptation.apply(step.sequence))
         if self.ledger is not None:
             step = replace(step, sequence=self.ledger.balancing(step.sequence))
             self.ledger.add(step.sequence)

@@ -11,6 +11,9 @@ from smarttouch.cli.design import design
 from smarttouch.cli.figures import figures
 from smarttouch.cli.live import live
 from smarttouch.cli.profiles import profiles
+from smarttouch.cli.recordings import recordings
+from smarttouch.cli.replay import replay
+from smarttouch.cli.sensor import sensor
 from smarttouch.cli.stop import stop
 from smarttouch.errors import SmartTouchError
 
@@ -23,11 +26,14 @@ app = typer.Typer(
 )
 app.command()(live)
 app.command()(stop)
+app.command()(replay)
 app.command()(profiles)
 app.command()(design)
 app.command()(figures)
 app.command()(boards)
 app.add_typer(board, name="board")
+app.add_typer(sensor, name="sensor")
+app.add_typer(recordings, name="recordings")
 
 
 def main() -> None:

@@ -138,6 +138,8 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
                 report = display.report()
             display.notes += regulator.notes()
             ended = stop.reason or "end of the page"
+            for words in [_account(report), *_notes(source, force, display)]:
+                _told_to(tells)(int(tally.seconds * 1e9), words)
         finally:
             source.close()
             figures = _figures(tally, source, display, report, ended)
@@ -149,9 +151,8 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
             drawing.deliver(*read_delivered(books))
             drawing.save(plan.felt)
     if not plan.quiet:
-        notes = [*display.notes, *source.notes, *(force.notes if force is not None else ())]
         written = [each for each in (plan.felt, plan.record, plan.json_file) if each is not None]
-        screen.summarize(figures, notes, written)
+        screen.summarize(figures, _notes(source, force, display), written)
 
 
 def _keys(controls: Controls, stop: StopRequest) -> Callable[[str], None]:
@@ -176,6 +177,17 @@ def _told_to(tells: list[Tell]) -> Tell:
             each(time_ns, words)
 
     return tell
+
+
+def _account(report: BoardReport) -> str:
+    return (
+        f"by the {report.by}'s account {report.slots} slots, strongest {report.max_current_ma:.3f} "
+        f"mA, {report.max_charge_uc:.3f} µC, {report.violations} violations"
+    )
+
+
+def _notes(source: Sensor, force: ForceSource | None, board: Board) -> list[str]:
+    return [*board.notes, *source.notes, *(force.notes if force is not None else ())]
 
 
 def _require_force(source: Sensor, force: ForceSource | None, board: Board) -> None:

@@ -1,0 +1,97 @@
+"""``smarttouch replay``: a recording once more, into a board or against today's pipeline."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def replay(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, whole or cut.")],
+    check: Annotated[
+        bool,
+        typer.Option("--check", help="Compare today's sequences with the recorded ones, exactly."),
+    ] = False,
+    profile: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|FILE", help="Another than the recorded one."),
+    ] = None,
+    board: Annotated[
+        str, typer.Option(metavar="URL", help="What to play into; not with --check.")
+    ] = "emulator:",
+    force: Annotated[
+        str | None,
+        typer.Option(metavar="URL", help="Today's finger; the recorded force if not given."),
+    ] = None,
+    intensity: Annotated[
+        float | None,
+        typer.Option(
+            metavar="0..1",
+            help="To begin with, of the recorded; 0 with a keyboard and a real board, else 1.",
+        ),
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(metavar="S", help="Longest run, wall time.")
+    ] = None,
+    record: Annotated[Path | None, typer.Option(metavar="MCAP", help="Keep the run.")] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures of the run.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option(help="Show nothing but errors.")] = False,
+) -> None:
+    """Let a finger feel once more what was recorded, or prove that it still would."""
+    from smarttouch.profile import load_profile
+    from smarttouch.recording.reader import Recording
+
+    if check:
+        _check(file, profile)
+        return
+    import contextlib
+    from functools import partial
+
+    from smarttouch.cli.session import Plan, play
+    from smarttouch.errors import RecordingError
+    from smarttouch.primary import Mode
+    from smarttouch.recording.controls import RecordedControls
+    from smarttouch.recording.sensor import RecordingSensor
+    from smarttouch.sensing.force import open_force
+
+    recording = Recording(file)
+    chosen = recording.profile if profile is None else load_profile(profile)
+    settings = recording.settings
+    try:
+        plan = Plan(
+            sensor_url=f"recording:{file}",
+            board_url=board,
+            mode=Mode(settings["mode"]),
+            rate_hz=settings["rate_hz"],
+            light_on_dark=settings["light_on_dark"],
+            softness=settings["softness"],
+            level=intensity,
+            seconds=seconds,
+            force_url=force,
+            record=record,
+            json_file=json_file,
+            quiet=quiet,
+            controls=partial(RecordedControls, recording),
+        )
+    except (KeyError, ValueError) as error:
+        raise RecordingError(
+            f"the settings in {file} do not say how it was made: {error!r}"
+        ) from None
+    with contextlib.ExitStack() as stack:
+        source = stack.enter_context(RecordingSensor(recording))
+        pressing = None if force is None else stack.enter_context(open_force(force, chosen))
+        play(plan, source, pressing, chosen)
+
+
+def _check(file: Path, profile: str | None) -> None:
+    """Print the outcome; exit 1 where sequences differ."""
+    from smarttouch.profile import load_profile
+    from smarttouch.recording.check import check_recording
+
+    another = None if profile is None else load_profile(profile)
+    report = check_recording(file, profile=another)
+    print(report.describe())
+    if not report.exact:
+        raise typer.Exit(1)

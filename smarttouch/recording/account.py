@@ -1,0 +1,122 @@
+"""What a recording amounts to: when, how long, how much, and what was delivered."""
+
+import json
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from smarttouch.recording.reader import Recording
+from smarttouch.recording.schemas import LAST
+
+
+@dataclass
+class Account:
+    """What a recording amounts to.
+
+    Attributes
+    ----------
+    messages, size : Counter of str
+        Of each topic: how many, and their bytes before compression.
+    slots, lost : int
+        Slots of all sequences; sequences that were lost with the board.
+    strongest_ma : float, mA
+        Of all electrodes and slots, magnitude.
+    modes : Counter of str
+        Sequences in each mode.
+    acknowledged, refused : int
+        Sequences of the whole run.
+    """
+
+    messages: Counter[str] = field(default_factory=Counter)
+    size: Counter[str] = field(default_factory=Counter)
+    slots: int = 0
+    lost: int = 0
+    strongest_ma: float = 0.0
+    modes: Counter[str] = field(default_factory=Counter)
+    acknowledged: int = 0
+    refused: int = 0
+
+    def _sequence(self, data: bytes) -> None:
+        told = json.loads(data)
+        self.slots += int(told["slots"])
+        self.lost += told["number"] is None
+        self.modes[str(told["mode"])] += 1
+        self.strongest_ma = max(self.strongest_ma, float(told["strongest_ma"]))
+
+    def _board(self, data: bytes) -> None:
+        told = json.loads(data)
+        self.acknowledged = int(told["acknowledged"])
+        self.refused = int(told["refused"])
+
+    def add(self, topic: str, data: bytes) -> None:
+        """Enter one message; one that makes no sense counts by its size alone."""
+        self.messages[topic] += 1
+        self.size[topic] += len(data)
+        try:
+            if topic == "/sequence":
+                self._sequence(data)
+            elif topic == LAST:
+                self._board(data)
+        except (ValueError, TypeError, KeyError, OverflowError):
+            pass
+
+
+def account_of(recording: Recording) -> Account:
+    """Return what a recording amounts to."""
+    account = Account()
+    for topic, message in recording.messages():
+        account.add(topic, message.data)
+    return account
+
+
+def describe(path: Path) -> list[tuple[str, str]]:
+    """Return what there is to tell a user of a recording, as names and values."""
+    recording = Recording(path)
+    account = account_of(recording)
+    settings, versions = recording.settings, recording.versions
+    minutes = recording.duration_s / 60
+    state = "whole" if recording.whole else "cut: the program that wrote it did not end in order"
+    if recording.damaged_chunks:
+        state = f"damaged: {recording.damaged_chunks} pieces do not hold what was written"
+    told = [
+        ("state", state),
+        ("began", f"{recording.started:%Y-%m-%d %H:%M:%S} UTC"),
+        ("lasted", f"{recording.duration_s:.1f} s"),
+        ("subject", str(settings.get("subject") or "not told")),
+        ("note", str(settings.get("note") or "none")),
+        ("profile", f"{recording.profile.name}, {recording.profile.title}"),
+        ("mode", ", ".join(f"{mode} {n:,}" for mode, n in account.modes.items()) or "none"),
+        ("sensor", str(settings.get("sensor"))),
+        ("force", str(settings.get("force") or "the sensor's or the board's")),
+        ("board", str(settings.get("board"))),
+        ("images", f"{account.messages['/frame']:,}"),
+        (
+            "sequences",
+            f"{account.messages['/sequence']:,}, {account.slots:,} slots; "
+            f"{account.acknowledged:,} acknowledged, {account.refused:,} refused, "
+            f"{account.lost:,} lost with the board",
+        ),
+        ("strongest", f"{account.strongest_ma:.2f} mA through one electrode"),
+        ("versions", ", ".join(f"{name} {each}" for name, each in versions.items())),
+    ]
+    size = path.stat().st_size
+    told.append(("file", f"{_size(size)}{_per_minute(size, minutes)}"))
+    for topic in sorted(account.size):
+        inside = account.size[topic]
+        told.append(
+            (
+                topic,
+                f"{account.messages[topic]:,} messages, {_size(inside)}"
+                f"{_per_minute(inside, minutes)} before compression",
+            )
+        )
+    told += [(f"{at_ns / 1e9:10.3f} s", words) for at_ns, words in recording.events()]
+    return told
+
+
+def _size(size: float) -> str:
+    return f"{size / 1e6:.2f} MB" if size >= 1e6 else f"{size / 1e3:.1f} kB"
+
+
+def _per_minute(size: int, minutes: float) -> str:
+    return f", {_size(size / minutes)} a minute" if minutes > 0 else ""

@@ -1,0 +1,236 @@
+"""The offline test: recorded frames through today's pipeline, slot by slot, to the bit."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smarttouch.errors import RecordingError
+from smarttouch.modes.bank import KernelBank, load_bank
+from smarttouch.pipeline import Measured, Pipeline
+from smarttouch.primary import Mode
+from smarttouch.profile import Profile
+from smarttouch.recording.decoder import RecordedStep
+from smarttouch.recording.reader import Recording
+from smarttouch.regulator import Regulator
+from smarttouch.scan.adaptation import Adaptation
+from smarttouch.scan.ledger import ChargeLedger
+from smarttouch.scan.sequence import ScanSequence
+from smarttouch.scan.timing import ScanTiming
+
+KEPT = 20
+"""Differences that a report names; all are counted."""
+
+_SCALARS = (("slots", ""), ("period_us", "µs"), ("intensity", ""), ("time_ns", "ns"))
+_COLUMNS = (("site", ""), ("width_us", "µs"), ("discharge_us", "µs"))
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One number of one sequence that is not what was recorded.
+
+    Attributes
+    ----------
+    frame : int
+        Number of the image at its source.
+    step : int
+        Of the recording, from 0.
+    time_ns : int
+        Since the start of the run.
+    what, unit : str
+        What differs.
+    recorded, new : float
+    slot, electrode : int, optional
+        Where, if it is of one of them.
+    """
+
+    frame: int
+    step: int
+    time_ns: int
+    what: str
+    unit: str
+    recorded: float
+    new: float
+    slot: int | None = None
+    electrode: int | None = None
+
+    def describe(self) -> str:
+        """Return a line for a user."""
+        where = f"frame {self.frame} at {self.time_ns / 1e9:.3f} s"
+        where += "" if self.slot is None else f", slot {self.slot}"
+        where += "" if self.electrode is None else f", electrode {self.electrode}"
+        unit = self.unit and f" {self.unit}"
+        return f"{where}: {self.what} {self.recorded!r}{unit} recorded, {self.new!r}{unit} now"
+
+
+@dataclass
+class CheckReport:
+    """What a check found.
+
+    Attributes
+    ----------
+    frames : int
+        Different images.
+    sequences, slots : int
+        That were compared.
+    differences : list of Difference
+        The first `KEPT`.
+    different : int
+        How many there are.
+    left_out : str
+        What of the recording could not be compared; empty if nothing.
+    """
+
+    frames: int = 0
+    sequences: int = 0
+    slots: int = 0
+    differences: list[Difference] = field(default_factory=list)
+    different: int = 0
+    left_out: str = ""
+
+    @property
+    def exact(self) -> bool:
+        """Whether all that was compared is the same to the bit."""
+        return not self.different
+
+    def describe(self) -> str:
+        """Return the outcome for a user, a line for each difference kept."""
+        head = f"{self.sequences:,} sequences, {self.slots:,} slots: "
+        head += "identical" if self.exact else f"{self.different:,} differences"
+        lines = [head + (f" ({self.left_out})" if self.left_out else "")]
+        lines += [each.describe() for each in self.differences]
+        if self.different > len(self.differences):
+            lines.append(f"and {self.different - len(self.differences):,} more")
+        return "\n".join(lines)
+
+
+def check_recording(
+    path: Path | str, *, bank: KernelBank | None = None, profile: Profile | None = None
+) -> CheckReport:
+    """Run the recorded frames through today's pipeline and compare the sequences.
+
+    Parameters
+    ----------
+    path : Path or str
+        The recording.
+    bank : KernelBank, optional
+        Kernels to compare with; today's of the profile if not given.
+    profile : Profile, optional
+        Another than the recorded one.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read, holds no sequence, or does not say how it was made.
+    """
+    recording = Recording(Path(path))
+    profile = recording.profile if profile is None else profile
+    pipeline, regulator = rebuilt(recording, profile, load_bank(profile) if bank is None else bank)
+    report, image = CheckReport(), None
+    for recorded in recording.steps():
+        if recorded.index != report.sequences:
+            # Whatever is missing would have changed what comes after it.
+            report.left_out = f"all after {recorded.step.frame.time_ns / 1e9:.1f} s follows a gap"
+            break
+        was, now = recorded.step.sequence, _again(recorded, pipeline, regulator)
+        report.frames += recorded.step.frame.image is not image
+        image = recorded.step.frame.image
+        report.sequences += 1
+        report.slots += was.slots
+        for difference in _differences(recorded, was, now):
+            report.different += 1
+            if len(report.differences) < KEPT:
+                report.differences.append(difference)
+    if not report.sequences:
+        raise RecordingError(f"{path} holds no sequence: there is nothing to check")
+    if not recording.whole:
+        report.left_out = report.left_out or "the recording is cut"
+    return report
+
+
+def assert_replays(path: Path | str, **same: Any) -> None:
+    """Fail unless a recording's sequences come out again; see `check_recording`."""
+    __tracebackhide__ = True
+    report = check_recording(path, **same)
+    if not report.exact:
+        raise AssertionError(f"{path}: {report.describe()}")
+
+
+def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[Pipeline, Regulator]:
+    """Return a pipeline and a regulator as they were when a recording began.
+
+    Raises
+    ------
+    RecordingError
+        If its settings do not say how.
+    """
+    settings = recording.settings
+    try:
+        timing = ScanTiming(**settings["timing"])
+        pipeline = Pipeline(
+            profile,
+            bank,
+            Mode(settings["mode"]),
+            settings["rate_hz"],
+            settings["light_on_dark"],
+            timing,
+            settings["softness"],
+        )
+        adaptation = ledger = None
+        if settings["hold"] is not None:
+            adaptation = Adaptation(profile, settings["hold"], settings["compliance_v"], timing)
+        if settings["balance"]:
+            ledger = ChargeLedger(len(profile.electrodes))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise RecordingError(
+            f"the settings in {recording.path} do not say how it was made: {error!r}"
+        ) from None
+    return pipeline, Regulator(adaptation, ledger)
+
+
+class _Told:
+    """Stands for the board, which told what it had measured."""
+
+    def __init__(self, observed: tuple[Measured, ...]) -> None:
+        self._observed = observed
+
+    def take_volts(self) -> list[Measured]:
+        return list(self._observed)
+
+
+def _again(recorded: RecordedStep, pipeline: Pipeline, regulator: Regulator) -> ScanSequence:
+    """Return the sequence that a recorded step's inputs lead to today."""
+    step = recorded.step
+    if step.mode is not pipeline.mode:
+        pipeline.change_mode(step.mode)
+    if step.restarted:
+        pipeline.restart_softly()
+    told: Any = _Told(step.observed)
+    return regulator.regulate(pipeline.process(step.frame, step.level), told).sequence
+
+
+def _differences(
+    recorded: RecordedStep, was: ScanSequence, now: ScanSequence
+) -> Iterator[Difference]:
+    frame, step = recorded.step.frame, recorded.index
+
+    def difference(what: str, unit: str, *values: Any, **where: int) -> Difference:
+        old, new = (float(v) if isinstance(v, float) else int(v) for v in values)
+        return Difference(frame.number, step, frame.time_ns, what, unit, old, new, **where)
+
+    for name, unit in _SCALARS:
+        old, new = getattr(was, name), getattr(now, name)
+        if old != new:
+            yield difference(name, unit, old, new)
+    if was.current_ua.shape != now.current_ua.shape:
+        # Slots that moved would differ in everything.
+        return
+    for name, unit in _COLUMNS:
+        old, new = getattr(was, name), getattr(now, name)
+        for slot in np.flatnonzero(old != new).tolist():
+            yield difference(name, unit, old[slot], new[slot], slot=slot)
+    for slot, electrode in np.argwhere(was.current_ua != now.current_ua).tolist():
+        old, new = was.current_ua[slot, electrode], now.current_ua[slot, electrode]
+        yield difference("current", "µA", old, new, slot=slot, electrode=electrode)

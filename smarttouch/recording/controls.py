@@ -1,0 +1,60 @@
+"""What the user of a recorded run had asked for, asked for again."""
+
+import bisect
+import json
+from dataclasses import replace
+
+from smarttouch.controls import Controls, Wish
+from smarttouch.errors import RecordingError
+from smarttouch.primary import Mode
+from smarttouch.recording.reader import Recording
+
+
+class RecordedControls(Controls):
+    """Follows the modes and levels of a recording; today's user can still lower and pause.
+
+    Parameters
+    ----------
+    recording : Recording
+        Whose wishes.
+    wish : Wish
+        Today's user's, to begin with: its level is a part of the recorded one.
+    modes : tuple of Mode
+        What the board offers.
+
+    Raises
+    ------
+    RecordingError
+        If the board does not offer a mode of the recording.
+    """
+
+    def __init__(self, recording: Recording, wish: Wish, modes: tuple[Mode, ...]) -> None:
+        super().__init__(wish, modes)
+        self._times_ns: list[int] = []
+        self._recorded: list[Wish] = []
+        for topic, message in recording.messages():
+            if topic != "/sequence":
+                continue
+            step = json.loads(message.data)
+            recorded = Wish(Mode(step["mode"]), float(step["level"]))
+            if not self._recorded or recorded != self._recorded[-1]:
+                self._times_ns.append(int(step["time_ns"]))
+                self._recorded.append(recorded)
+        for recorded in self._recorded:
+            if recorded.mode not in modes:
+                raise RecordingError(
+                    f"{recording.path} has steps in mode {recorded.mode}, which this board does "
+                    f"not offer: choose a board and profile that do"
+                )
+
+    def wish(self, time_ns: int) -> Wish:
+        """Return what was wanted at a time of the run, and what today's user leaves of it."""
+        today = super().wish(time_ns)
+        if not self._recorded:
+            return today
+        at = max(0, bisect.bisect_right(self._times_ns, time_ns) - 1)
+        recorded = self._recorded[at]
+        return replace(today, mode=recorded.mode, level=today.level * recorded.level)
+
+    def next_mode(self) -> None:
+        """The modes are the recording's."""

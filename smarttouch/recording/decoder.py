@@ -1,0 +1,166 @@
+"""Steps of a run from their messages; what makes no sense is left out."""
+
+import base64
+import json
+import math
+from collections import OrderedDict
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.imaging.tactile_image import TactileImage
+from smarttouch.live import Sent
+from smarttouch.pipeline import Measured, Step
+from smarttouch.primary import Mode, Primary
+from smarttouch.recording.encoder import Message, remember
+from smarttouch.recording.schemas import LAST
+from smarttouch.scan.sequence import ScanSequence
+from smarttouch.sensing.frame import Frame, Pose
+
+_IMPOSSIBLE = (
+    ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError, cv2.error,
+)  # fmt: skip
+"""What a message may do that is JSON and yet makes no sense."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedStep:
+    """One step of a run as it was recorded.
+
+    Attributes
+    ----------
+    index : int
+        From 0; one that is missing in a file is missing in what it yields.
+    sent : Sent
+        Frame, tactile image (to four digits), sequence, and how it went out.
+    acknowledged, refused : int
+        Sequences of the run, as far as the board had told when this one was sent.
+    """
+
+    index: int
+    sent: Sent
+    acknowledged: int
+    refused: int
+
+    @property
+    def step(self) -> Step:
+        return self.sent.step
+
+
+@dataclass
+class StepDecoder:
+    """Puts steps together again from their messages, in the order of the file.
+
+    Attributes
+    ----------
+    broken : int
+        Steps that were incomplete or made no sense.
+    """
+
+    broken: int = 0
+    _index: int = -1
+    _parts: dict[str, list[Message]] = field(default_factory=dict)
+    _image: NDArray[np.uint8] | None = None
+    _image_number: int = -1
+    _sequences: OrderedDict[int, ScanSequence] = field(default_factory=OrderedDict)
+
+    def take(self, topic: str, index: int, data: bytes) -> RecordedStep | None:
+        """Return the step that a message completes, if it does."""
+        if index != self._index:
+            self.broken += bool(self._parts)
+            self._parts, self._index = {}, index
+        try:
+            message = json.loads(data)
+            self._parts.setdefault(topic, []).append(message)
+            return self._step() if topic == LAST else None
+        except _IMPOSSIBLE:
+            self.broken += 1
+        finally:
+            if topic == LAST:
+                self._parts = {}
+        return None
+
+    def _step(self) -> RecordedStep:
+        parts = {topic: messages[0] for topic, messages in self._parts.items()}
+        finger, board = parts["/finger"], parts[LAST]
+        if "/frame" in parts:
+            self._image, self._image_number = _decoded(parts["/frame"]), finger["number"]
+        if self._image is None or self._image_number != finger["number"]:
+            raise ValueError("the image of this step is missing")
+        sequence = _sequence_of(parts["/sequence"])
+        remember(self._sequences, sequence.time_ns, sequence)
+        frame = Frame(
+            self._image,
+            int(finger["time_ns"]),
+            Pose(*(_number(finger[key]) for key in ("x_mm", "y_mm", "angle_rad"))),
+            _number(finger["force_n"]),
+            int(finger["number"]),
+            round(finger["age_ms"] * 1e6),
+            bool(finger["stale"]),
+        )
+        told = parts["/sequence"]
+        step = Step(
+            frame=frame,
+            tactile=_tactile_of(parts["/tactile"], sequence.electrodes, frame),
+            sequence=sequence,
+            mode=Mode(told["mode"]),
+            level=float(told["level"]),
+            restarted=bool(told["restarted"]),
+            asked_us=int(told["asked_us"]),
+            observed=tuple(self._measured(each) for each in self._parts.get("/volts", ())),
+        )
+        number = None if board["sent"] is None else int(board["sent"])
+        sent = Sent(step, number, float(board["latency_us"]), float(board["work_us"]))
+        return RecordedStep(self._index, sent, int(board["acknowledged"]), int(board["refused"]))
+
+    def _measured(self, message: Message) -> Measured:
+        sequence = self._sequences[message["time_ns"]]
+        volts = np.frombuffer(base64.b64decode(message["volts"]), "<f4").astype(np.float32)
+        if len(volts) != sequence.slots:
+            raise ValueError(f"{len(volts)} voltages for {sequence.slots} slots")
+        return sequence, volts
+
+
+def _sequence_of(message: Message) -> ScanSequence:
+    """Return the sequence in a message of `/sequence`; ValueError and its like if there is none."""
+    slots, electrodes = int(message["slots"]), int(message["electrodes"])
+    current_ua = np.frombuffer(base64.b64decode(message["current_ua"]), "<i2")
+    keys = ("width_us", "discharge_us", "site")
+    columns = {key: np.array(message[key], np.uint16) for key in keys}
+    if slots < 0 or electrodes < 1 or any(each.shape != (slots,) for each in columns.values()):
+        raise ValueError(f"not a sequence of {slots} slots")
+    return ScanSequence(
+        current_ua=current_ua.astype(np.int16).reshape(slots, electrodes),
+        width_us=columns["width_us"],
+        discharge_us=columns["discharge_us"],
+        site=columns["site"],
+        period_us=int(message["period_us"]),
+        intensity=float(message["intensity"]),
+        time_ns=int(message["time_ns"]),
+    )
+
+
+def _tactile_of(message: Message, electrodes: int, frame: Frame) -> TactileImage:
+    activation = np.zeros((len(Primary), electrodes), np.float32)
+    for each in Primary:
+        row = np.asarray(message[each.name], np.float64)
+        if row.shape == (0,):
+            continue
+        if row.shape != (electrodes,) or not ((row >= 0) & (row <= 1)).all():
+            raise ValueError(f"not the activation of {electrodes} electrodes")
+        activation[each] = row
+    return TactileImage(activation, frame.time_ns, frame.force_n)
+
+
+def _decoded(message: Message) -> NDArray[np.uint8]:
+    png = np.frombuffer(base64.b64decode(message["data"]), np.uint8)
+    image = cv2.imdecode(png, cv2.IMREAD_UNCHANGED)
+    if image is None or image.ndim != 2 or image.dtype != np.uint8:
+        raise ValueError("not an image of grey levels")
+    return np.asarray(image, np.uint8)
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)

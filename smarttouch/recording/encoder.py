@@ -1,0 +1,172 @@
+"""One step of a run as messages, without losing a bit of what sequences depend on."""
+
+import base64
+import math
+import sys
+from collections import OrderedDict
+from collections.abc import Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+
+from smarttouch.live import Sent
+from smarttouch.pipeline import Step
+from smarttouch.primary import Primary
+from smarttouch.recording.schemas import INFO, LAST
+from smarttouch.sensing.frame import Frame
+
+REMEMBERED = 512
+"""Sequences that a measurement may still come for: a second or more."""
+# Of all that OpenCV offers, this is fastest and smallest on frames with a sensor's noise.
+_PNG = (
+    cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
+)  # fmt: skip
+_DIGITS = 4
+
+Message = dict[str, Any]
+
+
+class StepEncoder:
+    """Makes the messages of steps, one step after another.
+
+    Parameters
+    ----------
+    started_unix_ns : int
+        When the run began.
+    """
+
+    def __init__(self, started_unix_ns: int) -> None:
+        self._started_unix_ns = started_unix_ns
+        self._frame: Frame | None = None
+        self._numbers: OrderedDict[int, int | None] = OrderedDict()
+
+    def messages(
+        self, sent: Sent, acknowledged: int, refused: int
+    ) -> Iterator[tuple[str, Message]]:
+        """Yield topics and messages of a step; its image only if it is a new one."""
+        step, frame = sent.step, sent.step.frame
+        if self._is_new(frame):
+            yield "/frame", self._image(frame)
+        yield "/finger", _finger(frame)
+        yield "/tactile", _tactile(step)
+        yield "/sequence", _sequence(sent)
+        remember(self._numbers, step.sequence.time_ns, sent.number)
+        for sequence, volts in step.observed:
+            known = np.asarray(volts, np.float64)[np.isfinite(volts)]
+            yield (
+                "/volts",
+                {
+                    "time_ns": sequence.time_ns,
+                    "number": self._numbers.get(sequence.time_ns),
+                    "highest_v": float(known.max()) if len(known) else None,
+                    "volts": _base64(np.asarray(volts, "<f4").tobytes()),
+                },
+            )
+        yield (
+            LAST,
+            {
+                "sent": sent.number,
+                "acknowledged": acknowledged,
+                "refused": refused,
+                "latency_us": sent.latency_us,
+                "work_us": sent.work_us,
+            },
+        )
+
+    def event(self, time_ns: int, words: str) -> Message:
+        """Return the message of something that happened."""
+        return {
+            "timestamp": self._timestamp(time_ns),
+            "level": INFO,
+            "message": words,
+            "name": "smarttouch",
+            "file": "",
+            "line": 0,
+        }
+
+    def _is_new(self, frame: Frame) -> bool:
+        """Tell whether an image was not there before, whatever its sensor says of it."""
+        before, self._frame = self._frame, frame
+        return (
+            before is None
+            or frame.number != before.number
+            or not (frame.image is before.image or np.array_equal(frame.image, before.image))
+        )
+
+    def _image(self, frame: Frame) -> Message:
+        _, png = cv2.imencode(".png", frame.image, _PNG)
+        return {
+            "timestamp": self._timestamp(frame.time_ns),
+            "frame_id": "sensor",
+            "data": _base64(png.tobytes()),
+            "format": "png",
+        }
+
+    def _timestamp(self, time_ns: int) -> Message:
+        seconds, nanoseconds = divmod(self._started_unix_ns + time_ns, 10**9)
+        return {"sec": seconds, "nsec": nanoseconds}
+
+
+def remember(kept: OrderedDict[int, Any], key: int, value: Any) -> None:
+    """Keep a value of a sequence, and forget what no measurement will come for."""
+    kept[key] = value
+    if len(kept) > REMEMBERED:
+        kept.popitem(last=False)
+
+
+def _finger(frame: Frame) -> Message:
+    pose = frame.pose
+    return {
+        "time_ns": frame.time_ns,
+        "x_mm": _finite(pose.x_mm),
+        "y_mm": _finite(pose.y_mm),
+        "angle_rad": _finite(pose.angle_rad),
+        "force_n": _finite(frame.force_n),
+        "number": frame.number,
+        "age_ms": frame.age_ns / 1e6,
+        "stale": frame.stale,
+    }
+
+
+def _tactile(step: Step) -> Message:
+    rounded = np.round(step.tactile.activation.astype(np.float64), _DIGITS)
+    driven = step.mode.primaries
+    return {
+        each.name: rounded[each].tolist() if each in driven or rounded[each].any() else []
+        for each in Primary
+    }
+
+
+def _sequence(sent: Sent) -> Message:
+    step, sequence = sent.step, sent.step.sequence
+    return {
+        "time_ns": sequence.time_ns,
+        "frame": step.frame.number,
+        "number": sent.number,
+        "mode": step.mode.value,
+        "level": float(step.level),
+        "restarted": step.restarted,
+        "asked_us": step.asked_us,
+        "period_us": sequence.period_us,
+        "intensity": float(sequence.intensity),
+        "strongest_ma": int(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0)) / 1000,
+        "slots": sequence.slots,
+        "electrodes": sequence.electrodes,
+        "site": sequence.site.tolist(),
+        "width_us": sequence.width_us.tolist(),
+        "discharge_us": sequence.discharge_us.tolist(),
+        "current_ua": _base64(sequence.current_ua.astype("<i2").tobytes()),
+    }
+
+
+def _finite(value: float) -> float | None:
+    """Return a number as JSON has them: null for none, the largest for an endless one."""
+    value = float(value)
+    if math.isnan(value):
+        return None
+    return max(-sys.float_info.max, min(value, sys.float_info.max))
+
+
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode("ascii")

@@ -1,0 +1,243 @@
+"""A run kept in one MCAP file, written while it goes."""
+
+import json
+import platform
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import cv2
+import numpy as np
+from mcap.data_stream import RecordBuilder
+from mcap.records import ChunkIndex
+from mcap.writer import Writer
+
+from smarttouch import __version__
+from smarttouch.errors import RecordingError
+from smarttouch.live import Sent
+from smarttouch.profile import Profile
+from smarttouch.recording.encoder import Message, StepEncoder
+from smarttouch.recording.schemas import FORMAT, METADATA, SCHEMAS, schema
+
+FLUSH_S = 0.04
+"""Nothing waits longer than this for the system to have it: what a killed program loses."""
+MOST_WAITING = 1000
+"""Steps that may wait for a slow disk."""
+
+_Item = tuple[Sent, int, int] | tuple[int, str]
+
+
+class Recorder:
+    """Writes a run to an MCAP file from a thread of its own.
+
+    What was handed over is with the system at most `FLUSH_S` and the time to
+    write it later, and is then safe from the end of this program, whatever it is.
+
+    Parameters
+    ----------
+    path : Path
+        The file; an existing one is not overwritten.
+    about : dict of str to str
+        Settings, profile and versions, kept as metadata; see `about_run`.
+    started_unix_ns : int
+        When the run began: times in the file are times of the day.
+
+    Raises
+    ------
+    RecordingError
+        If the file exists or cannot be written.
+    """
+
+    def __init__(self, path: Path, about: dict[str, str], started_unix_ns: int) -> None:
+        try:
+            self._file: BinaryIO = path.open("xb")
+        except FileExistsError:
+            raise RecordingError(
+                f"{path} exists and recordings are never overwritten: give another name"
+            ) from None
+        except OSError as error:
+            raise RecordingError(f"cannot record to {path}: {error.strerror}") from None
+        self._path = path
+        self._started_unix_ns = started_unix_ns
+        self._failure: Exception | None = None
+        self._told = False
+        self._closed = False
+        self._index = 0
+        self._queue: queue.SimpleQueue[_Item | None] = queue.SimpleQueue()
+        self._encoder = StepEncoder(started_unix_ns)
+        self._writer = new_writer(self._file)
+        self._thread = threading.Thread(target=self._write_all, name="recorder", daemon=True)
+        self._guarded(self._begin, about)
+        if self._failure is not None:
+            self.close()
+        self._thread.start()
+
+    def _begin(self, about: dict[str, str]) -> None:
+        self._writer.start(profile=METADATA, library=f"smarttouch {__version__}")
+        self._writer.add_metadata(METADATA, {"format": FORMAT, **about})
+        self._channels = {topic: self._register(topic) for topic in SCHEMAS}
+        self._flush()
+
+    def record(self, sent: Sent, acknowledged: int, refused: int) -> None:
+        """Hand one step over; the writing is done elsewhere.
+
+        Raises
+        ------
+        RecordingError
+            If the disk is full, broken or too slow; what it took stays.
+        """
+        if self._queue.qsize() > MOST_WAITING:
+            self._fail(OSError(0, f"{MOST_WAITING} frames wait for the disk, it is too slow"))
+        if self._failure is not None:
+            raise self._complaint()
+        self._queue.put((sent, acknowledged, refused))
+
+    def event(self, time_ns: int, words: str) -> None:
+        """Hand over what a user did, or what went wrong, at a time since the start of the run."""
+        self._queue.put((time_ns, words))
+
+    def close(self) -> None:
+        """Write what is waiting, and finish the file.
+
+        Raises
+        ------
+        RecordingError
+            If the disk did not take all of it, unless that was told before.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        if self._thread.is_alive():
+            self._queue.put(None)
+            self._thread.join()
+        self._guarded(self._writer.finish)
+        self._guarded(self._file.close)
+        if self._failure is not None and not self._told:
+            raise self._complaint()
+
+    def _register(self, topic: str) -> int:
+        name, content = SCHEMAS[topic][0], json.dumps(schema(topic)).encode()
+        schema_id = self._writer.register_schema(name, "jsonschema", content)
+        return int(self._writer.register_channel(topic, "json", schema_id))
+
+    def _complaint(self) -> RecordingError:
+        self._told = True
+        said = getattr(self._failure, "strerror", None) or repr(self._failure)
+        return RecordingError(f"{self._path} is cut short: {said}; what was written is kept")
+
+    def _fail(self, error: Exception) -> None:
+        self._failure = self._failure or error
+
+    def _guarded(self, act: Callable[..., object], *arguments: object) -> None:
+        """Do something with the file; after the first failure, no more but let go of it."""
+        if self._failure is not None and act != self._file.close:
+            return
+        try:
+            act(*arguments)
+        except Exception as error:
+            # Whatever it is, the loop must hear of it: a run is not to go on unrecorded.
+            self._fail(error)
+
+    def _write_all(self) -> None:
+        """Write what comes, and flush before anything has waited too long."""
+        flush_at: float | None = None
+        while True:
+            try:
+                wait_s = None if flush_at is None else max(0.0, flush_at - time.monotonic())
+                item = self._queue.get(timeout=wait_s)
+                if item is None:
+                    return
+                flush_at = flush_at or time.monotonic() + FLUSH_S
+                self._guarded(self._write, item)
+            except queue.Empty:
+                pass
+            if flush_at is not None and time.monotonic() >= flush_at:
+                self._guarded(self._flush)
+                flush_at = None
+
+    def _flush(self) -> None:
+        self._writer.flush()
+        self._file.flush()
+
+    def _write(self, item: _Item) -> None:
+        if len(item) == 2:
+            time_ns, words = item
+            self._add("/event", self._encoder.event(time_ns, words), time_ns, 0)
+            return
+        time_ns = item[0].step.frame.time_ns
+        for topic, message in self._encoder.messages(*item):
+            self._add(topic, message, time_ns, self._index)
+        self._index += 1
+
+    def _add(self, topic: str, message: Message, time_ns: int, index: int) -> None:
+        at_ns = self._started_unix_ns + time_ns
+        self._writer.add_message(
+            self._channels[topic],
+            log_time=at_ns,
+            publish_time=at_ns,
+            sequence=index,
+            data=json.dumps(message, separators=(",", ":"), allow_nan=False).encode(),
+        )
+
+
+def new_writer(file: BinaryIO) -> Writer:
+    """Return a writer that needs little memory for an afternoon."""
+    writer = Writer(file)
+    # It keeps an index of every chunk until the end: as objects, 1 kB each, 25 a second.
+    if hasattr(writer, _INDEXES):
+        setattr(writer, _INDEXES, _PackedIndexes())
+    return writer
+
+
+_INDEXES = "_Writer__chunk_indices"
+
+
+class _PackedIndexes:
+    """Chunk indexes as the bytes that they will be at the end of the file."""
+
+    def __init__(self) -> None:
+        self._builder = RecordBuilder()
+
+    def append(self, index: ChunkIndex) -> None:
+        index.write(self._builder)
+
+    def __iter__(self) -> Iterator["_PackedIndexes"]:
+        yield self
+
+    def write(self, builder: RecordBuilder) -> None:
+        builder.write(self._builder.end())
+
+
+def about_run(profile: Profile, settings: dict[str, Any], started_unix_ns: int) -> dict[str, str]:
+    """Return what a recording says about its run, with the versions that made it.
+
+    Parameters
+    ----------
+    profile : Profile
+        Device and finger.
+    settings : dict
+        What JSON can hold: ``mode``, ``rate_hz``, ``light_on_dark``, ``softness``, ``hold``,
+        ``balance``, ``timing`` (a `ScanTiming` as a dict) and ``compliance_v`` are what
+        sequences depend on; all else is for readers.
+    started_unix_ns : int
+        When the run began.
+    """
+    versions = {
+        "smarttouch": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+        "scipy": version("scipy"),
+        "mcap": version("mcap"),
+        "platform": platform.platform(),
+    }
+    return {
+        "started_unix_ns": str(started_unix_ns),
+        "profile": profile.model_dump_json(),
+        "settings": json.dumps(settings, default=str),
+        "versions": json.dumps(versions),
+    }

@@ -1,0 +1,95 @@
+"""A cut or damaged recording written anew, as a file that every reader of MCAP takes."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from smarttouch import __version__
+from smarttouch.errors import RecordingError
+from smarttouch.recording.reader import Recording
+from smarttouch.recording.recorder import new_writer
+from smarttouch.recording.schemas import LAST, METADATA
+
+
+@dataclass(frozen=True)
+class Repaired:
+    """What was saved of a recording.
+
+    Attributes
+    ----------
+    path : Path
+        The new file.
+    messages, steps : int
+        In it.
+    seconds : float, s
+        Of the run that are kept.
+    damaged_chunks : int
+        Left out because they do not hold what was written.
+    """
+
+    path: Path
+    messages: int
+    steps: int
+    seconds: float
+    damaged_chunks: int
+
+
+def is_sound(path: Path) -> bool:
+    """Tell whether a recording has its end, and all its chunks hold."""
+    recording = Recording(path)
+    if recording.whole:
+        for _ in recording.messages():
+            pass
+    return recording.whole
+
+
+def repair(path: Path, output: Path | None = None) -> Repaired:
+    """Write what can be read of a recording into a new file; the old one stays as it is.
+
+    Parameters
+    ----------
+    path : Path
+        The recording.
+    output : Path, optional
+        The new file; ``NAME-repaired.mcap`` beside the old one if not given.
+
+    Raises
+    ------
+    RecordingError
+        If the old one is none of ours, the new one exists, or the disk is full.
+    """
+    recording = Recording(path)
+    output = path.with_name(f"{path.stem}-repaired.mcap") if output is None else output
+    messages = steps = 0
+    try:
+        with output.open("xb") as file:
+            writer = new_writer(file)
+            writer.start(profile=METADATA, library=f"smarttouch {__version__}")
+            writer.add_metadata(METADATA, {**recording.about, "repaired_from": path.name})
+            channels: dict[str, int] = {}
+            for topic, message in recording.messages():
+                if topic not in channels:
+                    channel = recording.channels[message.channel_id]
+                    schema = recording.schemas.get(channel.schema_id)
+                    schema_id = 0
+                    if schema is not None:
+                        schema_id = writer.register_schema(
+                            schema.name, schema.encoding, schema.data
+                        )
+                    channels[topic] = writer.register_channel(
+                        topic, channel.message_encoding, schema_id
+                    )
+                writer.add_message(
+                    channels[topic],
+                    log_time=message.log_time,
+                    publish_time=message.publish_time,
+                    sequence=message.sequence,
+                    data=message.data,
+                )
+                messages += 1
+                steps += topic == LAST
+            writer.finish()
+    except FileExistsError:
+        raise RecordingError(f"{output} exists: give another name with --output") from None
+    except OSError as error:
+        raise RecordingError(f"cannot write {output}: {error.strerror}") from None
+    return Repaired(output, messages, steps, recording.duration_s, recording.damaged_chunks)

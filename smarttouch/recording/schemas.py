@@ -1,0 +1,138 @@
+"""What the topics of a recording hold, as JSON schemas; images and words in Foxglove's own.
+
+Foxglove has no schema for a number by itself: its plots take any number of any
+message, so `/finger`, `/sequence` and `/board` are ours.
+"""
+
+from typing import Any
+
+FORMAT = "1"
+"""Raised when a file can no longer be read by what reads this one."""
+
+METADATA = "smarttouch"
+"""Name of the metadata record with settings, profile and versions."""
+
+LAST = "/board"
+"""Topic of a step's last message: with it a step is complete."""
+
+INFO = 2
+"""Of `foxglove.Log`'s levels."""
+
+_NUMBER = {"type": "number"}
+_PERHAPS = {"type": ["number", "null"]}
+_INTEGER = {"type": "integer"}
+_COUNTS = {"type": "array", "items": _INTEGER}
+_ROW = {"type": "array", "items": _NUMBER, "description": "of each electrode; [] is all zero"}
+_TIME = {
+    "type": "object",
+    "title": "time",
+    "properties": {
+        "sec": {"type": "integer", "minimum": 0},
+        "nsec": {"type": "integer", "minimum": 0, "maximum": 999_999_999},
+    },
+}
+
+
+def _base64(description: str) -> dict[str, str]:
+    return {"type": "string", "contentEncoding": "base64", "description": description}
+
+
+SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
+    "/frame": (
+        "foxglove.CompressedImage",
+        {
+            "timestamp": _TIME,
+            "frame_id": {"type": "string"},
+            "data": _base64("PNG"),
+            "format": {"type": "string"},
+        },
+    ),
+    "/finger": (
+        "smarttouch.Finger",
+        {
+            "time_ns": {**_INTEGER, "description": "since the start of the run"},
+            "x_mm": _PERHAPS,
+            "y_mm": _PERHAPS,
+            "angle_rad": _PERHAPS,
+            "force_n": {**_PERHAPS, "description": "that counted; null is unknown"},
+            "number": {**_INTEGER, "description": "of the image at its source"},
+            "age_ms": _NUMBER,
+            "stale": {"type": "boolean"},
+        },
+    ),
+    "/tactile": (
+        "smarttouch.TactileImage",
+        {"RA": _ROW, "SAI": _ROW, "PC": _ROW},
+    ),
+    "/sequence": (
+        "smarttouch.ScanSequence",
+        {
+            "time_ns": _INTEGER,
+            "frame": {**_INTEGER, "description": "number of the image"},
+            "number": {"type": ["integer", "null"], "description": "the board's; null if lost"},
+            "mode": {"type": "string"},
+            "level": {**_NUMBER, "description": "what the user asked for, in [0, 1]"},
+            "restarted": {"type": "boolean", "description": "intensity began at zero here"},
+            "asked_us": {**_INTEGER, "description": "period that was wanted"},
+            "period_us": _INTEGER,
+            "intensity": _NUMBER,
+            "strongest_ma": {**_NUMBER, "description": "of all electrodes and slots, magnitude"},
+            "slots": _INTEGER,
+            "electrodes": _INTEGER,
+            "site": _COUNTS,
+            "width_us": _COUNTS,
+            "discharge_us": _COUNTS,
+            "current_ua": _base64("int16 little endian (slots, electrodes), positive cathodic"),
+        },
+    ),
+    "/volts": (
+        "smarttouch.Volts",
+        {
+            "time_ns": {**_INTEGER, "description": "of the sequence that was measured"},
+            "number": {"type": ["integer", "null"], "description": "of that sequence"},
+            "highest_v": _PERHAPS,
+            "volts": _base64("float32 little endian (slots,)"),
+        },
+    ),
+    "/board": (
+        "smarttouch.Acknowledgment",
+        {
+            "sent": {"type": ["integer", "null"]},
+            "acknowledged": _INTEGER,
+            "refused": _INTEGER,
+            "latency_us": _NUMBER,
+            "work_us": _NUMBER,
+        },
+    ),
+    "/event": (
+        "foxglove.Log",
+        {
+            "timestamp": _TIME,
+            "level": {
+                "title": "foxglove.LogLevel",
+                "oneOf": [
+                    {"title": title, "const": value}
+                    for value, title in enumerate(
+                        ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
+                    )
+                ],
+            },
+            "message": {"type": "string"},
+            "name": {"type": "string"},
+            "file": {"type": "string"},
+            "line": {"type": "integer", "minimum": 0},
+        },
+    ),
+}
+"""Of each topic: the name of its schema, and the properties of its messages, all required."""
+
+
+def schema(topic: str) -> dict[str, Any]:
+    """Return the JSON schema of a topic's messages."""
+    name, properties = SCHEMAS[topic]
+    return {
+        "title": name,
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+    }

@@ -1,0 +1,97 @@
+"""Recordings from the command line: looked into, mended, taken apart, and checked."""
+
+import re
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from smarttouch.cli.recordings import recordings
+from smarttouch.cli.replay import replay
+from smarttouch.errors import RecordingError
+
+
+@pytest.fixture
+def recording(tmp_path):
+    """A copy of a golden that may be broken."""
+    from pathlib import Path
+
+    golden = Path(__file__).parents[1] / "recording" / "goldens" / "sai-levels.mcap"
+    path = tmp_path / "run.mcap"
+    path.write_bytes(golden.read_bytes())
+    return path
+
+
+@pytest.fixture
+def call():
+    app = typer.Typer()
+    app.add_typer(recordings, name="recordings")
+    app.command()(replay)
+
+    def run(*arguments):
+        return CliRunner().invoke(app, [str(each) for each in arguments], env={"COLUMNS": "200"})
+
+    return run
+
+
+def test_info_tells_what_an_ethics_board_asks(call, recording):
+    done = call("recordings", "info", recording)
+    assert done.exit_code == 0
+    for words in (
+        "whole", "2023-11-14 22:13:20 UTC", "1.5 s", "nobody", "electric-mouse", "SAI 38", "mA",
+        "smarttouch 0.1.0", "a minute", "/frame", "0.600 s  intensity 0.40", "paused",
+    ):  # fmt: skip
+        assert words in done.stdout
+
+
+def test_a_cut_one_is_told_mended_and_whole_again(call, recording):
+    whole = call("recordings", "repair", recording)
+    assert whole.stdout.strip() == f"{recording} is whole: there is nothing to repair"
+    recording.write_bytes(recording.read_bytes()[:-200])
+    assert "cut: the program that wrote it" in call("recordings", "info", recording).stdout
+    done = call("recordings", "repair", recording)
+    assert done.exit_code == 0
+    mended = recording.with_name("run-repaired.mcap")
+    assert done.stdout.startswith(f"{mended}: 38 sequences, 1.5 s")
+    assert "whole" in call("recordings", "info", mended).stdout
+    again = call("recordings", "repair", recording)
+    assert isinstance(again.exception, RecordingError)
+    other = call("recordings", "repair", recording, "--output", recording.with_name("other.mcap"))
+    assert other.exit_code == 0
+
+
+def test_export_names_what_it_wrote(call, recording, tmp_path):
+    done = call("recordings", "export", recording, tmp_path / "out")
+    assert done.exit_code == 0
+    names = [line.rpartition("/")[2] for line in done.stdout.split()]
+    assert names == ["frames", "finger.csv", "sequence.csv", "board.csv", "events.csv", "run.npz"]
+
+
+def test_a_check_that_holds_and_one_that_does_not(call, recording, tmp_path):
+    done = call("replay", recording, "--check")
+    assert done.exit_code == 0
+    assert re.fullmatch(r"38 sequences, \d+ slots: identical\n", done.stdout)
+    from smarttouch.resources import data_folder
+
+    text = (data_folder("calibration") / "electric-mouse.toml").read_text()
+    assert "ramp_s = 0.5" in text
+    other = tmp_path / "other.toml"
+    other.write_text(text.replace("ramp_s = 0.5", "ramp_s = 0.6"))
+    done = call("replay", recording, "--check", "--profile", other)
+    assert done.exit_code == 1
+    assert "differences" in done.stdout.splitlines()[0]
+    assert done.stdout.splitlines()[1].startswith("frame 0 at ")
+
+
+def test_what_is_none_of_ours(call, tmp_path):
+    path = tmp_path / "letter.txt"
+    path.write_text("precious")
+    for arguments in (
+        ("recordings", "info", path),
+        ("recordings", "repair", path),
+        ("recordings", "export", path, tmp_path / "out"),
+        ("replay", path, "--check"),
+    ):
+        done = call(*arguments)
+        assert isinstance(done.exception, RecordingError)
+        assert "is no MCAP file" in str(done.exception)

@@ -1,0 +1,60 @@
+"""A program that records until it is killed, or until its disk is full: ``child.py PATH [BYTES]``.
+
+After every step that it handed over it tells the time of the step and how late it was, in ns.
+"""
+
+import os
+import resource
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from smarttouch.errors import RecordingError
+from smarttouch.live import Sent
+from smarttouch.modes.bank import load_bank
+from smarttouch.pipeline import Pipeline
+from smarttouch.profile import load_profile
+from smarttouch.recording.recorder import Recorder, about_run
+from smarttouch.scan.timing import ScanTiming
+from smarttouch.sensing.frame import Frame, Pose
+
+PERIOD_NS = 10_000_000
+
+
+def main(path, most_bytes=None):
+    profile = load_profile("electric-mouse")
+    pipeline = Pipeline(profile, load_bank(profile))
+    pipeline.warm_up()
+    rng = np.random.default_rng(0)
+    images = [rng.integers(190, 220, (64, 64), np.uint8) for _ in range(16)]
+    for index, image in enumerate(images):
+        image[:, index : index + 20] = 20
+    settings = {
+        "mode": "RA", "rate_hz": None, "light_on_dark": False, "softness": None, "hold": None,
+        "balance": False, "timing": asdict(ScanTiming()), "compliance_v": None,
+    }  # fmt: skip
+    if most_bytes is not None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (int(most_bytes),) * 2)
+    started_unix_ns = time.time_ns()
+    recorder = Recorder(Path(path), about_run(profile, settings, started_unix_ns), started_unix_ns)
+    start_ns = time.perf_counter_ns()
+    for index in range(6000):
+        deadline_ns = start_ns + index * PERIOD_NS
+        time.sleep(max(0, deadline_ns - time.perf_counter_ns()) / 1e9)
+        time_ns = time.perf_counter_ns() - start_ns
+        frame = Frame(images[index % 16], time_ns, Pose(0.0, 0.0), 1.0, index)
+        try:
+            recorder.record(Sent(pipeline.process(frame), index, 0.0), index, 0)
+        except RecordingError as error:
+            print(error)
+            recorder.close()
+            print("closed")
+            return
+        os.write(1, f"{time_ns} {time_ns - index * PERIOD_NS}\n".encode())
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

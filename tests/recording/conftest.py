@@ -1,0 +1,97 @@
+"""Steps of real runs, and recordings of them."""
+
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smarttouch.live import Sent
+from smarttouch.pipeline import Pipeline
+from smarttouch.recording.recorder import Recorder, about_run
+from smarttouch.scan.timing import ScanTiming
+from smarttouch.sensing.frame import Frame, Pose
+
+STARTED_NS = 1_700_000_000 * 10**9
+
+
+@pytest.fixture(scope="session")
+def goldens():
+    """The recordings that are kept."""
+    found = sorted((Path(__file__).parent / "goldens").glob("*.mcap"))
+    assert len(found) >= 4
+    return found
+
+
+@pytest.fixture(scope="session")
+def settings():
+    """Settings of a plain run."""
+    return {
+        "mode": "RA", "rate_hz": None, "light_on_dark": False, "softness": None, "hold": None,
+        "balance": False, "timing": asdict(ScanTiming()), "compliance_v": None,
+        "subject": "S7", "sensor": "bars", "board": "memory:",
+    }  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def about(profile, settings):
+    return about_run(profile, settings, STARTED_NS)
+
+
+@pytest.fixture(scope="session")
+def make_steps(profile, bank):
+    """Return a maker of steps: a bar that moves under a finger, each image seen twice."""
+
+    def make(count, period_ns=20_000_000):
+        pipeline, rng = Pipeline(profile, bank), np.random.default_rng(1)
+        made = []
+        for index in range(count):
+            if index % 2 == 0:
+                image = np.full((64, 64), 215, np.uint8)
+                image[:, (first := index % 50) : first + 12] = 30
+                image += rng.integers(0, 6, image.shape, np.uint8)
+            frame = Frame(image, index * period_ns, Pose(0.1 * index, 2.0), 1 / 3, index // 2)
+            made.append(Sent(pipeline.process(frame), index + 1, 99.5, 12.25))
+        return made
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def steps(make_steps):
+    return make_steps(40)
+
+
+@pytest.fixture(scope="session")
+def with_volts():
+    """Return what adds voltages, measured of earlier steps, to one."""
+
+    def add(sent, *measured):
+        return replace(sent, step=replace(sent.step, observed=measured))
+
+    return add
+
+
+@pytest.fixture(scope="session")
+def record(about):
+    """Return a writer of recordings from steps and events."""
+
+    def write(path, steps, events=(), about=about, pause_s=0.0):
+        recorder = Recorder(path, about, STARTED_NS)
+        for words in events:
+            recorder.event(5_000_000, words)
+        for sent in steps:
+            recorder.record(sent, (sent.number or 1) - 1, 0)
+            time.sleep(pause_s)
+        recorder.close()
+        return path
+
+    return write
+
+
+@pytest.fixture(scope="session")
+def recording(record, steps, tmp_path_factory):
+    """A short recording in several chunks."""
+    path = tmp_path_factory.mktemp("recording") / "run.mcap"
+    return record(path, steps, ["paused", "goes on"], pause_s=0.005)

@@ -1,0 +1,207 @@
+"""Makes the recordings that replay is tested with: ``python tests/recording/make_goldens.py``.
+
+Each is a run of the real loop over a printed page, into a board in memory, by a clock of its own.
+Make them anew only where sequences are meant to change, and say so.
+"""
+
+import json
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from smarttouch import __version__
+from smarttouch.boards.kajimoto61 import Kajimoto61Board
+from smarttouch.boards.memory import MemoryBoard
+from smarttouch.controls import Controls, StopRequest, Wish
+from smarttouch.errors import LineLostError
+from smarttouch.live import run
+from smarttouch.modes.bank import load_bank
+from smarttouch.pipeline import Pipeline
+from smarttouch.primary import Mode
+from smarttouch.profile import load_profile
+from smarttouch.recording import recorder as recorder_module
+from smarttouch.recording.recorder import Recorder, about_run
+from smarttouch.regulator import Regulator
+from smarttouch.scan.adaptation import Adaptation
+from smarttouch.scan.ledger import ChargeLedger
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.scan.timing import ScanTiming
+from smarttouch.sensing import open_sensor
+from smarttouch.sensing.frame import Frame, Sensor
+from smarttouch.tally import Tally
+
+FOLDER = Path(__file__).parent / "goldens"
+STARTED_UNIX_NS = 1_700_000_000 * 10**9
+IMAGES = 8
+"""In each, as of a camera that is slower than the loop: files stay small."""
+BEGIN, END = 0.68, 0.94
+"""Of the way of the finger: most of the margin is left out."""
+
+
+@dataclass(frozen=True)
+class Golden:
+    """One run, and what it is for."""
+
+    name: str
+    profile: str
+    mode: Mode
+    text: str
+    seconds: float
+    rate_hz: float | None = None
+    softness: float | None = None
+    light_on_dark: bool = False
+    hold: str | None = None
+    balance: bool = False
+    timing: ScanTiming = field(default_factory=ScanTiming)
+    wishes: tuple[tuple[float, Wish], ...] = ()
+    lost_at: int | None = None
+
+
+GOLDENS = (
+    Golden("ra", "electric-mouse", Mode.RA, "on", 1.0, rate_hz=20),
+    Golden(
+        "sai-levels", "electric-mouse", Mode.SAI, "if", 1.5, rate_hz=25, softness=0.3,
+        wishes=(
+            (0.6, Wish(Mode.SAI, 0.4)),
+            (0.9, Wish(Mode.SAI, 0.4, paused=True)),
+            (1.1, Wish(Mode.SAI, 0.8)),
+        ),
+    ),
+    Golden("natural", "electric-mouse", Mode.NATURAL, "t", 0.9, wishes=((0.7, Wish(Mode.RA)),)),
+    Golden("kajimoto", "kajimoto-61", Mode.RA, "no", 1.0, timing=Kajimoto61Board.timing),
+    Golden(
+        "regulated", "electric-mouse", Mode.RA, "l", 1.2, rate_hz=20, hold="energy", balance=True,
+        light_on_dark=True, lost_at=14,
+    ),
+)  # fmt: skip
+
+
+class Clock:
+    """Time that passes only when someone waits."""
+
+    def __init__(self):
+        self.time_ns = 0
+
+    def now_ns(self):
+        return self.time_ns
+
+    def wait_until(self, deadline_ns, _stop):
+        self.time_ns = max(self.time_ns, deadline_ns)
+
+
+class Held(Sensor):
+    """A sensor whose images stay for a few looks."""
+
+    knows_force = True
+
+    def __init__(self, sensor, golden):
+        super().__init__(sensor.title)
+        self._sensor, self._golden, self._number = sensor, golden, -1
+
+    def read(self, time_ns):
+        share = BEGIN + (END - BEGIN) * time_ns / (self._golden.seconds * 1e9)
+        found = self._sensor.read(int(share * self._sensor.duration_s * 1e9))
+        if found is None:
+            return None
+        number = int(time_ns / (self._golden.seconds * 1e9) * IMAGES)
+        if number != self._number:
+            self._number = number
+            self._image = 255 - found.image if self._golden.light_on_dark else found.image
+        return Frame(self._image, time_ns, found.pose, found.force_n, self._number)
+
+
+class Script(Controls):
+    """A user who does the same at the same time in each run."""
+
+    def __init__(self, golden):
+        super().__init__(Wish(golden.mode))
+        self._wishes = [(0.0, Wish(golden.mode)), *golden.wishes]
+
+    def wish(self, time_ns):
+        return [each for after_s, each in self._wishes if time_ns >= after_s * 1e9][-1]
+
+
+class Board(MemoryBoard):
+    """A board in memory that can be lost once, and measures skin that dries out."""
+
+    def __init__(self, golden, profile):
+        super().__init__("", SafetyLimits.of(profile), profile.output)
+        self.timing, self._lost_at, self._delivered = golden.timing, golden.lost_at, []
+
+    def _send(self, sequence, times):
+        if len(self.sequences) == self._lost_at:
+            self._lost_at = None
+            raise LineLostError("the board in memory was lost")
+        self._delivered.append(sequence)
+        return super()._send(sequence, times)
+
+    def _recover(self, lost):
+        self._delivered.clear()
+
+    def take_volts(self):
+        delivered, self._delivered = self._delivered, []
+        kohm = 1.0 + 0.1 * len(self.sequences)
+        return [
+            (each, (np.abs(each.current_ua).max(axis=1) * kohm / 1000).astype(np.float32))
+            for each in delivered
+            if each.slots
+        ]
+
+
+def make(golden, path):
+    """Record one."""
+    profile = load_profile(golden.profile)
+    settings = {
+        "mode": golden.mode.value,
+        "rate_hz": golden.rate_hz,
+        "light_on_dark": golden.light_on_dark,
+        "softness": golden.softness,
+        "hold": golden.hold,
+        "balance": golden.balance,
+        "timing": asdict(golden.timing),
+        "compliance_v": 100.0,
+        "sensor": f"text:{golden.text}",
+        "board": "memory:",
+        "force": None,
+        "seed": 0,
+        "subject": "nobody",
+        "note": "a golden of the tests",
+    }
+    about = about_run(profile, settings, STARTED_UNIX_NS)
+    about["versions"] = json.dumps({"smarttouch": __version__})
+    pipeline = Pipeline(
+        profile, load_bank(profile), golden.mode, golden.rate_hz, golden.light_on_dark,
+        golden.timing, golden.softness,
+    )  # fmt: skip
+    regulator = Regulator(
+        Adaptation(profile, golden.hold, 100.0, golden.timing) if golden.hold else None,
+        ChargeLedger(len(profile.electrodes)) if golden.balance else None,
+    )
+    board = Board(golden, profile)
+    recorder = Recorder(path, about, STARTED_UNIX_NS)
+    with open_sensor(f"text:{golden.text}", profile) as page, board:
+        run(
+            Held(page, golden), pipeline, board, stop=StopRequest(), tally=Tally(),
+            seconds=golden.seconds, controls=Script(golden), regulator=regulator, clock=Clock(),
+            tell=recorder.event,
+            observers=[
+                lambda sent: recorder.record(replace(sent, work_us=0.0), board.acknowledged, 0)
+            ],
+        )  # fmt: skip
+    recorder.close()
+
+
+def main():
+    # One chunk compresses better, and depends on no clock.
+    recorder_module.FLUSH_S = 3600.0
+    FOLDER.mkdir(exist_ok=True)
+    for golden in GOLDENS:
+        path = FOLDER / f"{golden.name}.mcap"
+        path.unlink(missing_ok=True)
+        make(golden, path)
+        print(f"{path.name}: {path.stat().st_size / 1000:.1f} kB")
+
+
+if __name__ == "__main__":
+    main()

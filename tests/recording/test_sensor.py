@@ -1,0 +1,85 @@
+"""A recording plays what was seen, and counts what it passes over."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.errors import RecordingError, SensorError
+from smarttouch.live import Sent
+from smarttouch.pipeline import Pipeline
+from smarttouch.recording.sensor import open_recording
+
+
+def test_at_the_recorded_times_all_comes_again(recording, steps, profile, bank):
+    pipeline = Pipeline(profile, bank)
+    with open_recording(str(recording), profile) as sensor:
+        assert sensor.knows_force
+        assert sensor.duration_s == pytest.approx(0.78)
+        for sent in steps:
+            was = sent.step.frame
+            frame = sensor.read(was.time_ns)
+            assert np.array_equal(frame.image, was.image)
+            assert (frame.time_ns, frame.pose, frame.force_n) == (
+                was.time_ns, was.pose, was.force_n,
+            )  # fmt: skip
+            again = pipeline.process(frame).sequence
+            assert np.array_equal(again.current_ua, sent.step.sequence.current_ua)
+        assert sensor.read(799_999_999).number == 19
+        assert sensor.read(800_000_000) is None
+    assert (sensor.frames, sensor.dropped_frames, sensor.notes) == (20, 0, [])
+
+
+@settings(deadline=None)
+@given(st.lists(st.integers(0, 9 * 10**8), max_size=12))
+def test_every_frame_is_read_or_dropped(recording, profile, times):
+    numbers = set()
+    sensor = open_recording(str(recording), profile)
+    for time_ns in sorted(times):
+        frame = sensor.read(time_ns)
+        if frame is not None:
+            numbers.add(frame.number)
+            assert frame.age_ns < 20_000_000
+    sensor.close()
+    assert sensor.frames == len(numbers) + sensor.dropped_frames
+    if times and max(times) >= 8 * 10**8:
+        assert sensor.frames == 20
+
+
+def test_unpaced_gives_the_next_at_each_look(recording, profile):
+    with open_recording(str(recording), profile, unpaced=True) as sensor:
+        frames = []
+        while (frame := sensor.read(len(frames))) is not None:
+            frames.append(frame)
+    assert [frame.number for frame in frames] == [index // 2 for index in range(40)]
+    assert [frame.time_ns for frame in frames] == list(range(40))
+    assert {frame.age_ns for frame in frames} == {0}
+    assert (sensor.frames, sensor.dropped_frames) == (20, 0)
+
+
+def test_what_was_stale_stays_stale(tmp_path, record, steps, profile, make_frame):
+    """So that nothing is felt of it, as when it was recorded."""
+    from dataclasses import replace
+
+    step = steps[0].step
+    stale = replace(step, frame=replace(step.frame, stale=True, force_n=0.0))
+    with open_recording(str(record(tmp_path / "a.mcap", [Sent(stale, 1, 0.0)])), profile) as sensor:
+        frame = sensor.read(0)
+    assert (frame.stale, frame.force_n) == (True, 0.0)
+
+
+def test_a_cut_one_is_played_as_far_as_it_goes(tmp_path, recording, profile):
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(recording.read_bytes()[:-3000])
+    with open_recording(str(path), profile) as sensor:
+        assert sensor.read(0).number == 0
+        assert "is cut" in sensor.notes[0]
+
+
+def test_what_cannot_be_played(tmp_path, record, profile):
+    with pytest.raises(SensorError, match=r"recording:FILE\.mcap"):
+        open_recording("", profile)
+    with pytest.raises(RecordingError, match="No such file"):
+        open_recording(str(tmp_path / "none.mcap"), profile)
+    with pytest.raises(SensorError, match="holds no frames"):
+        open_recording(str(record(tmp_path / "run.mcap", [])), profile)
