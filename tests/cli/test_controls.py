@@ -7,6 +7,7 @@ import time
 
 import pytest
 from PIL import Image
+
 from smarttouch.recording.reader import Recording
 
 RUN = ("live", "--seconds", "60", "--json", "run.json")

@@ -1,0 +1,300 @@
+"""How far the sensor has moved over the page from one image to the next, to parts of a pixel.
+
+Phase correlation finds the shift; Gauss–Newton steps on the grey levels refine it
+(inverse compositional: Baker and Matthews, Lucas-Kanade 20 Years On, 2004).
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.profile import Optics, Profile
+
+MOST_PIXELS = 64
+"""Longer sides are reduced to this: more pixels cost time and hardly make the shift truer."""
+FINER = 2
+"""Images of half that or less are enlarged so much: linear interpolation between their own pixels
+costs 16 x 16 sensors four fifths of the accuracy."""
+LEAST_SLOPE = 6.0
+"""Mean square of the grey levels' slope, (levels/pixel)², below which a direction shows no print:
+noise of 2 levels and uneven light make some 1.5."""
+MOST_UNEXPLAINED = 0.25
+"""Share of the grey levels' variance that the shift may leave unexplained."""
+_PROMISING = 0.5
+"""The same share before the shift is refined."""
+_STEPS = 4
+_CLOSE = 0.02
+"""A step shorter than this, in pixels, was the last."""
+_LONGEST_STEP = 2.0
+_LEAST_OVERLAP = 0.5
+"""Share of either side that two images must have in common: a longer jump is not believed."""
+_FEWEST_COMMON = 2
+_FEWEST_PIXELS = 4
+_NOISE = 4.0
+"""Variance of a sensor's noise, levels²."""
+
+_COARSER = 2
+
+Image = NDArray[np.float32]
+Shift = tuple[float, float]
+"""To the right and down."""
+Correlation = Callable[[Image, Image], Shift]
+
+
+class MotionTracker:
+    """Follows a patch over the page by what it sees.
+
+    What it cannot know it calls no motion: on blank paper, along a straight edge that fills
+    the patch, where two images have too little in common.
+
+    Parameters
+    ----------
+    profile : Profile
+        Scale and rotation of its optics.
+    """
+
+    def __init__(self, profile: Profile) -> None:
+        self._optics = profile.optics
+        self._matcher: _Matcher | None = None
+        self._shape = (0, 0)
+        self._page_mm = ((0.0, 0.0), (0.0, 0.0))
+        self._first = True
+
+    def follow(self, image: NDArray[np.uint8]) -> Shift:
+        """Return how far the patch has moved over the page since the image before.
+
+        Parameters
+        ----------
+        image : ndarray, (H, W) uint8
+            Grey. One of another size than the image before starts anew.
+
+        Returns
+        -------
+        tuple of float, mm
+            When the print moves left in the image, the patch has moved right.
+        """
+        if self._matcher is None or image.shape != self._shape:
+            self._shape = (image.shape[0], image.shape[1])
+            self._matcher = _Matcher(self._shape)
+            self._page_mm = page_per_pixel(self._optics, self._matcher.shape)
+            self._first = True
+        x, y = self._matcher.match(image, self._first)
+        self._first = False
+        (x_by_x, x_by_y), (y_by_x, y_by_y) = self._page_mm
+        return -(x_by_x * x + x_by_y * y), -(y_by_x * x + y_by_y * y)
+
+    def forget(self) -> None:
+        """Start anew: what was between the last image and the next is not known."""
+        self._first = True
+
+
+def page_per_pixel(
+    optics: Optics, shape: tuple[int, int]
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the motion on the page that shifts the image by one pixel, (2, 2) mm.
+
+    Parameters
+    ----------
+    optics : Optics
+        Of a homography, what it does in its middle.
+    shape : tuple of int
+        Rows and columns of the image that spans the field of view.
+    """
+    rows, columns = shape
+    if optics.homography is None:
+        turn = math.radians(optics.rotation_deg)
+        x_mm, y_mm = optics.field_width_mm / columns, optics.field_height_mm / rows
+        # From image to page: the transpose of the turn in imaging.registration.
+        cos, sin = math.cos(turn), math.sin(turn)
+        return (cos * x_mm, sin * y_mm), (-sin * x_mm, cos * y_mm)
+    to_pixel = np.reshape(optics.homography, (3, 3))
+    middle = to_pixel[:2, 2] / to_pixel[2, 2]
+    slope = (to_pixel[:2, :2] - np.outer(middle, to_pixel[2, :2])) / to_pixel[2, 2]
+    slope *= np.array([[columns / optics.sensor_columns], [rows / optics.sensor_rows]])
+    (a, b), (c, d) = np.linalg.inv(slope).tolist()
+    return (a, b), (c, d)
+
+
+class _Trial(NamedTuple):
+    """The image laid back by a shift over the image before."""
+
+    shift: Shift
+    common: tuple[slice, slice]
+    rest: Image
+    """What differs, (N,) levels, without its mean: light may change."""
+    unexplained: float
+
+
+class _Matcher:
+    """Finds the shift between an image and the one before, in pixels of the working image."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        small = max(shape) * FINER <= MOST_PIXELS
+        scale = FINER if small else min(1.0, MOST_PIXELS / max(shape))
+        rows, columns = (max(1, round(side * scale)) for side in shape)
+        self.shape = (rows, columns)
+        self._method = cv2.INTER_CUBIC if small else cv2.INTER_AREA
+        self._least_slope = LEAST_SLOPE / FINER**2 if small else LEAST_SLOPE
+        self._native = FINER if small else 1
+        self._seen = min(self.shape) // _COARSER >= _FEWEST_PIXELS
+        self._working = np.empty(self.shape, np.uint8)
+        self._image, self._before, self._laid_back, self._slope_x, self._slope_y = (
+            np.zeros(self.shape, np.float32) for _ in range(5)
+        )
+        self._to = np.eye(2, 3, dtype=np.float32)
+        self._usual: Shift = (0.0, 0.0)
+        """The last shift that was believed: fingers move steadily."""
+
+    def match(self, image: NDArray[np.uint8], first: bool) -> Shift:
+        """Return how far the content has moved; (0, 0) if not known, or for a first image."""
+        if image.shape != self.shape:
+            size = self.shape[::-1]
+            cv2.resize(image, size, dst=self._working, interpolation=self._method)
+            image = self._working
+        self._image[:] = image
+        shift = None if first else self._find()
+        self._usual = (0.0, 0.0) if first else shift or self._usual
+        self._image, self._before = self._before, self._image
+        cv2.Sobel(self._before, cv2.CV_32F, 1, 0, dst=self._slope_x, ksize=3, scale=1 / 8)
+        cv2.Sobel(self._before, cv2.CV_32F, 0, 1, dst=self._slope_y, ksize=3, scale=1 / 8)
+        return shift or (0.0, 0.0)
+
+    def _find(self) -> Shift | None:
+        """Return the shift that explains the image; None if none does."""
+        best = self._begin() if self._seen else None
+        if best is None:
+            return None
+        slopes = _Slopes(self._slope_x[best.common], self._slope_y[best.common], self._least_slope)
+        for _ in range(_STEPS):
+            step = slopes.solve(best.rest)
+            length = math.hypot(*step)
+            if length > _LONGEST_STEP:
+                break
+            trial = self._try((best.shift[0] + step[0], best.shift[1] + step[1]), best.common)
+            if trial is None or trial.unexplained >= best.unexplained:
+                break
+            best = trial
+            if length < _CLOSE:
+                break
+        return slopes.along(best.shift) if best.unexplained <= MOST_UNEXPLAINED else None
+
+    def _begin(self) -> _Trial | None:
+        """Return the best of the usual shift, none, and what correlation finds."""
+        phase = self._correlate(_phase_correlation, self._native)
+        best = self._best({phase, self._usual, (0.0, 0.0)})
+        if best is not None and best.unexplained <= _PROMISING:
+            return best
+        # Phase correlation takes all details alike, and the finest of a blurred print are noise.
+        return self._best({self._correlate(_correlation, _COARSER)}) or best
+
+    def _best(self, shifts: set[Shift]) -> _Trial | None:
+        trials = [trial for shift in shifts if (trial := self._try(shift)) is not None]
+        return min(trials, key=lambda trial: trial.unexplained, default=None)
+
+    def _correlate(self, method: Correlation, reduction: int) -> Shift:
+        rows, columns = (max(1, side // reduction) for side in self.shape)
+        before, now = (
+            np.asarray(cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA), np.float32)
+            for image in (self._before, self._image)
+        )
+        x, y = method(before, now)
+        return x * self.shape[1] / columns, y * self.shape[0] / rows
+
+    def _try(self, shift: Shift, common: tuple[slice, slice] | None = None) -> _Trial | None:
+        """Lay the image back by a shift; None if too little is common then."""
+        common = common or self._common(shift)
+        if common is None:
+            return None
+        self._to[:, 2] = shift
+        cv2.warpAffine(
+            self._image,
+            self._to,
+            self.shape[::-1],
+            dst=self._laid_back,
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        before, now = self._before[common], self._laid_back[common]
+        rest = np.asarray(cv2.subtract(before, now), np.float32).ravel()
+        rest -= np.float32(cv2.mean(rest)[0])
+        contrast = (_deviation(before) ** 2 + _deviation(now) ** 2) / 2
+        return _Trial(shift, common, rest, float(rest @ rest) / rest.size / (contrast + _NOISE))
+
+    def _common(self, shift: Shift) -> tuple[slice, slice] | None:
+        """Return the rows and columns that both images show, without the outermost."""
+        slices = []
+        for side, by in zip(self.shape, shift[::-1], strict=True):
+            if not abs(by) <= (1 - _LEAST_OVERLAP) * side:
+                return None
+            start, stop = 1 + max(0, math.ceil(-by)), side - 1 - max(0, math.ceil(by))
+            if stop - start < _FEWEST_COMMON:
+                return None
+            slices.append(slice(start, stop))
+        rows, columns = slices
+        return rows, columns
+
+
+def _phase_correlation(before: Image, now: Image) -> Shift:
+    (x, y), _ = cv2.phaseCorrelate(before, now)
+    return x, y
+
+
+def _correlation(before: Image, now: Image) -> Shift:
+    """Return the shift, in whole pixels, of the largest covariance of what is common then."""
+    rows, columns = before.shape
+    size = (2 * rows, 2 * columns)
+    one, first, second = (
+        np.fft.rfft2(levels, size)
+        for levels in (np.ones_like(now), before - before.mean(), now - now.mean())
+    )
+    common = np.fft.irfft2(one.conj() * one, size)
+    covariance = np.fft.irfft2(first.conj() * second, size)
+    covariance /= np.maximum(common, _LEAST_OVERLAP**2 * rows * columns)
+    y, x = divmod(int(covariance.argmax()), size[1])
+    return float((x + columns) % size[1] - columns), float((y + rows) % size[0] - rows)
+
+
+def _deviation(levels: Image) -> float:
+    return float(cv2.meanStdDev(levels)[1][0, 0])
+
+
+class _Slopes:
+    """Slopes of the grey levels, and the directions in which they show a shift."""
+
+    def __init__(self, slope_x: Image, slope_y: Image, least: float) -> None:
+        slopes = np.stack([slope_x.ravel(), slope_y.ravel()])
+        slopes -= slopes.mean(axis=1, keepdims=True)
+        self._slopes = slopes
+        (xx, xy), (_, yy) = (slopes @ slopes.T).tolist()
+        turn = math.atan2(2 * xy, xx - yy) / 2
+        cos, sin = math.cos(turn), math.sin(turn)
+        middle, spread = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)
+        steep = (((cos, sin), middle + spread), ((-sin, cos), middle - spread))
+        self._steep = [
+            (direction, sum_) for direction, sum_ in steep if sum_ > least * slopes.shape[1]
+        ]
+
+    def solve(self, rest: Image) -> Shift:
+        """Return the step that would explain ``rest``, where the slopes are steep enough."""
+        by_x, by_y = (self._slopes @ rest).tolist()
+        x = y = 0.0
+        for (cos, sin), sum_ in self._steep:
+            length = (cos * by_x + sin * by_y) / sum_
+            x += cos * length
+            y += sin * length
+        return x, y
+
+    def along(self, shift: Shift) -> Shift | None:
+        """Return what of a shift is known; None if nothing."""
+        if not self._steep:
+            return None
+        x = y = 0.0
+        for (cos, sin), _ in self._steep:
+            length = cos * shift[0] + sin * shift[1]
+            x += cos * length
+            y += sin * length
+        return x, y
