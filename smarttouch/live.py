@@ -140,10 +140,7 @@ class _Inputs:
         if frame is None:
             return None
         self.tally.see(frame)
-        force_n = frame.force_n if self.force is None else self.force.read(time_ns)
-        on_board = self.board.force_n
-        if on_board is not None:
-            force_n = on_board if math.isnan(force_n) else min(force_n, on_board)
+        force_n = self._force_n(frame, time_ns)
         blind = frame.stale or math.isnan(force_n)
         self.tally.blind += blind
         if blind is not self._blind:
@@ -151,6 +148,19 @@ class _Inputs:
             self.tell(time_ns, f"{what}: no current" if blind else "image and force are known")
             self._blind = blind
         return replace(frame, force_n=0.0 if blind else force_n)
+
+    def _force_n(self, frame: Frame, time_ns: int) -> float:
+        """Return the word of whom was asked, NaN if they do not know; the board may lower it."""
+        on_board = self.board.force_n
+        if self.force is not None:
+            force_n = self.force.read(time_ns)
+        elif self.sensor.knows_force or on_board is None:
+            force_n = frame.force_n
+        else:
+            force_n = on_board
+        if on_board is None or math.isnan(force_n):
+            return force_n
+        return min(force_n, on_board)
 
     def wish(self, time_ns: int) -> Wish:
         """Return what the user wants; tell of what has changed."""

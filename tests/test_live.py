@@ -430,6 +430,14 @@ def test_a_force_source_has_the_last_word(pipeline, board):
     assert max(felt(board)) == pytest.approx((0.5 - 0.15) / 0.75, abs=1e-6)
 
 
+def test_nobody_stands_in_for_a_load_cell_that_fails(pipeline, board):
+    """Least of all the board: whoever asks for a cell does not trust it."""
+    board.force_n = 1.0
+    tally, _ = play(board, pipeline, Bars(40), force=Pressing(lambda _: float("nan")))
+    assert not any(felt(board))
+    assert tally.blind == 40
+
+
 def test_the_board_s_force_counts_where_nobody_else_knows_it(pipeline, board):
     board.force_n = 0.5
     play(board, pipeline, Bars(40, force_n=float("nan")))
