@@ -162,11 +162,7 @@ def emulate(
     ] = None,
 ) -> None:
     """Play a board on skin, behind a port whose name is printed, until Ctrl-C."""
-    import contextlib
-    import signal
-    import subprocess
-    import sys
-
+    from smarttouch.cli.emulation import play_emulator
     from smarttouch.errors import BoardError, SmartTouchError
 
     usual = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
@@ -174,28 +170,19 @@ def emulate(
         raise SmartTouchError(f"no emulator {name!r}: choose {', '.join(usual)}")
     if books is not None and not books.is_dir():
         raise SmartTouchError(f"--books {books} is no folder: make it first")
-    command = [sys.executable, "-m", "smarttouch.boards.emulator", f"--protocol={name}"]
-    command += [f"--electrodes={electrodes or usual[name]}", "--linger=inf"]
-    command += [f"--output={output}"] if name == "link" else []
-    command += ["--tcp"] if tcp else []
-    command += [f"--event={each}" for each in event or ()]
-    command += [f"--books={books}"] if books is not None else []
-    # A session of its own: Ctrl-C ends it through us, in order.
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, text=True, start_new_session=True
-    ) as process:
-        assert process.stdout is not None
-        port = process.stdout.readline().strip()
-        if not port:
-            raise BoardError(f"the emulator did not start (exit {process.wait()})")
-        typer.echo(f"A {name} board on emulated skin. In another terminal:\n")
-        typer.echo(f"  smarttouch live --board {name}:{port}\n\nCtrl-C ends it.")
-        signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-        try:
-            with contextlib.suppress(KeyboardInterrupt):
-                process.wait()
-        finally:
-            process.terminate()
+    arguments = [f"--protocol={name}", f"--electrodes={electrodes or usual[name]}"]
+    arguments += [f"--output={output}"] if name == "link" else []
+    arguments += ["--tcp"] if tcp else []
+    arguments += [f"--event={each}" for each in event or ()]
+    arguments += [f"--books={books}"] if books is not None else []
+
+    def advice(port: str) -> str:
+        return (
+            f"A {name} board on emulated skin. In another terminal:\n\n"
+            f"  smarttouch live --board {name}:{port}\n\nCtrl-C ends it."
+        )
+
+    play_emulator("smarttouch.boards.emulator", arguments, advice, BoardError)
 
 
 def _driver(url: str, profile: str | None) -> tuple["Profile", "Board"]:

@@ -101,20 +101,18 @@ def emulate(
     profile: _ProfileName = None,
 ) -> None:
     """Play a sensor, behind a port whose name is printed, until Ctrl-C."""
-    import contextlib
-    import signal
-    import subprocess
-    import sys
+    from functools import partial
 
+    from smarttouch.cli.emulation import play_emulator
     from smarttouch.cli.files import require_folder
     from smarttouch.errors import SensorError, SmartTouchError
 
     if name not in _KINDS:
         raise SmartTouchError(f"no emulator {name!r}: choose {', '.join(_KINDS)}")
     require_folder(books)
-    command = [sys.executable, "-m", "smarttouch.sensing.emulator", name, "--linger=inf"]
-    command += [f"--rows={rows}", f"--columns={columns}", f"--force={force}", f"--noise={noise}"]
-    command += [f"--counts-per-n={counts_per_n}", f"--zero={zero}"]
+    arguments = [name]
+    arguments += [f"--rows={rows}", f"--columns={columns}", f"--force={force}", f"--noise={noise}"]
+    arguments += [f"--counts-per-n={counts_per_n}", f"--zero={zero}"]
     for option, value in (
         ("rate", rate),
         ("sensor", sight),
@@ -122,29 +120,13 @@ def emulate(
         ("books", books),
         ("profile", profile),
     ):
-        command += [] if value is None else [f"--{option}={value}"]
-    command += [f"--event={each}" for each in event or ()]
-    # A session of its own: Ctrl-C ends it through us, in order.
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    ) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        port = process.stdout.readline().strip()
-        if not port:
-            # The last line of what argparse says is its sentence.
-            words = process.stderr.read().strip().rpartition("error: ")[2]
-            raise SensorError(f"the emulator did not start: {words or process.wait()}")
-        typer.echo(_advice(name, port, counts_per_n, zero))
-        signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-        try:
-            with contextlib.suppress(KeyboardInterrupt):
-                process.wait()
-        finally:
-            process.terminate()
+        arguments += [] if value is None else [f"--{option}={value}"]
+    arguments += [f"--event={each}" for each in event or ()]
+    advice = partial(_advice, name, counts_per_n, zero)
+    play_emulator("smarttouch.sensing.emulator", arguments, advice, SensorError)
 
 
-def _advice(name: str, port: str, counts_per_n: float, zero: float) -> str:
+def _advice(name: str, counts_per_n: float, zero: float, port: str) -> str:
     if name == "serial-array":
         return (
             f"A sensor array. In another terminal:\n\n  smarttouch sensor show {name}:{port}\n"

@@ -4,8 +4,6 @@ import csv
 import math
 from abc import ABC, abstractmethod
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +11,7 @@ from numpy.typing import NDArray
 from smarttouch.errors import SensorError
 from smarttouch.profile import Profile
 from smarttouch.registry import find_opener
+from smarttouch.sensing.device import Device
 
 LARGEST_FIXED_N = 20.0
 LARGEST_RECORDED_N = 100.0
@@ -20,15 +19,8 @@ LARGEST_RECORDED_N = 100.0
 _COLUMNS = ("time_s", "force_n")
 
 
-class ForceSource(ABC):
+class ForceSource(Device, ABC):
     """Where finger force comes from, opened by its URL."""
-
-    title: str
-    """What it is, in a few words."""
-
-    def __init__(self, title: str) -> None:
-        self.title = title
-        self.notes: list[str] = []
 
     @abstractmethod
     def read(self, time_ns: int) -> float:
@@ -36,20 +28,6 @@ class ForceSource(ABC):
 
         Never waits and never raises.
         """
-
-    def close(self) -> None:  # noqa: B027
-        """Let go of what is held open."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def open_force(url: str, profile: Profile) -> ForceSource:

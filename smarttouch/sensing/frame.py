@@ -2,11 +2,12 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from types import TracebackType
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from smarttouch.sensing.device import Device
 
 
 @dataclass(frozen=True)
@@ -53,15 +54,13 @@ class Frame:
     stale: bool = False
 
 
-class Sensor(ABC):
+class Sensor(Device, ABC):
     """A source of frames, opened by its URL.
 
     Every frame of the source is either read or dropped: at the end ``frames``
     is the number of distinct frames read plus ``dropped_frames``.
     """
 
-    title: str
-    """What it is, in a few words, for the screen."""
     duration_s: float | None = None
     """How long it lasts; None if it never ends by itself."""
     knows_force: ClassVar[bool] = False
@@ -71,24 +70,6 @@ class Sensor(ABC):
     dropped_frames: int = 0
     """Frames that came but were never read."""
 
-    def __init__(self, title: str) -> None:
-        self.title = title
-        self.notes: list[str] = []
-
     @abstractmethod
     def read(self, time_ns: int) -> Frame | None:
         """Return the frame at ``time_ns`` since the start; None at the end."""
-
-    def close(self) -> None:  # noqa: B027
-        """Let go of what is held open."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()

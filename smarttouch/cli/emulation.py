@@ -1,0 +1,48 @@
+"""Emulators played from the command line, until Ctrl-C."""
+
+import contextlib
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+
+import typer
+
+from smarttouch.errors import SmartTouchError
+
+
+def play_emulator(
+    module: str, arguments: list[str], advice: Callable[[str], str], error: type[SmartTouchError]
+) -> None:
+    """Run an emulator in a process of its own; print what to do with its port.
+
+    Parameters
+    ----------
+    module : str
+        What to run.
+    arguments : list of str
+        Its command line.
+    advice : callable
+        Makes of the port's name what a user should read.
+    error : type
+        What to raise if it does not start.
+    """
+    command = [sys.executable, "-m", module, "--linger=inf", *arguments]
+    # A session of its own: Ctrl-C ends it through us, in order.
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        port = process.stdout.readline().strip()
+        if not port:
+            # The last line of what argparse says is its sentence.
+            words = process.stderr.read().strip().rpartition("error: ")[2]
+            raise error(f"the emulator did not start: {words or process.wait()}")
+        typer.echo(advice(port))
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+        try:
+            with contextlib.suppress(KeyboardInterrupt):
+                process.wait()
+        finally:
+            process.terminate()
