@@ -7,6 +7,7 @@ import typer
 
 from smarttouch.cli.board import board
 from smarttouch.cli.boards import boards
+from smarttouch.cli.calibrate import calibrate
 from smarttouch.cli.design import design
 from smarttouch.cli.figures import figures
 from smarttouch.cli.live import live
@@ -33,6 +34,7 @@ app.command()(figures)
 app.command()(boards)
 app.add_typer(board, name="board")
 app.add_typer(sensor, name="sensor")
+app.add_typer(calibrate, name="calibrate")
 app.add_typer(recordings, name="recordings")
 
 

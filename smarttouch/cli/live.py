@@ -43,9 +43,7 @@ def live(
     ] = None,
     softness: Annotated[
         float | None,
-        typer.Option(
-            metavar="0..1", help="1: SAI pulses at a constant rate; 0: follows force."
-        ),
+        typer.Option(metavar="0..1", help="1: SAI pulses at a constant rate; 0: follows force."),
     ] = None,
     rate: Annotated[
         float | None, typer.Option(metavar="HZ", help="Sequences a second; the profile's if none.")

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import typer
+
 from smarttouch.boards.board import Board, BoardReport, make_board
 from smarttouch.cli.files import require_folder, write_json
 from smarttouch.cli.keyboard import LOST, keys_heeded
@@ -112,6 +114,7 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
         try:
             with settled(pipeline), display:
                 _require_force(source, force, display)
+                _warn_of_simulation(plan, profile)
                 regulator = make_regulator(display, profile, plan.hold, plan.balance, plan.quiet)
                 tells: list[Tell] = [screen.tell]
                 if plan.record is not None:
@@ -195,6 +198,19 @@ def _require_force(source: Sensor, force: ForceSource | None, board: Board) -> N
         raise SensorError(
             f"nobody knows how hard the finger presses, neither {source.title} nor the board, so "
             "there would be no current: give --force, for example hx711:PORT, or fixed:0.5 (N)"
+        )
+
+
+def _warn_of_simulation(plan: Plan, profile: Profile) -> None:
+    """Say so where a real finger is to feel what was found on none."""
+    simulated = [
+        name for name, note in profile.calibrated.items() if note.found.startswith("simulated")
+    ]
+    if simulated and not plan.quiet and not plan.board_url.startswith(("emulator:", "memory:")):
+        typer.echo(
+            f"Of the profile {', '.join(simulated)} were calibrated in simulation, on no finger: "
+            "calibrate again, or begin with --intensity 0.",
+            err=True,
         )
 
 

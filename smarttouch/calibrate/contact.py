@@ -1,0 +1,116 @@
+"""Which electrodes touch the skin, and how well: repeated measurements of a board."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.boards.impedance import Condition, Impedance
+from smarttouch.errors import CalibrationError
+from smarttouch.profile import Profile
+
+MOST_BROKEN = 0.5
+"""Part of the electrodes: more do not touch if the finger lies beside the array."""
+MOST_RESTLESS = 0.5
+"""Spread of the usual electrode over its median: more, and the finger moved."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContactFound:
+    """Contact of every electrode.
+
+    Attributes
+    ----------
+    kohm : ndarray, (E,)
+        Medians; infinite where open.
+    spread_kohm : ndarray, (E,)
+        Robust standard deviations; NaN of one measurement, or where open.
+    condition : tuple of str, (E,)
+        What most measurements say; what they disagree on is ``unsure``.
+    repeats : int
+    current_ma : float
+    """
+
+    kohm: NDArray[np.float64]
+    spread_kohm: NDArray[np.float64]
+    condition: tuple[Condition, ...]
+    repeats: int
+    current_ma: float
+
+    @property
+    def broken(self) -> list[int]:
+        """The electrodes that are open or shorted."""
+        return [i for i, each in enumerate(self.condition) if each in ("open", "short")]
+
+    def masked(self, profile: Profile) -> list[int]:
+        """Return what to mask: what is broken, and what was masked before, for whatever reason."""
+        return sorted({*profile.output.masked, *self.broken})
+
+    def impedances(self, profile: Profile) -> list[float]:
+        """Return an impedance for each electrode, kΩ: the usual one where none was measured."""
+        touching = np.isfinite(self.kohm) & ~np.isin(np.arange(len(self.kohm)), self.broken)
+        usual = float(np.median(self.kohm[touching]))
+        return [float(f"{each:.4g}") for each in np.where(touching, self.kohm, usual)]
+
+    def sentence(self) -> str:
+        """Return what goes into the profile."""
+        good = np.array([each == "good" for each in self.condition])
+        low, middle, high = np.percentile(self.kohm[good], [0, 50, 100])
+        counts = [
+            f"{self.condition.count(each)} {each}"
+            for each in ("good", "open", "short", "unsure")
+            if each in self.condition
+        ]
+        spread = np.nanmedian(self.spread_kohm[good]) / middle if self.repeats > 1 else np.nan
+        return (
+            f"{', '.join(counts)} of {len(self.kohm)} electrodes, the good ones {middle:.3g} kohm "
+            f"({low:.3g} to {high:.3g}), {self.repeats} measurements at {self.current_ma:.2g} mA"
+            + ("" if np.isnan(spread) else f" that differ by {spread:.1%}")
+        )
+
+
+def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
+    """Return what repeated measurements say together.
+
+    Raises
+    ------
+    CalibrationError
+        If no finger lies on the array, or it does not lie still.
+    """
+    if any(each.lifted for each in measured):
+        raise CalibrationError(
+            "no electrode touches anything: put the finger on the array, and measure again"
+        )
+    kohm = np.array([each.kohm for each in measured])
+    condition = tuple(_most(each) for each in zip(*(m.condition for m in measured), strict=True))
+    count = len(condition)
+    # A reading without end is as far from the others as one can be: the median still holds.
+    middle = np.sort(kohm, axis=0)[(len(kohm) - 1) // 2 : len(kohm) // 2 + 1].mean(axis=0)
+    touching = np.isfinite(kohm).all(axis=0)
+    spread = np.full(count, np.nan)
+    if len(kohm) > 1:
+        away = np.abs(kohm[:, touching] - middle[touching])
+        spread[touching] = 1.4826 * np.median(away, axis=0)
+    found = ContactFound(middle, spread, condition, len(measured), measured[0].current_ma)
+    broken, good = len(found.broken), condition.count("good")
+    if broken > MOST_BROKEN * count or not good:
+        raise CalibrationError(
+            f"{broken} of {count} electrodes do not touch or are shorted, and {good} are good: lay "
+            "the finger on all of the array, clean and moisten it, and measure again"
+        )
+    restless = np.nanmedian(spread[touching] / middle[touching]) if len(kohm) > 1 else 0.0
+    if restless > MOST_RESTLESS:
+        raise CalibrationError(
+            f"measurements of one electrode differ by {restless:.0%}: hold the finger still, and "
+            "measure again"
+        )
+    return found
+
+
+def _most(conditions: Sequence[Condition]) -> Condition:
+    """Return what more than half of them say."""
+    for each in conditions:
+        if 2 * conditions.count(each) > len(conditions):
+            return each
+    return "unsure"

@@ -1,0 +1,191 @@
+"""Dots in an image: where they are, and which dot of the target each one is."""
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.calibrate.target import LARGE_DOTS
+from smarttouch.errors import CalibrationError
+
+Points = NDArray[np.float64]
+Matrix = NDArray[np.floating[Any]]
+
+WORKING_SIDE = 480
+"""Pixels of the shorter side at which dots are looked for; coarser images are magnified."""
+FEWEST_SIDE = 16
+LEAST_INK = 0.15
+"""How much darker than the paper around it a dot is at least."""
+LARGER = 1.6
+"""Area of a large dot, of the usual one around it, at least; it was printed 2.8 times as large."""
+NEAR = 0.28
+"""Of the pitch: a dot this far from where it is expected is that dot."""
+_MOST_LARGE = 8
+_MOST_SHEAR = 2.0
+"""Ratio of the axes of a view; the L seen as its own mirror image would have 2.4."""
+
+
+@dataclass(frozen=True, eq=False)
+class Dots:
+    """Dots seen in an image and named.
+
+    Attributes
+    ----------
+    pixel : ndarray, (N, 2)
+        Their centers: column, row; pixel centers are at whole numbers.
+    cell : ndarray, (N, 2) int
+        Their columns and rows on the target.
+    """
+
+    pixel: Points
+    cell: NDArray[np.int_]
+
+
+def find_dots(image: NDArray[np.uint8]) -> Dots:
+    """Find the target's dots in an image.
+
+    Raises
+    ------
+    CalibrationError
+        If there are none, or the L of large dots is not seen whole.
+    """
+    if min(image.shape) < FEWEST_SIDE:
+        raise CalibrationError(
+            f"an image of {image.shape[1]} × {image.shape[0]} pixels is too coarse to tell dots: "
+            f"{FEWEST_SIDE} a side are needed"
+        )
+    pixel, area = _blobs(image)
+    seed = _find_l(pixel, area)
+    return _spread(pixel, seed)
+
+
+def apply(homography: Matrix, points: Points) -> Points:
+    """Return where a homography takes points, (N, 2) each."""
+    carried = np.column_stack([points, np.ones(len(points))]) @ homography.T
+    return np.asarray(carried[:, :2] / carried[:, 2:])
+
+
+def _blobs(image: NDArray[np.uint8]) -> tuple[Points, NDArray[np.float64]]:
+    """Return centers and areas of all dark spots that are whole, in pixels of the image."""
+    ink, scale = _ink(image)
+    if np.percentile(ink, 99.5) < LEAST_INK:
+        raise CalibrationError(
+            "no dots are seen: lay the printed target under the sensor, and light it"
+        )
+    grey = np.rint(255 * ink).astype(np.uint8)
+    level, binary = cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
+    level = max(level / 255, LEAST_INK)
+    count, _, boxes, _ = cv2.connectedComponentsWithStats(binary, connectivity=4)
+    rows, columns = ink.shape
+    centers, areas = [], []
+    for left, top, width, height, area in boxes[1:count]:
+        whole = left > 1 and top > 1 and left + width < columns - 1 and top + height < rows - 1
+        filled = area > 0.55 * width * height and max(width, height) < 2.5 * min(width, height)
+        if not (whole and filled and area >= 9):
+            continue
+        edge = round(0.15 * max(width, height)) + 1
+        part = (
+            slice(max(0, top - edge), top + height + edge),
+            slice(max(0, left - edge), left + width + edge),
+        )
+        # Grey counts, above half of where the dot begins: steady to a small part of a pixel.
+        weight = np.clip(ink[part] - level / 2, 0, None)
+        y, x = np.indices(weight.shape)
+        total = weight.sum()
+        centers.append(
+            (
+                part[1].start + float((weight * x).sum() / total),
+                part[0].start + float((weight * y).sum() / total),
+            )
+        )
+        areas.append(float(area) / scale**2)
+    middle = np.array(centers, np.float64).reshape(-1, 2)
+    return (middle + 0.5) / scale - 0.5, np.array(areas)
+
+
+def _ink(image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], float]:
+    """Return how much darker each place is than the paper around it, and the magnification."""
+    scale = WORKING_SIDE / min(image.shape)
+    size = (round(image.shape[1] * scale), round(image.shape[0] * scale))
+    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+    working = cv2.resize(image.astype(np.float32), size, interpolation=method)
+    working = cv2.GaussianBlur(working, (0, 0), max(1.5, 0.3 * scale))
+    # Paper is what is left when all that is dark and smaller than this is filled with light.
+    side = WORKING_SIDE // 5 | 1
+    square = cv2.getStructuringElement(cv2.MORPH_RECT, (side, side))
+    paper = cv2.morphologyEx(working, cv2.MORPH_CLOSE, square, borderType=cv2.BORDER_REPLICATE)
+    paper = cv2.GaussianBlur(paper, (0, 0), side / 4)
+    ink = 1 - working / np.maximum(paper, 1)
+    return np.clip(ink, 0, 1).astype(np.float32), scale
+
+
+def _find_l(pixel: Points, area: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the affine map, (2, 3), from columns and rows to pixels, by the large dots."""
+    if len(pixel) < 9:
+        raise CalibrationError(
+            f"only {len(pixel)} whole dots are seen, 9 are needed: bring the target into view and "
+            "into focus"
+        )
+    apart = np.linalg.norm(pixel[:, None] - pixel[None], axis=2)
+    around = np.argsort(apart, axis=1)[:, 1:9]
+    # The lower third: among the neighbors of a large dot, most others may be large themselves.
+    usual = np.sort(area[around], axis=1)[:, 2]
+    ratio = area / usual
+    large = np.flatnonzero(ratio > LARGER)
+    large = large[np.argsort(-ratio[large])][:_MOST_LARGE]
+    best: tuple[float, NDArray[np.float64]] | None = None
+    grid = np.column_stack([np.array(LARGE_DOTS, np.float64), np.ones(4)])
+    inverse = np.linalg.pinv(grid)
+    for chosen in itertools.permutations(large, 4):
+        seen = pixel[list(chosen)]
+        affine = (inverse @ seen).T
+        axes = np.linalg.svd(affine[:, :2], compute_uv=False)
+        if axes[1] <= 0 or axes[0] > _MOST_SHEAR * axes[1]:
+            continue
+        away = float(np.abs(grid @ affine.T - seen).max()) / float(axes[1])
+        if away < NEAR / 2 and (best is None or away < best[0]):
+            best = (away, affine)
+    if best is None:
+        raise CalibrationError(
+            f"the L of four large dots is not seen among {len(pixel)} dots: move the target until "
+            "it is in the middle of the image, and in focus"
+        )
+    return best[1]
+
+
+def _spread(pixel: Points, affine: NDArray[np.float64]) -> Dots:
+    """Name dot after dot, outwards from the L."""
+    to_pixel = np.vstack([affine, [0, 0, 1]])
+    named: dict[int, tuple[int, int]] = {}
+    reach = 2
+    while True:
+        guess = apply(np.linalg.inv(to_pixel), pixel)
+        cell = np.rint(guess).astype(int)
+        near = (np.abs(guess - cell).max(axis=1) < NEAR) & (np.abs(cell).max(axis=1) <= reach)
+        fresh = {int(i): (int(cell[i, 0]), int(cell[i, 1])) for i in np.flatnonzero(near)}
+        fresh = _unique(fresh, guess)
+        if len(fresh) <= len(named) and reach > np.abs(guess).max():
+            break
+        named = fresh
+        if len(named) >= 9:
+            cells = np.array(list(named.values()), np.float64)
+            fitted, _ = cv2.findHomography(cells, pixel[list(named)], 0)
+            if fitted is not None:
+                to_pixel = np.asarray(fitted, np.float64)
+        reach += 1
+        if reach > 100:
+            break
+    return Dots(pixel[list(named)], np.array(list(named.values()), int).reshape(-1, 2))
+
+
+def _unique(named: dict[int, tuple[int, int]], guess: Points) -> dict[int, tuple[int, int]]:
+    """Keep the nearest of those that claim one cell: the others are dirt."""
+    best: dict[tuple[int, int], tuple[float, int]] = {}
+    for index, cell in named.items():
+        away = float(np.abs(guess[index] - cell).max())
+        if cell not in best or away < best[cell][0]:
+            best[cell] = (away, index)
+    return {index: cell for cell, (_, index) in best.items()}

@@ -1,0 +1,291 @@
+"""A load cell's curve from known weights."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import CalibrationError
+from smarttouch.profile import ForceLaw
+
+STANDARD_GRAVITY = 9.80665
+"""m/s²"""
+FEWEST_READINGS = 5
+MOST_MISSING = 0.5
+"""Part of the readings that may be none."""
+BEND_WORTH = 0.7
+"""A quadratic must predict weights that it was not fitted to this much better than a line."""
+BEND_LEAST = 0.002
+"""Of full force: a line this good is good enough."""
+FEWEST_FOR_BEND = 4
+"""Distinct weights."""
+MOST_RESIDUAL = 0.05
+"""Of full force, rms."""
+MOST_DRIFT = 0.03
+"""Of full force, while one weight lies on the cell."""
+LEAST_REACH = 0.5
+"""Of full force: the heaviest weight is at least this much."""
+
+
+class Cell(Protocol):
+    """What gives raw readings, such as a load cell on a serial port."""
+
+    def collect(self, seconds: float) -> NDArray[np.float64]: ...
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """One weight on the cell.
+
+    Attributes
+    ----------
+    grams : float, g
+    reading : float
+        Median of the raw readings.
+    spread : float
+        Of single readings, as a standard deviation, but robust: 1.4826 times the median deviation.
+    drift : float
+        From the first half of the readings to the second.
+    count : int
+        How many there were.
+    """
+
+    grams: float
+    reading: float
+    spread: float
+    drift: float
+    count: int
+
+    @property
+    def force_n(self) -> float:
+        return self.grams / 1000 * STANDARD_GRAVITY
+
+
+@dataclass(frozen=True)
+class ForceFound:
+    """A curve, and how good it is.
+
+    Attributes
+    ----------
+    curve : tuple of float
+        Coefficients of a polynomial, lowest first: reading to N.
+    zero : float
+        Reading without a weight, by the curve.
+    slope_n : float
+        N for one count, at the middle of the range.
+    residual_n : float, N
+        Root of the mean square.
+    worst_n : float, N
+    noise_n : float, N
+        Of a single reading.
+    hysteresis_n : float, N
+        Largest difference between two weighings of one weight; NaN if none came twice.
+    full_n : float, N
+        What percentages are of.
+    weighings : tuple of Weighing
+    """
+
+    curve: tuple[float, ...]
+    zero: float
+    slope_n: float
+    residual_n: float
+    worst_n: float
+    noise_n: float
+    hysteresis_n: float
+    full_n: float
+    weighings: tuple[Weighing, ...]
+
+    def force_n(self, reading: float) -> float:
+        """Return what the curve makes of a reading."""
+        return float(np.polynomial.polynomial.polyval(reading, self.curve))
+
+    def sentence(self) -> str:
+        """Return what goes into the profile."""
+        kind = "line" if len(self.curve) == 2 else "parabola"
+        grams = [each.grams for each in self.weighings]
+        twice = (
+            ""
+            if np.isnan(self.hysteresis_n)
+            else f", hysteresis {self.hysteresis_n:.4f} N ({self.hysteresis_n / self.full_n:.1%})"
+        )
+        return (
+            f"{kind} through {len(grams)} weighings from {min(grams):g} to {max(grams):g} g, zero "
+            f"at {self.zero:.6g}, {self.slope_n:.4g} N a count, residual rms "
+            f"{self.residual_n:.4f} N ({self.residual_n / self.full_n:.2%} of full force), worst "
+            f"{self.worst_n:.4f} N, noise {self.noise_n:.4f} N{twice}"
+        )
+
+
+def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
+    """Take readings of one weight.
+
+    Raises
+    ------
+    SensorError
+        If none come.
+    CalibrationError
+        If there are too few, or most are no numbers.
+    """
+    raw = np.asarray(cell.collect(seconds), np.float64)
+    good = raw[np.isfinite(raw)]
+    if len(good) < FEWEST_READINGS or len(good) < (1 - MOST_MISSING) * len(raw):
+        raise CalibrationError(
+            f"{len(good)} of {len(raw)} readings at {grams:g} g are numbers, {FEWEST_READINGS} "
+            "and half of all are needed: check the cell's connections, or give more --seconds"
+        )
+    middle = float(np.median(good))
+    spread = 1.4826 * float(np.median(np.abs(good - middle)))
+    half = len(good) // 2
+    drift = float(np.median(good[half:]) - np.median(good[:half]))
+    return Weighing(grams, middle, spread, drift, len(good))
+
+
+def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
+    """Fit a line, or a parabola where that is clearly better, to weighings.
+
+    Parameters
+    ----------
+    weighings : sequence of Weighing
+        Of three different weights or more; one given twice, on the way up and
+        on the way down, tells the hysteresis.
+    law : ForceLaw
+        Its full force is what residuals are judged by.
+
+    Raises
+    ------
+    CalibrationError
+        If the readings do not follow the weights.
+    """
+    grams = np.array([each.grams for each in weighings])
+    reading = np.array([each.reading for each in weighings])
+    force = np.array([each.force_n for each in weighings])
+    _require_weights(grams, law)
+    _require_answer(weighings, grams, reading)
+    coefficients = _fit(reading, force, 1)
+    line_n, bend_n = (_left_out(grams, reading, force, degree) for degree in (1, 2))
+    better = bend_n < BEND_WORTH * line_n and line_n > BEND_LEAST * law.full_n
+    if better and _rises(bent := _fit(reading, force, 2), reading):
+        coefficients = bent
+    polynomial = np.polynomial.Polynomial(coefficients)
+    residual = polynomial(reading) - force
+    slope_n = float(polynomial.deriv()((reading.min() + reading.max()) / 2))
+    found = ForceFound(
+        tuple(float(f"{each:.9g}") for each in coefficients),
+        _zero(polynomial, reading),
+        slope_n,
+        float(np.sqrt(np.mean(residual**2))),
+        float(np.abs(residual).max()),
+        float(np.median([each.spread for each in weighings])) * abs(slope_n),
+        _hysteresis(grams, polynomial(reading)),
+        law.full_n,
+        tuple(weighings),
+    )
+    _require_good(found)
+    return found
+
+
+def _require_weights(grams: NDArray[np.float64], law: ForceLaw) -> None:
+    if not (np.isfinite(grams).all() and (grams >= 0).all()):
+        raise CalibrationError("a weight must be a number of grams, 0 or more: give it again")
+    distinct = len(np.unique(grams))
+    if distinct < 3:
+        raise CalibrationError(
+            f"{distinct} different weights say nothing of the residual: give three or more"
+        )
+    full_g = 1000 * law.full_n / STANDARD_GRAVITY
+    if grams.max() < LEAST_REACH * full_g:
+        raise CalibrationError(
+            f"the heaviest weight of {grams.max():g} g is far below full force, {full_g:.0f} g: "
+            "give one about as heavy as that"
+        )
+
+
+def _require_answer(
+    weighings: Sequence[Weighing], grams: NDArray[np.float64], reading: NDArray[np.float64]
+) -> None:
+    noise = float(np.median([each.spread for each in weighings]))
+    moved = float(np.ptp(reading))
+    if moved <= 5 * noise or moved == 0:
+        raise CalibrationError(
+            f"the readings move by {moved:.6g} from the lightest to the heaviest weight, and by "
+            f"{noise:.6g} by themselves: is the cell connected, and the weight on it?"
+        )
+    mean = np.array([reading[grams == each].mean() for each in np.unique(grams)])
+    steps = np.diff(mean)
+    turned = steps * np.sign(mean[-1] - mean[0]) <= 0
+    if turned.any():
+        first, second = np.unique(grams)[[turned.argmax(), turned.argmax() + 1]]
+        raise CalibrationError(
+            f"the reading does not go on in one direction from {first:g} to {second:g} g: weigh "
+            "again, each weight alone and at rest"
+        )
+
+
+def _require_good(found: ForceFound) -> None:
+    if found.residual_n > MOST_RESIDUAL * found.full_n:
+        worst = max(
+            found.weighings, key=lambda each: abs(found.force_n(each.reading) - each.force_n)
+        )
+        raise CalibrationError(
+            f"the curve misses the weights by {found.residual_n:.3f} N rms, above "
+            f"{MOST_RESIDUAL:.0%} of full force, {found.full_n:g} N: weigh {worst.grams:g} g again"
+        )
+    restless = max(found.weighings, key=lambda each: abs(each.drift))
+    drift_n = abs(restless.drift * found.slope_n)
+    if drift_n > MOST_DRIFT * found.full_n:
+        raise CalibrationError(
+            f"the reading drifted by {drift_n:.3f} N while {restless.grams:g} g lay on the cell: "
+            "wait until it rests, and weigh again"
+        )
+
+
+def _fit(
+    reading: NDArray[np.float64], force: NDArray[np.float64], degree: int
+) -> NDArray[np.float64]:
+    """Return coefficients, lowest first; fitted about the middle, as raw counts are large."""
+    fitted = np.polynomial.Polynomial.fit(reading, force, degree)
+    coefficients = np.zeros(degree + 1)
+    found = fitted.convert().coef
+    coefficients[: len(found)] = found
+    return coefficients
+
+
+def _left_out(
+    grams: NDArray[np.float64],
+    reading: NDArray[np.float64],
+    force: NDArray[np.float64],
+    degree: int,
+) -> float:
+    """Return the rms error, N, at weights that a fit was not made from; infinite if too few."""
+    weights = np.unique(grams)
+    if len(weights) < (FEWEST_FOR_BEND if degree > 1 else 3):
+        return float("inf")
+    errors = []
+    for each in weights:
+        out = grams == each
+        fitted = np.polynomial.Polynomial.fit(reading[~out], force[~out], degree)
+        errors += list(fitted(reading[out]) - force[out])
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def _rises(coefficients: NDArray[np.float64], reading: NDArray[np.float64]) -> bool:
+    """Return whether a curve goes in one direction over and a little beyond the readings."""
+    low, high = reading.min(), reading.max()
+    spare = 0.25 * (high - low)
+    slope = np.polynomial.Polynomial(coefficients).deriv()
+    ends = slope(np.array([low - spare, high + spare]))
+    return bool(ends[0] * ends[1] > 0)
+
+
+def _zero(polynomial: np.polynomial.Polynomial, reading: NDArray[np.float64]) -> float:
+    roots = polynomial.roots()
+    real = roots[np.isreal(roots)].real
+    middle = (reading.min() + reading.max()) / 2
+    return float(real[np.abs(real - middle).argmin()]) if len(real) else float("nan")
+
+
+def _hysteresis(grams: NDArray[np.float64], force: NDArray[np.float64]) -> float:
+    apart = [np.ptp(force[grams == each]) for each in np.unique(grams) if (grams == each).sum() > 1]
+    return float(max(apart)) if apart else float("nan")

@@ -1,0 +1,54 @@
+"""So many images of a sensor, one after the other."""
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import CalibrationError
+from smarttouch.profile import Profile
+from smarttouch.sensing.frame import Sensor
+
+Images = list[NDArray[np.uint8]]
+
+SILENCE_S = 5.0
+"""A sensor that shows nothing new for so long has no more to show."""
+_LOOK_S = 0.002
+
+
+def collect_images(sensor: Sensor, count: int) -> Images:
+    """Return the next images of a sensor, each once; fewer where it ends before.
+
+    Raises
+    ------
+    CalibrationError
+        If none came, or the sensor fell silent.
+    """
+    images: Images = []
+    seen: set[int] = set()
+    start = time.perf_counter_ns()
+    last = time.monotonic()
+    while len(images) < count:
+        frame = sensor.read(time.perf_counter_ns() - start)
+        if frame is None:
+            break
+        if frame.number not in seen and not frame.stale:
+            seen.add(frame.number)
+            images.append(frame.image.copy())
+            last = time.monotonic()
+        elif time.monotonic() - last > SILENCE_S:
+            raise CalibrationError(
+                f"{sensor.title} gave {len(images)} of {count} frames, and none for "
+                f"{SILENCE_S:g} s: check the sensor"
+            )
+        else:
+            time.sleep(_LOOK_S)
+    if not images:
+        raise CalibrationError(f"{sensor.title} gave no frames: check the sensor")
+    return images
+
+
+def uncorrected(profile: Profile) -> Profile:
+    """Return a profile whose sensors show what they see, without its flat field."""
+    optics = profile.optics.model_copy(update={"flat_field": None})
+    return profile.model_copy(update={"optics": optics})

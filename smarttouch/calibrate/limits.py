@@ -1,0 +1,213 @@
+"""The method of limits, rising only: current grows until it is felt, then until it is enough.
+
+Pure: it says which level comes next and is told whether a key was pressed. Who makes the
+current flow, and how fast steps follow one another, is not its business.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+TICK_S = 0.05
+"""One step of the procedure."""
+RISE_S = 6.0
+"""From zero to where the threshold is expected, in the first run."""
+REACTION_S = 0.35
+"""Between feeling and the key: what counts is the level that flowed then."""
+PAUSE_S = (1.0, 2.0)
+"""At zero before a run; its length is drawn, so that time does not tell the level."""
+START_SHARE = (0.4, 0.7)
+"""Later runs rise fast to a drawn part of the threshold found before."""
+LEAP = 10
+"""How much faster than elsewhere they rise there."""
+CEILING_S = 1.0
+"""How long the ceiling is held before a run is given up."""
+MOST_APART = 1.4
+"""Largest over smallest threshold of the runs: if they differ by more, more runs are made."""
+EXTRA_RUNS = 2
+HURRIED_S = 0.8
+"""A second key so soon after the first is one that is held down, or a current that hurts."""
+MOST_HURRIED = 2
+"""Runs that end so are made again this often; then they are believed."""
+LEAST_ROOM = 1.05
+"""Comfort over threshold: below that, there is nothing between first felt and enough."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One rise; NaN for what was not reached before the ceiling."""
+
+    threshold_ma: float
+    comfort_ma: float
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """What was found at one electrode.
+
+    Attributes
+    ----------
+    threshold_ma, comfort_ma : float, mA
+        Medians of the runs. NaN if it was not felt up to the ceiling; the
+        ceiling where it was never enough.
+    spread : float
+        Of the runs' thresholds, robust standard deviation over their median.
+    runs : int
+    false_presses : int
+        Keys while no current flowed.
+    """
+
+    threshold_ma: float
+    comfort_ma: float
+    spread: float
+    runs: int
+    false_presses: int
+
+    @property
+    def felt(self) -> bool:
+        return bool(np.isfinite(self.threshold_ma))
+
+    @property
+    def usable(self) -> bool:
+        """Whether there is room between first felt and enough."""
+        return self.felt and self.comfort_ma >= LEAST_ROOM * self.threshold_ma
+
+
+@dataclass
+class AscendingLimits:
+    """The procedure at one electrode.
+
+    In a loop until `done`: make the current of `next` flow for `TICK_S`, then tell
+    `answer` whether a key was pressed meanwhile. In each run the first key means
+    *felt*, the second *strong enough*.
+
+    Attributes
+    ----------
+    ceiling_ma : float, mA
+        Never exceeded.
+    expected_ma : float, mA
+        Where the threshold is thought to be; sets how fast the current rises.
+    repeats : int
+        Runs, if they agree.
+    fastest_ma_s : float, mA/s
+        The current rises no faster, whatever is expected.
+    seed : int or tuple of int
+        Of pauses and starts.
+    """
+
+    ceiling_ma: float
+    expected_ma: float
+    repeats: int = 3
+    fastest_ma_s: float = float("inf")
+    seed: int | tuple[int, ...] = 0
+    runs: list[Run] = field(default_factory=list, init=False)
+    false_presses: int = field(default=0, init=False)
+    hurried: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(self.seed)
+        fastest_ma = self.fastest_ma_s * TICK_S
+        wanted_ma = min(self.expected_ma, self.ceiling_ma) * TICK_S / RISE_S
+        self._step_ma = min(wanted_ma, fastest_ma)
+        self._leap_ma = min(LEAP * wanted_ma, fastest_ma)
+        self._begin()
+
+    @property
+    def done(self) -> bool:
+        if self.runs and np.isnan(self.runs[-1].threshold_ma):
+            return True
+        found = [run.threshold_ma for run in self.runs]
+        if len(found) < self.repeats:
+            return False
+        apart = len(found) > 1 and max(found) > MOST_APART * min(found)
+        return not apart or len(found) >= self.repeats + EXTRA_RUNS
+
+    @property
+    def felt(self) -> bool:
+        """Whether this run's first key has been pressed."""
+        return bool(np.isfinite(self._threshold_ma))
+
+    def next(self) -> float:
+        """Return the level of the next step, mA."""
+        if self._pause > 0:
+            self._pause -= 1
+            return 0.0
+        level = self._levels[-1] if self._levels else 0.0
+        rise = self._leap_ma if level < self._start_ma else self._step_ma
+        self._levels.append(min(level + rise, self.ceiling_ma))
+        return self._levels[-1]
+
+    def answer(self, pressed: bool) -> None:
+        """Say whether a key was pressed during the last step."""
+        if not self._levels:
+            if pressed:
+                self.false_presses += 1
+                self._pause = self._draw_pause()
+            return
+        if pressed:
+            self._press()
+        elif self._at_ceiling() > round(CEILING_S / TICK_S):
+            self._end(self.ceiling_ma if self.felt else float("nan"))
+
+    def restart(self) -> None:
+        """Begin this run again from zero: the current was interrupted."""
+        self._begin()
+
+    def result(self) -> Thresholds:
+        """Return what the runs say together."""
+        threshold = np.array([run.threshold_ma for run in self.runs])
+        comfort = np.array([run.comfort_ma for run in self.runs])
+        if not len(threshold) or np.isnan(threshold).any():
+            return Thresholds(np.nan, np.nan, np.nan, len(threshold), self.false_presses)
+        middle = float(np.median(threshold))
+        return Thresholds(
+            middle,
+            float(np.median(comfort)),
+            _robust_spread(threshold),
+            len(threshold),
+            self.false_presses,
+        )
+
+    def _begin(self) -> None:
+        self._levels: list[float] = []
+        self._threshold_ma = float("nan")
+        self._felt_at = 0
+        self._pause = self._draw_pause()
+        before = [run.threshold_ma for run in self.runs]
+        self._start_ma = self._random.uniform(*START_SHARE) * min(before) if before else 0.0
+
+    def _draw_pause(self) -> int:
+        return round(self._random.uniform(*PAUSE_S) / TICK_S)
+
+    def _press(self) -> None:
+        level_ma = self._levels[max(0, len(self._levels) - 1 - round(REACTION_S / TICK_S))]
+        if len(self._levels) <= round(REACTION_S / TICK_S):
+            # Nobody reacts so fast: this key was for something else.
+            self.false_presses += 1
+            self.restart()
+        elif not self.felt:
+            self._threshold_ma, self._felt_at = level_ma, len(self._levels)
+        elif self._hurried() and self.hurried < MOST_HURRIED:
+            self.hurried += 1
+            self.restart()
+        else:
+            self._end(level_ma)
+
+    def _hurried(self) -> bool:
+        return len(self._levels) - self._felt_at < round(HURRIED_S / TICK_S)
+
+    def _at_ceiling(self) -> int:
+        held = self._levels[-1 - round(CEILING_S / TICK_S) - 1 :]
+        return sum(level >= self.ceiling_ma for level in held)
+
+    def _end(self, comfort_ma: float) -> None:
+        self.runs.append(Run(self._threshold_ma, comfort_ma))
+        if not self.done:
+            self._begin()
+
+
+def _robust_spread(found: NDArray[np.float64]) -> float:
+    """Return a standard deviation over the median, from the median deviation."""
+    middle = float(np.median(found))
+    return 1.4826 * float(np.median(np.abs(found - middle))) / middle

@@ -1,0 +1,104 @@
+"""White and dark reference of a sensor, and what they say of its pixels."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import CalibrationError
+from smarttouch.sensing.flat_field import FlatField, mean_image
+
+Images = Sequence[NDArray[np.uint8]]
+
+MOST_UNEVEN = 0.05
+"""Of white, after correction: more is not blank paper, or it moved."""
+
+
+@dataclass(frozen=True, eq=False)
+class OpticsFound:
+    """A flat field, and how good the sensor is with it.
+
+    Attributes
+    ----------
+    field : FlatField
+    uneven_before, uneven_after : float
+        Standard deviation of blank paper over its mean. After the correction
+        it is judged on frames that the correction was not made from, if there
+        are two of each kind or more.
+    noise_levels : float
+        From frame to frame, of the usual pixel, on white, grey levels; NaN of one frame.
+    dark_level : float
+        Of the usual pixel, grey levels.
+    dead, hot : int
+        Pixels that do not answer light, and that shine in the dark.
+    frames : tuple of int
+        Dark and white frames used.
+    """
+
+    field: FlatField
+    uneven_before: float
+    uneven_after: float
+    noise_levels: float
+    dark_level: float
+    dead: int
+    hot: int
+    frames: tuple[int, int]
+
+    def sentence(self) -> str:
+        """Return what goes into the profile."""
+        columns, rows = self.field.gain.shape[::-1]
+        return (
+            f"{columns} × {rows} pixels, blank paper uneven by {self.uneven_before:.1%} before and "
+            f"{self.uneven_after:.1%} after, noise {self.noise_levels:.1f} grey levels, "
+            f"{self.dead} dead and {self.hot} hot pixels, {self.frames[0]} dark and "
+            f"{self.frames[1]} white frames"
+        )
+
+
+def measure_optics(dark: Images, white: Images) -> OpticsFound:
+    """Return the flat field of a sensor by what it saw in the dark and of blank paper.
+
+    Raises
+    ------
+    CalibrationError
+        If the images cannot have been what they should be.
+    """
+    field = FlatField.measure(dark, white)
+    before = _uneven(mean_image(white) - mean_image(dark), field)
+    after = _held_out(dark, white, field)
+    if after > MOST_UNEVEN:
+        raise CalibrationError(
+            f"blank paper is still uneven by {after:.1%} after correction, above "
+            f"{MOST_UNEVEN:.0%}: use blank paper, hold it still, and give more --frames"
+        )
+    stack = np.stack(list(white)).astype(np.float32)
+    noise = float(np.median(stack.std(axis=0, ddof=1))) if len(stack) > 1 else float("nan")
+    broken = field.gain == 0
+    hot = broken & (field.dark > np.median(field.dark) + 1)
+    span = mean_image(white) - mean_image(dark)
+    dead = broken & (span < 0.5 * np.median(span))
+    return OpticsFound(
+        field,
+        before,
+        after,
+        noise,
+        float(np.median(field.dark)),
+        int(dead.sum()),
+        int((hot & ~dead).sum()),
+        (len(dark), len(white)),
+    )
+
+
+def _held_out(dark: Images, white: Images, field: FlatField) -> float:
+    """Return how uneven paper is after a correction made from every other frame only."""
+    if min(len(dark), len(white)) > 1:
+        field = FlatField.measure(dark[::2], white[::2])
+        white = white[1::2]
+    corrected = mean_image([field.correct(image) for image in white])
+    return _uneven(corrected, field)
+
+
+def _uneven(levels: NDArray[np.float64], field: FlatField) -> float:
+    good = levels[field.gain > 0]
+    return float(good.std() / good.mean())

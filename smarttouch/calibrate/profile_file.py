@@ -1,0 +1,157 @@
+"""A profile with some keys changed: written beside the one it began as, never half."""
+
+import os
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import tomlkit
+from tomlkit.items import Array, Table
+
+from smarttouch.errors import CalibrationError, ProfileError
+from smarttouch.profile import Profile, load_profile, profile_names
+from smarttouch.resources import data_folder
+
+Value = str | float | Sequence[float]
+
+_A_LINE = 8
+"""Numbers of a long list on one line."""
+_LIBRARIES = {"opencv": "opencv-contrib-python-headless", "numpy": "numpy", "scipy": "scipy"}
+
+
+class ProfileFile:
+    """A profile on its way from one file to another.
+
+    Everything but the keys that are set stays as it is, comments included.
+
+    Parameters
+    ----------
+    start : str
+        Name of a shipped profile, or a file.
+    output : Path
+        What to write, a ``.toml`` file.
+    overwrite : bool
+        Whether it may be there already.
+
+    Attributes
+    ----------
+    profile : Profile
+        What it began as.
+
+    Raises
+    ------
+    ProfileError
+        If the start is no profile.
+    CalibrationError
+        If the output may not be written: said before anything is measured.
+    """
+
+    def __init__(self, start: str, output: Path, overwrite: bool = False) -> None:
+        self.profile = load_profile(start)
+        shipped = start in profile_names()
+        self._source = data_folder("calibration") / f"{start}.toml" if shipped else Path(start)
+        self._document = tomlkit.parse(self._source.read_text(encoding="utf-8"))
+        self.output = output
+        self._overwrite = overwrite
+        if output.suffix != ".toml":
+            raise CalibrationError(f"--output {output} must end in .toml")
+        if not output.absolute().parent.is_dir():
+            raise CalibrationError(f"cannot write {output}: its folder does not exist")
+        self._require_free(output)
+        self._keep_flat_field()
+
+    def beside(self, ending: str) -> Path:
+        """Return where a file that belongs to the output goes."""
+        return self.output.with_name(f"{self.output.stem}.{ending}")
+
+    def set(self, key: str, value: Value) -> None:
+        """Change one key, such as ``force.curve``."""
+        table, _, name = key.partition(".")
+        self._table(table)[name] = value if isinstance(value, str | int | float) else _rows(value)
+
+    def note(self, what: str, found: str) -> None:
+        """Say when, with which versions and what a calibration has found."""
+        used = [("smarttouch", version("smarttouch"))]
+        used += [(name, version(package)) for name, package in _LIBRARIES.items()]
+        entry = tomlkit.table()
+        entry["when"] = datetime.now(UTC).replace(microsecond=0)
+        entry["versions"] = ", ".join(f"{name} {number}" for name, number in used)
+        entry["found"] = found
+        if "calibrated" not in self._document:
+            self._document["calibrated"] = tomlkit.table(is_super_table=True)
+        self._table("calibrated")[what] = entry
+
+    def write(self, others: Mapping[Path, bytes] | None = None) -> Profile:
+        """Write the profile and the files that go with it; return it as it loads.
+
+        Raises
+        ------
+        CalibrationError
+            If it would not load, or cannot be written; nothing is replaced then.
+        """
+        files = dict(others or {})
+        for path in (self.output, *files):
+            self._require_free(path)
+        # The profile comes last: the files it names are there before it is.
+        files[self.output] = tomlkit.dumps(self._document).encode()
+        drafts = {path: path.with_name(f".{path.stem}-draft{path.suffix}") for path in files}
+        try:
+            for path, content in files.items():
+                _write_through(drafts[path], content)
+            self._prove(drafts[self.output])
+            for path, draft in drafts.items():
+                draft.replace(path)
+        except OSError as error:
+            raise CalibrationError(f"cannot write {self.output}: {error.strerror}") from None
+        finally:
+            for draft in drafts.values():
+                draft.unlink(missing_ok=True)
+        return load_profile(self.output)
+
+    def _prove(self, draft: Path) -> None:
+        try:
+            load_profile(draft)
+        except ProfileError as error:
+            said = str(error).removeprefix(f"{draft}: ")
+            raise CalibrationError(
+                f"what was measured makes no profile, nothing was written: {said}"
+            ) from None
+
+    def _require_free(self, path: Path) -> None:
+        if path.is_dir():
+            raise CalibrationError(f"{path} is a folder: give a file")
+        if path.exists() and not self._overwrite:
+            raise CalibrationError(f"{path} exists already: give another --output, or --overwrite")
+
+    def _table(self, name: str) -> Table:
+        table = self._document[name]
+        assert isinstance(table, dict)
+        return table  # type: ignore[return-value]
+
+    def _keep_flat_field(self) -> None:
+        """Let a flat field be found from where the output will lie."""
+        named = self._table("optics").get("flat_field")
+        if named is None:
+            return
+        found = (self._source.parent / str(named)).resolve()
+        self.set("optics.flat_field", os.path.relpath(found, self.output.absolute().parent))
+
+
+def _rows(values: Sequence[float]) -> Array:
+    rows = tomlkit.array()
+    if len(values) <= _A_LINE:
+        rows.extend(values)
+        return rows
+    width = 3 if len(values) == 9 else _A_LINE
+    for first in range(0, len(values), width):
+        rows.add_line(*values[first : first + width])
+    rows.add_line(indent="")
+    return rows
+
+
+def _write_through(path: Path, content: bytes) -> None:
+    with path.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())

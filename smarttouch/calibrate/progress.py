@@ -1,0 +1,102 @@
+"""How far a session with a subject has come: kept after every electrode."""
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+from smarttouch.calibrate.limits import Thresholds
+from smarttouch.errors import CalibrationError
+
+
+class Progress:
+    """What has been found so far, in a file beside the profile to come.
+
+    Parameters
+    ----------
+    path : Path
+        The file; read if it is there.
+    settings : mapping
+        What must be the same for old findings to count.
+
+    Attributes
+    ----------
+    found : dict of int to Thresholds
+        By electrode.
+
+    Raises
+    ------
+    CalibrationError
+        If the file is no such thing, or from a session with other settings.
+    """
+
+    def __init__(self, path: Path, settings: Mapping[str, Any]) -> None:
+        self.path = path
+        # As JSON gives it back: a tuple becomes a list.
+        self._settings = json.loads(json.dumps(settings))
+        self.found: dict[int, Thresholds] = {}
+        if path.exists():
+            self.found = self._read()
+
+    def keep(self, site: int, found: Thresholds) -> None:
+        """Add one electrode, and write."""
+        self.found[site] = found
+        entries = {str(each): _plain(found) for each, found in sorted(self.found.items())}
+        text = json.dumps({"settings": self._settings, "found": entries}, indent=1)
+        draft = self.path.with_name(f".{self.path.name}-draft")
+        try:
+            with draft.open("w", encoding="utf-8") as file:
+                file.write(text + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+            draft.replace(self.path)
+        except OSError as error:
+            raise CalibrationError(
+                f"cannot keep what was measured in {self.path}: {error.strerror}"
+            ) from None
+
+    def forget(self) -> None:
+        """Remove the file: the profile has it all."""
+        self.path.unlink(missing_ok=True)
+
+    def _read(self) -> dict[int, Thresholds]:
+        try:
+            stored = json.loads(self.path.read_text(encoding="utf-8"))
+            settings = stored["settings"]
+            found = {int(site): _thresholds(entry) for site, entry in stored["found"].items()}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            raise CalibrationError(
+                f"{self.path} is not the beginning of a threshold session: remove it to begin anew"
+            ) from None
+        for key, value in self._settings.items():
+            if not isinstance(settings, dict) or settings.get(key) != value:
+                raise CalibrationError(
+                    f"{self.path} was begun with another {key}: go on with the same, or remove it "
+                    "to begin anew"
+                )
+        return found
+
+
+def _plain(found: Thresholds) -> dict[str, Any]:
+    """Return it as JSON knows it, which has no NaN."""
+    return {
+        name: None if isinstance(value, float) and math.isnan(value) else value
+        for name, value in asdict(found).items()
+    }
+
+
+def _thresholds(entry: Mapping[str, Any]) -> Thresholds:
+    values: dict[str, Any] = {}
+    for each in fields(Thresholds):
+        value = entry[each.name]
+        if each.type is int:
+            values[each.name] = int(value)
+        else:
+            values[each.name] = math.nan if value is None else float(value)
+    found = Thresholds(**values)
+    if found.felt and not 0 < found.threshold_ma <= found.comfort_ma:
+        raise ValueError("a threshold above comfort")
+    return found

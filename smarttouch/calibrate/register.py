@@ -1,0 +1,217 @@
+"""Where each electrode's point lies in the sensor's image, by a printed target."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.calibrate.dots import Dots, Points, apply, find_dots
+from smarttouch.calibrate.target import DotTarget
+from smarttouch.errors import CalibrationError
+from smarttouch.profile import Profile
+
+FEWEST_DOTS = 12
+MOST_RESIDUAL = 0.25
+"""Of an electrode's pitch on the page: the worst dot may be this far from the fit."""
+MOST_OUTSIDE = 0.25
+"""Part of the electrodes that may look beyond the image."""
+_OUTLIER = 5.0
+"""Dots this many times the usual residual away are dirt."""
+_ROUNDS = 4
+
+Center = Literal["target", "image"]
+
+
+@dataclass(frozen=True, eq=False)
+class RegistrationFound:
+    """A fit, and how good it is.
+
+    Attributes
+    ----------
+    homography : ndarray, (3, 3)
+        Millimeters on the page around the middle of what the array covers to pixels.
+    shape : tuple of int
+        Rows and columns of the image.
+    electrode_pixel : ndarray, (E, 2)
+        Column and row at which each electrode looks.
+    residual_px, residual_mm : ndarray, (N,)
+        Of each dot, in the image and on the page.
+    pitch_mm : float
+        Of the electrodes, on the page.
+    tilt_deg : float
+        By how much a square on the page is foreshortened.
+    mirrored : bool
+        The sensor sees the page as in a mirror.
+    """
+
+    homography: NDArray[np.float64]
+    shape: tuple[int, int]
+    electrode_pixel: Points
+    residual_px: NDArray[np.float64]
+    residual_mm: NDArray[np.float64]
+    pitch_mm: float
+    tilt_deg: float
+    mirrored: bool
+
+    @property
+    def rms_mm(self) -> float:
+        return float(np.sqrt(np.mean(self.residual_mm**2)))
+
+    @property
+    def worst_mm(self) -> float:
+        return float(self.residual_mm.max())
+
+    @property
+    def rms_px(self) -> float:
+        return float(np.sqrt(np.mean(self.residual_px**2)))
+
+    @property
+    def outside(self) -> NDArray[np.intp]:
+        """The electrodes that look beyond the image."""
+        rows, columns = self.shape
+        x, y = self.electrode_pixel.T
+        inside = (x >= -0.5) & (x <= columns - 0.5) & (y >= -0.5) & (y <= rows - 0.5)
+        return np.flatnonzero(~inside)
+
+    def sentence(self) -> str:
+        """Return what goes into the profile."""
+        return (
+            f"{len(self.residual_px)} dots in {self.shape[1]} × {self.shape[0]} pixels, residual "
+            f"rms {self.rms_px:.2f} px, {self.rms_mm:.4f} mm, {self.rms_mm / self.pitch_mm:.3f} "
+            f"of a pitch on the page, worst {self.residual_px.max():.2f} px, "
+            f"{self.worst_mm:.4f} mm, {self.worst_mm / self.pitch_mm:.3f}; "
+            f"tilt {self.tilt_deg:.1f}°"
+            + (", mirrored" if self.mirrored else "")
+            + (f"; {len(self.outside)} electrodes look beyond the image" * bool(len(self.outside)))
+        )
+
+
+def register(
+    image: NDArray[np.uint8], profile: Profile, target: DotTarget, center: Center = "target"
+) -> RegistrationFound:
+    """Fit where on the page each pixel looks, from one image of the target.
+
+    Parameters
+    ----------
+    image : ndarray, (H, W) uint8
+        The target, or the mean of several images of it.
+    profile : Profile
+        Its array and magnification.
+    target : DotTarget
+        What was printed.
+    center : {"target", "image"}
+        What lies in the middle of the array: the middle of the L, or of the image.
+
+    Raises
+    ------
+    CalibrationError
+        If too little is seen, or the fit is not good enough to be believed.
+    """
+    dots = find_dots(image)
+    dots = _within(dots, target)
+    homography, kept = _fit(dots, target)
+    measured, page_mm = dots.pixel[kept], _page_mm(dots, target)[kept]
+    expected = _seen_centers(homography, page_mm, target.radius_mm(*dots.cell[kept].T))
+    back = np.linalg.inv(homography)
+    residual_mm = np.linalg.norm(apply(back, measured) - apply(back, expected), axis=1)
+    if center == "image":
+        homography = _recentered(homography, image.shape)
+    electrodes = profile.electrodes
+    places_mm = electrodes.position_mm / profile.optics.magnification
+    scale, mirrored = _linear(homography)
+    found = RegistrationFound(
+        homography,
+        (image.shape[0], image.shape[1]),
+        apply(homography, places_mm),
+        np.linalg.norm(measured - expected, axis=1),
+        residual_mm,
+        electrodes.pitch_mm / profile.optics.magnification,
+        float(np.degrees(np.arccos(min(1.0, scale[1] / scale[0])))),
+        mirrored,
+    )
+    _require_good(found)
+    return found
+
+
+def _within(dots: Dots, target: DotTarget) -> Dots:
+    there = np.abs(dots.cell).max(axis=1, initial=0) <= target.reach
+    if there.sum() < FEWEST_DOTS:
+        raise CalibrationError(
+            f"{int(there.sum())} dots of the target are seen, {FEWEST_DOTS} are needed: bring more "
+            "of it into view, or print it with a smaller --dot-pitch-mm"
+        )
+    return Dots(dots.pixel[there], dots.cell[there])
+
+
+def _page_mm(dots: Dots, target: DotTarget) -> Points:
+    return np.asarray(dots.cell * target.pitch_mm, np.float64)
+
+
+def _fit(dots: Dots, target: DotTarget) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the homography from page to pixels, and which dots it was fitted to."""
+    page_mm, radius = _page_mm(dots, target), target.radius_mm(*dots.cell.T)
+    kept = np.ones(len(page_mm), bool)
+    aim = dots.pixel.copy()
+    homography = np.eye(3)
+    for _ in range(_ROUNDS):
+        fitted, _ = cv2.findHomography(page_mm[kept], aim[kept], 0)
+        if fitted is None:
+            raise CalibrationError("the dots lie on one line: bring more of the target into view")
+        homography = np.asarray(fitted, np.float64)
+        # A tilted disc is seen as an ellipse, and its middle is not where the disc's middle is.
+        aside = _seen_centers(homography, page_mm, radius) - apply(homography, page_mm)
+        aim = dots.pixel - aside
+        away = np.linalg.norm(apply(homography, page_mm) - aim, axis=1)
+        fine = away <= _OUTLIER * max(float(np.median(away)), 0.02)
+        if fine.sum() >= FEWEST_DOTS:
+            kept = fine
+    return homography / homography[2, 2], kept
+
+
+def _seen_centers(
+    homography: NDArray[np.float64], page_mm: Points, radius_mm: NDArray[np.float64]
+) -> Points:
+    """Return the middles of the ellipses as which discs are seen.
+
+    By dual conics: a disc's is p pᵀ − r² diag(1, 1, 0), a homography H takes it to
+    H C Hᵀ, and an ellipse's middle is its dual conic's last column (Hartley and Zisserman,
+    Multiple View Geometry, Section 2.2.3).
+    """
+    place = np.column_stack([page_mm, np.ones(len(page_mm))])
+    conic = place[:, :, None] * place[:, None, :]
+    conic[:, 0, 0] -= radius_mm**2
+    conic[:, 1, 1] -= radius_mm**2
+    seen = homography @ conic @ homography.T
+    return np.asarray(seen[:, :2, 2] / seen[:, 2:, 2])
+
+
+def _recentered(homography: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Let the page's origin be where the middle of the image looks."""
+    middle = np.array([[(shape[1] - 1) / 2, (shape[0] - 1) / 2]])
+    x_mm, y_mm = apply(np.linalg.inv(homography), middle)[0]
+    moved = homography @ np.array([[1, 0, x_mm], [0, 1, y_mm], [0, 0, 1]])
+    return np.asarray(moved / moved[2, 2])
+
+
+def _linear(homography: NDArray[np.float64]) -> tuple[NDArray[np.float64], bool]:
+    """Return pixels per millimeter along the two axes of the view's middle; whether mirrored."""
+    offset = homography[:2, 2:] @ homography[2:, :2] / homography[2, 2]
+    linear = (homography[:2, :2] - offset) / homography[2, 2]
+    return np.linalg.svd(linear, compute_uv=False), bool(np.linalg.det(linear) < 0)
+
+
+def _require_good(found: RegistrationFound) -> None:
+    worst = found.worst_mm / found.pitch_mm
+    if not worst <= MOST_RESIDUAL:
+        raise CalibrationError(
+            f"the dots are up to {worst:.2f} of an electrode's pitch from where they should be, "
+            f"above {MOST_RESIDUAL:g}: lay the target flat, check its --dot-pitch-mm and the lens"
+        )
+    count = len(found.electrode_pixel)
+    if len(found.outside) > MOST_OUTSIDE * count:
+        raise CalibrationError(
+            f"{len(found.outside)} of {count} electrodes look beyond the image: move the target's "
+            "L under the middle of the array, or check optics.magnification"
+        )

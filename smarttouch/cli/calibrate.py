@@ -1,0 +1,301 @@
+"""``smarttouch calibrate``: one device on one finger, measured, and written to a profile."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from smarttouch.calibrate.profile_file import ProfileFile
+
+calibrate = typer.Typer(
+    help="Measure one device on one finger, and write a profile of it.", no_args_is_help=True
+)
+
+_Start = Annotated[
+    str | None,
+    typer.Option("--profile", metavar="NAME|FILE", help="What to start from; the usual if none."),
+]
+_Output = Annotated[Path, typer.Option(metavar="FILE.toml", help="The profile to write.")]
+_Overwrite = Annotated[bool, typer.Option("--overwrite", help="--output may be there already.")]
+_Yes = Annotated[bool, typer.Option("--yes", help="Ask nothing: everything is in place.")]
+_Simulate = Annotated[bool, typer.Option("--simulate", help="Walk through it without hardware.")]
+_Frames = Annotated[int, typer.Option(metavar="N", min=1, help="Frames to take the mean of.")]
+_BoardUrl = Annotated[
+    str,
+    typer.Option(metavar="URL", help="emulator:, kajimoto61:PORT, etactilekit:PORT, link:PORT"),
+]
+
+
+@calibrate.command()
+def optics(
+    output: _Output,
+    sensor: Annotated[
+        str | None, typer.Option(metavar="URL", help="camera:0, serial-array:PORT, ...")
+    ] = None,
+    dark: Annotated[
+        str | None, typer.Option(metavar="URL", help="Dark frames from here: frames:DIR, ...")
+    ] = None,
+    white: Annotated[
+        str | None, typer.Option(metavar="URL", help="Frames of white paper from here.")
+    ] = None,
+    frames: _Frames = 16,
+    profile: _Start = None,
+    overwrite: _Overwrite = False,
+    yes: _Yes = False,
+    simulate: _Simulate = False,
+) -> None:
+    """Dark level and gain of every pixel, by the sensor covered and on blank white paper."""
+    from smarttouch.calibrate.optics import measure_optics
+    from smarttouch.calibrate.tables import show_optics
+    from smarttouch.cli.calibrate_steps import ask, images_of
+    from smarttouch.errors import CalibrationError
+
+    file = _profile_file(profile, output, overwrite)
+    if simulate:
+        from smarttouch.calibrate.simulated import SimulatedPatch
+
+        of = file.profile.optics
+        patch = SimulatedPatch((of.sensor_rows, of.sensor_columns), dead=2, hot=1)
+        seen = [patch.images(frames, light=light) for light in (False, True)]
+    else:
+        sources = (dark or sensor, white or sensor)
+        if None in sources:
+            raise CalibrationError("give --sensor, or --dark and --white, or --simulate")
+        asked = ("Cover the sensor: no light.", "Put it on blank white paper, in its usual light.")
+        seen = []
+        for source, question in zip(sources, asked, strict=True):
+            assert source is not None
+            ask(question, yes or source != sensor)
+            seen.append(images_of(source, file.profile, frames, corrected=False))
+    found = measure_optics(*seen)
+    show_optics(found)
+    field_file = file.beside("flat-field.npz")
+    file.set("optics.flat_field", field_file.name)
+    _finish(file, "optics", found.sentence(), simulate, {field_file: found.field.to_bytes()})
+
+
+@calibrate.command()
+def registration(
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="The profile to write.")
+    ] = None,
+    sensor: Annotated[
+        str | None, typer.Option(metavar="URL", help="camera:0, serial-array:PORT, ...")
+    ] = None,
+    target: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Write the target, to be printed.")
+    ] = None,
+    dot_pitch_mm: Annotated[
+        float | None, typer.Option(metavar="MM", help="Of the target; to suit the field if none.")
+    ] = None,
+    center: Annotated[
+        str,
+        typer.Option(metavar="target|image", help="What lies in the middle of the array."),
+    ] = "target",
+    frames: _Frames = 16,
+    profile: _Start = None,
+    overwrite: _Overwrite = False,
+    yes: _Yes = False,
+    simulate: _Simulate = False,
+) -> None:
+    """Where in the sensor's image each electrode's point lies, by a printed target."""
+    from smarttouch.calibrate.register import register
+    from smarttouch.calibrate.tables import show_registration
+    from smarttouch.calibrate.target import target_for
+    from smarttouch.cli.calibrate_steps import ask, images_of
+    from smarttouch.errors import CalibrationError
+    from smarttouch.profile import DEFAULT_PROFILE, load_profile
+    from smarttouch.sensing.flat_field import mean_image
+
+    if center not in ("target", "image"):
+        raise CalibrationError(f"--center {center!r} is not offered: choose target or image")
+    grid = target_for(load_profile(profile or DEFAULT_PROFILE), dot_pitch_mm)
+    if target is not None:
+        if target.exists() and not overwrite:
+            raise CalibrationError(
+                f"{target} exists already: give another --target, or --overwrite"
+            )
+        grid.draw(target)
+        typer.echo(f"{target}: dots {grid.pitch_mm:g} mm apart; print it at 100 %, black on white.")
+    if output is None:
+        if target is None or sensor is not None or simulate:
+            raise CalibrationError("give --output FILE.toml for what is measured")
+        return
+    file = _profile_file(profile, output, overwrite)
+    if simulate:
+        from smarttouch.calibrate.view import bench_view
+
+        image = bench_view(grid, file.profile.optics)
+    elif sensor is None:
+        raise CalibrationError("give --sensor, or --simulate")
+    else:
+        ask("Lay the target under the sensor, the L upright under the array's middle.", yes)
+        mean = mean_image(images_of(sensor, file.profile, frames, corrected=True))
+        image = mean.round().astype("uint8")
+    found = register(image, file.profile, grid, "target" if center == "target" else "image")
+    show_registration(found)
+    file.set("optics.homography", [float(f"{each:.12g}") for each in found.homography.ravel()])
+    file.set("optics.sensor_columns", found.shape[1])
+    file.set("optics.sensor_rows", found.shape[0])
+    _finish(file, "registration", found.sentence(), simulate)
+
+
+@calibrate.command()
+def force(
+    output: _Output,
+    cell: Annotated[
+        str | None, typer.Option(metavar="URL", help="hx711:PORT or loadcell:PORT")
+    ] = None,
+    weights: Annotated[
+        str | None,
+        typer.Option(metavar="G,G,...", help="Grams, in order; asked for one by one if none."),
+    ] = None,
+    seconds: Annotated[float, typer.Option(metavar="S", help="To read each weight for.")] = 2.0,
+    profile: _Start = None,
+    overwrite: _Overwrite = False,
+    yes: _Yes = False,
+    simulate: _Simulate = False,
+) -> None:
+    """The load cell's curve, by known weights; one given twice tells the hysteresis."""
+    from smarttouch.calibrate.force_curve import fit_curve
+    from smarttouch.calibrate.tables import show_force
+    from smarttouch.cli.calibrate_steps import parse_grams, weigh_all, weigh_simulated
+    from smarttouch.errors import CalibrationError
+
+    if not 0 < seconds <= 600:
+        raise CalibrationError(f"--seconds {seconds:g} must be above 0 and at most 600")
+    listed = None if weights is None else parse_grams(weights)
+    file = _profile_file(profile, output, overwrite)
+    if simulate:
+        weighings = weigh_simulated(listed, seconds)
+    elif cell is None:
+        raise CalibrationError("give --cell hx711:PORT or loadcell:PORT, or --simulate")
+    else:
+        weighings = weigh_all(cell, listed, seconds, yes)
+    found = fit_curve(weighings, file.profile.force)
+    show_force(found)
+    file.set("force.curve", found.curve)
+    _finish(file, "force", found.sentence(), simulate)
+
+
+@calibrate.command()
+def thresholds(
+    output: _Output,
+    board: _BoardUrl = "emulator:",
+    electrodes: Annotated[
+        str | None, typer.Option(metavar="0-7,12", help="Which; all that are not masked if none.")
+    ] = None,
+    adaptive: Annotated[
+        bool, typer.Option("--adaptive", help="Yes-or-no trials after the rising current.")
+    ] = False,
+    repeats: Annotated[
+        int, typer.Option(metavar="N", min=1, max=10, help="Of the rising current.")
+    ] = 3,
+    seed: Annotated[int, typer.Option(min=0, help="Of pauses, starts and the simulation.")] = 0,
+    profile: _Start = None,
+    overwrite: _Overwrite = False,
+    simulate: _Simulate = False,
+) -> None:
+    """Per electrode, the current first felt and the strongest that is comfortable."""
+    import sys
+
+    from smarttouch.boards.board import make_board, usual_profile
+    from smarttouch.calibrate.felt import filled, parse_electrodes, sentence
+    from smarttouch.calibrate.progress import Progress
+    from smarttouch.calibrate.session import StoppedError
+    from smarttouch.calibrate.stimulus import measuring_limits
+    from smarttouch.cli.calibrate_steps import feel_all
+    from smarttouch.cli.running import announced
+    from smarttouch.controls import StopRequest, stop_on_signals
+    from smarttouch.errors import CalibrationError
+
+    start = profile or usual_profile(board)
+    file = _profile_file(start, output, overwrite)
+    chosen = file.profile
+    sites = parse_electrodes(electrodes, chosen)
+    if simulate and not board.startswith(("emulator:", "memory:")):
+        raise CalibrationError(
+            f"--simulate answers for nobody: no current of its flows through {board!r}, only "
+            "through emulator:"
+        )
+    if not simulate and not sys.stdin.isatty():
+        raise CalibrationError("there is no keyboard to answer on: use a terminal, or --simulate")
+    progress = Progress(
+        file.beside("thresholds.json"),
+        {
+            "profile": start, "electrodes": len(chosen.electrodes),
+            "board": board.partition(":")[0],
+            "pulse_us": chosen.pulse.width_us, "adaptive": adaptive, "repeats": repeats,
+            "simulate": simulate,
+        },
+    )  # fmt: skip
+    stop = StopRequest()
+    display = make_board(board, measuring_limits(chosen), chosen.output)
+    try:
+        with announced(), stop_on_signals(stop), display:
+            feel_all(display, chosen, sites, progress, stop, adaptive, repeats, seed, simulate)
+    except StoppedError:
+        left = len(set(sites) - set(progress.found))
+        raise CalibrationError(
+            f"stopped, all electrodes are off: {left} of {len(sites)} electrodes are left, the "
+            "same command goes on there"
+        ) from None
+    threshold_ma, comfort_ma = filled(chosen, progress.found)
+    file.set("perception.threshold_ma", threshold_ma)
+    file.set("perception.comfort_ma", comfort_ma)
+    told = sentence(progress.found, adaptive=adaptive)
+    _finish(file, "thresholds", told, simulate or board.startswith("emulator:"))
+    progress.forget()
+
+
+@calibrate.command()
+def contact(
+    output: _Output,
+    board: _BoardUrl = "emulator:",
+    repeats: Annotated[int, typer.Option(metavar="N", min=1, max=100, help="Measurements.")] = 5,
+    profile: _Start = None,
+    overwrite: _Overwrite = False,
+) -> None:
+    """Which electrodes touch the skin, by repeated measurements of their impedance."""
+    from smarttouch.boards.board import make_board, usual_profile
+    from smarttouch.calibrate.contact import judge_contact
+    from smarttouch.calibrate.tables import show_contact
+    from smarttouch.scan.safety import SafetyLimits
+
+    file = _profile_file(profile or usual_profile(board), output, overwrite)
+    chosen = file.profile
+    with make_board(board, SafetyLimits.of(chosen), chosen.output) as display:
+        found = judge_contact([display.measure() for _ in range(repeats)])
+    show_contact(found, chosen.electrodes)
+    masked = found.masked(chosen)
+    still = sorted(set(chosen.output.masked) - set(found.broken))
+    if still:
+        typer.echo(f"Masked before, and still: {still}; if they are good, remove them by hand.")
+    if masked != list(chosen.output.masked):
+        typer.echo(f"Masked now: {masked}; kernels are designed without them at the next start.")
+    file.set("output.impedance_kohm", found.impedances(chosen))
+    file.set("output.masked", masked)
+    _finish(file, "contact", found.sentence(), board.startswith("emulator:"))
+
+
+def _profile_file(start: str | None, output: Path, overwrite: bool) -> "ProfileFile":
+    from smarttouch.calibrate.profile_file import ProfileFile
+    from smarttouch.profile import DEFAULT_PROFILE
+
+    return ProfileFile(start or DEFAULT_PROFILE, output, overwrite)
+
+
+def _finish(
+    file: "ProfileFile",
+    what: str,
+    found: str,
+    simulated: bool,
+    others: dict[Path, bytes] | None = None,
+) -> None:
+    """Write the profile; say what was found, and where it is."""
+    told = f"simulated: {found}" if simulated else found
+    file.note(what, told)
+    file.write(others)
+    typer.echo(told)
+    typer.echo("written: " + ", ".join(str(each) for each in (*(others or {}), file.output)))

@@ -1,0 +1,204 @@
+"""Flat field: the dark level and the gain of every pixel, so that blank paper looks blank."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from io import BytesIO
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import CalibrationError, SensorError
+
+DEAD_SHARE = 0.25
+"""Of the usual answer to light: what answers less is dead."""
+HOT_LEVELS = 24.0
+"""Grey levels above the usual dark: what is brighter in the dark is hot."""
+LEAST_SPAN = 40.0
+"""Grey levels that white must lie above dark."""
+SATURATED = 254.0
+MOST_SATURATED = 0.01
+MOST_BROKEN = 0.02
+"""Parts of the pixels."""
+
+
+class FlatField:
+    """Dark level and gain of every pixel.
+
+    Parameters
+    ----------
+    dark : ndarray, (H, W) float32
+        Grey level without light.
+    gain : ndarray, (H, W) float32
+        By which what is above the dark level is multiplied; 0 where the pixel
+        is dead or hot: it then shows what the nearest good one does.
+
+    Raises
+    ------
+    SensorError
+        If the two do not go together, or are no numbers.
+    """
+
+    def __init__(self, dark: NDArray[np.float32], gain: NDArray[np.float32]) -> None:
+        if dark.ndim != 2 or dark.shape != gain.shape or not dark.size:
+            raise SensorError(
+                f"a flat field with a dark level of shape {dark.shape} and a gain of shape "
+                f"{gain.shape} is none: calibrate the optics again"
+            )
+        if not (np.isfinite(dark).all() and np.isfinite(gain).all() and (gain >= 0).all()):
+            raise SensorError(
+                "the flat field has gains that are negative or no numbers: calibrate the optics "
+                "again"
+            )
+        if not gain.any():
+            raise SensorError("the flat field calls every pixel dead: calibrate the optics again")
+        self.dark = np.ascontiguousarray(dark, np.float32)
+        self.gain = np.ascontiguousarray(gain, np.float32)
+
+    @property
+    def broken(self) -> int:
+        """How many pixels are dead or hot."""
+        return int((self.gain == 0).sum())
+
+    @cached_property
+    def _stand_ins(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """The broken pixels, and the nearest good one of each, as flat indices."""
+        if not self.broken:
+            none = np.empty(0, np.intp)
+            return none, none
+        # Slow to import, and few sensors have broken pixels.
+        from scipy.ndimage import distance_transform_edt
+
+        broken = self.gain == 0
+        rows, columns = distance_transform_edt(broken, return_distances=False, return_indices=True)
+        return np.flatnonzero(broken), (rows * self.gain.shape[1] + columns)[broken]
+
+    def correct(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return a new image in which every pixel answers light alike.
+
+        Raises
+        ------
+        SensorError
+            If the image has another shape than what was calibrated.
+        """
+        if image.shape != self.gain.shape:
+            (rows, columns), (height, width) = image.shape[:2], self.gain.shape
+            raise SensorError(
+                f"the flat field is for frames of {width} × {height}, this one has {columns} × "
+                f"{rows}: calibrate the optics again, or remove optics.flat_field"
+            )
+        level = np.subtract(image, self.dark, dtype=np.float32)
+        level *= self.gain
+        level += 0.5
+        np.clip(level, 0, 255, out=level)
+        corrected = level.astype(np.uint8)
+        broken, good = self._stand_ins
+        if len(broken):
+            corrected.ravel()[broken] = corrected.ravel()[good]
+        return corrected
+
+    @classmethod
+    def measure(
+        cls, dark_images: Sequence[NDArray[np.uint8]], white_images: Sequence[NDArray[np.uint8]]
+    ) -> Self:
+        """Return the flat field by what a sensor saw in the dark and of blank white paper.
+
+        White stays as bright as it was on most pixels.
+
+        Raises
+        ------
+        CalibrationError
+            If the two hardly differ, white is saturated, or too many pixels are broken.
+        """
+        dark, white = mean_image(dark_images), mean_image(white_images)
+        if dark.shape != white.shape:
+            raise CalibrationError(
+                f"the dark frames are {dark.shape[1]} × {dark.shape[0]}, the white ones "
+                f"{white.shape[1]} × {white.shape[0]}: use one sensor for both"
+            )
+        span = white - dark
+        usual = float(np.median(span))
+        if usual < LEAST_SPAN:
+            raise CalibrationError(
+                f"white is only {usual:.0f} grey levels brighter than dark, {LEAST_SPAN:.0f} are "
+                "needed: is the light on, the sensor covered for the dark and on white paper after?"
+            )
+        saturated = float((white >= SATURATED).mean())
+        if saturated > MOST_SATURATED:
+            raise CalibrationError(
+                f"{saturated:.0%} of the pixels are saturated on white paper: lower the exposure "
+                "or the light"
+            )
+        broken = (span < DEAD_SHARE * usual) | (dark > np.median(dark) + HOT_LEVELS)
+        if broken.mean() > MOST_BROKEN:
+            raise CalibrationError(
+                f"{int(broken.sum())} of {broken.size} pixels are dead or hot: is the field of "
+                "view free, lit evenly enough and really dark when covered?"
+            )
+        level = float(np.median(white[~broken]))
+        gain = np.where(broken, 0.0, level / np.where(broken, 1.0, span))
+        return cls(dark.astype(np.float32), gain.astype(np.float32))
+
+    def to_bytes(self) -> bytes:
+        """Return the content of its file."""
+        file = BytesIO()
+        np.savez_compressed(file, dark=self.dark, gain=self.gain)
+        return file.getvalue()
+
+    def save(self, path: str | Path) -> None:
+        """Write it to an ``.npz`` file.
+
+        Raises
+        ------
+        SensorError
+            If that cannot be.
+        """
+        try:
+            Path(path).write_bytes(self.to_bytes())
+        except OSError as error:
+            raise SensorError(f"cannot write the flat field {path}: {error.strerror}") from None
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read it from its file.
+
+        Raises
+        ------
+        SensorError
+            If there is none, or it is not one.
+        """
+        try:
+            content = BytesIO(Path(path).read_bytes())
+            with np.load(content, allow_pickle=False) as stored:
+                dark, gain = (np.asarray(stored[name], np.float32) for name in ("dark", "gain"))
+        except FileNotFoundError:
+            raise SensorError(
+                f"no flat field {path}: put it beside the profile, or remove optics.flat_field"
+            ) from None
+        except Exception:
+            # A damaged archive fails in a dozen ways, down to those of its compression.
+            raise SensorError(
+                f"{path} is not a flat field: calibrate the optics again, or remove "
+                "optics.flat_field"
+            ) from None
+        return cls(dark, gain)
+
+
+def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
+    """Return the mean of images of one shape.
+
+    Raises
+    ------
+    CalibrationError
+        If there are none, or they differ in shape.
+    """
+    if not len(images):
+        raise CalibrationError("no frames came: check the sensor")
+    shapes = {image.shape for image in images}
+    if len(shapes) > 1:
+        raise CalibrationError(f"the frames differ in shape, {sorted(shapes)}: use one sensor")
+    total = np.zeros(images[0].shape)
+    for image in images:
+        total += image
+    return total / len(images)

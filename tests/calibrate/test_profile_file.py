@@ -1,0 +1,150 @@
+"""A profile with some keys changed is the profile it was, else; and never half."""
+
+import tomllib
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.calibrate.profile_file import ProfileFile
+from smarttouch.errors import CalibrationError, ProfileError
+from smarttouch.profile import load_profile, profile_names
+from smarttouch.resources import data_folder
+
+numbers = st.floats(0.01, 1e6, allow_nan=False)
+
+
+def comments(text):
+    return [line[line.index("#") :] for line in text.splitlines() if "#" in line]
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_only_what_is_set_changes_and_comments_stay(name, tmp_path):
+    file = ProfileFile(name, tmp_path / "mine.toml")
+    file.set("force.curve", [0.5, 2e-6])
+    file.set("optics.sensor_columns", 640)
+    file.note("force", "a line")
+    profile = file.write()
+    before = (data_folder("calibration") / f"{name}.toml").read_text()
+    text = (tmp_path / "mine.toml").read_text()
+    assert comments(text) == comments(before)
+    wanted = tomllib.loads(before)
+    wanted["force"]["curve"] = [0.5, 2e-6]
+    wanted["optics"]["sensor_columns"] = 640
+    written = tomllib.loads(text)
+    noted = written.pop("calibrated")["force"]
+    assert written == wanted
+    assert noted["found"] == "a line"
+    assert noted["versions"].startswith("smarttouch ")
+    assert "opencv " in noted["versions"]
+    assert timedelta(0) <= datetime.now(UTC) - noted["when"] < timedelta(minutes=1)
+    assert profile == load_profile(tmp_path / "mine.toml")
+    assert profile.force.curve == (0.5, 2e-6)
+
+
+@settings(max_examples=25, deadline=None)
+@given(values=st.lists(numbers, min_size=64, max_size=64), found=st.text(max_size=60))
+def test_any_numbers_and_words_are_read_back(tmp_path_factory, values, found):
+    output = tmp_path_factory.mktemp("profile") / "mine.toml"
+    file = ProfileFile("electric-mouse", output)
+    file.set("output.impedance_kohm", values)
+    file.note("contact", found)
+    profile = file.write()
+    assert list(profile.output.impedance_kohm) == values
+    assert profile.calibrated["contact"].found == found
+
+
+def test_one_calibration_after_the_other_in_one_file(tmp_path):
+    mine = tmp_path / "mine.toml"
+    first = ProfileFile("electric-mouse", mine)
+    first.set("force.curve", [0.0, 1e-6])
+    first.note("force", "one")
+    first.write()
+    for found in ("two", "three"):
+        again = ProfileFile(str(mine), mine, overwrite=True)
+        again.set("output.masked", [3])
+        again.note("contact", found)
+        again.write()
+    profile = load_profile(mine)
+    assert profile.force.curve == (0.0, 1e-6)
+    assert profile.output.masked == (3,)
+    assert {key: each.found for key, each in profile.calibrated.items()} == {
+        "force": "one",
+        "contact": "three",
+    }
+
+
+def test_nothing_is_overwritten_without_being_told_to(tmp_path):
+    mine = tmp_path / "mine.toml"
+    mine.write_text("what was there")
+    with pytest.raises(CalibrationError, match="exists already"):
+        ProfileFile("electric-mouse", mine)
+    # Nor what came there meanwhile.
+    late = ProfileFile("electric-mouse", tmp_path / "late.toml")
+    (tmp_path / "late.toml").write_text("came meanwhile")
+    with pytest.raises(CalibrationError, match="exists already"):
+        late.write()
+    other = ProfileFile("electric-mouse", tmp_path / "other.toml")
+    (tmp_path / "other.npz").write_bytes(b"there")
+    with pytest.raises(CalibrationError, match=r"other\.npz exists already"):
+        other.write({tmp_path / "other.npz": b"new"})
+    assert mine.read_text() == "what was there"
+    assert (tmp_path / "late.toml").read_text() == "came meanwhile"
+    assert (tmp_path / "other.npz").read_bytes() == b"there"
+    assert not (tmp_path / "other.toml").exists()
+
+
+def test_what_would_not_load_replaces_nothing(tmp_path):
+    mine = tmp_path / "mine.toml"
+    ProfileFile("electric-mouse", mine).write()
+    before = mine.read_bytes()
+    file = ProfileFile(str(mine), mine, overwrite=True)
+    file.set("perception.threshold_ma", [1.0, 2.0])
+    with pytest.raises(CalibrationError, match=r"nothing was written: .*lists 2 electrodes"):
+        file.write({tmp_path / "mine.npz": b"beside"})
+    assert mine.read_bytes() == before
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["mine.toml"]
+
+
+def test_a_flat_field_is_still_found_from_another_folder(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    first = ProfileFile("electric-mouse", tmp_path / "a" / "mine.toml")
+    first.set("optics.flat_field", "mine.npz")
+    first.write({tmp_path / "a" / "mine.npz": b"field"})
+    second = ProfileFile(str(tmp_path / "a" / "mine.toml"), tmp_path / "b" / "mine.toml")
+    found = second.write().optics.flat_field
+    assert Path(found).read_bytes() == b"field"
+
+
+@pytest.mark.parametrize(
+    ("output", "said"),
+    [
+        ("mine.txt", "must end in .toml"),
+        ("none/mine.toml", "its folder does not exist"),
+        ("folder.toml", "is a folder"),
+    ],
+)
+def test_outputs_that_cannot_be(tmp_path, output, said):
+    (tmp_path / "folder.toml").mkdir()
+    with pytest.raises(CalibrationError, match=said):
+        ProfileFile("electric-mouse", tmp_path / output, overwrite=True)
+
+
+def test_a_start_that_is_none(tmp_path):
+    with pytest.raises(ProfileError, match="no profile 'nobody'"):
+        ProfileFile("nobody", tmp_path / "mine.toml")
+
+
+def test_a_disk_that_is_full(tmp_path, monkeypatch):
+    file = ProfileFile("electric-mouse", tmp_path / "mine.toml")
+
+    def fail(_number):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("smarttouch.calibrate.profile_file.os.fsync", fail)
+    with pytest.raises(CalibrationError, match="No space left"):
+        file.write()
+    assert list(tmp_path.iterdir()) == []
