@@ -8,6 +8,8 @@ from pathlib import Path
 
 from platformdirs import user_state_path
 
+from smarttouch.errors import SmartTouchError
+
 
 def _folder() -> Path:
     return user_state_path("smarttouch", appauthor=False, ensure_exists=True)
@@ -15,15 +17,30 @@ def _folder() -> Path:
 
 @contextmanager
 def announced() -> Iterator[None]:
-    """Let other processes know of this one as long as the block runs."""
-    path = _folder() / f"{os.getpid()}.run"
-    with path.open("w") as file:
+    """Let other processes know of this one as long as the block runs.
+
+    Raises
+    ------
+    SmartTouchError
+        If they cannot: a run that could not be stopped from elsewhere does not begin.
+    """
+    try:
+        path = _folder() / f"{os.getpid()}.run"
+        hidden = path.with_suffix(".new")
+        file = hidden.open("w")
         # Held as long as we live, however we end: a file that nobody holds means nothing.
         fcntl.flock(file, fcntl.LOCK_EX)
-        try:
-            yield
-        finally:
-            path.unlink(missing_ok=True)
+        hidden.replace(path)
+    except OSError as error:
+        raise SmartTouchError(
+            f"cannot write {error.filename}, by which smarttouch stop would find this run: "
+            f"{error.strerror}"
+        ) from None
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+        file.close()
 
 
 def running() -> list[int]:

@@ -111,12 +111,13 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
         ended = "fault"
         screen = Screen(source, profile, controls, plan.board_url, display, tally, plan.quiet)
         observers.append(screen.show)
+        tells: list[Tell] = [screen.tell]
+        tell = _told_to(tells)
         try:
             with settled(pipeline), display:
                 _require_force(source, force, display)
                 _warn_of_simulation(plan, profile)
                 regulator = make_regulator(display, profile, plan.hold, plan.balance, plan.quiet)
-                tells: list[Tell] = [screen.tell]
                 if plan.record is not None:
                     recorder = _recorder(plan, profile, source, force, display)
                     stack.callback(recorder.close)
@@ -135,14 +136,18 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
                         observers=observers,
                         controls=controls,
                         force=force,
-                        tell=_told_to(tells),
+                        tell=tell,
                         regulator=regulator,
                     )
                 report = display.report()
             display.notes += regulator.notes()
-            ended = stop.reason or "end of the page"
+            page = hasattr(source, "page")
+            ended = stop.reason or ("end of the page" if page else "the sensor has ended")
             for words in [_account(report), *_notes(source, force, display)]:
-                _told_to(tells)(int(tally.seconds * 1e9), words)
+                tell(int(tally.seconds * 1e9), words)
+        except SmartTouchError as error:
+            tell(int(tally.seconds * 1e9), str(error))
+            raise
         finally:
             source.close()
             figures = _figures(tally, source, display, report, ended)
