@@ -126,7 +126,5 @@ def test_a_page_image_of_one_s_own(profile, tmp_path):
 
 @pytest.mark.parametrize("url", ["nothing:x", "page", "", "camera", ":"])
 def test_unknown_sensors(profile, url):
-    with pytest.raises(
-        SensorError, match=r"must begin with one of .*page:, .*text:"
-    ):
+    with pytest.raises(SensorError, match=r"must begin with one of .*page:, .*text:"):
         open_sensor(url, profile)
