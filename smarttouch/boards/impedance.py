@@ -6,6 +6,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+SATURATED = 0.97
+"""Part of its compliance at which a source is taken to be at its end."""
 OPEN_FACTOR = 5.0
 SHORT_FACTOR = 0.1
 """Of the median: estimates of ours; good electrodes on one finger differ two- or threefold."""
@@ -67,13 +69,20 @@ def judge(
         Readings that may stand for another voltage.
     """
     total = np.asarray(volts, np.float64) / np.asarray(current_ma, np.float64)
-    saturated = np.asarray(volts) >= 0.97 * compliance_v
+    saturated = np.asarray(volts) >= SATURATED * compliance_v
     kohm = np.where(saturated, np.inf, np.maximum(total, 1e-3))
     for _ in range(20):
         admittance = 1 / kohm
         others = admittance.sum() - admittance
         back = np.divide(1, others, out=np.zeros_like(others), where=others > 0)
         kohm = np.where(saturated, np.inf, np.maximum(total - back, 1e-3))
+    return classify(kohm, float(np.mean(current_ma)), unsure)
+
+
+def classify(
+    kohm: NDArray[np.float64], current_ma: float, unsure: NDArray[np.bool_] | None = None
+) -> Impedance:
+    """Return which electrodes are open or shorted, by their impedances, (E,) kΩ."""
     finite = kohm[np.isfinite(kohm)]
     middle = float(np.median(finite)) if finite.size else np.inf
     conditions: list[Condition] = []
@@ -86,4 +95,4 @@ def judge(
             conditions.append("short")
         else:
             conditions.append("good")
-    return Impedance(kohm, tuple(conditions), float(np.mean(current_ma)))
+    return Impedance(kohm, tuple(conditions), current_ma)

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.board import Board, BoardReport, Capabilities
-from smarttouch.boards.impedance import Impedance, judge
+from smarttouch.boards.impedance import SATURATED, Impedance, judge
 from smarttouch.boards.link_line import AGAIN_S, ANSWER_S, LinkLine
 from smarttouch.boards.link_protocol import Feature, Kind, Refusal
 from smarttouch.boards.link_sequence import decode_volts, encode_sequence
+from smarttouch.boards.pairs import measure_in_pairs
 from smarttouch.boards.probe import probe_sequences
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
@@ -144,15 +145,26 @@ class LinkBoard(Board):
             return super()._measure()
         self.take_volts()
         for probe in probe_sequences(self._gate.limits, self._output):
-            self.send(probe)
-            self.drain()
+            volts = self._probed(probe)
+        if can.output == "weighted" and (volts >= SATURATED * can.compliance_v).any():
+            level_ua = int(np.abs(probe.current_ua).max())
+            return measure_in_pairs(
+                self._probed, self._gate.limits, level_ua, probe.intensity, probe.time_ns,
+                can.compliance_v,
+            )  # fmt: skip
+        return judge(volts, probe.source_ua / 1000, can.compliance_v)
+
+    def _probed(self, probe: ScanSequence) -> NDArray[np.float64]:
+        """Deliver a scan and return its voltages."""
+        self.send(probe)
+        self.drain()
         found = [volts for sequence, volts in self.take_volts() if sequence is probe]
-        if not found or len(found[-1]) != can.electrodes:
+        if probe.slots and not found:
             raise BoardError(
-                f"the board at {self._line.name} did not tell the voltages of its "
-                f"{can.electrodes} electrodes: measure again"
+                f"the board at {self._line.name} did not tell the voltages of its electrodes: "
+                "measure again"
             )
-        return judge(found[-1].astype(np.float64), probe.source_ua / 1000, can.compliance_v)
+        return found[-1].astype(np.float64) if found else np.empty(0)
 
     # -- what the board says -----------------------------------------------
 

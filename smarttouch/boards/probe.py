@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
@@ -53,6 +54,7 @@ def one_each(
     *,
     cathodic: bool,
     sites: list[int] | None = None,
+    masked: tuple[int, ...] = (),
     discharge_us: int = 100,
     period_us: int = 0,
 ) -> ScanSequence:
@@ -64,25 +66,66 @@ def one_each(
         Through the one; the others share it equally. No slots if 0.
     sites : list of int, optional
         Which electrodes; all if not given.
+    masked : tuple of int
+        Electrodes that take no share: an open one would need all the voltage there is.
     """
     count = limits.electrodes
-    chosen = np.arange(count) if sites is None else np.asarray(sites)
-    if not level_ua:
-        chosen = chosen[:0]
-    slots = len(chosen)
-    # The e-th electrode after the driven one: what does not divide goes to the nearest.
-    each, over = divmod(level_ua, count - 1)
-    share = np.where(np.arange(count) <= over, -each - 1, -each)
-    share[0] = level_ua
-    away = (np.arange(count)[None, :] - chosen[:, None]) % count
-    current = share[away].astype(np.int16)
+    chosen = range(count) if sites is None else sites
+    currents = np.zeros((len(chosen) if level_ua else 0, count), np.int16)
+    for current, site in zip(currents, chosen, strict=False):
+        # The e-th electrode after the driven one: what does not divide goes to the nearest.
+        away = [(site + step) % count for step in range(1, count)]
+        returns = [each for each in away if each not in masked]
+        each, over = divmod(level_ua, len(returns))
+        current[returns] = -each
+        current[returns[:over]] -= 1
+        current[site] = level_ua
+    return _scan(
+        limits, currents if cathodic else -currents, list(chosen)[: len(currents)], width_us,
+        intensity, time_ns, discharge_us, period_us,
+    )  # fmt: skip
+
+
+def one_pair_each(
+    limits: SafetyLimits,
+    level_ua: int,
+    pairs: list[tuple[int, int]],
+    intensity: float,
+    time_ns: int,
+) -> ScanSequence:
+    """Return a scan with one slot for each pair of electrodes: into the first, out of the second.
+
+    Parameters
+    ----------
+    level_ua : int, µA
+        Of the first of each pair, cathodic.
+    pairs : list of (int, int)
+    """
+    currents = np.zeros((len(pairs), limits.electrodes), np.int16)
+    for current, (first, second) in zip(currents, pairs, strict=True):
+        current[first], current[second] = level_ua, -level_ua
+    sites = [first for first, _ in pairs]
+    return _scan(limits, currents, sites, PROBE_US, intensity, time_ns)
+
+
+def _scan(
+    limits: SafetyLimits,
+    current_ua: NDArray[np.int16],
+    sites: list[int],
+    width_us: int,
+    intensity: float,
+    time_ns: int,
+    discharge_us: int = 100,
+    period_us: int = 0,
+) -> ScanSequence:
+    slots = len(current_ua)
     slot_us = max(width_us + discharge_us, int(np.ceil(width_us / limits.duty)))
     shortest = int(np.ceil(1e6 / limits.rate_hz))
     return ScanSequence(
-        current_ua=current if cathodic else -current,
+        current_ua=current_ua,
         width_us=np.full(slots, width_us, np.uint16),
         discharge_us=np.full(slots, discharge_us, np.uint16),
-        site=chosen.astype(np.uint16),
+        site=np.asarray(sites, np.uint16),
         period_us=max(period_us, shortest, slots * slot_us),
         intensity=intensity if slots else 0.0,
         time_ns=time_ns,

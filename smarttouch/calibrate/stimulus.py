@@ -65,6 +65,7 @@ class Stimulus:
         self._board = board
         self._limits = measuring_limits(profile)
         self._pulse = profile.pulse
+        self._masked = profile.output.masked
         self._cathodic = "anodic" not in profile.output.polarities
         self._slew_ma_s = slew_ma_s(profile)
         self._fast = fast
@@ -105,6 +106,7 @@ class Stimulus:
             time_ns,
             cathodic=self._cathodic,
             sites=[site],
+            masked=self._masked,
             discharge_us=self._pulse.discharge_us,
             period_us=0 if self._fast else period_us,
         )

@@ -1,6 +1,5 @@
 """Emulators played from the command line, until Ctrl-C."""
 
-import contextlib
 import signal
 import subprocess
 import sys
@@ -40,9 +39,10 @@ def play_emulator(
             words = process.stderr.read().strip().rpartition("error: ")[2]
             raise error(f"the emulator did not start: {words or process.wait()}")
         typer.echo(advice(port))
-        signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+        # Ctrl-C too: a shell may have started us with it ignored.
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: sys.exit(0))
         try:
-            with contextlib.suppress(KeyboardInterrupt):
-                process.wait()
+            process.wait()
         finally:
             process.terminate()

@@ -98,6 +98,7 @@ def _point(
         time_ns,
         cathodic="anodic" not in profile.output.polarities,
         sites=[site],
+        masked=profile.output.masked,
         discharge_us=pulse.discharge_us,
         period_us=round(1e6 / pulse.rate_hz),
     )

@@ -16,6 +16,12 @@ from smarttouch.cli import main
 PROGRAM = Path(sys.executable).with_name("smarttouch")
 
 
+@pytest.fixture(autouse=True)
+def own_runs(tmp_path, monkeypatch):
+    """Let `smarttouch stop` find the runs of this test, and of no other."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
 @pytest.fixture
 def program(tmp_path):
     """Return a runner of the program in an empty folder."""
@@ -78,9 +84,8 @@ def start_program(tmp_path):
 
 
 @pytest.fixture
-def start_at_a_terminal(tmp_path, monkeypatch):
+def start_at_a_terminal(tmp_path):
     """Return a starter of a run with a keyboard: its process, once it runs, and the keyboard."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     running = []
 
     def start(*arguments):
