@@ -430,6 +430,12 @@ def test_a_force_source_has_the_last_word(pipeline, board):
     assert max(felt(board)) == pytest.approx((0.5 - 0.15) / 0.75, abs=1e-6)
 
 
+def test_the_board_may_lower_what_a_force_source_says(pipeline, board):
+    board.force_n = 0.5
+    play(board, pipeline, Bars(40), force=Pressing(lambda _: 1.0))
+    assert max(felt(board)) == pytest.approx((0.5 - 0.15) / 0.75, abs=1e-6)
+
+
 def test_nobody_stands_in_for_a_load_cell_that_fails(pipeline, board):
     """Least of all the board: whoever asks for a cell does not trust it."""
     board.force_n = 1.0
@@ -506,6 +512,23 @@ def test_every_step_is_observed_also_one_that_was_lost(pipeline, board, monkeypa
     assert (tally.seen, tally.felt) == (30, 29)
     assert [sent.step.restarted for sent in seen] == [i in (0, 21) for i in range(30)]
     assert any("started anew" in words for _, words in told)
+
+
+def test_the_time_that_a_board_was_lost_is_no_error_of_the_period(pipeline, board, monkeypatch):
+    send, clock, tally = board._send, FakeClock(), Tally()
+
+    def lose(sequence, times):
+        if sequence.time_ns == 400_000_000:
+            clock.time_ns += 2_000_000_000
+            raise LineLostError("the line is lost")
+        return send(sequence, times)
+
+    monkeypatch.setattr(board, "_send", lose)
+    monkeypatch.setattr(board, "_recover", lambda lost: None)
+    with board:
+        run(Bars(40), pipeline, board, stop=StopRequest(), tally=tally, clock=clock)
+    assert tally.period_error.count == 37
+    assert tally.period_error.largest_us == 0
 
 
 def test_the_age_of_an_image_counts(pipeline, board):

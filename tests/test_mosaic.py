@@ -49,6 +49,24 @@ def test_a_line_that_was_read_is_there_again(profile, angle):
     assert np.corrcoef(true.ravel(), found.ravel())[0, 1] > 0.9
 
 
+def test_a_turned_sensor_is_turned_back_as_its_registration_says(profile):
+    """A spot in the image is where an electrode would see it."""
+    optics = profile.optics.model_copy(update={"rotation_deg": 30.0})
+    image = np.full((64, 64), 255, np.uint8)
+    column, row = 48, 24
+    image[row - 1 : row + 2, column - 1 : column + 2] = 0
+    mosaic = Mosaic(optics)
+    mosaic.add(Frame(image, 0, Pose(20.0, 10.0), 1.0))
+    page, (left_mm, top_mm) = mosaic.page()
+    rows, columns = np.nonzero(page.grey < 100)
+    x_mm, y_mm = (np.mean(each) * 0.1 + 0.05 for each in (columns, rows))
+    x_mm, y_mm = x_mm + left_mm - 20.0, y_mm + top_mm - 10.0
+    cos, sin = np.cos(np.radians(30)), np.sin(np.radians(30))
+    pixel_mm = 5 / 64
+    seen_at = ((x_mm * cos - y_mm * sin) / pixel_mm, (x_mm * sin + y_mm * cos) / pixel_mm)
+    assert seen_at == pytest.approx((column + 0.5 - 32, row + 0.5 - 32), abs=0.8)
+
+
 def test_the_same_and_stale_frames_are_left_out(profile):
     mosaic = Mosaic(profile.optics)
     frame = Frame(np.full((64, 64), 100, np.uint8), 0, Pose(0, 0), 1.0)

@@ -78,3 +78,13 @@ def test_one_against_all_others_sums_to_zero(level, electrodes):
     assert not sequence.current_ua.sum(axis=1).any()
     if level:
         assert (sequence.current_ua[np.arange(electrodes), sequence.site] == level).all()
+
+
+@given(masked=st.sets(st.integers(0, 7), max_size=6), level=st.integers(1, 2000))
+def test_masked_electrodes_are_no_returns(masked, level):
+    limits = SafetyLimits(8, 5.0, 200, 0.5, 200, 0.8, 0.5, 2.4)
+    sites = [site for site in range(8) if site not in masked]
+    scan = one_each(limits, level, 50, 1.0, 0, cathodic=True, sites=sites, masked=tuple(masked))
+    assert not scan.current_ua[:, sorted(masked)].any()
+    assert not scan.current_ua.sum(axis=1).any()
+    assert (scan.current_ua.max(axis=1) == level).all()

@@ -40,6 +40,12 @@ def test_no_sequence_is_shorter_than_the_shortest(ra_hz, sai_hz):
         time_ns += 1000 * wait_us
 
 
+def test_a_little_lateness_does_not_make_the_next_sequence_too_short():
+    rates = PulseRates({Primary.RA: 200.0}, 5000)
+    rates.due(0, FULL)
+    assert rates.due(5_900_000, FULL) == ((Primary.RA,), 5000)
+
+
 def test_a_late_class_begins_a_new_grid():
     rates = PulseRates({Primary.RA: 10.0}, 5000)
     assert rates.due(0, FULL) == ((Primary.RA,), 100_000)
