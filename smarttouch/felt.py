@@ -14,7 +14,7 @@ from smarttouch.mosaic import Mosaic
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.sensing.frame import Pose
-from smarttouch.sensing.page_image import Page
+from smarttouch.sensing.pages.page_image import Page
 
 FINEST_MM = 0.1
 """Finest dot of the picture, on the page."""

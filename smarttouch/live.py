@@ -16,7 +16,7 @@ from smarttouch.controls import Controls, StopRequest, Wish
 from smarttouch.errors import BoardRestartedError
 from smarttouch.pipeline import Pipeline, Step
 from smarttouch.regulator import Regulator
-from smarttouch.sensing.force import ForceSource
+from smarttouch.sensing.forces.force import ForceSource
 from smarttouch.sensing.frame import Frame, Sensor
 from smarttouch.tally import Tally
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from smarttouch.errors import SmartTouchError
 from smarttouch.profile import Optics
 from smarttouch.sensing.frame import Frame
-from smarttouch.sensing.page_image import Page
+from smarttouch.sensing.pages.page_image import Page
 
 PIXEL_MM = 0.1
 LARGEST_PIXELS = 40_000_000

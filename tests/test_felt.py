@@ -13,7 +13,7 @@ from smarttouch.pipeline import Step
 from smarttouch.primary import Mode, Primary
 from smarttouch.scan.sequence import ScanSequence
 from smarttouch.sensing.frame import Frame, Pose
-from smarttouch.sensing.page_image import Page
+from smarttouch.sensing.pages.page_image import Page
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from smarttouch.regulator import Regulator
 from smarttouch.scan.adaptation import Adaptation
 from smarttouch.scan.ledger import ChargeLedger
 from smarttouch.scan.safety import SafetyLimits
-from smarttouch.sensing.force import ForceSource
+from smarttouch.sensing.forces.force import ForceSource
 from smarttouch.sensing.frame import Frame, Pose, Sensor
 from smarttouch.tally import Tally
 

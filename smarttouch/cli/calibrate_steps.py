@@ -56,7 +56,7 @@ def weigh_all(
     url: str, listed: Sequence[float] | None, seconds: float, yes: bool
 ) -> list[Weighing]:
     """Weigh what someone lays on a load cell: what is listed, or what is asked for."""
-    from smarttouch.sensing.load_cell import open_cell
+    from smarttouch.sensing.forces.load_cell import open_cell
 
     found = []
     with open_cell(url) as cell:

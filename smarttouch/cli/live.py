@@ -111,7 +111,7 @@ def live(
     from smarttouch.profile import load_profile
     from smarttouch.resources import data_folder
     from smarttouch.sensing import open_sensor
-    from smarttouch.sensing.force import open_force
+    from smarttouch.sensing.forces.force import open_force
 
     plan = Plan(
         sensor_url=sensor or f"page:{data_folder('sample_images') / 'page.png'}",

@@ -54,7 +54,7 @@ def replay(
     from smarttouch.primary import Mode
     from smarttouch.recording.controls import RecordedControls
     from smarttouch.recording.sensor import RecordingSensor
-    from smarttouch.sensing.force import open_force
+    from smarttouch.sensing.forces.force import open_force
 
     recording = Recording(file)
     chosen = recording.profile if profile is None else load_profile(profile)

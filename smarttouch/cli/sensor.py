@@ -189,7 +189,7 @@ def _show_frames(
 def _show_force(url: str, profile: "Profile", seconds: float) -> None:
     import numpy as np
 
-    from smarttouch.sensing.force import open_force
+    from smarttouch.sensing.forces.force import open_force
 
     with open_force(url, profile) as source:
         forces = np.array([source.read(time_ns) for time_ns in _ticks(seconds)])

@@ -26,7 +26,7 @@ from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode
 from smarttouch.profile import Profile
 from smarttouch.scan.safety import SafetyLimits
-from smarttouch.sensing.force import ForceSource
+from smarttouch.sensing.forces.force import ForceSource
 from smarttouch.sensing.frame import Sensor
 from smarttouch.tally import Tally
 

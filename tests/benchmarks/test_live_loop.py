@@ -23,8 +23,8 @@ import pytest
 
 from smarttouch.profile import load_profile
 from smarttouch.resources import data_folder
-from smarttouch.sensing.page import PageSensor
-from smarttouch.sensing.page_image import load_page
+from smarttouch.sensing.pages.page import PageSensor
+from smarttouch.sensing.pages.page_image import load_page
 
 SECONDS = float(os.environ.get("SMARTTOUCH_LIVE_SECONDS", "60"))
 CYCLE = 150

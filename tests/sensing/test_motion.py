@@ -11,8 +11,8 @@ from hypothesis.extra import numpy as hnp
 
 from smarttouch.resources import data_folder
 from smarttouch.sensing.motion import MotionTracker, page_per_pixel
-from smarttouch.sensing.page import PageSensor
-from smarttouch.sensing.page_image import load_page
+from smarttouch.sensing.pages.page import PageSensor
+from smarttouch.sensing.pages.page_image import load_page
 
 FIELD_MM = 5.0
 

@@ -24,9 +24,9 @@ from smarttouch.sensing.emulator.devices import (
 )
 from smarttouch.sensing.emulator.faults import Fault, Faults, parse_fault
 from smarttouch.sensing.emulator.serve import Server, Socket
-from smarttouch.sensing.force import open_force
-from smarttouch.sensing.load_cell import open_cell
-from smarttouch.sensing.readings import TextReadings
+from smarttouch.sensing.forces.force import open_force
+from smarttouch.sensing.forces.load_cell import open_cell
+from smarttouch.sensing.forces.readings import TextReadings
 from smarttouch.sensing.sensor_protocol import ArrayFrame, CellReading, Info, MessageStream
 
 MS = 10**6

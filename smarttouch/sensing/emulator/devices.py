@@ -11,7 +11,7 @@ from smarttouch.errors import SensorError
 from smarttouch.profile import Profile
 from smarttouch.sensing import open_sensor
 from smarttouch.sensing.emulator.faults import Kind
-from smarttouch.sensing.force import open_recorded
+from smarttouch.sensing.forces.force import open_recorded
 from smarttouch.sensing.sensor_protocol import encode_force, encode_frame, encode_info
 
 GRAVITY_N_PER_G = 9.80665e-3

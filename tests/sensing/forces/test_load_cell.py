@@ -11,12 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.errors import SensorError
-from smarttouch.sensing import load_cell
-from smarttouch.sensing.force import open_force
-from smarttouch.sensing.load_cell import open_cell
-from smarttouch.sensing.load_cell_watch import FRESH_S, CellWatch
+from smarttouch.sensing.forces import load_cell
+from smarttouch.sensing.forces.force import open_force
+from smarttouch.sensing.forces.load_cell import open_cell
+from smarttouch.sensing.forces.load_cell_watch import FRESH_S, CellWatch
+from smarttouch.sensing.forces.readings import (
+    LONGEST_LINE,
+    PacketReadings,
+    TextReadings,
+    parse_line,
+)
 from smarttouch.sensing.notes import Episodes, StandingNotes
-from smarttouch.sensing.readings import LONGEST_LINE, PacketReadings, TextReadings, parse_line
 from smarttouch.sensing.sensor_protocol import encode_force, encode_info
 from smarttouch.wire.pty_line import PtyLine
 

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import SensorError, SourceLostError
 from smarttouch.profile import Profile
-from smarttouch.sensing.force import ForceSource
+from smarttouch.sensing.forces.force import ForceSource
+from smarttouch.sensing.forces.load_cell_watch import CellWatch
+from smarttouch.sensing.forces.readings import PacketReadings, Readings, TextReadings
 from smarttouch.sensing.line import read_what_came
-from smarttouch.sensing.load_cell_watch import CellWatch
-from smarttouch.sensing.readings import PacketReadings, Readings, TextReadings
 from smarttouch.wire.port import LINE_ERRORS, Port, open_port
 
 FIRST_READING_S = 5.0

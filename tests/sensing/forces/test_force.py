@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.errors import SensorError
-from smarttouch.sensing.force import RecordedForce, open_force
+from smarttouch.sensing.forces.force import RecordedForce, open_force
 
 HEADER = "time_s,force_n\n"
 SECOND = 10**9

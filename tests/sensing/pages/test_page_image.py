@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from smarttouch.errors import SensorError
-from smarttouch.sensing.page_image import load_page, print_text
+from smarttouch.sensing.pages.page_image import load_page, print_text
 
 
 @pytest.fixture

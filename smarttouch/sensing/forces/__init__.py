@@ -1,0 +1,1 @@
+"""How hard the finger presses: fixed, recorded, or by a load cell."""
