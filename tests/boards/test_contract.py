@@ -212,7 +212,13 @@ class TestEmulator(Contract):
 class TestLink(Contract):
     @pytest.fixture
     def url(self, start_emulator, tmp_path):
-        return lambda kind: "link:" + start_emulator(f"--books={tmp_path}", output=kind)[1]
+        def url(kind):
+            # Books of its own: the board before may still be writing in its.
+            self.folder = tmp_path / kind
+            self.folder.mkdir()
+            return "link:" + start_emulator(f"--books={self.folder}", output=kind)[1]
+
+        return url
 
 
 class OneAgainstAll(Contract):
