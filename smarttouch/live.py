@@ -147,7 +147,8 @@ class _Inputs:
             what = "the image is stale" if frame.stale else "the force is not known"
             self.tell(time_ns, f"{what}: no current" if blind else "image and force are known")
             self._blind = blind
-        return replace(frame, force_n=0.0 if blind else force_n)
+        counts_n = 0.0 if blind else force_n
+        return frame if counts_n == frame.force_n else replace(frame, force_n=counts_n)
 
     def _force_n(self, frame: Frame, time_ns: int) -> float:
         """Return the word of whom was asked, NaN if they do not know; the board may lower it."""

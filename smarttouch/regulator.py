@@ -25,7 +25,8 @@ class Regulator:
 
     def regulate(self, step: Step, board: Board) -> Step:
         """Return the step with its sequence as it is to be sent."""
-        step = replace(step, observed=tuple(board.take_volts()))
+        if observed := tuple(board.take_volts()):
+            step = replace(step, observed=observed)
         if self.adaptation is not None:
             for sequence, volts in step.observed:
                 self.adaptation.observe(sequence, volts)

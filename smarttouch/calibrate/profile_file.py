@@ -1,13 +1,14 @@
 """A profile with some keys changed: written beside the one it began as, never half."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import tomlkit
-from tomlkit.items import Array, Table
+from tomlkit.items import Array
 
 from smarttouch.errors import CalibrationError, ProfileError
 from smarttouch.profile import Profile, load_profile, profile_names
@@ -124,10 +125,11 @@ class ProfileFile:
         if path.exists() and not self._overwrite:
             raise CalibrationError(f"{path} exists already: give another --output, or --overwrite")
 
-    def _table(self, name: str) -> Table:
+    def _table(self, name: str) -> MutableMapping[str, Any]:
         table = self._document[name]
-        assert isinstance(table, dict)
-        return table  # type: ignore[return-value]
+        # A table, or the proxy of one whose parts are scattered over the file.
+        assert isinstance(table, MutableMapping)
+        return table
 
     def _keep_flat_field(self) -> None:
         """Let a flat field be found from where the output will lie."""

@@ -44,7 +44,6 @@ class RecordingSensor(Sensor):
     def __init__(self, recording: Recording, unpaced: bool = False) -> None:
         super().__init__(recording.path.name)
         self.duration_s = recording.duration_s
-        self._recording = recording
         self._unpaced = unpaced
         self._steps = recording.steps()
         self._ahead = next(self._steps, None)

@@ -29,7 +29,7 @@ JOIN_S = 2.0
 """A driver that hangs longer than this is left behind."""
 
 
-class EndOfSource(Exception):  # noqa: N818
+class SourceEndedError(Exception):
     """A source has no more images, as at the end of a file.
 
     ``note`` is what a user should know of the end, ``missed`` how many images the source
@@ -85,7 +85,7 @@ class Source(ABC):
         ------
         SourceLostError
             If the device is gone.
-        EndOfSource
+        SourceEndedError
             If there will be no more images.
         """
 
@@ -225,7 +225,7 @@ class LiveSensor(Sensor):
                 shot = self._grab()
                 if shot is not None:
                     self._take(shot)
-        except EndOfSource as end:
+        except SourceEndedError as end:
             self._miss(end.missed)
             if str(end):
                 self.notes.append(str(end))

@@ -54,7 +54,8 @@ class Clip(ABC):
     def skip(self) -> bool:
         """Leave the next image out; return False at the end."""
 
-    def close(self) -> None:  # noqa: B027
+    @abstractmethod
+    def close(self) -> None:
         """Let go of what is held open."""
 
 
@@ -163,6 +164,9 @@ class ImageFolder(Clip):
             return False
         self._index += 1
         return True
+
+    def close(self) -> None:
+        """Each image is read whole: nothing is held open."""
 
 
 def _require_file(path: Path) -> None:

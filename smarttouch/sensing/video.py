@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import SensorError
 from smarttouch.profile import Profile
-from smarttouch.sensing.capture import STALE_S, EndOfSource, LiveSensor, Shot, Source
+from smarttouch.sensing.capture import STALE_S, LiveSensor, Shot, Source, SourceEndedError
 from smarttouch.sensing.clip import FASTEST_HZ, USUAL_HZ, Clip, ImageFolder, VideoFile
 from smarttouch.sensing.frame import Frame, Sensor
 from smarttouch.sensing.intake import Intake
@@ -123,7 +123,7 @@ class PacedClip(Source):
                 return None
         missed, self._missed = self._missed, 0
         if self._ahead is None:
-            raise EndOfSource(missed=missed)
+            raise SourceEndedError(missed=missed)
         shot = Shot(self._ahead, self._due_ns(), missed)
         self._ahead = None
         self._number += 1

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from smarttouch.errors import SensorError, SourceLostError
 from smarttouch.sensing import capture
-from smarttouch.sensing.capture import EndOfSource, LiveSensor, Shot, Source
+from smarttouch.sensing.capture import LiveSensor, Shot, Source, SourceEndedError
 from smarttouch.sensing.flat_field import FlatField
 
 SECOND = 1_000_000_000
@@ -38,7 +38,7 @@ class Script(Source):
 
     def grab(self, timeout_s):
         assert self.is_open
-        event = self.events.pop(0) if self.events else EndOfSource()
+        event = self.events.pop(0) if self.events else SourceEndedError()
         if isinstance(event, Exception):
             raise event
         return event() if callable(event) else event
@@ -135,7 +135,7 @@ def test_the_books_are_exact(profile, images, pauses, last_missed):
         partial(slow, shot(missed=missed)) if sleeps else shot(missed=missed)
         for missed, sleeps in images
     ]
-    sensor = LiveSensor(Script(*events, EndOfSource(missed=last_missed)), profile)
+    sensor = LiveSensor(Script(*events, SourceEndedError(missed=last_missed)), profile)
     read = set()
     with sensor:
         for pause in pauses:
@@ -183,7 +183,7 @@ def test_the_last_unread_image_is_read_once(profile):
     with LiveSensor(source, profile) as sensor:
         sensor.read(0)
         source.hand(shot(1))
-        source.hand(EndOfSource("clip.mp4 breaks off"))
+        source.hand(SourceEndedError("clip.mp4 breaks off"))
         until(lambda: sensor.notes)
         sensor._thread.join()
         assert sensor.read(0).number == 1

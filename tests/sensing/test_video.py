@@ -12,7 +12,7 @@ from PIL import Image
 
 from smarttouch.errors import SensorError
 from smarttouch.sensing import open_sensor
-from smarttouch.sensing.capture import EndOfSource
+from smarttouch.sensing.capture import SourceEndedError
 from smarttouch.sensing.clip import Clip
 from smarttouch.sensing.video import PacedClip
 
@@ -29,6 +29,9 @@ class Levels(Clip):
         self.skipped = []
 
     def open(self):
+        pass
+
+    def close(self):
         pass
 
     def next(self):
@@ -65,7 +68,7 @@ def paced(clip, clock):
     while True:
         try:
             shot = source.grab(0.1)
-        except EndOfSource as end:
+        except SourceEndedError as end:
             return shots, missed + end.missed
         if shot is not None:
             shots.append((int(shot.image[0, 0]), clock.now - 5 * SECOND, shot.taken_ns))
