@@ -21,6 +21,9 @@ _Overwrite = Annotated[bool, typer.Option("--overwrite", help="--output may be t
 _Yes = Annotated[bool, typer.Option("--yes", help="Ask nothing: everything is in place.")]
 _Simulate = Annotated[bool, typer.Option("--simulate", help="Walk through it without hardware.")]
 _Frames = Annotated[int, typer.Option(metavar="N", min=1, help="Frames to take the mean of.")]
+_SensorUrl = Annotated[
+    str | None, typer.Option(metavar="URL", help="camera:0, serial-array:PORT, ...")
+]
 _BoardUrl = Annotated[
     str,
     typer.Option(metavar="URL", help="emulator:, kajimoto61:PORT, etactilekit:PORT, link:PORT"),
@@ -30,9 +33,7 @@ _BoardUrl = Annotated[
 @calibrate.command()
 def optics(
     output: _Output,
-    sensor: Annotated[
-        str | None, typer.Option(metavar="URL", help="camera:0, serial-array:PORT, ...")
-    ] = None,
+    sensor: _SensorUrl = None,
     dark: Annotated[
         str | None, typer.Option(metavar="URL", help="Dark frames from here: frames:DIR, ...")
     ] = None,
@@ -80,9 +81,7 @@ def registration(
     output: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="The profile to write.")
     ] = None,
-    sensor: Annotated[
-        str | None, typer.Option(metavar="URL", help="camera:0, serial-array:PORT, ...")
-    ] = None,
+    sensor: _SensorUrl = None,
     target: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Write the target, to be printed.")
     ] = None,
@@ -201,7 +200,7 @@ def thresholds(
     import sys
 
     from smarttouch.boards.board import make_board, usual_profile
-    from smarttouch.calibrate.felt import filled, parse_electrodes, sentence
+    from smarttouch.calibrate.found import filled, parse_electrodes, sentence
     from smarttouch.calibrate.progress import Progress
     from smarttouch.calibrate.session import StoppedError
     from smarttouch.calibrate.stimulus import measuring_limits

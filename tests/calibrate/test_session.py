@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smarttouch.boards.memory import MemoryBoard
-from smarttouch.calibrate.felt import filled, parse_electrodes, sentence
+from smarttouch.calibrate.found import filled, parse_electrodes, sentence
 from smarttouch.calibrate.limits import TICK_S, Thresholds
 from smarttouch.calibrate.progress import Progress
 from smarttouch.calibrate.session import (
