@@ -15,6 +15,8 @@ HEARTBEAT_S = 0.03
 """Longest silence of the host: the board gives up after 0.1 s."""
 SILENCE_S = 0.5
 """Silence of the board, which speaks every 20 ms, after which it counts as gone."""
+LISTENED_S = 0.1
+"""Most that one read counts as silence: a read ends sooner, the rest is our own absence."""
 ANSWER_S = 1.0
 AGAIN_S = 0.25
 """After which a question, or a sequence that has no ACK, is sent again."""
@@ -61,7 +63,7 @@ class LinkLine:
         self._closing.clear()
         self.fault, self.overtaken = None, False
         self._answers.clear()
-        self._last_heard = self._last_written = time.monotonic()
+        self._last_written = time.monotonic()
         self._threads = [
             threading.Thread(target=self._read_all, name="board reader", daemon=True),
             threading.Thread(target=self._keep_alive, name="board heartbeat", daemon=True),
@@ -149,6 +151,7 @@ class LinkLine:
 
     def _read_all(self) -> None:
         deframer = Deframer()
+        silent_s, now = 0.0, time.monotonic()
         while not self._closing.is_set():
             try:
                 assert self._port is not None
@@ -157,13 +160,15 @@ class LinkLine:
                 if not self._closing.is_set():
                     self.fail(self.lost(f"has vanished ({reason(error)})"))
                 return
+            before, now = now, time.monotonic()
+            silent_s += min(now - before, LISTENED_S)
             for packet in deframer.feed(data):
-                self._last_heard = time.monotonic()
+                silent_s = 0.0
                 with self.news:
                     if not self._hear(packet):
                         self._answers[packet.kind] = packet
                     self.news.notify_all()
-            if time.monotonic() - self._last_heard > SILENCE_S:
+            if silent_s > SILENCE_S:
                 self.fail(self.lost(f"has been silent for {SILENCE_S:g} s"))
                 return
 

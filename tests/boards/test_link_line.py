@@ -1,0 +1,60 @@
+"""The line to a ``link`` board: whose silence counts."""
+
+import time
+
+import pytest
+
+from smarttouch.boards import link_protocol as protocol
+from smarttouch.boards.link_line import SILENCE_S, LinkLine
+from smarttouch.boards.link_protocol import Kind
+from smarttouch.errors import LineLostError
+
+ALIVE = protocol.encode(Kind.ALIVE, 0, protocol.ALIVE.pack(0))
+
+
+class Port:
+    """Plays each piece once, then the last for ever; a number is a read that took so long."""
+
+    def __init__(self, *pieces):
+        self.pieces, self.in_waiting = list(pieces), 0
+
+    def read(self, _):
+        piece = self.pieces.pop(0) if len(self.pieces) > 1 else self.pieces[0]
+        time.sleep(0.02 if isinstance(piece, bytes) else piece)
+        return piece if isinstance(piece, bytes) else b""
+
+    def write(self, _):
+        pass
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def listen():
+    """Return a maker of lines to a port that plays pieces."""
+    lines = []
+
+    def start(*pieces):
+        line = LinkLine("here", lambda packet: True, lambda: "")
+        line.open(Port(*pieces))
+        lines.append(line)
+        return line
+
+    yield start
+    for line in lines:
+        line.close()
+
+
+def test_our_own_absence_is_not_the_boards_silence(listen):
+    line = listen(ALIVE, 2 * SILENCE_S, b"", ALIVE)
+    time.sleep(3 * SILENCE_S)
+    line.raise_fault()
+
+
+@pytest.mark.parametrize("noise", [b"", b"nothing whole"])
+def test_a_board_that_says_nothing_is_gone(listen, noise):
+    line = listen(ALIVE, noise)
+    time.sleep(2 * SILENCE_S)
+    with pytest.raises(LineLostError, match=r"silent for 0\.5 s"):
+        line.raise_fault()
