@@ -17,6 +17,18 @@ class SourceLostError(SensorError):
     """A sensor is gone that was there; it may come back."""
 
 
+class PageError(SmartTouchError):
+    """A page or document cannot be read, or shows nothing that could be."""
+
+
+class BrailleError(SmartTouchError):
+    """A text cannot be put into Braille, or cells not into text."""
+
+
+class ReadingError(SmartTouchError):
+    """What was asked cannot be read with a fingertip, or not by machine."""
+
+
 class CalibrationError(SmartTouchError):
     """A calibration cannot be done, or what it measured makes no sense."""
 

@@ -11,10 +11,10 @@ from smarttouch.errors import SmartTouchError
 from smarttouch.live import Sent
 from smarttouch.modes.bank import KernelBank
 from smarttouch.mosaic import Mosaic
+from smarttouch.pages.page_image import Page
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.sensing.frame import Pose
-from smarttouch.sensing.pages.page_image import Page
 
 FINEST_MM = 0.1
 """Finest dot of the picture, on the page."""

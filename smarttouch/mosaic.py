@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import SmartTouchError
+from smarttouch.pages.page_image import Page
 from smarttouch.profile import Optics
 from smarttouch.sensing.frame import Frame
-from smarttouch.sensing.pages.page_image import Page
 
 PIXEL_MM = 0.1
 LARGEST_PIXELS = 40_000_000

@@ -9,11 +9,11 @@ from PIL import Image
 from smarttouch.errors import SmartTouchError
 from smarttouch.felt import FeltImage
 from smarttouch.live import Sent
+from smarttouch.pages.page_image import Page
 from smarttouch.pipeline import Step
 from smarttouch.primary import Mode, Primary
 from smarttouch.scan.sequence import ScanSequence
 from smarttouch.sensing.frame import Frame, Pose
-from smarttouch.sensing.pages.page_image import Page
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ import pytest
 
 from smarttouch.errors import SmartTouchError
 from smarttouch.mosaic import Mosaic
+from smarttouch.pages.page_image import print_text
 from smarttouch.sensing.frame import Frame, Pose
-from smarttouch.sensing.pages.page import PageSensor
-from smarttouch.sensing.pages.page_image import print_text
+from smarttouch.sensing.page import PageSensor
 
 
 class Still:

@@ -21,10 +21,10 @@ import cv2
 import numpy as np
 import pytest
 
+from smarttouch.pages.page_image import load_page
 from smarttouch.profile import load_profile
 from smarttouch.resources import data_folder
-from smarttouch.sensing.pages.page import PageSensor
-from smarttouch.sensing.pages.page_image import load_page
+from smarttouch.sensing.page import PageSensor
 
 SECONDS = float(os.environ.get("SMARTTOUCH_LIVE_SECONDS", "60"))
 CYCLE = 150

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from smarttouch.pages.page_image import load_page
 from smarttouch.resources import data_folder
 from smarttouch.sensing.motion import MotionTracker, page_per_pixel
-from smarttouch.sensing.pages.page import PageSensor
-from smarttouch.sensing.pages.page_image import load_page
+from smarttouch.sensing.page import PageSensor
 
 FIELD_MM = 5.0
 

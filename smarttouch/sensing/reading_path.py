@@ -8,10 +8,10 @@ from typing import Protocol
 import numpy as np
 
 from smarttouch.errors import SensorError
+from smarttouch.pages.page_image import Page
+from smarttouch.pages.text_lines import TextLine, find_lines
 from smarttouch.profile import Profile
 from smarttouch.sensing.frame import Pose
-from smarttouch.sensing.pages.page_image import Page
-from smarttouch.sensing.pages.text_lines import TextLine, find_lines
 
 RETURN_MM_S = 200.0
 """Speed of the lifted finger on its way to the next line."""

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.pages.page_image import Page, load_page, print_text
 from smarttouch.profile import Profile
 from smarttouch.sensing.frame import Frame, Sensor
-from smarttouch.sensing.pages.page_image import Page, load_page, print_text
-from smarttouch.sensing.pages.reading_path import Path2D, ReadingPath, RecordedPath
+from smarttouch.sensing.reading_path import Path2D, ReadingPath, RecordedPath
 
 OVERSAMPLING = 2
 """Samples per pixel and axis; their mean is the pixel's aperture."""

@@ -5,11 +5,11 @@ import pytest
 from PIL import Image
 
 from smarttouch.errors import SensorError
+from smarttouch.pages.page_image import Page
 from smarttouch.resources import data_folder
 from smarttouch.sensing import open_sensor
 from smarttouch.sensing.frame import Sensor
-from smarttouch.sensing.pages.page import PageSensor
-from smarttouch.sensing.pages.page_image import Page
+from smarttouch.sensing.page import PageSensor
 
 TEN_MS = 10_000_000
 HEADER = "time_s,x_mm,y_mm,angle_deg,force_n\n"

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from skimage import data
 
 from smarttouch.errors import SensorError
-from smarttouch.sensing.pages.page_image import Page, print_text
-from smarttouch.sensing.pages.reading_path import ReadingPath, RecordedPath
-from smarttouch.sensing.pages.text_lines import find_lines
+from smarttouch.pages.page_image import Page, print_text
+from smarttouch.pages.text_lines import find_lines
+from smarttouch.sensing.reading_path import ReadingPath, RecordedPath
 
 HEADER = "time_s,x_mm,y_mm,angle_deg,force_n\n"
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.sensing.pages.page_image import Page
+from smarttouch.pages.page_image import Page
 
 _PIXEL_MM = 0.2
 """Resolution at which lines are looked for."""

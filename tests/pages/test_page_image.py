@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from smarttouch.errors import SensorError
-from smarttouch.sensing.pages.page_image import load_page, print_text
+from smarttouch.errors import PageError
+from smarttouch.pages.page_image import load_page, print_text
 
 
 @pytest.fixture
@@ -92,12 +92,12 @@ def test_bad_files(tmp_path, content, words):
     path = tmp_path / "page.png"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(SensorError, match=words):
+    with pytest.raises(PageError, match=words):
         load_page(path, dpi=300)
 
 
 def test_a_folder(tmp_path):
-    with pytest.raises(SensorError, match="is a folder"):
+    with pytest.raises(PageError, match="is a folder"):
         load_page(tmp_path)
 
 
@@ -116,7 +116,7 @@ def test_a_folder(tmp_path):
 def test_bad_scales(picture, tmp_path, options, words):
     path = tmp_path / "page.png"
     picture.save(path)
-    with pytest.raises(SensorError, match=words) as caught:
+    with pytest.raises(PageError, match=words) as caught:
         load_page(path, **options)
     assert "\n" not in str(caught.value)
 
@@ -125,7 +125,7 @@ def test_bad_scales(picture, tmp_path, options, words):
 def test_no_bytes_crash_the_loader(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("fuzz") / "page.png"
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + data)
-    with pytest.raises(SensorError):
+    with pytest.raises(PageError):
         load_page(path, dpi=300)
 
 
@@ -138,5 +138,5 @@ def test_printed_text():
 
 @pytest.mark.parametrize("text", ["", "  ", "\n\n"])
 def test_nothing_to_print(text):
-    with pytest.raises(SensorError, match="nothing to print"):
+    with pytest.raises(PageError, match="nothing to print"):
         print_text(text)

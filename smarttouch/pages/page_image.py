@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont, ImageOps, UnidentifiedImageError
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import PageError
 
 MOST_PIXELS = 100_000_000
 FEWEST_PIXELS = 8
@@ -68,11 +68,11 @@ def load_page(path: Path, dpi: float | None = None, page_width_mm: float | None 
 
     Raises
     ------
-    SensorError
+    PageError
         If there is no such page, or no way to know its size.
     """
     if dpi is not None and page_width_mm is not None:
-        raise SensorError("--dpi and --page-width-mm both given: one of them is enough")
+        raise PageError("--dpi and --page-width-mm both given: one of them is enough")
     try:
         with warnings.catch_warnings():
             # Pillow warns of large images before we have looked at the size ourselves.
@@ -82,19 +82,19 @@ def load_page(path: Path, dpi: float | None = None, page_width_mm: float | None 
                 stated = image.info.get("dpi")
                 grey = _to_grey(image)
     except FileNotFoundError:
-        raise SensorError(f"no file {path}: check its name") from None
+        raise PageError(f"no file {path}: check its name") from None
     except IsADirectoryError:
-        raise SensorError(f"{path} is a folder: give an image file") from None
+        raise PageError(f"{path} is a folder: give an image file") from None
     except Image.DecompressionBombError:
-        raise SensorError(
+        raise PageError(
             f"{path} is above {MOST_PIXELS // 10**6} megapixels: make it smaller first"
         ) from None
     except UnidentifiedImageError:
-        raise SensorError(
+        raise PageError(
             f"{path} is not an image that can be read: give a PNG, JPEG or TIFF"
         ) from None
     except (OSError, SyntaxError, ValueError, EOFError) as error:
-        raise SensorError(f"{path} cannot be read: {error}") from None
+        raise PageError(f"{path} cannot be read: {error}") from None
     return Page(grey, _scale(path, grey.shape[1], grey.shape[0], dpi, page_width_mm, stated))
 
 
@@ -103,17 +103,17 @@ def print_text(text: str) -> Page:
 
     Raises
     ------
-    SensorError
+    PageError
         If there is nothing to print.
     """
     lines = [line for part in text.splitlines() for line in textwrap.wrap(part, _COLUMNS) or [""]]
     if not any(line.strip() for line in lines):
-        raise SensorError("text: has nothing to print: give some words after the colon")
+        raise PageError("text: has nothing to print: give some words after the colon")
     per_mm = PRINT_DPI / _INCH_MM
     font = ImageFont.load_default(size=_LINE_MM * per_mm * 1.26)
     height_mm = 2 * _MARGIN_MM + (len(lines) - 1) * _LINE_STEP_MM + _LINE_MM
     if height_mm > LARGEST_MM:
-        raise SensorError(
+        raise PageError(
             f"the text has {len(lines)} lines, a page of {height_mm:.0f} mm: shorten it"
         )
     sheet = Image.new("L", (round(_PRINT_WIDTH_MM * per_mm), round(height_mm * per_mm)), 255)
@@ -127,12 +127,12 @@ def print_text(text: str) -> Page:
 def _require_size(path: Path, size: tuple[int, int]) -> None:
     width, height = size
     if width * height > MOST_PIXELS:
-        raise SensorError(
+        raise PageError(
             f"{path} has {width} x {height} pixels, above the limit of "
             f"{MOST_PIXELS // 10**6} megapixels: make it smaller first"
         )
     if min(size) < FEWEST_PIXELS:
-        raise SensorError(
+        raise PageError(
             f"{path} has {width} x {height} pixels: a page needs at least "
             f"{FEWEST_PIXELS} x {FEWEST_PIXELS}"
         )
@@ -167,20 +167,20 @@ def _scale(
 ) -> float:
     if dpi is not None:
         if not 0 < dpi < float("inf"):
-            raise SensorError(f"--dpi {dpi:g} must be above 0")
+            raise PageError(f"--dpi {dpi:g} must be above 0")
         scale = _INCH_MM / dpi
     elif page_width_mm is not None:
         if not 0 < page_width_mm < float("inf"):
-            raise SensorError(f"--page-width-mm {page_width_mm:g} must be above 0")
+            raise PageError(f"--page-width-mm {page_width_mm:g} must be above 0")
         scale = page_width_mm / width
     else:
         own = float(stated[0]) if isinstance(stated, tuple) else 0.0
         if not own >= _LEAST_BELIEVED_DPI or own == 72:
-            raise SensorError(f"{path} does not say how large it is: give --dpi or --page-width-mm")
+            raise PageError(f"{path} does not say how large it is: give --dpi or --page-width-mm")
         scale = _INCH_MM / own
     width_mm, height_mm = width * scale, height * scale
     if max(width_mm, height_mm) > LARGEST_MM or min(width_mm, height_mm) < SMALLEST_MM:
-        raise SensorError(
+        raise PageError(
             f"{path} would be {width_mm:.4g} x {height_mm:.4g} mm: give a --dpi or "
             f"--page-width-mm that makes it {SMALLEST_MM:g} to {LARGEST_MM:g} mm"
         )
