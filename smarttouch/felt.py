@@ -12,6 +12,7 @@ from smarttouch.live import Sent
 from smarttouch.modes.bank import KernelBank
 from smarttouch.mosaic import Mosaic
 from smarttouch.pages.page_image import Page
+from smarttouch.perception import Perception
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.sensing.frame import Pose
@@ -23,18 +24,15 @@ FINEST_MM = 0.1
 class FeltImage:
     """Puts delivered pulses back together at the finger poses of their frames.
 
-    Each delivered slot activates the receptors under the electrodes; how much
-    is the activating function at their nodes. An answer counts from the
-    detection threshold on, and is 1 at the strongest comfortable pulse. At
-    every place of the page the picture shows the mean over the electrodes
-    that passed it.
+    At every place of the page the picture shows the mean answer (`Perception`)
+    over the electrodes that passed it.
 
     Parameters
     ----------
     profile : Profile
         Array, thresholds and magnification.
     bank : KernelBank
-        Its kernels, for what a full pulse does, and its receptors.
+        Its kernels and receptors.
     primaries : tuple of Primary
         Whose receptors are asked; of several the one that answers most counts.
     page : Page, optional
@@ -44,19 +42,12 @@ class FeltImage:
     def __init__(
         self, profile: Profile, bank: KernelBank, primaries: tuple[Primary, ...], page: Page | None
     ) -> None:
-        self._given, self._primaries, self._pulse = page, primaries, profile.pulse
+        self._given, self._primaries = page, primaries
+        self._perception = Perception(profile, bank, primaries)
         self._mosaic = Mosaic(profile.optics)
         electrodes, magnification = profile.electrodes, profile.optics.magnification
         self._position_mm = electrodes.position_mm / magnification
         self._cell_mm = tuple(side / magnification for side in electrodes.cell_mm)
-        full_ua = profile.full_ma * 1000
-        self._receptors = []
-        for primary in primaries:
-            receptor = bank.receptor[primary]
-            full = full_ua * (receptor * bank.kernels(primary)).sum(axis=1)
-            # Masked sites have no kernel: nothing is felt there.
-            self._receptors.append((receptor.T, np.where(full > 0, full, np.inf)))
-        self._threshold = profile.threshold_ma / profile.full_ma
         self._poses: dict[int, Pose] = {}
 
     def watch(self, sent: Sent) -> None:
@@ -72,26 +63,9 @@ class FeltImage:
         width_us: NDArray[np.float32],
         current_ua: NDArray[np.int16],
     ) -> None:
-        """Add delivered slots.
-
-        Parameters
-        ----------
-        numbers : ndarray, (N,)
-            The sequence each slot belongs to.
-        width_us : ndarray, (N,), µs
-            How long it lasted: by Weiss's law a shorter pulse does less.
-        current_ua : ndarray, (N, E) int16, µA
-            Delivered current, positive cathodic.
-        """
+        """Add delivered slots, as `Perception.answers` takes them."""
         self._lay_out()
-        chronaxie_us, full_us = self._pulse.chronaxie_us, self._pulse.width_us
-        strength = (1 + chronaxie_us / full_us) / (1 + chronaxie_us / np.maximum(width_us, 1))
-        current = current_ua * strength[:, None].astype(np.float32)
-        activation = np.maximum.reduce([current @ axons / full for axons, full in self._receptors])
-        answers = np.clip((activation - self._threshold) / (1 - self._threshold), 0, 1)
-        starts = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
-        strongest = np.maximum.reduceat(answers, starts, axis=0) if len(starts) else answers
-        by_number = dict(zip(numbers[starts].tolist(), strongest, strict=True))
+        by_number = self._perception.answers(numbers, width_us, current_ua)
         silent = np.zeros(len(self._position_mm), np.float32)
         for number, pose in self._poses.items():
             self._add(pose, by_number.get(number, silent))
@@ -144,7 +118,7 @@ class FeltImage:
         font = ImageFont.load_default(17)
         what = "The page, as it lies under the finger"
         if self._given is None:
-            what = "What the sensor saw, put together by its own motion"
+            what = "What passed under the finger, put together"
         names = " and ".join(each.name for each in self._primaries)
         rows = (
             (self._page.grey, what),

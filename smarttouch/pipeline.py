@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import SmartTouchError
-from smarttouch.imaging.mapping import TactileMapper
+from smarttouch.imaging.mapping import TactileMapper, Tone
 from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.modes.bank import KernelBank
 from smarttouch.primary import Mode
@@ -73,6 +73,8 @@ class Pipeline:
         What the board fixes about the time of a scan.
     softness : float, in [0, 1], optional
         How little the rate of SAI pulses follows force; the profile's own if not given.
+    tone : Tone, optional
+        How ink becomes activation; as for frames of a sensor if not given.
     """
 
     def __init__(
@@ -84,10 +86,11 @@ class Pipeline:
         light_on_dark: bool = False,
         timing: ScanTiming | None = None,
         softness: float | None = None,
+        tone: Tone | None = None,
     ) -> None:
-        self._settings = (profile, bank, mode, rate_hz, light_on_dark, timing, softness)
+        self._settings = (profile, bank, mode, rate_hz, light_on_dark, timing, softness, tone)
         self._profile = profile
-        self._mapper = TactileMapper(profile, light_on_dark)
+        self._mapper = TactileMapper(profile, light_on_dark, tone)
         self._soft_start = SoftStart(profile.limits.ramp_s)
         self._restarted = True
         self._scans: dict[Mode, PointScan] = {}
@@ -117,7 +120,7 @@ class Pipeline:
 
     def _scan(self, mode: Mode) -> PointScan:
         if mode not in self._scans:
-            profile, bank, _, rate_hz, _, timing, softness = self._settings
+            profile, bank, _, rate_hz, _, timing, softness, _ = self._settings
             # A rate asked for in one mode is not for the two of natural mode.
             natural = mode is Mode.NATURAL and bool(self._scans)
             self._scans[mode] = PointScan(

@@ -112,6 +112,8 @@ class Board(ABC):
     usual_profile: ClassVar[str] = DEFAULT_PROFILE
     """The shipped profile of such a board."""
     takes_wiring: ClassVar[bool] = False
+    waits_for_nothing: ClassVar[bool] = False
+    """Whether its time is a simulated one, that need not be waited for."""
     ua_per_count: float | None = None
     """Its current scale, if it has one that can be measured."""
     timing: ScanTiming = ScanTiming()

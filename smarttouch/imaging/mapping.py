@@ -1,6 +1,10 @@
 """Frame to tactile image: binarize, then average under every electrode."""
 
+from dataclasses import dataclass
+
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from smarttouch.imaging.binarize import Binarizer
 from smarttouch.imaging.natural import NaturalDrive
@@ -16,6 +20,36 @@ FULLEST_INK = 0.5
 """Part of a cell from which it is felt in full."""
 
 
+@dataclass(frozen=True)
+class Tone:
+    """How ink under an electrode becomes activation.
+
+    Attributes
+    ----------
+    faintest : float, in [0, 1]
+        Part of a cell that must be ink before it is felt at all.
+    fullest : float, in [0, 1]
+        Part of a cell from which it is felt in full; where it is ``faintest``,
+        electrodes are on or off.
+    prepared : bool
+        Frames are ink on pure white already: nothing is thresholded.
+    """
+
+    faintest: float = FAINTEST_INK
+    fullest: float = FULLEST_INK
+    prepared: bool = False
+
+    def apply(self, ink: NDArray[np.float32]) -> None:
+        """Turn the ink under each electrode into activation, in place."""
+        if self.fullest > self.faintest:
+            ink -= self.faintest
+            ink *= 1 / (self.fullest - self.faintest)
+            np.clip(ink, 0, 1, out=ink)
+        else:
+            # A cell that is just so full, but for what a sum of single precision leaves over.
+            np.greater_equal(ink, self.faintest - 1e-4, out=ink, casting="unsafe")
+
+
 class TactileMapper:
     """Turns frames into tactile images.
 
@@ -25,11 +59,16 @@ class TactileMapper:
         Array and optics.
     light_on_dark : bool
         For light print on dark paper.
+    tone : Tone, optional
+        How ink becomes activation.
     """
 
-    def __init__(self, profile: Profile, light_on_dark: bool = False) -> None:
+    def __init__(
+        self, profile: Profile, light_on_dark: bool = False, tone: Tone | None = None
+    ) -> None:
         self._profile = profile
         self._light_on_dark = light_on_dark
+        self._tone = tone or Tone()
         self._natural = NaturalDrive(len(profile.electrodes))
         self._prepare((profile.optics.sensor_rows, profile.optics.sensor_columns))
 
@@ -37,23 +76,26 @@ class TactileMapper:
         profile = self._profile
         self._registration = Registration(profile.electrodes, profile.optics, shape)
         self._binarizer = Binarizer(self._registration.working_shape, self._light_on_dark)
+        self._inverted = np.empty(self._registration.working_shape, np.uint8)
 
     def map(self, frame: Frame, mode: Mode) -> TactileImage:
         """Return what each electrode should let the finger feel, in the rows that a mode drives.
 
-        Activation rises with the part of the electrode's cell that is ink,
-        from `FAINTEST_INK` to `FULLEST_INK`: graded edges carry more of a
-        letter's shape than cells that are on or off.
+        Activation rises with the part of the electrode's cell that is ink, as
+        the tone has it: graded edges carry more of a letter's shape than cells
+        that are on or off.
         """
         if frame.image.shape != self._registration.frame_shape:
             self._prepare((frame.image.shape[0], frame.image.shape[1]))
         touching = frame.force_n >= self._profile.force.contact_n
         reduced = self._registration.reduce(frame.image)
-        ink = self._registration.sample(self._binarizer.ink(reduced, frame.time_ns, touching))
+        if self._tone.prepared:
+            inked = np.asarray(cv2.bitwise_not(reduced, dst=self._inverted), np.uint8)
+        else:
+            inked = self._binarizer.ink(reduced, frame.time_ns, touching)
+        ink = self._registration.sample(inked)
         activation = np.zeros((len(Primary), len(ink)), np.float32)
-        ink -= FAINTEST_INK
-        ink *= 1 / (FULLEST_INK - FAINTEST_INK)
-        np.clip(ink, 0, 1, out=ink)
+        self._tone.apply(ink)
         if mode is Mode.NATURAL:
             self._natural.drive(activation, ink, frame.time_ns, touching)
         else:

@@ -1,7 +1,6 @@
 """A recording as a sensor: what was seen and how hard the finger pressed, once more."""
 
 from pathlib import Path
-from typing import ClassVar
 
 from smarttouch.errors import SensorError
 from smarttouch.profile import Profile
@@ -39,7 +38,7 @@ class RecordingSensor(Sensor):
         Give the next step at each look, however long that takes.
     """
 
-    knows_force: ClassVar[bool] = True
+    knows_force = True
 
     def __init__(self, recording: Recording, unpaced: bool = False) -> None:
         super().__init__(recording.path.name)

@@ -1,6 +1,7 @@
 """What every sensor delivers, and the contract of a sensor."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -63,12 +64,21 @@ class Sensor(Device, ABC):
 
     duration_s: float | None = None
     """How long it lasts; None if it never ends by itself."""
-    knows_force: ClassVar[bool] = False
+    ended: ClassVar[str] = "the sensor has ended"
+    """What its end is called."""
+    keys_help: ClassVar[str] = ""
+    """What its keys are for, a few words."""
+    knows_force: bool = False
     """Whether its frames tell how hard the finger presses."""
     frames: int = 0
     """Frames that its source delivered."""
     dropped_frames: int = 0
     """Frames that came but were never read."""
+
+    @property
+    def keys(self) -> Mapping[str, Callable[[], None]]:
+        """What single keys do to it while it is felt; called from any thread."""
+        return {}
 
     @abstractmethod
     def read(self, time_ns: int) -> Frame | None:

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.pages.page_image import Page, load_page, print_text
+from smarttouch.pages.page_image import Page, load_page
+from smarttouch.pages.printed_text import print_text
 from smarttouch.profile import Profile
 from smarttouch.sensing.frame import Frame, Sensor
 from smarttouch.sensing.reading_path import Path2D, ReadingPath, RecordedPath
@@ -80,6 +81,7 @@ class PageSensor(Sensor):
         For light print on dark paper.
     """
 
+    ended = "end of the page"
     knows_force = True
 
     def __init__(

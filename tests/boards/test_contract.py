@@ -289,3 +289,33 @@ class TestMemory(Contract):
             board.send(self.sequence(0), times=1000)
             board.send(self.sequence(1))
             assert len(board.sequences) == 2
+
+
+class TestSimulated(TestMemory):
+    """In this process too, but what it tells of is what its firmware let flow."""
+
+    @pytest.fixture
+    def url(self):
+        return "simulated:"
+
+    def check_delivered(self, kind):
+        numbers, width_us, current_ua = self.board.take_pulses()
+        planned = np.tile(self.sequence(1).current_ua, (4, 1))
+        assert numbers.tolist() == [number for number in (2, 3, 4, 5) for _ in range(4)]
+        assert (width_us == self.width_us).all()
+        np.testing.assert_array_equal(np.sign(current_ua), np.sign(planned))
+        if kind == "weighted":
+            np.testing.assert_array_equal(current_ua, planned)
+        assert len(self.board.take_pulses()[0]) == 0
+
+    def assert_silent(self):
+        assert self.board.report().slots <= 4000
+        assert self.board._firmware.books.state == "shorted"
+
+    def test_a_newer_sequence_ends_a_repetition(self, make_board):
+        # Its time passes within a send: nothing newer can come before the end.
+        with make_board() as board:
+            board.send(self.sequence(0))
+            board.send(self.sequence(1), times=10)
+            board.send(self.sequence(2, sites=[5]))
+            assert board.report().slots == 41

@@ -13,6 +13,7 @@ import numpy as np
 from smarttouch import __version__
 from smarttouch.boards.kajimoto61 import Kajimoto61Board
 from smarttouch.boards.memory import MemoryBoard
+from smarttouch.clock import SimulatedClock
 from smarttouch.controls import Controls, StopRequest, Wish
 from smarttouch.errors import LineLostError
 from smarttouch.live import run
@@ -75,19 +76,6 @@ GOLDENS = (
         light_on_dark=True, lost_at=14,
     ),
 )  # fmt: skip
-
-
-class Clock:
-    """Time that passes only when someone waits."""
-
-    def __init__(self):
-        self.time_ns = 0
-
-    def now_ns(self):
-        return self.time_ns
-
-    def wait_until(self, deadline_ns, _stop):
-        self.time_ns = max(self.time_ns, deadline_ns)
 
 
 class Held(Sensor):
@@ -183,7 +171,8 @@ def make(golden, path):
     with open_sensor(f"text:{golden.text}", profile) as page, board:
         run(
             Held(page, golden), pipeline, board, stop=StopRequest(), tally=Tally(),
-            seconds=golden.seconds, controls=Script(golden), regulator=regulator, clock=Clock(),
+            seconds=golden.seconds, controls=Script(golden), regulator=regulator,
+            clock=SimulatedClock(),
             tell=recorder.event,
             observers=[
                 lambda sent: recorder.record(replace(sent, work_us=0.0), board.acknowledged, 0)

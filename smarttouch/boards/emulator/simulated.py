@@ -1,0 +1,157 @@
+"""The emulated board without a process and without waiting: its time passes as it is sent to."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.boards import link_protocol as protocol
+from smarttouch.boards.board import Board, BoardReport, Capabilities
+from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.link import LinkFirmware
+from smarttouch.boards.emulator.rules import MAX_CURRENT_UA, MAX_SLOTS
+from smarttouch.boards.emulator.skin import Delivered
+from smarttouch.boards.link_protocol import Kind
+from smarttouch.boards.link_sequence import encode_sequence
+from smarttouch.errors import BoardError
+from smarttouch.profile.device import Output
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.scan.sequence import ScanSequence
+from smarttouch.wire.framing import Deframer
+
+_BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2
+
+Pulses = tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]
+"""Sequence of each slot (N,), its width (N,) µs, and what flowed (N, E) µA, positive cathodic."""
+
+
+@dataclass
+class _KeptBooks(Books):
+    """Books that keep every pulse at hand until it is taken."""
+
+    _kept: list[tuple[int, float, NDArray[np.int16]]] = field(default_factory=list, repr=False)
+
+    def enter(
+        self,
+        number: int,
+        slot: int,
+        site: int,
+        delivered: Delivered,
+        width_us: float,
+        residual_uc: NDArray[np.float64],
+        time_us: float,
+        *,
+        more: bool = False,
+    ) -> None:
+        super().enter(number, slot, site, delivered, width_us, residual_uc, time_us, more=more)
+        self._kept.append((number, width_us, np.rint(delivered.current_ua).astype(np.int16)))
+
+    def take(self) -> Pulses:
+        kept, self._kept = self._kept, []
+        current_ua = np.array([each for _, _, each in kept], np.int16)
+        return (
+            np.array([number for number, _, _ in kept], np.uint32),
+            np.array([width for _, width, _ in kept], np.float32),
+            current_ua.reshape(len(kept), self.electrodes),
+        )
+
+
+class SimulatedBoard(Board):
+    """Speaks the bytes of ``link`` to its emulated firmware, in one thread: ``simulated:``.
+
+    What goes over the wire, what the firmware checks and what the skin model
+    does are those of ``emulator:``. Only time is not: a sequence is over as
+    soon as it has been computed, so long texts need not be waited for.
+
+    Parameters
+    ----------
+    rest : str
+        Nothing comes after the colon.
+    limits : SafetyLimits
+        Of the finger's profile.
+    output : Output, optional
+        What the emulated board can do; weighted if not given.
+    """
+
+    waits_for_nothing = True
+
+    def __init__(
+        self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
+    ) -> None:
+        super().__init__(limits, output)
+        if rest:
+            raise BoardError(f"simulated: takes nothing after the colon, not {rest!r}")
+        self._kind = "weighted" if output is None else output.kind
+        self.capabilities = Capabilities(
+            electrodes=limits.electrodes,
+            output=self._kind,
+            max_current_ma=MAX_CURRENT_UA / 1000,
+            max_slots=MAX_SLOTS,
+            time_to_zero_ms=protocol.SILENCE_MS,
+            firmware="simulated",
+        )
+
+    def take_pulses(self) -> Pulses:
+        """Return all that has flowed since the last call."""
+        return self._books.take()
+
+    def _open(self) -> None:
+        self._books = _KeptBooks(self._gate.limits.electrodes)
+        self._firmware = LinkFirmware(self._books.electrodes, self._kind, self._books)
+        self._deframer = Deframer()
+        self._now_ns = self._number = 0
+        self._say(protocol.encode(Kind.HELLO))
+
+    def _send(self, sequence: ScanSequence, times: int) -> int:
+        self._number += 1
+        packet = encode_sequence(
+            self._number,
+            self._kind,
+            sequence.period_us,
+            sequence.width_us,
+            sequence.discharge_us,
+            sequence.site,
+            sequence.current_ua,
+            times,
+            False,
+        )
+        self._say(packet)
+        self._wait(sequence.period_us * times * 1000)
+        return self._number
+
+    def _say(self, packet: bytes) -> None:
+        for answer in self._deframer.feed(self._firmware.feed(packet, self._now_ns)):
+            if answer.kind == Kind.ACK:
+                self.acknowledged += 1
+            elif answer.kind == Kind.NAK:
+                self.refused += 1
+                words = answer.payload[1:].decode("utf-8", "replace")
+                raise BoardError(f"the simulated board refused sequence {answer.number}: {words}")
+
+    def _wait(self, time_ns: int) -> None:
+        """Let time pass, and the board know that its host is there."""
+        end_ns = self._now_ns + time_ns
+        while self._now_ns < end_ns:
+            self._now_ns = min(end_ns, self._now_ns + _BEAT_NS)
+            self._say(protocol.encode(Kind.HEARTBEAT))
+
+    def drain(self, timeout_s: float = 1.0) -> None:
+        """Nothing waits here: what is sent is over."""
+
+    def report(self) -> BoardReport:
+        books = self._books
+        return BoardReport(
+            books.sequences,
+            books.slots,
+            books.pulses,
+            books.violations,
+            books.max_current_ma,
+            books.max_charge_uc,
+            books.max_net_charge_uc,
+        )
+
+    def _stop(self) -> None:
+        self._say(protocol.encode(Kind.STOP))
+
+    def _close(self) -> None: ...

@@ -1,0 +1,129 @@
+"""What the electrodes do, step by step, as pictures, a film, or numbers for other programs."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from smarttouch.errors import SmartTouchError
+from smarttouch.live import Sent
+from smarttouch.profile import Profile
+
+_PITCH_PIXELS = 24
+_SMALLEST_PIXELS = 6
+_LARGEST_PICTURE = 480
+_DIGITS = 3
+FORMATS = ".gif, .json, or the name of a folder for PNG files"
+
+
+class PatternFile:
+    """Keeps the activation of each step of a run and writes all of them.
+
+    Parameters
+    ----------
+    path : Path
+        A file that ends in ``.gif`` or ``.json``, else a folder of PNG files.
+    profile : Profile
+        Where the electrodes are.
+
+    Raises
+    ------
+    SmartTouchError
+        If it is another kind of file, or there is something in the folder.
+    """
+
+    def __init__(self, path: Path, profile: Profile) -> None:
+        if path.suffix not in ("", ".gif", ".json"):
+            raise SmartTouchError(f"cannot write {path}: give {FORMATS}")
+        if not path.suffix and path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise SmartTouchError(f"{path} is there and not empty: give another folder")
+        self._path, self._profile = path, profile
+        self._activation: list[NDArray[np.uint8]] = []
+        self._period_us: list[int] = []
+
+    def watch(self, sent: Sent) -> None:
+        """Keep a step: what is felt, so nothing where there is no current."""
+        tactile, sequence = sent.step.tactile, sent.step.sequence
+        felt = tactile.activation.max(axis=0) * (sequence.intensity > 0)
+        self._activation.append(np.rint(255 * felt).astype(np.uint8))
+        self._period_us.append(sequence.period_us)
+
+    def save(self) -> None:
+        """Write them.
+
+        Raises
+        ------
+        SmartTouchError
+            If there are none, or they cannot be written.
+        """
+        if not self._activation:
+            raise SmartTouchError("nothing was felt: there is nothing to write")
+        try:
+            {".gif": self._save_film, ".json": self._save_numbers, "": self._save_pictures}[
+                self._path.suffix
+            ]()
+        except OSError as error:
+            raise SmartTouchError(f"cannot write {self._path}: {error.strerror or error}") from None
+
+    def _save_numbers(self) -> None:
+        electrodes = self._profile.electrodes
+        starts_us = np.cumsum([0, *self._period_us[:-1]])
+        steps: list[dict[str, Any]] = [
+            {"time_ms": float(start) / 1000, "activation": (row / 255).round(_DIGITS).tolist()}
+            for start, row in zip(starts_us, self._activation, strict=True)
+        ]
+        document = {
+            "profile": self._profile.name,
+            "electrodes": [
+                {"x_mm": round(float(x), 6), "y_mm": round(float(y), 6)}
+                for x, y in electrodes.position_mm
+            ],
+            "steps": steps,
+        }
+        self._path.write_text(json.dumps(document) + "\n", encoding="utf-8")
+
+    def _save_pictures(self) -> None:
+        self._path.mkdir(exist_ok=True)
+        draw = _Drawing(self._profile)
+        for number, row in enumerate(self._activation):
+            draw.picture(row).save(self._path / f"step-{number:06d}.png")
+
+    def _save_film(self) -> None:
+        draw = _Drawing(self._profile)
+        first, *others = (draw.picture(row) for row in self._activation)
+        # A film's clock counts hundredths of a second.
+        ends = np.rint(np.cumsum(self._period_us) / 10_000).astype(int)
+        durations = 10 * np.maximum(np.diff(ends, prepend=0), 1)
+        first.save(
+            self._path,
+            save_all=True,
+            append_images=others,
+            duration=durations.tolist(),
+            loop=0,
+        )
+
+
+class _Drawing:
+    """Draws an array with every electrode as dark as it is active."""
+
+    def __init__(self, profile: Profile) -> None:
+        electrodes = profile.electrodes
+        wide, high = electrodes.extent_mm
+        pitch = min(electrodes.cell_mm)
+        scale = min(_PITCH_PIXELS / pitch, _LARGEST_PICTURE / max(wide, high))
+        scale = max(scale, _SMALLEST_PIXELS / pitch)
+        self._size = (round(wide * scale), round(high * scale))
+        corner = np.array([wide, high]) / 2
+        self._center = (electrodes.position_mm + corner) * scale
+        self._radius = 0.42 * pitch * scale
+
+    def picture(self, activation: NDArray[np.uint8]) -> Image.Image:
+        image = Image.new("L", self._size, 255)
+        draw = ImageDraw.Draw(image)
+        for (x, y), level in zip(self._center.tolist(), activation.tolist(), strict=True):
+            r = self._radius
+            draw.ellipse((x - r, y - r, x + r, y + r), fill=255 - level, outline=200)
+        return image
