@@ -1,13 +1,16 @@
-"""Pages: image files with a physical scale, and pages printed from a text."""
+"""Pages: image files with a physical scale."""
 
-import textwrap
+import struct
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont, ImageOps, UnidentifiedImageError
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from smarttouch.errors import PageError
 
@@ -16,17 +19,18 @@ FEWEST_PIXELS = 8
 """A page with a shorter side is no page."""
 LARGEST_MM = 2000.0
 SMALLEST_MM = 2.0
-_INCH_MM = 25.4
+INCH_MM = 25.4
+IMAGE = "an image that can be read: give a PNG, JPEG or TIFF"
 _LEAST_BELIEVED_DPI = 50.0
 """Files that say less (1 or 72 by default) mean that nobody measured."""
-
-PRINT_DPI = 300
-_PRINT_WIDTH_MM = 92.0
-_MARGIN_MM = 7.0
-_LINE_MM = 4.2
-"""Ascender to descender."""
-_LINE_STEP_MM = 8.0
-_COLUMNS = 30
+_EVEN = 1.02
+"""Resolutions across and down that differ by less are one."""
+_MOST_UNEVEN = 4.0
+"""The coarsest kind of fax has 2.1; more is an error of the file."""
+_ORIENTATION = 0x0112
+"""EXIF tag; 5 and above lay the rows of the file upright."""
+_DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
+"""What Pillow stumbles over in damaged files."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,71 +75,122 @@ def load_page(path: Path, dpi: float | None = None, page_width_mm: float | None 
     PageError
         If there is no such page, or no way to know its size.
     """
+    check_scale_options(dpi, page_width_mm)
+    with open_image(path) as image:
+        grey, mm_per_pixel = read_grey(path, image, dpi, page_width_mm)
+    if mm_per_pixel is None:
+        raise PageError(f"{path} does not say how large it is: give --dpi or --page-width-mm")
+    height, width = grey.shape
+    require_size_mm(str(path), width * mm_per_pixel, height * mm_per_pixel)
+    return Page(grey, mm_per_pixel)
+
+
+def check_scale_options(dpi: float | None, page_width_mm: float | None) -> None:
+    """Raise a PageError if the scale that a user gave is none."""
     if dpi is not None and page_width_mm is not None:
         raise PageError("--dpi and --page-width-mm both given: one of them is enough")
+    for name, value in (("--dpi", dpi), ("--page-width-mm", page_width_mm)):
+        if value is not None and not 0 < value < float("inf"):
+            raise PageError(f"{name} {value:g} must be above 0")
+
+
+@contextmanager
+def open_image(path: Path, wanted: str = IMAGE) -> Iterator[Image.Image]:
+    """Open an image file; what Pillow raises, here or inside, becomes a PageError.
+
+    Parameters
+    ----------
+    path : Path
+        The image file.
+    wanted : str
+        What a file of another kind is told not to be.
+    """
     try:
         with warnings.catch_warnings():
-            # Pillow warns of large images before we have looked at the size ourselves.
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            with Image.open(path) as image:
-                _require_size(path, image.size)
-                stated = image.info.get("dpi")
-                grey = _to_grey(image)
+            # Pillow warns of large images before we have looked at the size ourselves, and of
+            # damages that it then raises, or gets over.
+            warnings.filterwarnings("ignore", module=r"PIL\.")
+            # An open file: of a path, Pillow 13 gets turned TIFFs wrong by mapping them to memory.
+            with path.open("rb") as file, Image.open(file) as image:
+                yield image
     except FileNotFoundError:
         raise PageError(f"no file {path}: check its name") from None
     except IsADirectoryError:
-        raise PageError(f"{path} is a folder: give an image file") from None
+        raise PageError(f"{path} is a folder: give a file") from None
     except Image.DecompressionBombError:
         raise PageError(
             f"{path} is above {MOST_PIXELS // 10**6} megapixels: make it smaller first"
         ) from None
     except UnidentifiedImageError:
-        raise PageError(
-            f"{path} is not an image that can be read: give a PNG, JPEG or TIFF"
-        ) from None
-    except (OSError, SyntaxError, ValueError, EOFError) as error:
+        raise PageError(f"{path} is not {wanted}") from None
+    except _DAMAGES as error:
         raise PageError(f"{path} cannot be read: {error}") from None
-    return Page(grey, _scale(path, grey.shape[1], grey.shape[0], dpi, page_width_mm, stated))
 
 
-def print_text(text: str) -> Page:
-    """Print a text as black on white at 300 dots per inch.
+def read_grey(
+    path: Path, image: Image.Image, dpi: float | None = None, page_width_mm: float | None = None
+) -> tuple[NDArray[np.uint8], float | None]:
+    """Return an open image in grey, and its scale in mm per pixel; None if unknown.
+
+    Pixels that are not square, as in a fax, are stretched until they are.
 
     Raises
     ------
     PageError
-        If there is nothing to print.
+        If it is too large, or too small to be a page.
     """
-    lines = [line for part in text.splitlines() for line in textwrap.wrap(part, _COLUMNS) or [""]]
-    if not any(line.strip() for line in lines):
-        raise PageError("text: has nothing to print: give some words after the colon")
-    per_mm = PRINT_DPI / _INCH_MM
-    font = ImageFont.load_default(size=_LINE_MM * per_mm * 1.26)
-    height_mm = 2 * _MARGIN_MM + (len(lines) - 1) * _LINE_STEP_MM + _LINE_MM
-    if height_mm > LARGEST_MM:
-        raise PageError(
-            f"the text has {len(lines)} lines, a page of {height_mm:.0f} mm: shorten it"
-        )
-    sheet = Image.new("L", (round(_PRINT_WIDTH_MM * per_mm), round(height_mm * per_mm)), 255)
-    draw = ImageDraw.Draw(sheet)
-    for index, line in enumerate(lines):
-        top = (_MARGIN_MM + index * _LINE_STEP_MM) * per_mm
-        draw.text((_MARGIN_MM * per_mm, top), line, fill=15, font=font)
-    return Page(np.asarray(sheet), 1 / per_mm)
+    require_pixels(str(path), *image.size)
+    across, down = _stated_dpi(image)
+    finer = max(across, down)
+    grey = _to_grey(image)
+    if finer > _EVEN * min(across, down):
+        height, width = grey.shape
+        size = (round(width * finer / across), round(height * finer / down))
+        require_pixels(str(path), *size)
+        grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_LINEAR), np.uint8)
+    if dpi is not None:
+        return grey, INCH_MM / dpi
+    if page_width_mm is not None:
+        return grey, page_width_mm / grey.shape[1]
+    return grey, INCH_MM / finer if finer else None
 
 
-def _require_size(path: Path, size: tuple[int, int]) -> None:
-    width, height = size
+def require_pixels(name: str, width: int, height: int) -> None:
+    """Raise a PageError if a page has too many or too few pixels."""
     if width * height > MOST_PIXELS:
         raise PageError(
-            f"{path} has {width} x {height} pixels, above the limit of "
+            f"{name} has {width} x {height} pixels, above the limit of "
             f"{MOST_PIXELS // 10**6} megapixels: make it smaller first"
         )
-    if min(size) < FEWEST_PIXELS:
+    if min(width, height) < FEWEST_PIXELS:
         raise PageError(
-            f"{path} has {width} x {height} pixels: a page needs at least "
+            f"{name} has {width} x {height} pixels: a page needs at least "
             f"{FEWEST_PIXELS} x {FEWEST_PIXELS}"
         )
+
+
+def require_size_mm(
+    name: str, width_mm: float, height_mm: float, options: str = "--dpi or --page-width-mm"
+) -> None:
+    """Raise a PageError if a page is larger or smaller than paper is."""
+    if max(width_mm, height_mm) > LARGEST_MM or min(width_mm, height_mm) < SMALLEST_MM:
+        raise PageError(
+            f"{name} would be {width_mm:.4g} x {height_mm:.4g} mm: give a {options} "
+            f"that makes it {SMALLEST_MM:g} to {LARGEST_MM:g} mm"
+        )
+
+
+def _stated_dpi(image: Image.Image) -> tuple[float, float]:
+    """Return pixels per inch across and down the page as it will lie; 0 if not believed."""
+    stated = image.info.get("dpi")
+    if not isinstance(stated, tuple):
+        return 0.0, 0.0
+    across, down = (float(each) for each in stated)
+    if not all(each >= _LEAST_BELIEVED_DPI and each != 72 for each in (across, down)):
+        return 0.0, 0.0
+    if max(across, down) > _MOST_UNEVEN * min(across, down):
+        return 0.0, 0.0
+    return (down, across) if image.getexif().get(_ORIENTATION, 1) >= 5 else (across, down)
 
 
 def _to_grey(image: Image.Image) -> NDArray[np.uint8]:
@@ -155,33 +210,3 @@ def _from_deep(values: NDArray[np.float64]) -> NDArray[np.uint8]:
     # Which white a deep file means is not written in it: the smallest usual one that holds it.
     full = next((each for each in (1.0, 255.0, 65535.0) if peak <= each), peak)
     return np.asarray(np.clip(np.rint(values * (255 / full)), 0, 255), np.uint8)
-
-
-def _scale(
-    path: Path,
-    width: int,
-    height: int,
-    dpi: float | None,
-    page_width_mm: float | None,
-    stated: object,
-) -> float:
-    if dpi is not None:
-        if not 0 < dpi < float("inf"):
-            raise PageError(f"--dpi {dpi:g} must be above 0")
-        scale = _INCH_MM / dpi
-    elif page_width_mm is not None:
-        if not 0 < page_width_mm < float("inf"):
-            raise PageError(f"--page-width-mm {page_width_mm:g} must be above 0")
-        scale = page_width_mm / width
-    else:
-        own = float(stated[0]) if isinstance(stated, tuple) else 0.0
-        if not own >= _LEAST_BELIEVED_DPI or own == 72:
-            raise PageError(f"{path} does not say how large it is: give --dpi or --page-width-mm")
-        scale = _INCH_MM / own
-    width_mm, height_mm = width * scale, height * scale
-    if max(width_mm, height_mm) > LARGEST_MM or min(width_mm, height_mm) < SMALLEST_MM:
-        raise PageError(
-            f"{path} would be {width_mm:.4g} x {height_mm:.4g} mm: give a --dpi or "
-            f"--page-width-mm that makes it {SMALLEST_MM:g} to {LARGEST_MM:g} mm"
-        )
-    return scale

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import Image, TiffImagePlugin
 
 from smarttouch.errors import PageError
-from smarttouch.pages.page_image import load_page, print_text
+from smarttouch.pages.page_image import load_page
 
 
 @pytest.fixture
@@ -59,6 +59,42 @@ def test_exif_orientation(picture, tmp_path):
     exif[0x0112] = 6
     picture.save(path, exif=exif, quality=95)
     assert load_page(path, dpi=300).grey.shape == (80, 60)
+
+
+@pytest.mark.parametrize("compression", [None, "tiff_lzw"])
+def test_a_turned_tiff(picture, tmp_path, compression):
+    path = tmp_path / "page.tif"
+    turned = TiffImagePlugin.ImageFileDirectory_v2()
+    turned[0x0112] = 6
+    picture.save(path, tiffinfo=turned, compression=compression)
+    assert np.array_equal(load_page(path, dpi=300).grey, np.rot90(picture, -1))
+
+
+@pytest.mark.parametrize(
+    ("stated", "shape", "mm_per_pixel"),
+    [
+        ((200, 100), (120, 80), 0.127),
+        ((100, 200), (60, 160), 0.127),
+        ((200, 199), (60, 80), 0.127),
+    ],
+)
+def test_pixels_become_square(picture, tmp_path, stated, shape, mm_per_pixel):
+    path = tmp_path / "page.tif"
+    picture.save(path, dpi=stated)
+    page = load_page(path)
+    assert page.grey.shape == shape
+    assert page.mm_per_pixel == pytest.approx(mm_per_pixel)
+    ink = np.argwhere(page.grey < 128) * page.mm_per_pixel
+    size_mm = [20 / each * 25.4 for each in reversed(stated)]
+    assert np.ptp(ink, axis=0) + 0.127 == pytest.approx(size_mm, rel=0.02)
+
+
+@pytest.mark.parametrize("stated", [(1000, 100), (300, 20), (72, 300)])
+def test_resolutions_that_are_not_believed(picture, tmp_path, stated):
+    path = tmp_path / "page.tif"
+    picture.save(path, dpi=stated)
+    with pytest.raises(PageError, match="does not say how large it is"):
+        load_page(path)
 
 
 def test_scale(picture, tmp_path):
@@ -127,16 +163,3 @@ def test_no_bytes_crash_the_loader(tmp_path_factory, data):
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + data)
     with pytest.raises(PageError):
         load_page(path, dpi=300)
-
-
-def test_printed_text():
-    page = print_text("Touch\nthis")
-    ink = (page.grey < 128).any(axis=1)
-    assert np.count_nonzero(np.diff(ink.astype(int)) == 1) == 2
-    assert page.size_mm[0] == pytest.approx(92, abs=0.1)
-
-
-@pytest.mark.parametrize("text", ["", "  ", "\n\n"])
-def test_nothing_to_print(text):
-    with pytest.raises(PageError, match="nothing to print"):
-        print_text(text)

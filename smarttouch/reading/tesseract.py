@@ -1,0 +1,234 @@
+"""Tesseract, the command-line program: images in, words out."""
+
+import io
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from smarttouch.errors import ReadingError
+
+LARGEST_SIDE = 32_000
+"""Pixels; Tesseract refuses images with a side above 32,767."""
+SURE = 2.0
+"""Of Tesseract's own figure for an orientation. It was at most 1.1 where the answer was wrong (of
+photographs without text), and at least 3 on pages of five lines and more, however noisy."""
+_WORD = "5"
+"""Level of a word's row in Tesseract's table; others are pages, blocks, paragraphs and lines."""
+_COLUMNS = 12
+"""level, page, block, paragraph, line, word, left, top, width, height, confidence, text."""
+
+
+class Layout(Enum):
+    """What an image shows: Tesseract's page segmentation modes."""
+
+    PAGE = 3
+    BLOCK = 6
+    LINE = 7
+
+
+class TooSlowError(ReadingError):
+    """Tesseract was stopped."""
+
+
+@dataclass(frozen=True)
+class Word:
+    """A word, and where in which image it stands.
+
+    Attributes
+    ----------
+    text : str
+        Never empty.
+    image : int
+        Index of its image.
+    line : tuple of int
+        Block, paragraph of the block and line of the paragraph.
+    box_px : tuple of int
+        Left, top, width and height.
+    confidence : float, in [0, 1]
+        Tesseract's.
+    """
+
+    text: str
+    image: int
+    line: tuple[int, int, int]
+    box_px: tuple[int, int, int, int]
+    confidence: float
+
+
+def find_tesseract() -> Path:
+    """Return where the program is.
+
+    Raises
+    ------
+    ReadingError
+        If it is not installed.
+    """
+    found = shutil.which("tesseract")
+    if found is None:
+        raise ReadingError(
+            "Tesseract is not here: apt install tesseract-ocr (or brew install tesseract)"
+        )
+    return Path(found)
+
+
+def languages() -> list[str]:
+    """Return the codes of the languages that it has data for.
+
+    Raises
+    ------
+    ReadingError
+        If Tesseract is not installed, or fails.
+    """
+    done = _run(["--list-langs"], b"", 30)
+    _require_success(done)
+    # Its first line is a title, and osd is for orientations.
+    return sorted(set(done.stdout.split("\n")[1:]) - {"", "osd"})
+
+
+def read_words(
+    images: Sequence[NDArray[np.uint8]],
+    languages: str,
+    layout: Layout,
+    timeout_s: float,
+    dpi: float | None = None,
+) -> list[Word]:
+    """Return the words of images, in reading order, by one call of the program.
+
+    Parameters
+    ----------
+    images : sequence of ndarray, (H_i, W_i) uint8
+        Dark text on bright paper; blank and empty ones have no words.
+    languages : str
+        Codes joined by plus signs.
+    layout : Layout
+        What each of them shows.
+    timeout_s : float, s
+        When to give up.
+    dpi : float, optional
+        Pixels per inch; estimated if not given.
+
+    Raises
+    ------
+    ReadingError
+        If Tesseract or its data are missing, it fails or takes too long.
+    """
+    if not re.fullmatch(r"\w+(\+\w+)*", languages, re.ASCII):
+        raise ReadingError(f"languages {languages!r}: give codes such as eng or eng+deu")
+    find_tesseract()
+    shown = [index for index, image in enumerate(images) if not _is_blank(image)]
+    if not shown:
+        return []
+    options = ["-l", languages, "--psm", str(layout.value)]
+    if dpi is not None:
+        options += ["--dpi", f"{dpi:.0f}"]
+    fitting = [_fitting(images[index]) for index in shown]
+    done = _run(["stdin", "stdout", *options, "tsv"], _one_file(fitting), timeout_s)
+    _require_success(done)
+    words = []
+    for row in done.stdout.split("\n"):
+        cells = row.split("\t", _COLUMNS - 1)
+        if cells[0] != _WORD or not cells[-1].strip():
+            continue
+        page, block, paragraph, line, _, *box = (int(each) for each in cells[1:10])
+        index = shown[page - 1]
+        scale = len(images[index]) / len(fitting[page - 1])
+        left, top, width, height = (round(each * scale) for each in box)
+        words.append(
+            Word(
+                cells[-1].strip(),
+                index,
+                (block, paragraph, line),
+                (left, top, width, height),
+                min(max(float(cells[10]) / 100, 0.0), 1.0),
+            )
+        )
+    return words
+
+
+def read_orientation(image: NDArray[np.uint8], timeout_s: float) -> int | None:
+    """Return by how many degrees to turn an image clockwise; None if Tesseract is not sure.
+
+    It is never sure of fewer than 50 letters, nor where its data for
+    orientations (osd) are missing.
+
+    Raises
+    ------
+    ReadingError
+        If Tesseract is missing or takes too long.
+    """
+    find_tesseract()
+    if _is_blank(image):
+        return None
+    told = _run(["stdin", "stdout", "--psm", "0"], _one_file([_fitting(image)]), timeout_s).stdout
+    turn = re.search(r"^Rotate: (\d+)", told, re.MULTILINE)
+    sure = re.search(r"^Orientation confidence: ([\d.]+)", told, re.MULTILINE)
+    if turn is None or sure is None or float(sure[1]) < SURE:
+        return None
+    return int(turn[1])
+
+
+def _is_blank(image: NDArray[np.uint8]) -> bool:
+    return not image.size or bool(image.min() == image.max())
+
+
+def _fitting(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    scale = LARGEST_SIDE / max(image.shape)
+    if scale >= 1:
+        return image
+    height, width = (max(1, round(side * scale)) for side in image.shape)
+    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _one_file(images: Sequence[NDArray[np.uint8]]) -> bytes:
+    """Return a TIFF with an image on each page."""
+    pages = [Image.fromarray(np.ascontiguousarray(image)) for image in images]
+    file = io.BytesIO()
+    pages[0].save(file, "TIFF", save_all=True, append_images=pages[1:])
+    return file.getvalue()
+
+
+def _run(
+    arguments: Sequence[str], data: bytes, timeout_s: float
+) -> "subprocess.CompletedProcess[str]":
+    program = find_tesseract()
+    try:
+        done = subprocess.run(
+            [program, *arguments],
+            input=data,
+            capture_output=True,
+            timeout=timeout_s,
+            # Its threads wait for each other more than they work.
+            env={**os.environ, "OMP_THREAD_LIMIT": "1"},
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise TooSlowError(
+            f"Tesseract did not finish within {timeout_s:g} s: give it a smaller image"
+        ) from None
+    except OSError as error:
+        raise ReadingError(f"{program} does not start: {error.strerror}") from None
+    out, told = (each.decode("utf-8", "replace") for each in (done.stdout, done.stderr))
+    return subprocess.CompletedProcess(done.args, done.returncode, out, told)
+
+
+def _require_success(done: "subprocess.CompletedProcess[str]") -> None:
+    # Of several languages it goes on without those that are missing.
+    missing = re.search(r"Failed loading language '(.+)'", done.stderr)
+    if missing is not None:
+        package = "tesseract-ocr-" + missing[1].lower().replace("_", "-")
+        raise ReadingError(
+            f"Tesseract has no data for the language {missing[1]}: apt install {package}"
+        )
+    if done.returncode:
+        told = done.stderr.strip().split("\n")[-1] or "it says nothing"
+        raise ReadingError(f"Tesseract failed with status {done.returncode}: {told}")

@@ -1,0 +1,92 @@
+"""Rates of error: known ones, and what holds for all texts."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.errors import ReadingError
+from smarttouch.reading.error_rate import character_error_rate, normalize, word_error_rate
+
+texts = st.text(max_size=30)
+words = st.text("abcd ", max_size=30)
+truths = words.filter(normalize)
+
+
+@pytest.mark.parametrize(
+    ("truth", "text", "characters", "in_words"),
+    [
+        ("touch", "touch", 0, 0),
+        ("touch", "touches", 2 / 5, 1),
+        ("finger tip", "finger lip", 1 / 10, 1 / 2),
+        ("finger tip", "fingertip", 1 / 10, 1),
+        ("finger tip", "", 1, 1),
+        ("a", "aaaa", 3, 1),
+        ("Case counts", "case counts", 1 / 11, 1 / 2),
+    ],
+)
+def test_known_rates(truth, text, characters, in_words):
+    assert character_error_rate(truth, text) == pytest.approx(characters)
+    assert word_error_rate(truth, text) == pytest.approx(in_words)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("“so”, ‘he’ said", "\"so\", 'he' said"),
+        ("„so“ «so»", '"so" "so"'),
+        ("don´t", "don't"),
+        ("1914–18 — a war", "1914-18 - a war"),
+        ("a\N{SOFT HYPHEN}way", "away"),
+        ("ﬁnal oﬃce", "final office"),
+        ("and so on…", "and so on..."),
+        ("e\N{COMBINING ACUTE ACCENT}te", "éte"),
+        (" two\n\nlines\t\N{NO-BREAK SPACE}of text ", "two lines of text"),
+    ],
+)
+def test_what_makes_no_difference(one, other):
+    assert normalize(one) == normalize(other) == other
+    assert character_error_rate(one, other) == 0
+
+
+@pytest.mark.parametrize("truth", ["", " \n\t"])
+@pytest.mark.parametrize("rate", [character_error_rate, word_error_rate])
+def test_there_must_be_a_truth(rate, truth):
+    with pytest.raises(ReadingError, match="is empty: give what stands on the page"):
+        rate(truth, "text")
+
+
+@given(texts)
+def test_normalizing_twice_changes_nothing_more(text):
+    assert normalize(normalize(text)) == normalize(text)
+
+
+@given(texts.filter(normalize))
+def test_equal_texts_have_no_errors(text):
+    assert character_error_rate(text, text) == word_error_rate(text, text) == 0
+
+
+@given(truths, words)
+def test_no_rate_is_above_one_unless_more_was_read(truth, text):
+    for rate, size in (
+        (character_error_rate, len),
+        (word_error_rate, lambda each: len(each.split())),
+    ):
+        there, read = size(normalize(truth)), size(normalize(text))
+        assert abs(there - read) / there <= rate(truth, text) <= max(there, read) / there
+
+
+@given(truths, truths, truths)
+def test_errors_are_a_distance(one, two, three):
+    def errors(truth, text):
+        return character_error_rate(truth, text) * len(normalize(truth))
+
+    assert errors(one, two) == pytest.approx(errors(two, one))
+    assert errors(one, three) <= errors(one, two) + errors(two, three) + 1e-9
+    assert (errors(one, two) == 0) == (normalize(one) == normalize(two))
+
+
+@given(truths, st.integers(0, 30), st.sampled_from("abcd"))
+def test_one_more_sign_is_one_error(truth, place, sign):
+    plain = normalize(truth)
+    changed = plain[:place] + sign + plain[place:]
+    assert character_error_rate(plain, changed) == pytest.approx(1 / len(plain))

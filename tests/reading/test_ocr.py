@@ -1,0 +1,288 @@
+"""Text comes back from images, and each way that it can fail has its sentence."""
+
+import shutil
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image, ImageDraw, ImageFont
+
+from smarttouch.errors import ReadingError
+from smarttouch.reading.error_rate import character_error_rate
+from smarttouch.reading.ocr import (
+    Layout,
+    Recognized,
+    RecognizedLine,
+    find_tesseract,
+    languages,
+    recognize,
+    recognize_lines,
+    upright,
+)
+
+needs_tesseract = pytest.mark.skipif(
+    shutil.which("tesseract") is None, reason="needs Tesseract: apt install tesseract-ocr"
+)
+FONTS = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
+TITLE = "level page_num block_num par_num line_num word_num left top width height conf text"
+TEXT = """The harbor master kept 3 ledgers: one for ships,
+one for their cargoes, and a third (which nobody
+had ever seen) for the weather of the day before.
+"Fog again," he wrote on 14 March 1893, at dusk;
+then he closed the book and lit the green lamp.""".splitlines()
+
+
+def printed(lines, height=36, font="DejaVuSerif.ttf"):
+    """Return lines in black on white, `height` pixels from ascender to descender."""
+    face = ImageFont.truetype(str(FONTS / font), height * 3 // 4)
+    width = max(int(face.getlength(line)) for line in lines)
+    sheet = Image.new("L", (width + 2 * height, (len(lines) + 1) * height * 5 // 4), 255)
+    for index, line in enumerate(lines):
+        place = (height, height // 2 + index * height * 5 // 4)
+        ImageDraw.Draw(sheet).text(place, line, fill=10, font=face)
+    return np.asarray(sheet)
+
+
+def strip(text, height=36):
+    """Return a line of print as tall as its letters are."""
+    page = printed([text], height)
+    inked = np.flatnonzero((page < 255).any(axis=1))
+    return page[inked[0] : inked[-1] + 1]
+
+
+def row(text, place=(1, 1, 1), box=(0, 0, 9, 9), confidence=90, image=1):
+    """Return a row of a word in Tesseract's table."""
+    return "\t".join(map(str, (5, image, *place, 1, *box, confidence, text)))
+
+
+@pytest.fixture
+def program(tmp_path, monkeypatch):
+    """Return a maker of programs that take Tesseract's place."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    monkeypatch.setenv("PATH", f"{folder}:/usr/bin:/bin")
+
+    def make(script, table=()):
+        (tmp_path / "table").write_text("\n".join([TITLE.replace(" ", "\t"), *table]) + "\n")
+        script = script.replace("TABLE", str(tmp_path / "table"))
+        (folder / "tesseract").write_text(f"#!/bin/sh\n{script}\n")
+        (folder / "tesseract").chmod(0o755)
+
+    return make
+
+
+@pytest.fixture
+def spotted():
+    image = np.full((40, 400), 255, np.uint8)
+    image[10:20, 30:50] = 0
+    return image
+
+
+def test_words_become_lines_and_paragraphs(program, spotted):
+    table = [
+        "4\t1\t1\t1\t1\t0\t5\t5\t90\t20\t-1\t",
+        row("Two", (1, 1, 1), (5, 5, 30, 20), 80),
+        row("words", (1, 1, 1), (45, 8, 50, 22), 96),
+        row('"quoted"', (1, 1, 2), (5, 30, 60, 10), 50),
+        row("  ", (1, 1, 3), confidence=95),
+        row("next", (1, 2, 1)),
+        row("block", (2, 1, 1)),
+    ]
+    program("cat > /dev/null; cat TABLE", table)
+    read = recognize(spotted)
+    assert read.text == 'Two words\n"quoted"\n\nnext\n\nblock'
+    assert [line.paragraph for line in read.lines] == [0, 0, 1, 2]
+    assert read.lines[0].box_px == (5, 5, 90, 25)
+    assert read.lines[0].confidence == pytest.approx((3 * 0.80 + 5 * 0.96) / 8)
+    assert 0.5 < read.confidence < 0.96
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["点字", "を", "読む"], "点字を読む"),
+        (["点字", "2", "級", "です"], "点字 2 級です"),
+        (["한국어", "점자"], "한국어 점자"),
+    ],
+)
+def test_only_chinese_and_japanese_need_no_spaces(program, spotted, words, text):
+    program("cat > /dev/null; cat TABLE", [row(word) for word in words])
+    assert recognize(spotted).text == text
+
+
+def test_words_go_to_their_strips(program, spotted):
+    blank, empty = np.full((40, 90), 255, np.uint8), np.zeros((0, 5), np.uint8)
+    table = [row("first", box=(0, 0, 900, 900)), row("last", box=(40, 15, 20, 30), image=2)]
+    program("cat > /dev/null; cat TABLE", table)
+    lines = recognize_lines([spotted, blank, empty, spotted])
+    assert [line.text for line in lines] == ["first", "", "", "last"]
+    # The margin around a strip is taken off again.
+    boxes = [(0, 0, 400, 40), (0, 0, 90, 40), (0, 0, 5, 0), (30, 5, 20, 30)]
+    assert [line.box_px for line in lines] == boxes
+    assert [line.confidence for line in lines] == [0.9, 0, 0, 0.9]
+
+
+def test_an_image_too_wide_for_tesseract_is_shrunk(program):
+    wide = np.full((20, 64_000), 255, np.uint8)
+    wide[5:9] = 0
+    program("cat > /dev/null; cat TABLE", [row("far", box=(31_000, 2, 500, 6))])
+    assert recognize(wide).lines[0].box_px == (62_000, 4, 1000, 12)
+
+
+def test_what_the_program_is_told(program, spotted, tmp_path):
+    program(f'cat > /dev/null; echo "$OMP_THREAD_LIMIT $*" > {tmp_path}/told; cat TABLE')
+    recognize(spotted, languages="eng+deu", layout=Layout.BLOCK, dpi=299.6)
+    told = (tmp_path / "told").read_text().strip()
+    assert told == "1 stdin stdout -l eng+deu --psm 6 --dpi 300 tsv"
+
+
+@pytest.mark.parametrize("image", [np.zeros((50, 50)), np.full((9, 9), 255), np.zeros((0, 7))])
+def test_blank_images_have_no_text_and_need_no_program_to_run(program, image):
+    program("exit 1")
+    image = image.astype(np.uint8)
+    assert recognize(image) == Recognized(())
+    assert recognize(image).text == ""
+    assert recognize(image).confidence == 0
+    assert upright(image) == 0
+
+
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        ("echo first >&2; echo too bad >&2; exit 3", "failed with status 3: too bad$"),
+        ("kill -9 $$", "failed with status -9: it says nothing$"),
+        ("exec sleep 20", r"did not finish within 0\.3 s: give it a smaller image$"),
+        (
+            "echo \"Failed loading language 'chi_sim'\" >&2; cat TABLE",
+            "no data for the language chi_sim: apt install tesseract-ocr-chi-sim$",
+        ),
+    ],
+)
+def test_failures(program, spotted, script, words):
+    program(script)
+    with pytest.raises(ReadingError, match=words):
+        recognize(spotted, timeout_s=0.3)
+
+
+def test_a_file_that_is_no_program(program, spotted, tmp_path):
+    program("")
+    (tmp_path / "bin" / "tesseract").write_text("a text")
+    with pytest.raises(ReadingError, match="tesseract does not start: Exec format error"):
+        recognize(spotted)
+
+
+def test_no_orientation_in_time_is_none(program, spotted):
+    program("exec sleep 20")
+    assert upright(spotted, timeout_s=0.1) == 0
+
+
+@pytest.mark.parametrize(
+    "call", [find_tesseract, languages, lambda: recognize(np.full((9, 9), 255, np.uint8))]
+)
+def test_without_tesseract(monkeypatch, tmp_path, call):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(ReadingError, match=r"is not here: apt install tesseract-ocr \(or brew"):
+        call()
+
+
+@pytest.mark.parametrize("codes", ["", "eng,deu", "eng+", "-l", "../eng"])
+def test_codes_that_are_none(spotted, codes):
+    with pytest.raises(ReadingError, match="give codes such as eng or eng"):
+        recognize(spotted, languages=codes)
+
+
+@given(st.lists(st.tuples(st.text("ab", min_size=1), st.integers(0, 3)), max_size=8))
+def test_the_text_has_every_line(read):
+    read.sort(key=lambda each: each[1])
+    lines = [RecognizedLine(text, (0, 0, 1, 1), 0.5, paragraph) for text, paragraph in read]
+    text = Recognized(tuple(lines)).text
+    assert [line for line in text.split("\n") if line] == [text for text, _ in read]
+    assert text.count("\n\n") == max(0, len({paragraph for _, paragraph in read}) - 1)
+
+
+@needs_tesseract
+def test_a_page_is_read():
+    read = recognize(printed(TEXT), layout=Layout.BLOCK)
+    assert character_error_rate("\n".join(TEXT), read.text) < 0.01
+    assert len(read.lines) == len(TEXT)
+    assert read.confidence > 0.9
+    tops = [line.box_px[1] for line in read.lines]
+    assert np.allclose(np.diff(tops), 45, atol=8)
+
+
+@needs_tesseract
+def test_paragraphs_of_a_page():
+    gap = np.full((150, 100), 255, np.uint8)
+    parts = [printed(TEXT[:3]), printed(TEXT[3:])]
+    width = max(part.shape[1] for part in parts)
+    page = np.vstack(
+        [
+            np.pad(part, ((0, 0), (0, width - part.shape[1])), constant_values=255)
+            for part in (parts[0], gap, parts[1])
+        ]
+    )
+    before, after = recognize(page).text.rsplit("\n\n", 1)
+    assert character_error_rate(" ".join(TEXT[:3]), before) < 0.02
+    assert character_error_rate(" ".join(TEXT[3:]), after) < 0.02
+
+
+@needs_tesseract
+def test_strips_are_read_in_one_call_as_they_are_one_by_one():
+    strips = [strip(text) for text in TEXT]
+    lines = recognize_lines(strips)
+    assert character_error_rate("\n".join(TEXT), "\n".join(line.text for line in lines)) < 0.01
+    assert lines[2] == recognize_lines([strips[2]])[0]
+    for line, image in zip(lines, strips, strict=True):
+        inked = np.flatnonzero((image < 128).any(axis=0))
+        left, _, width, _ = line.box_px
+        assert (left, left + width) == pytest.approx((inked[0], inked[-1]), abs=9)
+
+
+@needs_tesseract
+def test_odd_shapes_do_no_harm_to_their_neighbors():
+    good = strip("in good order")
+    shapes = [(1, 1), (3, 3), (1, 500), (200, 2), (2, 40_000)]
+    odd = [np.full(shape, 255, np.uint8) for shape in shapes]
+    for image in odd:
+        image.flat[:1] = 0
+    lines = recognize_lines([good, *odd, good])
+    assert [lines[0].text, lines[-1].text] == ["in good order"] * 2
+
+
+@needs_tesseract
+@pytest.mark.parametrize("turns", range(4))
+@pytest.mark.parametrize("lines", [TEXT, ["Platform 8"]])
+def test_pages_are_turned_upright(lines, turns):
+    assert upright(np.rot90(printed(lines), turns)) == 90 * turns
+
+
+@needs_tesseract
+def test_the_orientation_of_a_large_page_is_judged_where_its_text_is():
+    page = np.full((6000, 4000), 255, np.uint8)
+    text = printed(TEXT)
+    page[4800 : 4800 + text.shape[0], 2500 : 2500 + text.shape[1]] = text
+    assert upright(np.rot90(page, 2)) == 180
+
+
+@needs_tesseract
+def test_noise_has_no_orientation():
+    noise = np.random.default_rng(3).integers(0, 256, (60, 90), dtype=np.uint8)
+    assert upright(noise) == 0
+
+
+@needs_tesseract
+@pytest.mark.parametrize("codes", ["qqq", "eng+qqq"])
+def test_a_language_that_is_not_there(codes):
+    with pytest.raises(ReadingError, match="no data for the language qqq: apt install tesser"):
+        recognize(printed(["text"]), languages=codes)
+
+
+@needs_tesseract
+def test_languages():
+    known = languages()
+    assert "eng" in known
+    assert "osd" not in known
+    assert all(code.isascii() and " " not in code for code in known)
