@@ -7,7 +7,7 @@ import pytest
 
 from smarttouch.errors import SmartTouchError
 from smarttouch.mosaic import Mosaic
-from smarttouch.pages.page_image import print_text
+from smarttouch.pages.printed_text import print_text
 from smarttouch.sensing.frame import Frame, Pose
 from smarttouch.sensing.page import PageSensor
 

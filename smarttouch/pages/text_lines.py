@@ -1,68 +1,171 @@
-"""Where the lines of text are on a page."""
+"""Where the lines of text are on a page, and in which order they are read."""
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
+from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
+from smarttouch.pages.baselines import Course, along, follow
+from smarttouch.pages.ink import Paper, separate_ink
+from smarttouch.pages.letters import (
+    Spots,
+    find_rules,
+    find_spots,
+    like_letters,
+    usual_height,
+)
+from smarttouch.pages.marks import with_marks
 from smarttouch.pages.page_image import Page
+from smarttouch.pages.print_size import reach_of_print, shared_x_heights
+from smarttouch.pages.reading_order import reading_order
+from smarttouch.pages.rows import find_rows
+from smarttouch.pages.textlike import credible, is_text
+from smarttouch.pages.touching import part_lines
 
-_PIXEL_MM = 0.2
-"""Resolution at which lines are looked for."""
-_BACKGROUND_MM = 8.0
-"""Wider than any stroke: what is left after closing with it is paper."""
-_INK = 0.75
-"""Darker than this part of the paper is ink."""
-_MOST_INK = 0.6
-"""A page with more ink than this carries no text that could be told apart."""
-_LEAST_HEIGHT_MM = 0.8
+_HOPELESS, _MISSES = 60, 3
+"""Rows that are no text, and more for each that is, after which all others are a picture's."""
+_TELLING = 10.0
+"""Length of a row, in heights of its letters, from which its slope can be told."""
 
 
 @dataclass(frozen=True)
 class TextLine:
-    """A line of text, mm from the page's top left corner."""
+    """A line of text, mm from the page's top left corner.
 
-    top_mm: float
-    bottom_mm: float
+    Attributes
+    ----------
+    left_mm, right_mm : float, mm
+        Where it begins and ends.
+    baseline : tuple of float
+        Coefficients of y on the distance from ``left_mm``, lowest first; mm.
+    x_height_mm : float, mm
+        From the baseline to the top of an x.
+    ascent_mm, descent_mm : float, mm
+        How far its print reaches above and below the baseline: the same for
+        all lines of one print, whichever letters they have.
+    """
+
     left_mm: float
     right_mm: float
+    baseline: tuple[float, ...]
+    x_height_mm: float
+    ascent_mm: float
+    descent_mm: float
+
+    def baseline_mm(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the baseline's y at some x, mm; straight on beyond the line's ends."""
+        length = self.right_mm - self.left_mm
+        return along(np.array(self.baseline), x_mm - self.left_mm, length)
+
+    def slope(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how steeply the baseline falls at some x."""
+        inside = np.clip(x_mm - self.left_mm, 0, self.right_mm - self.left_mm)
+        return np.asarray(polynomial.polyval(inside, polynomial.polyder(self.baseline)))
+
+    @property
+    def height_mm(self) -> float:
+        """From the lowest to the highest that its print reaches."""
+        return self.ascent_mm + self.descent_mm
+
+    @property
+    def top_mm(self) -> float:
+        """Its highest, on average over the line."""
+        return self._mean_mm - self.ascent_mm
+
+    @property
+    def bottom_mm(self) -> float:
+        """Its lowest, on average over the line."""
+        return self._mean_mm + self.descent_mm
+
+    @property
+    def _mean_mm(self) -> float:
+        length = self.right_mm - self.left_mm
+        return sum(c * length**k / (k + 1) for k, c in enumerate(self.baseline))
 
 
-def find_lines(page: Page, light_on_dark: bool = False) -> list[TextLine]:
-    """Return the lines of text from top to bottom; empty if none are found.
+def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]:
+    """Return the lines of text in reading order; empty if none are found.
 
-    The page is divided by its own background, so uneven light does not
-    matter, and rows that carry ink are gathered into lines.
+    Parameters
+    ----------
+    page : Page
+        What is read.
+    light_on_dark : bool, optional
+        Whether it is printed light on dark; None to find out.
     """
-    ink, pixel_mm = _ink(page, light_on_dark)
-    profile = cv2.blur(ink.mean(axis=1, dtype=np.float32)[:, None], (1, 3)).ravel()
-    crowded = float(np.percentile(profile, 90))
-    if crowded < 0.002 or ink.mean() > _MOST_INK:
+    return lines_of(separate_ink(page.grey, light_on_dark), page.mm_per_pixel)
+
+
+def lines_of(paper: Paper, mm_per_pixel: float) -> list[TextLine]:
+    """Return the lines of text on a page whose ink was told from its paper."""
+    spots = find_spots(paper.ink)
+    height = usual_height(spots, paper.ink.shape)
+    if height is None:
         return []
-    lines = []
-    for top, bottom in _runs(profile > 0.12 * crowded):
-        if (bottom - top) * pixel_mm < _LEAST_HEIGHT_MM:
-            continue
-        columns = np.flatnonzero(ink[top:bottom].any(axis=0))
-        left, right = int(columns[0]), int(columns[-1]) + 1
-        lines.append(TextLine(*(edge * pixel_mm for edge in (top, bottom, left, right))))
-    return lines
+    rules = find_rules(paper.ink, height)
+    spots = find_spots(part_lines(paper.ink & ~rules, spots, height))
+    density = np.where(rules, np.uint8(0), 255 - paper.cleaned)
+    courses = with_marks(_courses(density, spots, height), spots)
+    if not courses:
+        return []
+    ascent, descent = reach_of_print(courses)
+    x_height = shared_x_heights(courses, ascent)
+    middle = [float(course.at(np.array((course.left + course.right) / 2))) for course in courses]
+    order = reading_order(
+        np.array([course.left for course in courses]),
+        np.array([course.right for course in courses]),
+        np.array(middle),
+        (ascent + descent) * x_height,
+    )
+    return [_line(courses[k], float(x_height[k]), ascent, descent, mm_per_pixel) for k in order]
 
 
-def _ink(page: Page, light_on_dark: bool) -> tuple[NDArray[np.bool_], float]:
-    grey = 255 - page.grey if light_on_dark else page.grey
-    width_mm, height_mm = page.size_mm
-    size = (max(8, round(width_mm / _PIXEL_MM)), max(8, round(height_mm / _PIXEL_MM)))
-    small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    side = round(_BACKGROUND_MM / _PIXEL_MM) | 1
-    element = cv2.getStructuringElement(cv2.MORPH_RECT, (side, side))
-    paper = cv2.GaussianBlur(cv2.morphologyEx(small, cv2.MORPH_CLOSE, element), (0, 0), side / 4)
-    smooth = cv2.GaussianBlur(small, (0, 0), 0.8)
-    ink = smooth < _INK * np.maximum(paper, 40)
-    return np.asarray(ink), height_mm / size[1]
+def _courses(density: NDArray[np.uint8], spots: Spots, height: float) -> list[Course]:
+    """Follow all rows of letters, the long ones first, and return those that are text."""
+    letters = spots.of(like_letters(spots, height))
+    rows = [letters.of(row) for row in find_rows(letters, spots)]
+    rows.sort(key=_length, reverse=True)
+    lines: list[tuple[Course, Spots]] = []
+    guides: list[Course] = []
+    for tried, row in enumerate(rows):
+        if tried > _HOPELESS + _MISSES * len(lines):
+            break
+        tells = _length(row) > _TELLING
+        course = follow(density, row, None if tells else _slope_around(row, guides))
+        if is_text(course, row):
+            lines.append((course, row))
+            if tells:
+                guides.append(course)
+    return credible(lines, int(spots.area.sum()))
 
 
-def _runs(on: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(on.astype(np.int8), prepend=0, append=0))
-    return [(int(start), int(end)) for start, end in zip(edges[::2], edges[1::2], strict=True)]
+def _length(row: Spots) -> float:
+    return float(row.right.max() - row.left.min()) / row.usual_height
+
+
+def _slope_around(row: Spots, guides: list[Course]) -> float:
+    """Return the slope of the line nearest to a short row; level if there is none."""
+    x = float(row.left.min() + row.right.max()) / 2
+    y = float((row.top + row.bottom).mean()) / 2
+
+    def away(guide: Course) -> float:
+        beyond = max(guide.left - x, x - guide.right, 0.0)
+        # Another column bends otherwise: lines above and below tell more.
+        return abs(float(guide.at(np.array(x))) - y) + 2 * beyond
+
+    return min(guides, key=away).slope_at(x) if guides else 0.0
+
+
+def _line(
+    course: Course, x_height: float, ascent: float, descent: float, mm_per_pixel: float
+) -> TextLine:
+    scales = mm_per_pixel ** (1.0 - np.arange(len(course.baseline)))
+    return TextLine(
+        left_mm=course.left * mm_per_pixel,
+        right_mm=course.right * mm_per_pixel,
+        baseline=tuple(map(float, course.baseline * scales)),
+        x_height_mm=x_height * mm_per_pixel,
+        ascent_mm=ascent * x_height * mm_per_pixel,
+        descent_mm=descent * x_height * mm_per_pixel,
+    )

@@ -1,0 +1,160 @@
+"""Spots of ink: what may be letters, and how large they usually are."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+_FEWEST_PIXELS = 3
+"""A smaller spot is a speck in any print that can be read."""
+_LEAST_SIDE = 3
+_MOST_PART = 0.25
+"""Of the page's shorter side: what is taller is a picture, a frame or the dark around a sheet."""
+_LETTER = (0.55, 6.0)
+"""Heights of letters of all sizes of print on a page, of the usual one; commas are lower."""
+_LONGEST = 40.0
+"""Length of a word whose letters touch, of its height; what is longer is a rule."""
+_RULE = 12.0
+"""What is this much longer than high is a rule."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spots:
+    """Connected spots of ink.
+
+    Attributes
+    ----------
+    left, top, right, bottom : ndarray, (N,) int, px
+        Their boxes; right and bottom are the first column and row outside.
+    area : ndarray, (N,) int, px
+        Pixels of each.
+    """
+
+    left: NDArray[np.int_]
+    top: NDArray[np.int_]
+    right: NDArray[np.int_]
+    bottom: NDArray[np.int_]
+    area: NDArray[np.int_]
+
+    @property
+    def height(self) -> NDArray[np.int_]:
+        """Height of each, (N,) px."""
+        return self.bottom - self.top
+
+    @property
+    def width(self) -> NDArray[np.int_]:
+        """Width of each, (N,) px."""
+        return self.right - self.left
+
+    @property
+    def usual_height(self) -> float:
+        """Median height, px, each spot weighted by its size so that dots count for little."""
+        order = np.argsort(self.height)
+        weight = np.cumsum(np.sqrt(self.area[order]))
+        return float(self.height[order][np.searchsorted(weight, weight[-1] / 2)])
+
+    @property
+    def transposed(self) -> "Spots":
+        """The same spots with columns and rows exchanged."""
+        return Spots(self.top, self.left, self.bottom, self.right, self.area)
+
+    def of(self, chosen: NDArray[np.bool_] | NDArray[np.int_]) -> "Spots":
+        """Return some of them."""
+        return Spots(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
+
+
+def find_spots(ink: NDArray[np.bool_]) -> Spots:
+    """Return the connected spots of an (H, W) image of ink, specks left out."""
+    return _labeled(ink)[0]
+
+
+def usual_height(spots: Spots, shape: tuple[int, int]) -> float | None:
+    """Return how high letters usually are, px; None if nothing looks like one.
+
+    Of what is neither a rule nor a picture.
+    """
+    height, width = spots.height, spots.width
+    kept = (
+        (height >= _LEAST_SIDE)
+        & (height < _MOST_PART * min(shape))
+        & (width < _RULE * height)
+        & (height < _RULE * width)
+    )
+    if not kept.any():
+        return None
+    return spots.of(kept).usual_height
+
+
+def like_letters(spots: Spots, height: float) -> NDArray[np.bool_]:
+    """Tell of each spot, (N,), whether it may be a letter, or several that touch.
+
+    Parameters
+    ----------
+    spots : Spots
+        Ink of the page.
+    height : float, px
+        Usual height of a letter.
+    """
+    smallest, largest = (part * height for part in _LETTER)
+    right_size = (spots.height >= smallest) & (spots.height <= largest)
+    return np.asarray(right_size & (spots.width < _LONGEST * spots.height))
+
+
+def letters_alone(ink: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Spots, float] | None:
+    """Return the ink of what may be letters, those letters, and their usual height, px."""
+    spots, label, labels = _labeled(ink)
+    height = usual_height(spots, ink.shape)
+    if height is None:
+        return None
+    kept = like_letters(spots, height)
+    is_letter = np.zeros(int(labels.max()) + 1, np.bool_)
+    is_letter[label[kept]] = True
+    return is_letter[labels], spots.of(kept), height
+
+
+def widest_white(
+    spots: Spots, left: float, right: float, top: float, bottom: float
+) -> tuple[float, float]:
+    """Return where a gap has the widest part without any ink, such as a comma.
+
+    Parameters
+    ----------
+    spots : Spots
+        Ink of the page.
+    left, right : float, px
+        The gap.
+    top, bottom : float, px
+        Heights at which ink fills it.
+    """
+    inside = (spots.right > left) & (spots.left < right)
+    inside &= (spots.bottom > top) & (spots.top < bottom)
+    starts = np.concatenate([[left], np.sort(spots.right[inside])])
+    ends = np.concatenate([np.sort(spots.left[inside]), [right]])
+    widest = int((ends - starts).argmax())
+    return float(starts[widest]), float(ends[widest])
+
+
+def _labeled(ink: NDArray[np.bool_]) -> tuple[Spots, NDArray[np.int_], NDArray[np.int32]]:
+    """Return spots, the label of each, and the image of labels."""
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats(ink.view(np.uint8), connectivity=8)
+    label = np.flatnonzero(boxes[:, 4] >= _FEWEST_PIXELS)[1:]
+    left, top, width, height, area = boxes[label].astype(np.int_).T
+    spots = Spots(left, top, left + width, top + height, area)
+    return spots, label, np.asarray(labels, np.int32)
+
+
+def find_rules(ink: NDArray[np.bool_], height: float) -> NDArray[np.bool_]:
+    """Return the ink of level rules, (H, W) bool: underlines, ruled paper, frames.
+
+    Parameters
+    ----------
+    ink : ndarray, (H, W) bool
+        Ink of the page.
+    height : float, px
+        Usual height of a letter.
+    """
+    run = np.ones((1, round(_RULE * height)), np.uint8)
+    rules = cv2.morphologyEx(ink.view(np.uint8), cv2.MORPH_OPEN, run)
+    # A rule that is not quite level, or frayed, steps up and down by a pixel.
+    return np.asarray(cv2.dilate(rules, np.ones((3, 1), np.uint8)), np.uint8).view(np.bool_)
