@@ -1,0 +1,82 @@
+"""Cells of Braille: characters U+2800 to U+28FF, and the dots that each one raises."""
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import BrailleError
+
+Pages: TypeAlias = list[list[str]]
+"""Pages of lines of cells."""
+
+BLANK = "\u2800"
+"""The cell without a dot; the pattern of a cell is its distance from it, bit k is dot k + 1."""
+PATTERNS = 256
+SIX_DOT_PATTERNS = 64
+
+POSITION = np.array([(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2), (0, 3), (1, 3)])
+"""(8, 2) int, column and row of dots 1 to 8: 1 to 3 run down on the left, 7 and 8 lie below."""
+
+
+def is_cell(character: str) -> bool:
+    """Return whether a character is a cell."""
+    return 0 <= ord(character) - ord(BLANK) < PATTERNS
+
+
+def pattern(cell: str) -> int:
+    """Return the dots of a cell as a number from 0 to 255: bit k is dot k + 1."""
+    return ord(cell) - ord(BLANK)
+
+
+def require_cells(line: str) -> None:
+    """Raise unless a line is made of cells.
+
+    Raises
+    ------
+    BrailleError
+        If a character of it is none.
+    """
+    for column, character in enumerate(line):
+        if not is_cell(character):
+            raise BrailleError(
+                f"{character!r} at place {column + 1} is not a cell of Braille: give characters "
+                "U+2800 to U+28FF"
+            )
+
+
+def cells_to_dots(cells: str) -> NDArray[np.bool_]:
+    """Return the dots of a line of cells.
+
+    Returns
+    -------
+    ndarray, (N, 8) bool
+        Column k is dot k + 1.
+
+    Raises
+    ------
+    BrailleError
+        If a character is not a cell.
+    """
+    require_cells(cells)
+    patterns = np.array([pattern(cell) for cell in cells], np.uint8)
+    return np.unpackbits(patterns[:, None], axis=1, bitorder="little").astype(bool)
+
+
+def dots_to_cells(dots: NDArray[Any]) -> str:
+    """Return a line of cells from its dots.
+
+    Parameters
+    ----------
+    dots : ndarray, (N, 8) or (N, 6) bool
+        Column k is dot k + 1.
+
+    Raises
+    ------
+    BrailleError
+        If there are other than 6 or 8 dots a cell.
+    """
+    if dots.ndim != 2 or dots.shape[1] not in (6, 8):
+        raise BrailleError(f"dots of shape {dots.shape} are not cells: give (N, 6) or (N, 8)")
+    patterns = np.packbits(dots.astype(bool), axis=1, bitorder="little")
+    return "".join(chr(ord(BLANK) + int(each)) for each in patterns.ravel())

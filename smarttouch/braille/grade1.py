@@ -1,0 +1,265 @@
+"""English Braille without contractions (Unified English Braille, grade 1), built in."""
+
+import re
+import unicodedata
+from functools import cache
+
+from smarttouch.braille.cells import BLANK
+
+# Rules and signs: International Council on English Braille, The Rules of Unified English
+# Braille, second edition (2013): letters and accents 4, numeric mode 6, punctuation 7, capitals 8.
+_LETTERS = dict(zip("abcdefghijklmnopqrstuvwxyz", "⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚⠅⠇⠍⠝⠕⠏⠟⠗⠎⠞⠥⠧⠺⠭⠽⠵", strict=True))
+_DIGITS = dict(zip("1234567890", "⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚", strict=True))
+_ACCENTS = {
+    "\u0300": "⠘⠡", "\u0301": "⠘⠌", "\u0302": "⠘⠩", "\u0303": "⠘⠻", "\u0308": "⠘⠒",
+    "\u030a": "⠘⠫", "\u030c": "⠘⠬", "\u0327": "⠘⠯",
+}  # fmt: skip
+"""By the combining mark of the letter's decomposition; they stand before the letter."""
+_SIGNS = {
+    " ": BLANK, ".": "⠲", ",": "⠂", ";": "⠆", ":": "⠒", "!": "⠖", "'": "⠄", "-": "⠤",
+    "—": "⠠⠤", "‘": "⠠⠦", "’": "⠠⠴", "«": "⠸⠦", "»": "⠸⠴",
+    "(": "⠐⠣", ")": "⠐⠜", "[": "⠨⠣", "]": "⠨⠜", "{": "⠸⠣", "}": "⠸⠜", "<": "⠈⠣", ">": "⠈⠜",
+    "/": "⠸⠌", "\\": "⠸⠡", "|": "⠸⠳", "_": "⠨⠤", "#": "⠸⠹", "%": "⠨⠴", "&": "⠈⠯", "@": "⠈⠁",
+    "*": "⠐⠔", "+": "⠐⠖", "=": "⠐⠶", "×": "⠐⠦", "÷": "⠐⠌", "~": "⠈⠔", "^": "⠈⠢", "•": "⠸⠲",
+    "$": "⠈⠎", "£": "⠈⠇", "€": "⠈⠑", "¢": "⠈⠉", "¥": "⠈⠽",
+    "°": "⠘⠚", "§": "⠘⠎", "¶": "⠘⠏", "©": "⠘⠉", "®": "⠘⠗", "™": "⠘⠞",
+}  # fmt: skip
+_SAME = str.maketrans({"–": "—", "…": "...", "‐": "-", "‑": "-", "−": "-"}) | {
+    ord(ligature): spelled for ligature, spelled in
+    (("ﬀ", "ff"), ("ﬁ", "fi"), ("ﬂ", "fl"), ("ﬃ", "ffi"), ("ﬄ", "ffl"))
+}  # fmt: skip
+"""What print tells apart, and Braille does not."""
+
+_CAPITAL, _CAPITAL_WORD, _CAPITAL_PASSAGE, _CAPITALS_END = "⠠", "⠠⠠", "⠠⠠⠠", "⠠⠄"
+_PASSAGE_WORDS = 3
+"""Words in capitals one after another that make a passage (8.5)."""
+_NUMBER, _GRADE_1, _NUMBER_SPACE = "⠼", "⠰", "⠐"
+_ONE_QUOTE_OR_QUESTION, _CLOSING_QUOTE, _ANY_QUOTE, _SURE_QUOTE = "⠦", "⠴", "⠠⠶", "⠘⠦"
+_OPENING = frozenset(" ([{<—-/‘«")
+"""After these, as at the beginning, the cell of the question mark is an opening quote (7.5)."""
+
+_LETTER_OF = {cell: letter for letter, cell in _LETTERS.items()}
+_DIGIT_OF = {cell: digit for digit, cell in _DIGITS.items()}
+_ACCENT_OF = {cells: accent for accent, cells in _ACCENTS.items()}
+_SIGN_OF = {cells: sign for sign, cells in _SIGNS.items()} | {
+    _ANY_QUOTE: '"', _CLOSING_QUOTE: '"',
+}  # fmt: skip
+
+
+class Grade1:
+    """Letters, accents, numbers, capitals and punctuation; reads its own cells back exactly.
+
+    Where print has two forms of one sign, the plain one comes back: straight
+    double quotes and apostrophes, and one kind of dash.
+    """
+
+    goes_back = True
+    remedy = "leave them out, or choose another table"
+
+    def missing(self, line: str) -> str:
+        """Return the characters of a line that have no cells here, each once."""
+        return "".join(
+            each for each in dict.fromkeys(line) if not all(map(_is_known, each.translate(_SAME)))
+        )
+
+    def encode(self, line: str) -> str:
+        """Return a line of text as cells."""
+        text = _plain_apostrophes(line.translate(_SAME))
+        before, after = _capitals(text)
+        cells: list[str] = []
+        numeric, opening = False, True
+        for place, character in enumerate(text):
+            following = text[place + 1 : place + 2]
+            if place in before:
+                cells.append(before[place])
+            if character in _DIGITS:
+                cells += [_DIGITS[character]] if numeric else [_NUMBER, _DIGITS[character]]
+                numeric, opening = True, False
+            elif character in ".,":
+                after_letter = place > 0 and _is_letter(text[place - 1])
+                if following in _DIGITS and not numeric and not after_letter:
+                    cells.append(_NUMBER)
+                    numeric = True
+                cells.append(_SIGNS[character])
+                opening = False
+            elif _is_letter(character):
+                spelled = _letter(character)
+                if numeric and place not in before and spelled in _DIGIT_OF:
+                    cells.append(_GRADE_1)
+                cells.append(spelled)
+                numeric = opening = False
+            else:
+                spelled = _punctuation(character, opening, following)
+                cells.append(spelled)
+                quoted = spelled in (_ONE_QUOTE_OR_QUESTION, _SURE_QUOTE) and character != "?"
+                numeric, opening = False, character in _OPENING or quoted
+            if place in after:
+                cells.append(after[place])
+        return "".join(cells)
+
+    def decode(self, cells: str) -> str:
+        """Return cells as text; a cell that means nothing stays as it is."""
+        text: list[str] = []
+        numeric, opening = False, True
+        passage = word = capital = False
+        place = 0
+        while place < len(cells):
+            cell, pair = cells[place], cells[place : place + 2]
+            if numeric:
+                digit = _in_number(cell, pair)
+                if digit:
+                    text.append(digit)
+                    place += 1
+                    continue
+                numeric = False
+            if cells.startswith(_CAPITAL_PASSAGE, place):
+                passage = True
+                place += 3
+            elif pair == _CAPITALS_END:
+                passage = word = False
+                place += 2
+            elif pair == _CAPITAL_WORD:
+                word = True
+                place += 2
+            elif cell == _NUMBER and pair[1:] in (*_DIGIT_OF, "⠂", "⠲"):
+                numeric, opening, word = True, False, False
+                place += 1
+            elif cell == _GRADE_1 and pair[1:] in _LETTER_OF:
+                place += 1
+            elif accented := _letter_at(cells, place):
+                letter, length = accented
+                text.append(letter.upper() if passage or word or capital else letter)
+                capital = opening = False
+                place += length
+            elif cell == _CAPITAL and pair not in _SIGN_OF:
+                capital = True
+                place += 1
+            else:
+                sign, length, opening = _sign_at(cells, place, opening)
+                text.append(sign)
+                word = capital = False
+                place += length
+        return "".join(text)
+
+
+def _plain_apostrophes(text: str) -> str:
+    """Turn ’ into an apostrophe wherever it does not close a ‘."""
+    plain, quoted = [], 0
+    for place, character in enumerate(text):
+        quoted += character == "‘"
+        if character == "’":
+            inside = place + 1 < len(text) and _is_letter(text[place + 1])
+            closes = quoted > 0 and not inside
+            quoted -= closes
+            plain.append(character if closes else "'")
+        else:
+            plain.append(character)
+    return "".join(plain)
+
+
+def _is_known(character: str) -> bool:
+    signs = character in _SIGNS or character in '?"“”'
+    return signs or character in _DIGITS or _is_letter(character)
+
+
+def _is_letter(character: str) -> bool:
+    return bool(_letter(character))
+
+
+@cache
+def _letter(character: str) -> str:
+    """Return the cells of a letter, its accents first; none if it is not one."""
+    spelled = unicodedata.normalize("NFD", character.lower())
+    letter, marks = spelled[0], spelled[1:]
+    if letter not in _LETTERS or not all(mark in _ACCENTS for mark in marks):
+        return ""
+    return "".join(_ACCENTS[mark] for mark in marks) + _LETTERS[letter]
+
+
+def _capitals(text: str) -> tuple[dict[int, str], dict[int, str]]:
+    """Return the indicators of capitals that stand before, and after, characters of a text."""
+    before, after = {}, {}
+    covered: set[int] = set()
+    for first, last in _passages(text):
+        before[next(k for k in range(first, last) if _is_letter(text[k]))] = _CAPITAL_PASSAGE
+        after[last - 1] = _CAPITALS_END
+        covered.update(range(first, last))
+    capital = [_is_letter(each) and each.isupper() for each in text] + [False]
+    start = 0
+    while start < len(text):
+        if not capital[start] or start in covered:
+            start += 1
+            continue
+        end = capital.index(False, start)
+        before[start] = _CAPITAL if end == start + 1 else _CAPITAL_WORD
+        if end > start + 1 and end < len(text) and _is_letter(text[end]):
+            after[end - 1] = _CAPITALS_END
+        start = end
+    return before, after
+
+
+def _passages(text: str) -> list[tuple[int, int]]:
+    """Return beginnings and ends of passages in capitals; words without a letter do not count."""
+    passages: list[tuple[int, int]] = []
+    run: list[tuple[int, int]] = []
+    for found in [*re.finditer(r"[^ ]+", text), None]:
+        letters = [each for each in found[0] if _is_letter(each)] if found else ["end"]
+        if not letters:
+            continue
+        if found and all(each.isupper() for each in letters):
+            run.append(found.span())
+            continue
+        if len(run) >= _PASSAGE_WORDS:
+            passages.append((run[0][0], run[-1][1]))
+        run = []
+    return passages
+
+
+def _punctuation(character: str, opening: bool, following: str) -> str:
+    if character == "?":
+        return (_GRADE_1 if opening else "") + _ONE_QUOTE_OR_QUESTION
+    if character == "“":
+        return _ONE_QUOTE_OR_QUESTION if opening else _SURE_QUOTE
+    if character == "”":
+        return _CLOSING_QUOTE
+    if character == '"':
+        at_end = following in ("", " ")
+        if opening:
+            return _ANY_QUOTE if at_end else _ONE_QUOTE_OR_QUESTION
+        return _ANY_QUOTE if following.isalnum() else _CLOSING_QUOTE
+    return _SIGNS[character]
+
+
+def _in_number(cell: str, pair: str) -> str:
+    """Return what a cell says in numeric mode; nothing if it ends it."""
+    if cell == _NUMBER_SPACE and pair[1:] in _DIGIT_OF:
+        return " "
+    return {"⠂": ",", "⠲": "."}.get(cell) or _DIGIT_OF.get(cell, "")
+
+
+def _letter_at(cells: str, place: int) -> tuple[str, int] | None:
+    """Return the letter, with its accents, that begins at a place, and its number of cells."""
+    marks, end = "", place
+    while cells[end : end + 2] in _ACCENT_OF:
+        marks += _ACCENT_OF[cells[end : end + 2]]
+        end += 2
+    letter = _LETTER_OF.get(cells[end : end + 1])
+    if letter is None:
+        return None
+    return unicodedata.normalize("NFC", letter + marks), end + 1 - place
+
+
+def _sign_at(cells: str, place: int, opening: bool) -> tuple[str, int, bool]:
+    """Return the sign at a place, its number of cells, and whether a quote may open after it."""
+    cell, pair = cells[place], cells[place : place + 2]
+    if pair == _GRADE_1 + _ONE_QUOTE_OR_QUESTION:
+        return "?", 2, False
+    if pair == _SURE_QUOTE:
+        return '"', 2, True
+    if cell == _ONE_QUOTE_OR_QUESTION:
+        return ('"', 1, True) if opening else ("?", 1, False)
+    for length, spelled in ((2, pair), (1, cell)):
+        if spelled in _SIGN_OF:
+            sign = _SIGN_OF[spelled]
+            return sign, length, sign in _OPENING
+    return cell, 1, False

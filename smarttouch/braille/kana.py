@@ -1,0 +1,184 @@
+"""Japanese kana Braille, built in: kana as they are spelled, numbers and punctuation."""
+
+import unicodedata
+
+from smarttouch.braille.cells import BLANK
+
+# The vowel lies in dots 1, 2 and 4, the consonant in dots 3, 5 and 6; what changes a syllable
+# stands in a cell before it. Checked against the kana of liblouis' ja-kantenji table.
+_ROWS = {
+    "あいうえお": "⠁⠃⠉⠋⠊", "かきくけこ": "⠡⠣⠩⠫⠪", "さしすせそ": "⠱⠳⠹⠻⠺",
+    "たちつてと": "⠕⠗⠝⠟⠞", "なにぬねの": "⠅⠇⠍⠏⠎", "はひふへほ": "⠥⠧⠭⠯⠮",
+    "まみむめも": "⠵⠷⠽⠿⠾", "やゆよ": "⠌⠬⠜", "らりるれろ": "⠑⠓⠙⠛⠚",
+    "わゐゑを": "⠄⠆⠖⠔", "んっー": "⠴⠂⠒",
+}  # fmt: skip
+_PLAIN = {kana: cell for row, cells in _ROWS.items() for kana, cell in zip(row, cells, strict=True)}
+_VOICED = dict(
+    zip("がぎぐげござじずぜぞだぢづでどばびぶべぼゔ", "かきくけこさしすせそたちつてとはひふへほう",
+        strict=True)
+)  # fmt: skip
+_HALF_VOICED = dict(zip("ぱぴぷぺぽ", "はひふへほ", strict=True))
+_FULL_SIZE = dict(zip("ぁぃぅぇぉゃゅょゎヵヶ", "あいうえおやゆよわかか", strict=True))
+"""A small kana that belongs to no syllable below is written as a full one."""
+
+
+def _syllables() -> dict[str, str]:
+    """Return the cells of all syllables."""
+    table = dict(_PLAIN)
+    table |= {kana: "⠐" + _PLAIN[plain] for kana, plain in _VOICED.items()}
+    table |= {kana: "⠠" + _PLAIN[plain] for kana, plain in _HALF_VOICED.items()}
+    glides = list(zip("ゃゅょ", range(3), strict=True))
+    for first, row, mark in (
+        ("き", "かくこ", "⠈"), ("ぎ", "かくこ", "⠘"), ("し", "さすそ", "⠈"), ("じ", "さすそ", "⠘"),
+        ("ち", "たつと", "⠈"), ("ぢ", "たつと", "⠘"), ("に", "なぬの", "⠈"), ("ひ", "はふほ", "⠈"),
+        ("び", "はふほ", "⠘"), ("ぴ", "はふほ", "⠨"), ("み", "まむも", "⠈"), ("り", "らるろ", "⠈"),
+    ):  # fmt: skip
+        table |= {first + small: mark + _PLAIN[row[k]] for small, k in glides}
+    for mark, spelled in (
+        ("⠈", "しぇせ ちぇて すぃし てぃち いぇえ きぇけ にぇね ひぇへ"),
+        ("⠘", "じぇせ ずぃし でぃち"),
+        ("⠢", "うぃい うぇえ うぉお つぁた つぃち つぇて つぉと とぅつ ふぁは ふぃひ ふぇへ ふぉほ "
+              "くぁか くぃき くぇけ くぉこ"),
+        ("⠲", "ゔぁは ゔぃひ ゔぇへ ゔぉほ どぅつ ぐぁか"),
+        ("⠨", "てゅつ ふゅゆ"), ("⠸", "でゅつ ゔゅゆ"),
+    ):  # fmt: skip
+        table |= {each[:2]: mark + _PLAIN[each[2]] for each in spelled.split()}
+    return table
+
+
+_SYLLABLES = _syllables()
+_SYLLABLE_OF = {cells: kana for kana, cells in _SYLLABLES.items()}
+_DIGITS = dict(zip("1234567890", "⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚", strict=True))
+_DIGIT_OF = {cell: digit for digit, cell in _DIGITS.items()}
+_NUMBER, _JOIN = "⠼", "⠤"
+"""The join stands between a number and a kana whose cell is a digit's too."""
+_POINT, _COMMA = "⠂", "⠄"
+
+_BRACKETS = {"「": "⠤", "」": "⠤", "『": "⠰⠤", "』": "⠤⠆", "(": "⠶", ")": "⠶"}
+_STOPS = {"。": "⠲", "、": "⠰", "?": "⠢", "!": "⠖", "・": "⠐"}
+_BLANKS = {"。": 2, "?": 2, "!": 2, "、": 1, "・": 1}
+"""Blank cells that follow a stop in a line."""
+_UNPARTED = frozenset("」』)。、?!・…~,.")
+"""No blank cell parts a stop from these."""
+_SIGNS = {**_BRACKETS, **_STOPS, "~": "⠤⠤", "…": "⠂⠂⠂"}
+_KNOWN = frozenset({*_SYLLABLES, *_FULL_SIZE, *_DIGITS, *_SIGNS, *" ,."})
+_WIDE = str.maketrans("?!()~", "？！（）〜")
+
+
+class Kana:
+    """Kana Braille.
+
+    Katakana become hiragana, and come back as hiragana. Kana are taken as they are
+    spelled: to write the particles は and へ as わ and え, a long う as ー, and spaces
+    between words, is the writer's part.
+    """
+
+    goes_back = True
+    remedy = "kanji need their readings first, and letters a language: write the text in kana"
+
+    def missing(self, line: str) -> str:
+        """Return the characters of a line that have no cells here, each once."""
+        return "".join(
+            each for each in dict.fromkeys(line) if not _KNOWN.issuperset(_to_hiragana(each))
+        )
+
+    def encode(self, line: str) -> str:
+        """Return a line of text as cells."""
+        text = _to_hiragana(line)
+        cells: list[str] = []
+        place, numeric = 0, False
+        while place < len(text):
+            character = text[place]
+            if character in _DIGITS:
+                cells.append(_DIGITS[character] if numeric else _NUMBER + _DIGITS[character])
+                numeric = True
+                place += 1
+                continue
+            if character in ",.":
+                if numeric and text[place + 1 : place + 2] in _DIGITS:
+                    cells.append(_COMMA if character == "," else _POINT)
+                    place += 1
+                    continue
+                character = {",": "、", ".": "。"}[character]
+            syllable, length = _syllable(text, place)
+            if syllable:
+                if numeric and syllable in _DIGIT_OF:
+                    cells.append(_JOIN)
+                cells.append(syllable)
+            else:
+                length = 1
+                cells.append(BLANK if character == " " else _SIGNS[character])
+                following = text[place + 1 :].lstrip(" ")
+                if character in _STOPS and following and following[0] not in _UNPARTED:
+                    cells.append(BLANK * _BLANKS[character])
+                    length = len(text) - place - len(following)
+            numeric = False
+            place += length
+        return "".join(cells)
+
+    def decode(self, cells: str) -> str:
+        """Return cells as text; a cell that means nothing stays as it is."""
+        text: list[str] = []
+        opened: list[str] = []
+        place, numeric = 0, False
+        while place < len(cells):
+            cell, following = cells[place], cells[place + 1 : place + 2]
+            digits = _DIGIT_OF.get(cell) if numeric else None
+            if numeric and digits is None and following in _DIGIT_OF:
+                digits = {_POINT: ".", _COMMA: ",", _JOIN: ""}.get(cell)
+            if digits is not None:
+                text.append(digits)
+                numeric = cell != _JOIN
+                place += 1
+                continue
+            numeric = cell == _NUMBER and following in _DIGIT_OF
+            if numeric:
+                place += 1
+            elif sign := _sign_at(cells, place, opened):
+                text.append(sign)
+                place += len(_SIGNS[sign])
+                blanks = len(cells) - place - len(cells[place:].lstrip(BLANK))
+                place += min(blanks, _BLANKS.get(sign, 0))
+            else:
+                pair = cells[place : place + 2]
+                spelled = pair if pair in _SYLLABLE_OF else cell
+                text.append(_SYLLABLE_OF.get(spelled, " " if cell == BLANK else cell))
+                place += len(spelled)
+        return "".join(text).translate(_WIDE)
+
+
+def _to_hiragana(text: str) -> str:
+    """Return a text with full-width digits made plain and katakana made hiragana."""
+    plain = unicodedata.normalize("NFKC", text).replace("...", "…").replace("〜", "~")
+    return "".join(
+        chr(ord(each) - ord("ァ") + ord("ぁ")) if "ァ" <= each <= "ヴ" else each for each in plain
+    )
+
+
+def _syllable(text: str, place: int) -> tuple[str, int]:
+    """Return the cells of the syllable at a place, and its number of characters."""
+    for length in (2, 1):
+        cells = _SYLLABLES.get(text[place : place + length])
+        if cells:
+            return cells, length
+    full = _FULL_SIZE.get(text[place])
+    return (_PLAIN[full], 1) if full else ("", 0)
+
+
+def _sign_at(cells: str, place: int, opened: list[str]) -> str:
+    """Return the sign at a place, if one is there; brackets are noted when they open and close."""
+    pair = cells[place : place + 2]
+    closing = {"「": "」", "『": "』", "(": ")"}.get(opened[-1]) if opened else None
+    if closing and cells.startswith(_BRACKETS[closing], place):
+        opened.pop()
+        return closing
+    if len(pair) == 2 and pair in _SYLLABLE_OF:
+        return ""
+    for sign in ("…", "~", "『", "「", "(", *_STOPS):
+        if cells.startswith(_SIGNS[sign], place):
+            if sign == "!" and pair[1:] in _SYLLABLE_OF:
+                return ""
+            if sign in _BRACKETS:
+                opened.append(sign)
+            return sign
+    return ""

@@ -1,0 +1,102 @@
+"""Cells laid out on pages: words wrapped into lines, lines into pages, and joined again."""
+
+import re
+from collections.abc import Sequence
+
+from smarttouch.braille.cells import BLANK, Pages
+from smarttouch.errors import BrailleError
+
+COLUMNS = 40
+ROWS = 25
+"""Of a North American Braille page."""
+INDENT = 2
+"""Cells: a paragraph begins in the third and runs over in the first, as Braille is printed."""
+CONTINUED = "⠐"
+"""Ends a line where a word goes on in the next: UEB's line continuation indicator."""
+
+
+def lay_out(
+    paragraphs: Sequence[str], columns: int = COLUMNS, rows: int = ROWS, indent: int = INDENT
+) -> Pages:
+    """Return pages of lines of cells.
+
+    Parameters
+    ----------
+    paragraphs : sequence of str
+        Cells; an empty one stays an empty line. Blank cells around one are dropped.
+    columns, rows : int
+        Cells a line and lines a page, at most.
+    indent : int
+        Blank cells before the first line of a paragraph. Without any, ``join``
+        cannot tell paragraphs apart.
+
+    Raises
+    ------
+    BrailleError
+        If the page is too small.
+    """
+    if columns < indent + 2 or rows < 1:
+        raise BrailleError(
+            f"a page of {columns} x {rows} cells is too small: give at least {indent + 2} columns "
+            "and 1 row"
+        )
+    lines = [line for each in paragraphs for line in _wrap(each, columns, indent)]
+    return [lines[first : first + rows] for first in range(0, len(lines), rows)]
+
+
+def join(pages: Pages, columns: int | None = None) -> list[str]:
+    """Return the paragraphs of pages that were laid out.
+
+    A line that begins with a blank cell, or follows an empty one, begins a paragraph.
+
+    Parameters
+    ----------
+    pages : list of list of str
+        Pages of lines of cells.
+    columns : int, optional
+        Cells a line had at most; those of the longest line, if not given.
+    """
+    lines = [line for page in pages for line in page]
+    columns = columns or max(map(len, lines), default=0)
+    paragraphs: list[str] = []
+    inside = continued = False
+    for line in lines:
+        words = line.strip(BLANK)
+        if continued:
+            paragraphs[-1] += words
+        elif inside and words and not line.startswith(BLANK):
+            paragraphs[-1] += BLANK + words
+        else:
+            paragraphs.append(words)
+        inside = bool(words)
+        continued = _is_continued(line, columns)
+        if continued:
+            paragraphs[-1] = paragraphs[-1].removesuffix(CONTINUED)
+    return paragraphs
+
+
+def _wrap(paragraph: str, columns: int, indent: int) -> list[str]:
+    lines: list[str] = []
+    line = BLANK * indent
+    begun = False
+    for gap, word in re.findall(f"({BLANK}*)([^{BLANK}]+)", paragraph):
+        if begun and not _fits(line + gap + word, columns):
+            lines.append(line)
+            line, begun = "", False
+        rest = gap + word if begun else word
+        while not _fits(line + rest, columns):
+            cut = columns - len(line) - 1
+            lines.append(line + rest[:cut] + CONTINUED)
+            line, rest = "", rest[cut:]
+        line += rest
+        begun = True
+    return [*lines, line if begun else ""]
+
+
+def _fits(line: str, columns: int) -> bool:
+    return len(line) <= columns and not _is_continued(line, columns)
+
+
+def _is_continued(line: str, columns: int) -> bool:
+    """Return whether a line says that its last word goes on in the next; only full ones can."""
+    return len(line) == columns and line.endswith(CONTINUED)

@@ -1,0 +1,170 @@
+"""liblouis, where it is installed: its tables turn texts into cells, and cells into texts."""
+
+import ctypes
+import ctypes.util
+import re
+import threading
+import unicodedata
+from functools import cache
+
+from smarttouch.braille.cells import BLANK, pattern
+from smarttouch.errors import BrailleError
+
+INSTALL = "apt install liblouis20 liblouis-data"
+_LIBRARIES = ("liblouis.so.20", "liblouis.so", "liblouis.20.dylib", "liblouis.dylib")
+
+_DOTS = 0x8000
+"""In back-translation a cell is this plus its pattern, in every version (LOU_DOTS)."""
+_DOTS_IO, _UNICODE_CELLS, _NO_UNDEFINED = 4, 64, 128
+"""Of ``translationModes`` in liblouis.h."""
+_LOG_OFF = 60000
+_LONGEST_NAME = 200
+"""Of a table; a file name has 255 bytes at most, and old versions do not look."""
+_ROOMS = (8, 64)
+"""Characters of output for one of input; the second where the first was not ample."""
+_UNDEFINED = "\uf8ff"
+"""Private use: no table defines it, so what it becomes is what undefined ones become."""
+_ESCAPE = re.compile(r"\\([0-9A-F]*)/")
+"""What stands for a cell that a table cannot read: its dots."""
+
+_lock = threading.Lock()
+"""liblouis keeps its state in globals."""
+
+
+class LouisCode:
+    """A Braille code as a table of liblouis has it.
+
+    Parameters
+    ----------
+    table : str
+        File name of the table, such as ``en-ueb-g2.ctb``.
+    goes_back : bool, optional
+        Whether its cells can be read; as the table itself says, if not given.
+
+    Raises
+    ------
+    BrailleError
+        If liblouis is missing, or has no such table.
+    """
+
+    remedy = "leave them out, or choose another table"
+
+    def __init__(self, table: str, goes_back: bool | None = None) -> None:
+        if not has_table(table):
+            raise BrailleError(f"there is no liblouis table {table} here: {INSTALL}")
+        self._table = table
+        self.goes_back = _goes_both_ways(table) if goes_back is None else goes_back
+        self._known: dict[str, bool] = {}
+
+    def missing(self, line: str) -> str:
+        """Return the characters of a line that the table does not define, each once."""
+        return "".join(each for each in dict.fromkeys(line) if not self._knows(each))
+
+    def encode(self, line: str) -> str:
+        """Return a line of text as cells."""
+        return _translate(self._table, line, _DOTS_IO | _UNICODE_CELLS)
+
+    def decode(self, cells: str) -> str:
+        """Return cells as text; a cell that the table cannot read stays as it is."""
+        dots = "".join(chr(_DOTS | pattern(cell)) for cell in cells)
+        text = _translate(self._table, dots, _DOTS_IO, back=True)
+        if text == _translate(self._table, dots, _DOTS_IO | _NO_UNDEFINED, back=True):
+            return text
+        return _ESCAPE.sub(lambda found: _cell(found[1]), text)
+
+    def _knows(self, character: str) -> bool:
+        known = self._known.get(character)
+        if known is None:
+            known = self._known[character] = self._defines(character)
+        return known
+
+    def _defines(self, character: str) -> bool:
+        if unicodedata.category(character).startswith("C"):
+            return False
+        if character.isascii():
+            # Some tables show the undefined as a question mark or a blank.
+            return True
+        if _encoding() == "utf-16-le" and ord(character) > 0xFFFF:
+            return False
+        mode = _DOTS_IO | _UNICODE_CELLS | _NO_UNDEFINED
+        alone, undefined = (_translate(self._table, each, mode) for each in (character, _UNDEFINED))
+        return alone != undefined
+
+
+def version() -> str | None:
+    """Return the version of liblouis; None where it is not installed."""
+    library = _library()
+    if library is None:
+        return None
+    library.lou_version.restype = ctypes.c_char_p
+    return str(library.lou_version().decode())
+
+
+def has_table(table: str) -> bool:
+    """Return whether liblouis is here, and has a table of this file name that it can use."""
+    library = _library()
+    if library is None or not table.isprintable() or len(table.encode()) > _LONGEST_NAME:
+        return False
+    with _lock:
+        return bool(library.lou_checkTable(table.encode()))
+
+
+@cache
+def _library() -> ctypes.CDLL | None:
+    found = ctypes.util.find_library("louis")
+    for name in (*([found] if found else ()), *_LIBRARIES):
+        try:
+            library = ctypes.CDLL(name)
+        except OSError:
+            continue
+        # Else it writes to stderr what we say in a sentence.
+        library.lou_setLogLevel(_LOG_OFF)
+        return library
+    return None
+
+
+def _goes_both_ways(table: str) -> bool:
+    library = _library()
+    assert library is not None
+    library.lou_getTableInfo.restype = ctypes.c_char_p
+    with _lock:
+        direction = library.lou_getTableInfo(table.encode(), b"direction")
+    return bool(direction != b"forward")
+
+
+@cache
+def _encoding() -> str:
+    library = _library()
+    assert library is not None
+    return "utf-32-le" if library.lou_charSize() == 4 else "utf-16-le"
+
+
+def _translate(table: str, text: str, mode: int, back: bool = False) -> str:
+    library, encoding = _library(), _encoding()
+    assert library is not None
+    translate = library.lou_backTranslateString if back else library.lou_translateString
+    given = text.encode(encoding, "surrogatepass")
+    width = 4 if encoding == "utf-32-le" else 2
+    length = len(given) // width
+    for each in _ROOMS:
+        room = each * length + 64
+        inbuf = ctypes.create_string_buffer(given, len(given) + width)
+        outbuf = ctypes.create_string_buffer(room * width)
+        read, written = ctypes.c_int(length), ctypes.c_int(room)
+        with _lock:
+            done = translate(
+                table.encode(), inbuf, ctypes.byref(read), outbuf, ctypes.byref(written),
+                None, None, mode,
+            )  # fmt: skip
+        if not done:
+            break
+        # Cut output is not always told by what was read of the input, but it fills its room.
+        if read.value == length and written.value <= room // 2:
+            return outbuf.raw[: written.value * width].decode(encoding, "replace")
+    way = "cells into a text" if back else "a text into cells"
+    raise BrailleError(f"liblouis could not turn {way} with {table}: choose another table")
+
+
+def _cell(dots: str) -> str:
+    """Return a cell from the numbers of its dots, as in 1256; others are none of a cell's."""
+    return chr(ord(BLANK) | sum(1 << int(dot) - 1 for dot in dots if dot in "12345678"))

@@ -1,0 +1,118 @@
+"""PEF 1.0, the portable embosser format: pages of cells as XML."""
+
+import uuid
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from xml.parsers import expat
+
+from smarttouch.braille.cells import Pages, require_cells
+from smarttouch.braille.files import read_bytes, write_bytes
+from smarttouch.errors import BrailleError
+
+# PEF 1.0, public specification (2010): http://pef-format.org
+_PEF = "http://www.daisy.org/ns/2008/pef"
+_DC = "http://purl.org/dc/elements/1.1/"
+_FORMAT = "application/x-pef+xml"
+
+
+def read_pef(path: Path) -> Pages:
+    """Read the pages of a PEF file, of all its volumes and sections.
+
+    Raises
+    ------
+    BrailleError
+        If it cannot be read, or is not PEF.
+    """
+    return parse_pef(read_bytes(path), str(path))
+
+
+def write_pef(path: Path, pages: Pages) -> None:
+    """Write a PEF file of one volume; its title is the file's name.
+
+    Raises
+    ------
+    BrailleError
+        If it cannot be written, or a character is not a cell.
+    """
+    write_bytes(path, format_pef(pages, path.stem))
+
+
+def format_pef(pages: Pages, title: str) -> bytes:
+    """Return pages as a PEF file has them; equal pages give equal files."""
+    for page in pages:
+        for line in page:
+            require_cells(line)
+    ET.register_namespace("", _PEF)
+    ET.register_namespace("dc", _DC)
+    root = ET.Element(f"{{{_PEF}}}pef", version="2008-1")
+    meta = _add(_add(root, "head"), "meta")
+    name = "\f".join("\n".join(page) for page in pages)
+    for key, value in (
+        ("format", _FORMAT),
+        ("identifier", uuid.uuid5(uuid.NAMESPACE_URL, name).urn),
+        ("title", title),
+    ):
+        ET.SubElement(meta, f"{{{_DC}}}{key}").text = value
+    volume = _add(
+        _add(root, "body"), "volume", rowgap="0", duplex="false",
+        cols=str(max((len(line) for page in pages for line in page), default=1) or 1),
+        rows=str(max(map(len, pages), default=1) or 1),
+    )  # fmt: skip
+    section = _add(volume, "section")
+    for page in pages or [[]]:
+        sheet = _add(section, "page")
+        for line in page:
+            _add(sheet, "row").text = line or None
+    ET.indent(root, " ")
+    written: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+    return written + b"\n"
+
+
+def parse_pef(data: bytes, name: str = "PEF") -> Pages:
+    """Return the pages of a PEF file.
+
+    Parameters
+    ----------
+    data : bytes
+        What it holds.
+    name : str
+        What to call it in an error.
+    """
+    try:
+        _refuse_declarations(data, name)
+        root = ET.fromstring(data)
+    except (ET.ParseError, expat.ExpatError, LookupError, ValueError) as error:
+        raise BrailleError(f"{name} is not XML: {error}") from None
+    if root.tag != f"{{{_PEF}}}pef":
+        raise BrailleError(f"{name} is not a PEF file: its root is {root.tag!r}")
+    pages = [
+        [_row(row, name) for row in page.findall(f"{{{_PEF}}}row")]
+        for page in root.iter(f"{{{_PEF}}}page")
+    ]
+    if not pages:
+        raise BrailleError(f"{name} is a PEF file without a page: there is nothing to read")
+    return pages
+
+
+def _add(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:
+    return ET.SubElement(parent, f"{{{_PEF}}}{tag}", attributes)
+
+
+def _refuse_declarations(data: bytes, name: str) -> None:
+    """Raise if there is a document type: entities can blow up a small file beyond all bounds."""
+
+    def refuse(*_: object) -> None:
+        raise BrailleError(f"{name} declares a document type, which PEF files have no use for")
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    parser.Parse(data, True)
+
+
+def _row(row: ET.Element, name: str) -> str:
+    line = "".join(row.itertext()).strip()
+    try:
+        require_cells(line)
+    except BrailleError as error:
+        raise BrailleError(f"{name}: {error}") from None
+    return line

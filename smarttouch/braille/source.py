@@ -1,0 +1,103 @@
+"""What is to be read in Braille: a text, a text file, or a file of cells; and where it goes."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from smarttouch.braille.brf import read_brf, write_brf
+from smarttouch.braille.cells import BLANK, Pages, is_cell
+from smarttouch.braille.files import read_text, write_bytes
+from smarttouch.braille.layout import join
+from smarttouch.braille.pef import read_pef, write_pef
+from smarttouch.braille.tables import Table
+from smarttouch.errors import BrailleError
+
+_MOST_NAMED = 12
+"""Characters left out that a note names."""
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """What was given, as cells.
+
+    Attributes
+    ----------
+    paragraphs : list of str
+        Cells, a paragraph each: a line of a text, or lines that a file of cells runs over.
+    pages : list of list of str, or None
+        Pages of lines as a file of cells has them.
+    notes : list of str
+        What the user should be told.
+    """
+
+    paragraphs: list[str]
+    pages: Pages | None
+    notes: list[str]
+
+
+def load_cells(source: str, table: Table, leave_out: bool = False) -> Loaded:
+    """Load cells.
+
+    Parameters
+    ----------
+    source : str
+        The name of a ``.txt``, ``.brf`` or ``.pef`` file, or a text; cells may stand
+        in a text in place of letters, if nothing else does.
+    table : Table
+        Turns texts into cells.
+    leave_out : bool
+        Leave out, and note, what the table has no cells for.
+
+    Raises
+    ------
+    BrailleError
+        If there is no such file, nothing in it, or a character without cells.
+    """
+    suffix = Path(source).suffix.lower()
+    pages: Pages | None = None
+    notes: list[str] = []
+    if suffix in (".brf", ".pef"):
+        pages = (read_brf if suffix == ".brf" else read_pef)(Path(source))
+        paragraphs = join(pages)
+    else:
+        text = read_text(Path(source)) if suffix == ".txt" else source
+        if _is_braille(text):
+            cells = "".join(BLANK if each in " \t" else each for each in text)
+        else:
+            cells = table.to_cells(text, leave_out)
+            notes = _notes(table, table.missing(text))
+        paragraphs = cells.strip("\n").split("\n")
+    if not any(paragraph.strip(BLANK) for paragraph in paragraphs):
+        raise BrailleError("there is nothing to read: give a text, or a file with one")
+    return Loaded(paragraphs, pages, notes)
+
+
+def write_cells(path: Path, pages: Pages) -> None:
+    """Write pages of cells as the name of the file asks.
+
+    Raises
+    ------
+    BrailleError
+        If the name ends in none of .brf, .pef and .txt, or the file cannot be written.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".brf":
+        write_brf(path, pages)
+    elif suffix == ".pef":
+        write_pef(path, pages)
+    elif suffix == ".txt":
+        lines = "".join(f"{line}\n" for page in pages for line in page)
+        write_bytes(path, lines.encode())
+    else:
+        raise BrailleError(f"cannot write {path}: give a name that ends in .brf, .pef or .txt")
+
+
+def _is_braille(text: str) -> bool:
+    return any(map(is_cell, text)) and all(is_cell(each) or each in " \t\n" for each in text)
+
+
+def _notes(table: Table, missing: str) -> list[str]:
+    notes = [table.note] if table.note else []
+    if missing:
+        named = " ".join(missing[:_MOST_NAMED]) + (" …" if len(missing) > _MOST_NAMED else "")
+        notes.append(f"left out, as table {table.name} has no cells for them: {named}")
+    return notes

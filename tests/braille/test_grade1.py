@@ -1,0 +1,112 @@
+"""English without contractions: known words, its own cells read back, and as liblouis has it."""
+
+import re
+import string
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from smarttouch.braille import louis
+from smarttouch.braille.cells import is_cell
+from smarttouch.braille.grade1 import Grade1
+from smarttouch.braille.louis import LouisCode
+
+ENGLISH = Grade1()
+
+
+@pytest.mark.parametrize(
+    ("text", "cells"),
+    [
+        ("hello", "⠓⠑⠇⠇⠕"),
+        ("Hello World", "⠠⠓⠑⠇⠇⠕⠀⠠⠺⠕⠗⠇⠙"),
+        ("HELLO", "⠠⠠⠓⠑⠇⠇⠕"),
+        ("HELLO WORLD AGAIN.", "⠠⠠⠠⠓⠑⠇⠇⠕⠀⠺⠕⠗⠇⠙⠀⠁⠛⠁⠊⠝⠲⠠⠄"),
+        ("TVs", "⠠⠠⠞⠧⠠⠄⠎"),
+        ("McDonald", "⠠⠍⠉⠠⠙⠕⠝⠁⠇⠙"),
+        ("X-RAY", "⠠⠭⠤⠠⠠⠗⠁⠽"),
+        ("123", "⠼⠁⠃⠉"),
+        ("3,000.50", "⠼⠉⠂⠚⠚⠚⠲⠑⠚"),
+        (".5", "⠼⠲⠑"),
+        ("1a 1k 1A", "⠼⠁⠰⠁⠀⠼⠁⠅⠀⠼⠁⠠⠁"),
+        ("10:30", "⠼⠁⠚⠒⠼⠉⠚"),
+        ("don't", "⠙⠕⠝⠄⠞"),
+        ("dogs’ ‘tails’", "⠙⠕⠛⠎⠄⠀⠠⠦⠞⠁⠊⠇⠎⠠⠴"),
+        ('"Why?" he said—no', "⠦⠠⠺⠓⠽⠦⠴⠀⠓⠑⠀⠎⠁⠊⠙⠠⠤⠝⠕"),
+        ("?", "⠰⠦"),
+        ("(a) [b] {c}", "⠐⠣⠁⠐⠜⠀⠨⠣⠃⠨⠜⠀⠸⠣⠉⠸⠜"),
+        ("5% & £5, €5, $5", "⠼⠑⠨⠴⠀⠈⠯⠀⠈⠇⠼⠑⠂⠀⠈⠑⠼⠑⠂⠀⠈⠎⠼⠑"),
+        ("20°C", "⠼⠃⠚⠘⠚⠠⠉"),
+        ("1 + 1 = 2", "⠼⠁⠀⠐⠖⠀⠼⠁⠀⠐⠶⠀⠼⠃"),
+        ("café, Éa, CAFÉ", "⠉⠁⠋⠘⠌⠑⠂⠀⠠⠘⠌⠑⠁⠂⠀⠠⠠⠉⠁⠋⠘⠌⠑"),
+        ("ABC 1A DEF", "⠠⠠⠠⠁⠃⠉⠀⠼⠁⠰⠁⠀⠙⠑⠋⠠⠄"),
+    ],
+)
+def test_known_words(text, cells):
+    assert ENGLISH.encode(text) == cells
+
+
+@pytest.mark.parametrize(
+    ("cells", "text"),
+    [
+        ("⠼⠁⠐⠚⠚⠚", "1 000"),
+        ("⠰⠭⠀⠰⠁", "x a"),
+        ("⠠⠠⠠⠁⠀⠼⠃⠀⠉⠠⠄⠀⠙", "A 2 C d"),
+        ("⠓⠊⠦", "hi?"),
+        ("⠦⠓⠊⠴", '"hi"'),
+        ("⣿⠓⠿⠸", "⣿h⠿⠸"),
+    ],
+)
+def test_cells_of_others(cells, text):
+    assert ENGLISH.decode(cells) == text
+
+
+SIGNS = "?.,;:!'-—‘’«»()[]{}<>/\\|_#%&@*+=×÷~^•$£€¢¥°§¶©®™\"“”–…−ﬁ "
+SAME = str.maketrans({"“": '"', "”": '"', "–": "—", "…": "...", "−": "-", "ﬁ": "fi", "’": "'"})
+LINES = st.text(st.sampled_from(string.ascii_letters + string.digits + "éÉñçÅ" + SIGNS))
+
+
+@given(LINES)
+@example('A B C\'D’ ‘e’ 1.a,b 2 ..5 ?"?" x"y “?” x“ —“')
+@example("ABC DEF GHI1 2. 3")
+def test_its_own_cells_come_back(text):
+    assert ENGLISH.missing(text) == ""
+    cells = ENGLISH.encode(text)
+    assert all(map(is_cell, cells))
+    assert ENGLISH.decode(cells).translate(SAME) == text.translate(SAME)
+
+
+@given(st.text(st.characters(min_codepoint=0x2800, max_codepoint=0x28FF)))
+def test_any_cells_become_some_text(cells):
+    assert len(ENGLISH.decode(cells)) <= len(cells)
+
+
+def test_what_is_missing():
+    assert ENGLISH.missing("naïve 中½ﬁ中\t") == "中½\t"
+
+
+LETTERS = st.text(st.sampled_from(string.ascii_lowercase), min_size=1, max_size=6)
+WORDS = st.one_of(
+    LETTERS, LETTERS.map(str.capitalize), LETTERS.map(str.upper),
+    st.builds("{}{}".format, LETTERS.map(str.capitalize), LETTERS.map(str.upper)),
+    st.builds("{}-{}".format, LETTERS.map(str.upper), LETTERS),
+    st.sampled_from(["don't", "café", "NAÏVE", "O'Neil", "TVs", "e.g.", "a@b.com", "and/or"]),
+    st.from_regex(r"[£$€]?[0-9]{1,3}(,[0-9]{3}|[.:/-][0-9]{2})?(st|nd|km|b|%|°)?", fullmatch=True),
+)  # fmt: skip
+TOKENS = st.one_of(
+    WORDS, WORDS, WORDS,
+    st.builds("{}{}".format, WORDS, st.sampled_from([*".,;:!?…", "...", "?!"])),
+    st.builds("({})".format, WORDS), st.builds("[{}],".format, WORDS),
+    st.builds('"{}"'.format, LETTERS), st.builds("“{}.”".format, WORDS),
+    st.builds("‘{}.’".format, WORDS),
+    st.builds("{}—{}".format, WORDS, WORDS), st.sampled_from(["-", "–", "&", "+", "="]),
+)  # fmt: skip
+
+
+@pytest.mark.skipif(louis.version() is None, reason=f"needs liblouis: {louis.INSTALL}")
+@settings(deadline=None)
+@given(st.lists(TOKENS, min_size=1, max_size=8).map(" ".join))
+def test_ordinary_text_is_as_liblouis_has_it(text):
+    # It joins any two numbers into one.
+    apart = re.sub(r"(?<=\d) (?=\d)", " and ", text)
+    assert ENGLISH.encode(apart) == LouisCode("en-ueb-g1.ctb").encode(apart)

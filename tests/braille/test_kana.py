@@ -1,0 +1,99 @@
+"""Kana Braille: known words, its own cells read back, and kana as liblouis has them."""
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from smarttouch.braille import louis
+from smarttouch.braille.cells import cells_to_dots, dots_to_cells, is_cell
+from smarttouch.braille.kana import Kana
+from smarttouch.braille.louis import LouisCode
+
+JAPANESE = Kana()
+NATIVE = """
+あ い う え お か き く け こ さ し す せ そ た ち つ て と な に ぬ ね の は ひ ふ へ ほ
+ま み む め も や ゆ よ ら り る れ ろ わ を ん っ が ぎ ぐ げ ご ざ じ ず ぜ ぞ だ ぢ づ で ど
+ば び ぶ べ ぼ ぱ ぴ ぷ ぺ ぽ きゃ きゅ きょ ぎゃ ぎゅ ぎょ しゃ しゅ しょ じゃ じゅ じょ
+ちゃ ちゅ ちょ にゃ にゅ にょ ひゃ ひゅ ひょ びゃ びゅ びょ ぴゃ ぴゅ ぴょ みゃ みゅ みょ
+りゃ りゅ りょ
+"""
+FOREIGN = """
+ー ゔ ふぁ ふぃ ふぇ ふぉ うぃ うぇ うぉ ゔぁ ゔぃ ゔぇ ゔぉ しぇ じぇ ちぇ てぃ でぃ とぅ どぅ
+つぁ てゅ でゅ
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "cells"),
+    [
+        ("あかさたな", "⠁⠡⠱⠕⠅"),
+        ("はまやらわん", "⠥⠵⠌⠑⠄⠴"),
+        ("がっこー", "⠐⠡⠂⠪⠒"),
+        ("ぽち", "⠠⠮⠗"),
+        ("きゅーしゅー", "⠈⠩⠒⠈⠹⠒"),
+        ("ぎょーざ", "⠘⠪⠒⠐⠱"),
+        ("ぴょん", "⠨⠮⠴"),
+        ("ファミリー", "⠢⠥⠷⠓⠒"),
+        ("25にち", "⠼⠃⠑⠇⠗"),
+        ("６えん", "⠼⠋⠤⠋⠴"),
+        ("1,000えん", "⠼⠁⠄⠚⠚⠚⠤⠋⠴"),
+        ("3.5ど", "⠼⠉⠂⠑⠐⠞"),
+        ("はい。そー、です", "⠥⠃⠲⠀⠀⠺⠒⠰⠀⠐⠟⠹"),
+        ("「はい。」と", "⠤⠥⠃⠲⠤⠞"),
+        ("なに？ すごい！", "⠅⠇⠢⠀⠀⠹⠐⠪⠃⠖"),
+        ("『ほん』（あお）", "⠰⠤⠮⠴⠤⠆⠶⠁⠊⠶"),
+        ("あぁ", "⠁⠁"),
+    ],
+)
+def test_known_words(text, cells):
+    assert JAPANESE.missing(text) == ""
+    assert JAPANESE.encode(text) == cells
+
+
+WORDS = st.lists(st.sampled_from((NATIVE + FOREIGN).split()), min_size=1, max_size=6).map("".join)
+NUMBERS = st.from_regex(r"[0-9]{1,4}|[1-9],[0-9]{3}|[0-9]\.[0-9]", fullmatch=True)
+TOKENS = st.one_of(
+    WORDS, WORDS, st.builds("「{}」".format, WORDS), st.builds("（{}）".format, WORDS),
+    st.builds("『{}。』と".format, WORDS),
+    st.builds("{}{}".format, NUMBERS, st.sampled_from(["あ", "り", "えん", "かい", "まい"])),
+)  # fmt: skip
+SENTENCES = st.lists(
+    st.builds("{}{}".format, st.lists(TOKENS, min_size=1, max_size=3).map(" ".join),
+              st.sampled_from("。、？！・")),
+    max_size=4,
+).map("".join)  # fmt: skip
+
+
+@given(SENTENCES)
+@example("「あ」、「い」！？『う』…10〜20")
+def test_its_own_cells_come_back(text):
+    assert JAPANESE.missing(text) == ""
+    assert JAPANESE.decode(JAPANESE.encode(text)) == text
+
+
+@given(st.text(st.characters(min_codepoint=0x2800, max_codepoint=0x28FF)))
+def test_any_cells_become_some_text(cells):
+    text = JAPANESE.decode(cells)
+    unread = [each for each in text if is_cell(each)]
+    assert all(each in cells for each in unread)
+
+
+def test_what_is_missing():
+    assert JAPANESE.missing("漢字と かな、CD。") == "漢字CD"
+
+
+def lifted(cells):
+    """Return cells with all dots one row higher: kana lie low among the 8 dots of Kantenji."""
+    dots = cells_to_dots(cells)
+    assert not dots[:, [0, 3]].any()
+    return dots_to_cells(dots[:, [1, 2, 6, 4, 5, 7]])
+
+
+@pytest.mark.skipif(
+    not louis.has_table("ja-kantenji.utb"), reason=f"needs liblouis: {louis.INSTALL}"
+)
+def test_kana_are_as_liblouis_has_them():
+    table = LouisCode("ja-kantenji.utb")
+    # Foreign sounds it spells kana by kana, if they are hiragana, and katakana it marks.
+    for kana in NATIVE.split():
+        assert lifted(table.encode(kana)) == JAPANESE.encode(kana), kana

@@ -1,0 +1,118 @@
+"""liblouis: known contractions, what it does not know, and life without it."""
+
+import threading
+
+import pytest
+
+from smarttouch.braille import louis
+from smarttouch.braille.cells import is_cell
+from smarttouch.braille.louis import LouisCode
+from smarttouch.errors import BrailleError
+
+needs_liblouis = pytest.mark.skipif(
+    louis.version() is None, reason=f"needs liblouis: {louis.INSTALL}"
+)
+
+
+@pytest.fixture
+def no_liblouis(monkeypatch):
+    monkeypatch.setattr(louis, "_library", lambda: None)
+
+
+@needs_liblouis
+@pytest.mark.parametrize(
+    ("table", "text", "cells"),
+    [
+        ("en-ueb-g2.ctb", "The child will go.", "⠠⠮⠀⠡⠀⠺⠀⠛⠲"),
+        ("en-ueb-g2.ctb", "knowledge for people", "⠅⠀⠿⠀⠏"),
+        ("de-g0.utb", "Straße 12", "⠎⠞⠗⠁⠮⠑⠀⠼⠁⠃"),
+        ("de-g1.ctb", "schön", "⠱⠪⠝"),
+        ("de-g1.ctb", "die Bäume", "⠙⠬⠀⠃⠌⠍⠑"),
+        ("de-g2.ctb", "die und", "⠬⠀⠥"),
+        ("fr-bfu-comp6.utb", "été garçon", "⠿⠞⠿⠀⠛⠁⠗⠯⠕⠝"),
+        ("fr-bfu-comp6.utb", "Où est-il ?", "⠨⠕⠾⠀⠑⠎⠞⠤⠊⠇⠀⠢"),
+    ],
+)
+def test_known_words(table, text, cells):
+    assert LouisCode(table).encode(text) == cells
+
+
+@needs_liblouis
+def test_contractions_are_read():
+    code = LouisCode("en-ueb-g2.ctb")
+    assert code.decode("⠠⠮⠀⠡⠀⠺⠀⠛⠲") == "The child will go."
+
+
+@needs_liblouis
+@pytest.mark.parametrize("table", ["en-ueb-g2.ctb", "fr-bfu-comp6.utb", "da-dk-g26.ctb"])
+def test_what_is_missing(table):
+    assert LouisCode(table).missing("a é?中\x01😀\ue000 中") == "中\x01😀\ue000"
+
+
+@needs_liblouis
+def test_a_cell_that_cannot_be_read_stays():
+    assert LouisCode("en-ueb-g1.ctb").decode("⠓⣿⠊") == "h⣿i"
+
+
+@needs_liblouis
+def test_one_may_become_many():
+    code = LouisCode("en-ueb-g1.ctb")
+    # An undefined character is shown by its number, eight cells.
+    shown = code.encode("中")
+    assert len(shown) == 8
+    assert code.encode("中" * 500) == shown * 500
+
+
+@needs_liblouis
+@pytest.mark.parametrize(
+    "table", ["none.ctb", "", "a" * 5000, "two\nlines.ctb", "en-ueb-g1.ctb,no.x"]
+)
+def test_no_such_table(table, capfd):
+    with pytest.raises(BrailleError, match="there is no liblouis table"):
+        LouisCode(table)
+    assert capfd.readouterr() == ("", "")
+
+
+@needs_liblouis
+def test_what_a_table_says_of_itself():
+    assert not LouisCode("de-g2.ctb").goes_back
+    assert LouisCode("fr-bfu-g2.ctb").goes_back
+
+
+@needs_liblouis
+def test_many_threads_at_once():
+    tables = {"en-ueb-g2.ctb": "The child", "de-g1.ctb": "schön", "fr-bfu-comp6.utb": "été"}
+    expected = {table: LouisCode(table).encode(text) for table, text in tables.items()}
+    wrong = []
+
+    def translate(table):
+        code = LouisCode(table)
+        wrong.extend(table for _ in range(200) if code.encode(tables[table]) != expected[table])
+
+    threads = [threading.Thread(target=translate, args=(table,)) for table in list(tables) * 2]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+def test_without_it(no_liblouis):
+    assert louis.version() is None
+    assert not louis.has_table("en-ueb-g1.ctb")
+    with pytest.raises(BrailleError, match="apt install liblouis20 liblouis-data"):
+        LouisCode("en-ueb-g1.ctb")
+
+
+@needs_liblouis
+def test_it_is_found_under_its_own_names(monkeypatch):
+    monkeypatch.setattr(louis.ctypes.util, "find_library", lambda _: None)
+    library = louis._library.__wrapped__()
+    assert library is not None
+    monkeypatch.setattr(louis, "_LIBRARIES", ("libnone.so",))
+    assert louis._library.__wrapped__() is None
+
+
+@needs_liblouis
+def test_cells_only():
+    assert all(map(is_cell, LouisCode("en-ueb-g2.ctb").encode("Any text, of 3 signs: €.")))

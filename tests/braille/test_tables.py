@@ -1,0 +1,112 @@
+"""Tables by name, with liblouis and without; texts with whatever stands in texts."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.braille import louis
+from smarttouch.braille.grade1 import Grade1
+from smarttouch.braille.tables import MISSING_NOTE, known_tables, open_table
+from smarttouch.errors import BrailleError
+
+needs_liblouis = pytest.mark.skipif(
+    louis.version() is None, reason=f"needs liblouis: {louis.INSTALL}"
+)
+
+
+@pytest.fixture
+def no_liblouis(monkeypatch):
+    monkeypatch.setattr(louis, "_library", lambda: None)
+
+
+@needs_liblouis
+@pytest.mark.parametrize("name", known_tables())
+def test_each_name_opens(name):
+    table = open_table(name)
+    assert (table.name, table.title, table.note) == (name, known_tables()[name], None)
+    text = "ほんを" if name == "ja" else "Text"
+    assert len(table.to_cells(text)) >= 2
+    if table.code.goes_back:
+        assert table.to_text(table.to_cells(text)).lower() == text.lower()
+
+
+def test_without_liblouis_there_is_grade_1(no_liblouis):
+    table = open_table()
+    assert table.name == "en-1"
+    assert isinstance(table.code, Grade1)
+    assert table.note == MISSING_NOTE
+    assert table.to_text(table.to_cells("Hello")) == "Hello"
+    assert open_table("ja").note is None
+    with pytest.raises(BrailleError, match=r"en-2 .* needs liblouis: apt install liblouis20"):
+        open_table("en-2")
+    with pytest.raises(BrailleError, match=r"unknown table 'es-g1\.ctb'"):
+        open_table("es-g1.ctb")
+
+
+@needs_liblouis
+def test_any_table_of_liblouis():
+    table = open_table("es-g1.ctb")
+    assert table.to_cells("año") == "⠁⠻⠕"
+    assert table.to_text("⠁⠻⠕") == "año"
+
+
+@pytest.mark.parametrize("name", ["", "en", "nonsense.ctb", "../../etc/passwd", "en-1 "])
+def test_unknown_names(name):
+    with pytest.raises(BrailleError, match=r"unknown table .* choose one of en-1, en-2, .*, ja"):
+        open_table(name)
+
+
+@pytest.mark.parametrize("name", ["en-1", "ja"])
+def test_lines_stay_lines(name):
+    table = open_table(name)
+    assert table.to_cells("1\r\n\n2\t\u00a02\n") == "⠼⠁\n\n⠼⠃⠀⠀⠼⠃\n"
+    assert table.to_text("⠼⠁\n\n⠼⠃\n") == "1\n\n2\n"
+
+
+def test_accents_may_come_apart_and_invisible_characters_go():
+    table = open_table("en-1")
+    assert table.to_cells("cafe\u0301") == table.to_cells("café")
+    assert open_table("ja").to_cells("ｶﾞﾗｽ") == "⠐⠡⠑⠹"
+    assert table.to_cells("\ufefftou\u00adch\u200b") == table.to_cells("touch")
+
+
+def test_what_has_no_cells():
+    with pytest.raises(BrailleError, match=r"en-1 has no cells for '中' \(U\+4E2D\): leave"):
+        open_table().to_cells("a中")
+    with pytest.raises(
+        BrailleError, match=r"ja has no cells for '漢' \(U\+6F22\) and 1 more: kanji"
+    ):
+        open_table("ja").to_cells("漢字")
+    table = open_table()
+    assert table.missing("a中b\n😀中") == "中😀"
+    assert table.to_cells("a中b\n😀c", leave_out=True) == "⠁⠃\n⠉"
+
+
+def test_letters_are_not_cells():
+    with pytest.raises(BrailleError, match="'x' at place 2 is not a cell"):
+        open_table().to_text("⠁\n⠁x")
+
+
+@needs_liblouis
+def test_some_tables_cannot_go_back():
+    with pytest.raises(BrailleError, match="de-2 turns texts into cells only"):
+        open_table("de-2").to_text("⠁")
+
+
+@pytest.mark.parametrize(
+    "name", ["en-1", "ja", *(["en-2", "de-1", "fr-1"] if louis.version() else [])]
+)
+@settings(deadline=None)
+@given(text=st.text())
+def test_any_text_becomes_cells(name, text):
+    cells = open_table(name).to_cells(text, leave_out=True)
+    assert all(0x2800 <= ord(each) <= 0x28FF or each == "\n" for each in cells)
+
+
+@pytest.mark.parametrize(
+    "name", ["en-1", "ja", *(["en-2", "de-1", "fr-1"] if louis.version() else [])]
+)
+@settings(deadline=None)
+@given(cells=st.text(st.characters(min_codepoint=0x2800, max_codepoint=0x28FF), max_size=40))
+def test_any_cells_become_text(name, cells):
+    assert isinstance(open_table(name).to_text(cells), str)
