@@ -1,0 +1,244 @@
+"""A photograph of embossed Braille, from a height map and a lamp at its side."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.pages.page_image import Page
+
+Mapping = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+DOT_HEIGHT_MM = 0.48
+DOT_RADIUS_MM = 0.75
+"""Of a dot of NLS 800, at its base."""
+PAPER_BEND_MM = 0.12
+"""Paper does not fold sharply where a dot begins."""
+LAMP_ELEVATION_DEG = 22.0
+AMBIENT = 0.35
+"""Of the light: from everywhere."""
+PAPER_GREY = 205.0
+MARGIN_MM = 16.0
+
+
+@dataclass(frozen=True, eq=False)
+class Embossed:
+    """A rendered photograph, and the (N, 2) px where the dots of its front are."""
+
+    page: Page
+    dots_px: NDArray[np.float64]
+
+
+def emboss(
+    lines: list[str],
+    *,
+    px_per_mm: float = 8.0,
+    light_deg: float = 120.0,
+    skew_deg: float = 0.0,
+    blur_px: float = 0.5,
+    noise: float = 1.5,
+    shading: float = 0.0,
+    texture: float = 1.0,
+    perspective: float = 0.0,
+    curl_mm: float = 0.0,
+    back_side: list[str] | None = None,
+    dent: float = 0.8,
+    dot_mm: float = 2.34,
+    cell_mm: float = 6.2,
+    line_mm: float = 10.0,
+    uneven: float = 0.08,
+    lost: float = 0.0,
+    quality: int = 88,
+    seed: int = 0,
+) -> Embossed:
+    """Render lines of cells as they look in a photograph.
+
+    Parameters
+    ----------
+    light_deg : float, °
+        Where the light comes from: 0 is the right, 90 the top of the picture.
+    noise : float, grey levels
+        Of the camera.
+    shading : float, in [0, 1]
+        How much of the light is lost towards the corner that is darkest.
+    texture : float
+        Roughness of the paper, of that of ordinary Braille paper.
+    perspective : float
+        How much smaller the page's far edge is than its near one, as a part.
+    dent : float
+        Depth of a dot seen from behind, of its height.
+    curl_mm : float, mm
+        How far the middle of each line is bent down.
+    back_side : list of str, optional
+        Cells embossed from the other side; they lie between the front's dots.
+    uneven : float
+        Spread of the dots' heights, as a part; half of it, in mm, of their places.
+    lost : float, in [0, 1]
+        Share of the dots that are worn flat.
+    """
+    rng = np.random.default_rng(seed)
+    columns = max(len(line) for line in (*lines, *(back_side or [])))
+    rows = max(len(lines), len(back_side or []))
+    size_mm = np.array(
+        [(columns - 1) * cell_mm + dot_mm, (rows - 1) * line_mm + 2 * dot_mm]
+    ) + 2 * MARGIN_MM  # fmt: skip
+    to_px, size_px = _camera(size_mm, px_per_mm, skew_deg, perspective, curl_mm)
+    front_mm = _dots_mm(lines, dot_mm, cell_mm, line_mm) + MARGIN_MM
+    front_mm = front_mm[rng.random(len(front_mm)) >= lost]
+    front_mm += rng.normal(0, 0.5 * uneven, front_mm.shape)
+    front_px = to_px(front_mm)
+    height_px = np.zeros(size_px[::-1], np.float32)
+    _stamp(height_px, front_px, px_per_mm, rng.normal(1, uneven, len(front_px)))
+    if back_side is not None:
+        back_mm = _dots_mm(back_side, dot_mm, cell_mm, line_mm) + MARGIN_MM + dot_mm / 2
+        back_mm[:, 0] = size_mm[0] - back_mm[:, 0] + dot_mm
+        _stamp(height_px, to_px(back_mm), px_per_mm, -dent * rng.normal(1, uneven, len(back_mm)))
+    height_px = cv2.GaussianBlur(height_px, (0, 0), PAPER_BEND_MM * px_per_mm)
+    height_px += _fibers(height_px.shape, px_per_mm, texture, rng)
+    light = _lit(height_px, math.radians(light_deg))
+    light *= _falloff(light.shape, shading, math.radians(light_deg))
+    speckle = rng.standard_normal(light.shape, np.float32)
+    light *= 1 + 0.012 * texture * cv2.GaussianBlur(speckle, (0, 0), 0.15 * px_per_mm)
+    grey = PAPER_GREY * light
+    if blur_px:
+        grey = cv2.GaussianBlur(grey, (0, 0), blur_px)
+    grey += noise * rng.standard_normal(grey.shape, np.float32)
+    picture = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+    _, packed = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    picture = np.asarray(cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE), np.uint8)
+    # The photograph does not know its scale: any number will do.
+    return Embossed(Page(picture, 0.1), front_px)
+
+
+def printed(embossed: Embossed, radius_px: float, light_on_dark: bool = False) -> Page:
+    """Draw the dots as discs of ink where they would have been embossed."""
+    ink = np.zeros(embossed.page.grey.shape, np.uint8)
+    for x, y in np.rint(embossed.dots_px * 16).astype(int):
+        cv2.circle(ink, (int(x), int(y)), round(radius_px * 16), 255, -1, cv2.LINE_AA, 4)
+    grey = cv2.GaussianBlur(225 - (ink * 0.75).astype(np.uint8), (0, 0), 0.7)
+    return Page(255 - grey if light_on_dark else grey, 0.1)
+
+
+def random_lines(
+    rows: int, columns: int, seed: int, blank: float = 0.15, density: float = 0.45
+) -> list[str]:
+    """Return lines of random cells, none of them with a blank end."""
+    rng = np.random.default_rng(seed)
+    dots = rng.random((rows, columns, 6)) < density
+    dots[~dots.any(axis=2), 0] = True
+    dots[rng.random((rows, columns)) < blank] = False
+    dots[:, -1, 0] = True
+    codes = 0x2800 + dots @ (1 << np.arange(6))
+    return ["".join(map(chr, line)) for line in codes.tolist()]
+
+
+def _dots_mm(
+    lines: list[str], dot_mm: float, cell_mm: float, line_mm: float
+) -> NDArray[np.float64]:
+    """Return where dots are, (N, 2) mm from the first dot of the first cell."""
+    places = [
+        (column * cell_mm + (dot // 3) * dot_mm, row * line_mm + (dot % 3) * dot_mm)
+        for row, line in enumerate(lines)
+        for column, cell in enumerate(line)
+        for dot in range(6)
+        if (ord(cell) - 0x2800) >> dot & 1
+    ]
+    return np.array(places, np.float64).reshape(-1, 2)
+
+
+def _camera(
+    size_mm: NDArray[np.float64],
+    px_per_mm: float,
+    skew_deg: float,
+    perspective: float,
+    curl_mm: float,
+) -> tuple[Mapping, tuple[int, int]]:
+    """Return the map from the page to the picture, and the picture's size, px."""
+    cos, sin = math.cos(math.radians(skew_deg)), math.sin(math.radians(skew_deg))
+
+    def to_px(place_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        x, y = (place_mm - size_mm / 2).T
+        y = y + curl_mm * ((2 * x / size_mm[0]) ** 2 - 1)
+        x, y = cos * x + sin * y, cos * y - sin * x
+        # The page leans away from the camera to the top right.
+        away = 1 + perspective * (0.4 * x / size_mm[0] - 0.9 * y / size_mm[1])
+        return np.column_stack([x / away, y / away]) * px_per_mm + middle_px
+
+    corners = np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * size_mm
+    middle_px = np.zeros(2)
+    reach = np.abs(to_px(corners)).max(axis=0)
+    middle_px = reach
+    width, height = np.ceil(2 * reach).astype(int).tolist()
+    return to_px, (width, height)
+
+
+def _stamp(
+    height_px: NDArray[np.float32],
+    dots_px: NDArray[np.float64],
+    px_per_mm: float,
+    raised: NDArray[np.float64],
+) -> None:
+    """Raise caps of spheres from the paper by so much of their height, or sink them into it."""
+    radius, top = DOT_RADIUS_MM * px_per_mm, DOT_HEIGHT_MM * px_per_mm
+    sphere = (radius**2 + top**2) / (2 * top)
+    reach = math.ceil(radius) + 1
+    rows, columns = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    for (x, y), way in zip(dots_px, raised, strict=True):
+        column, row = round(x), round(y)
+        away = (columns + column - x) ** 2 + (rows + row - y) ** 2
+        cap = np.sqrt(np.maximum(sphere**2 - away, 0)) - (sphere - top)
+        height_px[row - reach : row + reach + 1, column - reach : column + reach + 1] += (
+            way * np.maximum(cap, 0)
+        )
+
+
+def _fibers(
+    shape: tuple[int, ...], px_per_mm: float, texture: float, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """Return the relief of paper: fibers in many directions, and slow waves, in pixels."""
+    relief = np.zeros(shape, np.float32)
+    for angle in range(0, 180, 45):
+        length = math.ceil(0.8 * px_per_mm) | 1
+        line = np.zeros((length, length), np.float32)
+        step = np.array([math.cos(math.radians(angle)), math.sin(math.radians(angle))])
+        ends = length // 2 + np.outer([-1, 1], step * (length // 2))
+        first, last = np.rint(ends).astype(int).tolist()
+        cv2.line(line, first, last, 1.0)
+        relief += cv2.filter2D(rng.standard_normal(shape, np.float32), -1, line / line.sum())
+    relief *= 0.006 * px_per_mm * texture / relief.std()
+    coarse = rng.standard_normal((max(2, shape[0] // 64), max(2, shape[1] // 64)), np.float32)
+    waves = cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)
+    return relief + 0.05 * px_per_mm * texture * waves
+
+
+def _lit(height_px: NDArray[np.float32], azimuth: float) -> NDArray[np.float32]:
+    """Return the light that paper (Lambert's) sends back, 1 where it is flat."""
+    elevation = math.radians(LAMP_ELEVATION_DEG)
+    toward = np.array([math.cos(azimuth), -math.sin(azimuth)])
+    slope_y, slope_x = np.gradient(height_px)
+    facing = math.sin(elevation) - math.cos(elevation) * (slope_x * toward[0] + slope_y * toward[1])
+    facing /= np.sqrt(1 + slope_x**2 + slope_y**2)
+    direct = np.maximum(facing, 0) / math.sin(elevation)
+    # What rises between a place and the lamp, above the ray: the lamp is a few degrees wide.
+    rise, wide = math.tan(elevation), 0.25
+    above = np.full_like(height_px, -np.inf)
+    farthest = math.ceil(float(np.ptp(height_px)) / rise)
+    size = height_px.shape[::-1]
+    for step in range(1, farthest + 1):
+        shift = np.array([[1, 0, step * toward[0]], [0, 1, step * toward[1]]])
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        there = cv2.warpAffine(height_px, shift, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        np.maximum(above, (there - height_px) / (rise * step) - 1, out=above)
+    shadow = np.clip(0.5 + above / wide, 0, 1)
+    return np.asarray(AMBIENT + (1 - AMBIENT) * direct * (1 - shadow), np.float32)
+
+
+def _falloff(shape: tuple[int, ...], shading: float, azimuth: float) -> NDArray[np.float32]:
+    """Return uneven light: a lamp that is near, and a lens that darkens the corners."""
+    y, x = np.mgrid[-1 : 1 : shape[0] * 1j, -1 : 1 : shape[1] * 1j].astype(np.float32)
+    toward = x * math.cos(azimuth) - y * math.sin(azimuth)
+    lamp = 1 - shading * (0.5 - 0.5 * toward / math.sqrt(2))
+    return np.asarray(lamp * (1 - 0.15 * shading * (x * x + y * y)), np.float32)
