@@ -7,11 +7,14 @@ import typer
 
 from smarttouch.cli.board import board
 from smarttouch.cli.boards import boards
+from smarttouch.cli.braille import braille
 from smarttouch.cli.calibrate import calibrate
 from smarttouch.cli.design import design
 from smarttouch.cli.figures import figures
+from smarttouch.cli.legibility import legibility
 from smarttouch.cli.live import live
 from smarttouch.cli.profiles import profiles
+from smarttouch.cli.read import read
 from smarttouch.cli.recordings import recordings
 from smarttouch.cli.replay import replay
 from smarttouch.cli.sensor import sensor
@@ -26,6 +29,9 @@ app = typer.Typer(
     add_completion=False,
 )
 app.command()(live)
+app.command()(read)
+app.command()(braille)
+app.command()(legibility)
 app.command()(stop)
 app.command()(replay)
 app.command()(profiles)

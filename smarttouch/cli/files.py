@@ -1,14 +1,17 @@
 """What the commands share: modes by name, and files to write."""
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from smarttouch.errors import SmartTouchError
 from smarttouch.primary import Mode, Primary
 
 if TYPE_CHECKING:
     from smarttouch.profile import Profile
+
+Choice = TypeVar("Choice", bound=str)
 
 
 def parse_mode(mode: str) -> Mode:
@@ -17,6 +20,14 @@ def parse_mode(mode: str) -> Mode:
         if mode.lower() == each.value.lower():
             return each
     raise SmartTouchError(f"--mode {mode!r} is not offered: choose {' or '.join(Mode)}")
+
+
+def parse_choice(option: str, text: str, choices: Iterable[Choice]) -> Choice:
+    """Return the one of several choices that an option names."""
+    known = list(choices)
+    if text.lower() not in known:
+        raise SmartTouchError(f"{option} {text!r} is not offered: choose {' or '.join(known)}")
+    return next(each for each in known if each == text.lower())
 
 
 def parse_primary(mode: str) -> Primary:

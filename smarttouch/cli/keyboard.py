@@ -40,7 +40,7 @@ def read_key() -> str:
 def keys_heeded(heed: Callable[[str], None]) -> Iterator[None]:
     """Hand every key to a function, from a thread, until the block ends.
 
-    Arrow keys come as ``up`` and ``down``, a terminal that is gone as `LOST`.
+    Arrow keys come as ``up``, ``down``, ``left`` and ``right``, a terminal that is gone as `LOST`.
     """
     if not sys.stdin.isatty():
         yield
@@ -73,7 +73,8 @@ def keys_heeded(heed: Callable[[str], None]) -> Iterator[None]:
 
 
 def _keys(text: str) -> Iterator[str]:
-    arrows = {"\x1b[A": "up", "\x1b[B": "down", "\x1bOA": "up", "\x1bOB": "down"}
+    names = {"A": "up", "B": "down", "C": "right", "D": "left"}
+    arrows = {f"\x1b{mode}{end}": name for mode in "[O" for end, name in names.items()}
     while text:
         arrow = arrows.get(text[:3])
         yield arrow or text[0]

@@ -1,20 +1,39 @@
 """A bar for work that takes a while."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import Progress
 
+if TYPE_CHECKING:
+    from smarttouch.reading.feed import LineFeed
+
+
+Advance = Callable[[int, int], None]
+"""Told how many are done, of how many."""
+
+
+def bank_progress(quiet: bool) -> AbstractContextManager[Advance | None]:
+    """Yield what shows how many sites of a kernel bank are designed; None if quiet."""
+    return _bar("Designing kernels", quiet)
+
 
 @contextmanager
-def bank_progress(quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """Yield what shows how many sites of a kernel bank are designed; None if quiet."""
+def lines_progress(quiet: bool) -> Iterator[Advance]:
+    """Yield what shows how many lines have been felt."""
+    with _bar("Reading lines", quiet) as advance:
+        yield advance or (lambda _done, _total: None)
+
+
+@contextmanager
+def _bar(title: str, quiet: bool) -> Iterator[Advance | None]:
     if quiet:
         yield None
         return
     bar = Progress(console=Console(stderr=True), transient=True)
-    task = bar.add_task("Designing kernels")
+    task = bar.add_task(title)
 
     def advance(done: int, total: int) -> None:
         # Most runs find a bank ready: nothing is shown unless there is work.
@@ -26,3 +45,18 @@ def bank_progress(quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
     finally:
         if bar.live.is_started:
             bar.stop()
+
+
+def first_line_awaited(feed: "LineFeed", quiet: bool) -> None:
+    """Show that a text is being prepared until its first line is ready.
+
+    Raises
+    ------
+    SmartTouchError
+        Whatever keeps it from being.
+    """
+    if quiet:
+        feed.wait_for(0)
+        return
+    with Console(stderr=True).status("Preparing the text"):
+        feed.wait_for(0)

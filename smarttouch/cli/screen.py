@@ -51,6 +51,7 @@ class Screen:
         self._console = Console()
         self._latest: Sent | None = None
         self._event = ""
+        self._keys = (source.keys_help if source.keys else "") + _KEYS
         self._layout = _ArrayLayout(profile)
         self._live: Live | None = None
         if not quiet and self._console.is_terminal:
@@ -100,7 +101,7 @@ class Screen:
         return Group(
             Text(f"{self._source.title}  →  {self._profile.title}  →  {self._url}", style="bold"),
             Columns([sensor, electrodes, Panel(self._numbers(sent), title="now", expand=False)]),
-            Text(_KEYS if sys.stdin.isatty() else "", style="dim"),
+            Text(self._keys if sys.stdin.isatty() else "", style="dim"),
             Text(self._event, style="dim"),
         )
 

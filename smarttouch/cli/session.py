@@ -16,10 +16,13 @@ from smarttouch.cli.files import require_folder, write_json
 from smarttouch.cli.keyboard import LOST, keys_heeded
 from smarttouch.cli.progress import bank_progress
 from smarttouch.cli.regulation import make_regulator, masked_where_broken
+from smarttouch.cli.run_figures import run_figures
 from smarttouch.cli.running import announced
 from smarttouch.cli.screen import Screen
+from smarttouch.clock import SimulatedClock
 from smarttouch.controls import STEP, Controls, StopRequest, Wish, stop_on_signals
 from smarttouch.errors import SensorError, SmartTouchError
+from smarttouch.imaging.mapping import Tone
 from smarttouch.live import Sent, Tell, run, settled
 from smarttouch.modes.bank import KernelBank, load_bank
 from smarttouch.pipeline import Pipeline
@@ -29,6 +32,11 @@ from smarttouch.scan.safety import SafetyLimits
 from smarttouch.sensing.forces.force import ForceSource
 from smarttouch.sensing.frame import Sensor
 from smarttouch.tally import Tally
+
+_TELL_ALL = ("emulator:", "simulated:")
+"""Boards that report every pulse."""
+_NO_FINGER = (*_TELL_ALL, "memory:")
+"""Boards that no finger is on."""
 
 
 @dataclass
@@ -47,7 +55,9 @@ class Plan:
     measure: bool = False
     hold: str | None = None
     balance: bool = False
+    tone: Tone | None = None
     felt: Path | None = None
+    frames: Path | None = None
     record: Path | None = None
     json_file: Path | None = None
     quiet: bool = False
@@ -59,7 +69,7 @@ class Plan:
     def __post_init__(self) -> None:
         for output in (self.felt, self.record, self.json_file):
             require_folder(output)
-        if self.felt is not None and not self.board_url.startswith("emulator:"):
+        if self.felt is not None and not self.board_url.startswith(_TELL_ALL):
             raise SmartTouchError(
                 f"--felt needs a board that reports every pulse, and {self.board_url!r} does not: "
                 "use --board emulator:"
@@ -75,7 +85,7 @@ class Plan:
         """Intensity at the start: where someone can turn it up on a real board, nothing."""
         if self.level is not None:
             return self.level
-        return 0.0 if sys.stdin.isatty() and not self.board_url.startswith("emulator:") else 1.0
+        return 0.0 if sys.stdin.isatty() and not self.board_url.startswith(_NO_FINGER) else 1.0
 
 
 def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile) -> None:
@@ -83,7 +93,7 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
     stop, tally = StopRequest(), Tally()
     with contextlib.ExitStack() as stack:
         options: dict[str, Any] = {}
-        if plan.felt is not None:
+        if plan.felt is not None and plan.board_url.startswith("emulator:"):
             books = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="smarttouch-")))
             options["books"] = books
         display = make_board(plan.board_url, SafetyLimits.of(profile), profile.output, **options)
@@ -102,9 +112,13 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
             plan.light_on_dark,
             display.timing,
             plan.softness,
+            plan.tone,
         )
         drawing = None if plan.felt is None else _drawing(source, profile, bank, plan.mode)
-        observers: list[Callable[[Sent], None]] = [] if drawing is None else [drawing.watch]
+        patterns = None if plan.frames is None else _patterns(plan.frames, profile)
+        observers: list[Callable[[Sent], None]] = [
+            each.watch for each in (drawing, patterns) if each is not None
+        ]
         wish = Wish(plan.mode, plan.first_level)
         controls = plan.controls(wish, pipeline.offered())
         report: BoardReport | None = None
@@ -125,7 +139,7 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
                     observers.append(
                         lambda sent: recorder.record(sent, display.acknowledged, display.refused)
                     )
-                with screen, keys_heeded(_keys(controls, stop)), announced():
+                with screen, keys_heeded(_keys(controls, stop, source)), announced():
                     run(
                         source,
                         pipeline,
@@ -138,11 +152,11 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
                         force=force,
                         tell=tell,
                         regulator=regulator,
+                        clock=SimulatedClock() if display.waits_for_nothing else None,
                     )
                 report = display.report()
             display.notes += regulator.notes()
-            page = hasattr(source, "page")
-            ended = stop.reason or ("end of the page" if page else "the sensor has ended")
+            ended = stop.reason or source.ended
             for words in [_account(report), *_notes(source, force, display)]:
                 tell(int(tally.seconds * 1e9), words)
         except SmartTouchError as error:
@@ -150,21 +164,22 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
             raise
         finally:
             source.close()
-            figures = _figures(tally, source, display, report, ended)
+            figures = run_figures(tally, source, display, report, ended)
             if plan.json_file is not None:
                 write_json(plan.json_file, figures)
         if plan.felt is not None and drawing is not None:
-            from smarttouch.boards.emulator.books import read_delivered
-
-            drawing.deliver(*read_delivered(books))
+            drawing.deliver(*_delivered(display, options.get("books")))
             drawing.save(plan.felt)
+        if patterns is not None:
+            patterns.save()
     if not plan.quiet:
-        written = [each for each in (plan.felt, plan.record, plan.json_file) if each is not None]
+        outputs = (plan.felt, plan.frames, plan.record, plan.json_file)
+        written = [each for each in outputs if each is not None]
         screen.summarize(figures, _notes(source, force, display), written)
 
 
-def _keys(controls: Controls, stop: StopRequest) -> Callable[[str], None]:
-    """Return what each key does: the subject's own control, and the way out."""
+def _keys(controls: Controls, stop: StopRequest, source: Sensor) -> Callable[[str], None]:
+    """Return what each key does: the subject's own control, the source's, and the way out."""
     does: dict[str, Callable[[], None]] = {
         "+": lambda: controls.change_level(STEP),
         "-": lambda: controls.change_level(-STEP),
@@ -176,7 +191,12 @@ def _keys(controls: Controls, stop: StopRequest) -> Callable[[str], None]:
         LOST: lambda: stop.ask("the terminal is gone"),
     }
     does |= {"=": does["+"], "up": does["+"], "down": does["-"], "_": does["-"]}
-    return lambda key: does.get(key, lambda: None)()
+
+    def heed(key: str) -> None:
+        for each in (does, source.keys):
+            each.get(key, lambda: None)()
+
+    return heed
 
 
 def _told_to(tells: list[Tell]) -> Tell:
@@ -211,7 +231,7 @@ def _warn_of_simulation(plan: Plan, profile: Profile) -> None:
     simulated = [
         name for name, note in profile.calibrated.items() if note.found.startswith("simulated")
     ]
-    if simulated and not plan.quiet and not plan.board_url.startswith(("emulator:", "memory:")):
+    if simulated and not plan.quiet and not plan.board_url.startswith(_NO_FINGER):
         typer.echo(
             f"Of the profile {', '.join(simulated)} were calibrated in simulation, on no finger: "
             "calibrate again, or begin with --intensity 0.",
@@ -223,6 +243,24 @@ def _drawing(source: Sensor, profile: Profile, bank: KernelBank, mode: Mode) -> 
     from smarttouch.felt import FeltImage
 
     return FeltImage(profile, bank, mode.primaries, getattr(source, "page", None))
+
+
+def _delivered(display: Board, books: Path | None) -> Any:
+    """Return every pulse that an emulated board delivered, by its books or as it told."""
+    if books is None:
+        from smarttouch.boards.emulator.simulated import SimulatedBoard
+
+        assert isinstance(display, SimulatedBoard)
+        return display.take_pulses()
+    from smarttouch.boards.emulator.books import read_delivered
+
+    return read_delivered(books)
+
+
+def _patterns(path: Path, profile: Profile) -> Any:
+    from smarttouch.patterns import PatternFile
+
+    return PatternFile(path, profile)
 
 
 def _recorder(
@@ -238,6 +276,7 @@ def _recorder(
         "rate_hz": plan.rate_hz,
         "light_on_dark": plan.light_on_dark,
         "softness": plan.softness,
+        "tone": None if plan.tone is None else asdict(plan.tone),
         "hold": plan.hold,
         "balance": plan.balance,
         "timing": asdict(board.timing),
@@ -254,46 +293,3 @@ def _recorder(
     assert plan.record is not None
     about = about_run(profile, settings, started_unix_ns)
     return Recorder(plan.record, about, started_unix_ns)
-
-
-def _figures(
-    tally: Tally,
-    source: Sensor,
-    board: Board,
-    report: BoardReport | None,
-    ended: str,
-) -> dict[str, Any]:
-    """Return what ``--json`` writes; the board's own figures are null after a fault."""
-    return {
-        "ended": ended,
-        "seconds": tally.seconds,
-        "frames": tally.frames,
-        "frames_in": source.frames,
-        "frames_felt": tally.felt,
-        "dropped_frames": source.dropped_frames + tally.seen - tally.felt,
-        "sequences": tally.frames,
-        "slots": tally.slots,
-        "pulses": report and report.pulses,
-        "acknowledged": board.acknowledged,
-        "refused": board.refused,
-        "late_frames": tally.late,
-        "without_force_or_image": tally.blind,
-        "replaced": board.replaced,
-        "restarts": tally.restarts,
-        "lifts": tally.lifts,
-        "reported_by": report and report.by,
-        "rate_asked_hz": 1e6 * tally.frames / tally.asked_us if tally.asked_us else None,
-        "rate_hz": tally.frames / tally.seconds if tally.seconds else 0.0,
-        "lowest_rate_hz": tally.lowest_rate_hz if tally.frames else None,
-        "slowed_sequences": tally.slowed,
-        "latency_us": tally.latency.figures(),
-        "motion_to_bytes_us": tally.motion_to_bytes.figures(),
-        "period_error_us": tally.period_error.figures(),
-        "work_us": tally.work.figures(),
-        "work_share": tally.work_share,
-        "max_current_ma": report and report.max_current_ma,
-        "max_charge_uc": report and report.max_charge_uc,
-        "max_net_charge_uc": report and report.max_net_charge_uc,
-        "emulator_violations": report.violations if report and report.by == "board" else None,
-        "active_fraction": tally.active / tally.frames if tally.frames else 0.0,
-    }

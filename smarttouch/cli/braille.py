@@ -1,0 +1,114 @@
+"""``smarttouch braille``: texts into cells of Braille and back, on the screen and in files."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from smarttouch.braille.source import Loaded
+
+_DOCUMENTS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pdf", ".bmp", ".webp")
+
+
+def braille(
+    source: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="TEXT|FILE",
+            help="A text, a .txt, .brf or .pef file, or an image or PDF of print or Braille.",
+        ),
+    ] = None,
+    table: Annotated[
+        str, typer.Option(metavar="NAME", help="Braille code; see --tables.")
+    ] = "en-1",
+    back: Annotated[bool, typer.Option("--back", help="From cells to text.")] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A .brf, .pef or .txt; the screen if none."),
+    ] = None,
+    columns: Annotated[int | None, typer.Option(help="Cells a line; 40 if none is given.")] = None,
+    rows: Annotated[int | None, typer.Option(help="Lines a page; 25 if none is given.")] = None,
+    leave_out: Annotated[
+        bool, typer.Option("--leave-out", help="Leave out what the table has no cells for.")
+    ] = False,
+    language: Annotated[
+        str, typer.Option(metavar="NAMES", help="Of print, for Tesseract, as in eng+deu.")
+    ] = "eng",
+    tables: Annotated[bool, typer.Option("--tables", help="List the tables.")] = False,
+) -> None:
+    """Turn a text into Braille, or Braille into a text."""
+    from smarttouch.braille.files import write_bytes
+    from smarttouch.braille.layout import COLUMNS, INDENT, ROWS, lay_out
+    from smarttouch.braille.source import load_cells, write_cells
+    from smarttouch.braille.tables import open_table
+    from smarttouch.cli.files import require_folder
+    from smarttouch.errors import BrailleError
+
+    if tables:
+        _print_tables()
+        return
+    if source is None:
+        raise BrailleError("nothing to read is given: give a text or a file, or --tables")
+    require_folder(output)
+    code = open_table(table)
+    loaded = _seen(source, table, language) or load_cells(source, code, leave_out)
+    for note in loaded.notes:
+        typer.echo(note, err=True)
+    if back:
+        text = code.to_text("\n".join(loaded.paragraphs)) + "\n"
+        if output is None:
+            print(text, end="")
+            return
+        if output.suffix.lower() != ".txt":
+            raise BrailleError(f"cannot write a text as {output}: give a name that ends in .txt")
+        write_bytes(output, text.encode())
+        print(output)
+        return
+    pages = loaded.pages
+    if pages is None or columns is not None or rows is not None:
+        # What is shown is not printed: there, paragraphs need no indent.
+        indent = 0 if output is None else INDENT
+        wide = COLUMNS if columns is None else columns
+        pages = lay_out(loaded.paragraphs, wide, ROWS if rows is None else rows, indent)
+    if output is None:
+        print("\n".join(line for page in pages for line in page))
+        return
+    write_cells(output, pages)
+    print(f"{output}: pages {len(pages)}, lines {sum(map(len, pages))}")
+
+
+def _seen(source: str, table: str, language: str) -> "Loaded | None":
+    """Return what an image or a PDF shows, as cells; None for anything else."""
+    if Path(source).suffix.lower() not in _DOCUMENTS:
+        return None
+    from smarttouch.braille.source import Loaded
+    from smarttouch.reading.braille import Braille
+    from smarttouch.reading.printed import HowToLook
+    from smarttouch.reading.source import Source
+
+    notes: list[str] = []
+    document = Source(source, HowToLook(languages=language), notes.append)
+    return Loaded(Braille(table).paragraphs(document), None, notes)
+
+
+def _print_tables() -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from smarttouch.braille import louis
+    from smarttouch.braille.tables import DEFAULT_TABLE, known_tables
+
+    table = Table("name", "what it is", box=None, pad_edge=False)
+    for name, title in known_tables().items():
+        table.add_row(name + (" (default)" if name == DEFAULT_TABLE else ""), title)
+    console = Console()
+    console.print(table)
+    version = louis.version()
+    console.print(
+        f"And the file name of any table of liblouis {version}."
+        if version
+        else f"liblouis is not here: of these only en-1 and ja work. For all: {louis.INSTALL}",
+        style="dim",
+        soft_wrap=True,
+    )

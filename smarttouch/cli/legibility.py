@@ -1,0 +1,157 @@
+"""``smarttouch legibility``: how much of a text can still be read from what the skin got."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from smarttouch.reading.braille import Braille
+    from smarttouch.reading.deliver import Reading
+    from smarttouch.reading.shapes import Shapes
+    from smarttouch.reading.source import Source
+
+Figures = dict[str, Any]
+
+
+def legibility(
+    source: Annotated[
+        str, typer.Argument(metavar="FILE|text:WORDS", help="As for smarttouch read.")
+    ],
+    profile: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Device and finger.")
+    ] = "electric-mouse",
+    truth: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.txt", help="What the page says; what Tesseract reads if none."),
+    ] = None,
+    kind: Annotated[
+        str, typer.Option("--as", metavar="shapes|braille", help="How it is felt.")
+    ] = "shapes",
+    style: Annotated[
+        str, typer.Option(metavar="plain|thinned|graded", help="Of letter shapes.")
+    ] = "graded",
+    table: Annotated[str, typer.Option(metavar="NAME", help="Braille code.")] = "en-1",
+    cells: Annotated[
+        str, typer.Option(metavar="line|cell", help="A moving line, or one cell at a time.")
+    ] = "line",
+    language: Annotated[
+        str, typer.Option(metavar="NAMES", help="Of the print, for Tesseract, as in eng+deu.")
+    ] = "eng",
+    pages: Annotated[
+        str | None, typer.Option(metavar="LIST", help="Of a document, as in 1,3-5; all if none.")
+    ] = None,
+    password: Annotated[str | None, typer.Option(help="Of an encrypted PDF.")] = None,
+    mode: Annotated[str, typer.Option(metavar="RA|SAI", help="Whose receptors.")] = "RA",
+    speed: Annotated[
+        float | None, typer.Option(metavar="MM/S", help="Of the text under the finger.")
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option(help="Show nothing but errors.")] = False,
+) -> None:
+    """Measure it: the whole chain to a simulated board, and Tesseract on what the skin got."""
+    from smarttouch.cli.files import parse_choice, parse_mode, require_folder, write_json
+    from smarttouch.cli.progress import bank_progress
+    from smarttouch.modes.bank import load_bank
+    from smarttouch.profile import load_profile
+    from smarttouch.reading.braille import Braille, Presentation
+    from smarttouch.reading.deliver import Reading
+    from smarttouch.reading.printed import HowToLook
+    from smarttouch.reading.shapes import Shapes, Style
+    from smarttouch.reading.source import Source
+    from smarttouch.reading.window import profile_for_reading
+
+    require_folder(json_file)
+    chosen = profile_for_reading(load_profile(profile))
+    notes: list[str] = []
+    text = Source(source, HowToLook(pages, password=password, languages=language), notes.append)
+    as_shapes = parse_choice("--as", kind, ("shapes", "braille")) == "shapes"
+    shapes = Shapes(parse_choice("--style", style, Style))
+    braille = Braille(table, parse_choice("--cells", cells, Presentation))
+    wanted = shapes if as_shapes else braille
+    motion = wanted.motion(chosen, speed)
+    with bank_progress(quiet) as progress:
+        bank = load_bank(chosen, progress)
+    reading = Reading(chosen, bank, wanted.tone, motion, parse_mode(mode))
+    if as_shapes:
+        figures = _of_shapes(text, shapes, reading, truth, quiet)
+    else:
+        figures = _of_braille(text, braille, reading, quiet)
+    figures = {"source": source, "profile": chosen.name, "notes": notes, **figures}
+    if json_file is not None:
+        write_json(json_file, figures)
+    if not quiet:
+        for note in notes:
+            typer.echo(note, err=True)
+
+
+def _of_shapes(
+    text: "Source", shapes: "Shapes", reading: "Reading", truth: Path | None, quiet: bool
+) -> Figures:
+    from dataclasses import asdict
+
+    from smarttouch.braille.files import read_text
+    from smarttouch.cli.progress import lines_progress
+    from smarttouch.reading.legibility import legibility_of_shapes
+    from smarttouch.reading.window import require_rows, rows_of
+
+    require_rows(reading.profile)
+    said = text.words if truth is None else read_text(truth)
+    with lines_progress(quiet) as progress:
+        found = legibility_of_shapes(text, reading, shapes, said, progress)
+    if not quiet:
+        page = "-" if found.page_error_rate is None else f"{found.page_error_rate:.3f}"
+        rows = (
+            ("characters", len(found.truth)),
+            ("lines", found.lines),
+            ("error rate, page", page),
+            ("error rate, sampling limit", f"{found.sampling_limit:.3f}"),
+            ("error rate, felt", f"{found.character_error_rate:.3f}"),
+        )
+        _print(rows, found.text)
+    return {
+        "as": "shapes",
+        "style": shapes.style.value,
+        "rows": rows_of(reading.profile),
+        "speed_mm_s": reading.motion.speed_mm_s,
+        **asdict(found),
+    }
+
+
+def _of_braille(text: "Source", braille: "Braille", reading: "Reading", quiet: bool) -> Figures:
+    from dataclasses import asdict
+
+    from smarttouch.cli.progress import lines_progress
+    from smarttouch.reading.legibility import legibility_of_braille
+
+    with lines_progress(quiet) as progress:
+        found = legibility_of_braille(text, reading, braille, progress)
+    if not quiet:
+        rows = (
+            ("cells", found.cells),
+            ("lines", found.lines),
+            ("error rate, felt", f"{found.cell_error_rate:.3f}"),
+        )
+        _print(rows, found.delivered if found.text is None else found.text)
+    return {
+        "as": "braille",
+        "table": braille.table,
+        "cells_as": braille.presentation.value,
+        "speed_mm_s": reading.motion.speed_mm_s,
+        **asdict(found),
+    }
+
+
+def _print(rows: tuple[tuple[str, object], ...], text: str) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table.grid(padding=(0, 2))
+    for name, value in rows:
+        table.add_row(name, str(value))
+    console = Console()
+    console.print(table)
+    console.print("\nWhat was read from the delivered pulses:", style="dim")
+    console.print(text, markup=False, highlight=False)

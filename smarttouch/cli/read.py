@@ -1,0 +1,172 @@
+"""``smarttouch read``: text from a file under the finger, as letter shapes or as Braille."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def read(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="FILE|text:WORDS",
+            help="An image or PDF of a page, a .txt file, Braille (.brf, .pef, a photograph), or "
+            "text: and words.",
+        ),
+    ],
+    kind: Annotated[
+        str, typer.Option("--as", metavar="shapes|braille", help="How it is felt.")
+    ] = "shapes",
+    style: Annotated[
+        str,
+        typer.Option(metavar="plain|thinned|graded", help="Of letter shapes."),
+    ] = "graded",
+    table: Annotated[
+        str, typer.Option(metavar="NAME", help="Braille code; smarttouch braille --tables.")
+    ] = "en-1",
+    cells: Annotated[
+        str,
+        typer.Option(metavar="line|cell", help="Braille: a moving line, or one cell at a time."),
+    ] = "line",
+    lines: Annotated[int, typer.Option(help="Lines of Braille under the finger at once.")] = 1,
+    embossed: Annotated[
+        bool | None,
+        typer.Option(
+            "--embossed/--printed", help="Whether the image shows raised dots; found out if none."
+        ),
+    ] = None,
+    light_from: Annotated[
+        float | None,
+        typer.Option(metavar="DEG", help="Where the light on raised dots comes from."),
+    ] = None,
+    language: Annotated[
+        str, typer.Option(metavar="NAMES", help="Of the print, for Tesseract, as in eng+deu.")
+    ] = "eng",
+    pages: Annotated[
+        str | None, typer.Option(metavar="LIST", help="Of a document, as in 1,3-5; all if none.")
+    ] = None,
+    dpi: Annotated[float | None, typer.Option(help="Resolution of the image.")] = None,
+    page_width_mm: Annotated[float | None, typer.Option(help="Or the width of its page.")] = None,
+    password: Annotated[str | None, typer.Option(help="Of an encrypted PDF.")] = None,
+    light_on_dark: Annotated[
+        bool | None,
+        typer.Option(
+            "--light-on-dark/--dark-on-light", help="How the print is; found out if none."
+        ),
+    ] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option(metavar="MM/S", help="Of the text under the finger; four pulses a pitch."),
+    ] = None,
+    pause: Annotated[float, typer.Option(metavar="S", help="After each line.")] = 1.0,
+    wait: Annotated[
+        bool, typer.Option("--wait", help="After each line, until the right arrow is pressed.")
+    ] = False,
+    follow: Annotated[
+        str | None,
+        typer.Option(metavar="URL", help="A sensor that tells where the finger is on the page."),
+    ] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(
+            metavar="URL",
+            help="As for live; simulated: waits for nothing. With --frames that, else emulator:",
+        ),
+    ] = None,
+    profile: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|FILE", help="Device and finger; the board's usual if none."),
+    ] = None,
+    mode: Annotated[
+        str, typer.Option(metavar="RA|SAI|natural", help="What drives which afferents.")
+    ] = "RA",
+    force: Annotated[
+        str | None, typer.Option(metavar="URL", help="How hard the finger presses, as for live.")
+    ] = None,
+    intensity: Annotated[
+        float | None, typer.Option(metavar="0..1", help="To begin with, as for live.")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Sequences a second; the profile's if none.")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(metavar="S", help="Longest run, wall time.")
+    ] = None,
+    frames: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE|FOLDER", help="The patterns: .gif, .json, or PNG in a folder."),
+    ] = None,
+    felt: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="Draw the text and what the skin got.")
+    ] = None,
+    record: Annotated[Path | None, typer.Option(metavar="MCAP", help="Keep the run.")] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures of the run.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option(help="Show nothing but errors.")] = False,
+) -> None:
+    """Read a page with a fingertip, line by line.
+
+    Keys: right and left arrow for the next line and the one before, r for the line once more, space
+    for a pause; and those of live.
+    """
+    import contextlib
+
+    from smarttouch.boards.board import usual_profile
+    from smarttouch.cli.files import parse_choice, parse_mode
+    from smarttouch.cli.progress import first_line_awaited
+    from smarttouch.cli.session import Plan, play
+    from smarttouch.profile import load_profile
+    from smarttouch.reading.braille import Braille, Presentation
+    from smarttouch.reading.cursor import Cursor, FollowingCursor, SweepingCursor
+    from smarttouch.reading.feed import LineFeed
+    from smarttouch.reading.printed import HowToLook
+    from smarttouch.reading.sensor import ReadingSensor
+    from smarttouch.reading.shapes import Shapes, Style
+    from smarttouch.reading.source import Source
+    from smarttouch.reading.window import press_n, profile_for_reading
+    from smarttouch.sensing import open_sensor
+    from smarttouch.sensing.forces.force import open_force
+
+    board = board or ("emulator:" if frames is None else "simulated:")
+    own = load_profile(profile or usual_profile(board))
+    chosen = profile_for_reading(own)
+    wanted: Shapes | Braille
+    if parse_choice("--as", kind, ("shapes", "braille")) == "shapes":
+        wanted = Shapes(parse_choice("--style", style, Style))
+    else:
+        presentation = parse_choice("--cells", cells, Presentation)
+        wanted = Braille(table, presentation, lines, embossed, light_from)
+    motion = wanted.motion(chosen, speed, rate)
+    look = HowToLook(pages, dpi, page_width_mm, password, light_on_dark, language)
+    notes: list[str] = []
+    text = Source(source, look, notes.append)
+    plan = Plan(
+        sensor_url=source,
+        board_url=board,
+        mode=parse_mode(mode),
+        rate_hz=rate,
+        seconds=seconds,
+        level=intensity,
+        force_url=force,
+        tone=wanted.tone,
+        frames=frames,
+        felt=felt,
+        record=record,
+        json_file=json_file,
+        quiet=quiet,
+    )
+    with contextlib.ExitStack() as stack:
+        feed = LineFeed(wanted.lines(text, chosen))
+        stack.callback(feed.close)
+        first_line_awaited(feed.start(), quiet)
+        cursor: Cursor
+        if follow is None:
+            cursor = SweepingCursor(feed, motion, press_n(chosen), pause, wait)
+        else:
+            cursor = FollowingCursor(feed, stack.enter_context(open_sensor(follow, own)))
+        sensor = ReadingSensor(text.title, chosen, feed, cursor)
+        sensor.notes = notes
+        pressing = None if force is None else stack.enter_context(open_force(force, chosen))
+        play(plan, sensor, pressing, chosen)

@@ -1,0 +1,232 @@
+"""Where the finger is while lines pass under it: by itself, or where a live pose says."""
+
+import math
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from smarttouch.errors import ReadingError
+from smarttouch.reading.feed import LineFeed
+from smarttouch.reading.touch_line import TouchLine
+from smarttouch.sensing.frame import Sensor
+
+LAND_S = 0.15
+"""A finger lands on a line, and intensity begins to rise."""
+SETTLE_S = 0.75
+"""Then it rests at the line's start until intensity is up."""
+FASTEST_MM_S = 2000.0
+LONGEST_PAUSE_S = 3600.0
+GAP = 0.2
+"""Of the time of a step that is silent, where text comes step by step and not in one move: two
+cells that are the same would be felt as one."""
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Where the finger is.
+
+    Attributes
+    ----------
+    index : int
+        Of the line.
+    line : TouchLine or None
+        None where there is nothing under the finger.
+    x_mm, y_mm : float, mm
+        Middle of the array, from the left end and the middle of the line.
+    force_n : float, N
+        How hard it presses; NaN if somebody else knows.
+    """
+
+    index: int
+    line: TouchLine | None
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+    force_n: float = 0.0
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How lines pass under the finger.
+
+    Attributes
+    ----------
+    speed_mm_s : float, mm/s
+        Of the text.
+    step_mm : float, mm
+        It moves by so much at a time; smoothly if 0.
+    gaps : bool
+        Whether each step begins with a short silence.
+    """
+
+    speed_mm_s: float
+    step_mm: float = 0.0
+    gaps: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 < self.speed_mm_s <= FASTEST_MM_S:
+            raise ReadingError(
+                f"--speed {self.speed_mm_s:g} must be above 0 and at most {FASTEST_MM_S:g} mm/s"
+            )
+
+
+class Cursor(Protocol):
+    """Moves over the lines of a feed."""
+
+    knows_force: bool
+
+    def at(self, time_ns: int) -> Spot | None:
+        """Return where the finger is; None at the end. Times rise from call to call."""
+
+    @property
+    def keys(self) -> dict[str, Callable[[], None]]:
+        """What keys do; called from any thread."""
+
+
+class SweepingCursor:
+    """Sweeps line after line, with a pause between.
+
+    Parameters
+    ----------
+    feed : LineFeed
+        What is read.
+    motion : Motion
+        How they pass.
+    press_n : float, N
+        How hard the finger presses on a line.
+    pause_s : float, s
+        After each line.
+    waits : bool
+        Whether the next line comes only when a key asks for it.
+    """
+
+    knows_force = True
+
+    def __init__(
+        self,
+        feed: LineFeed,
+        motion: Motion,
+        press_n: float,
+        pause_s: float = 0.0,
+        waits: bool = False,
+    ) -> None:
+        if not 0 <= pause_s <= LONGEST_PAUSE_S:
+            raise ReadingError(f"--pause {pause_s:g} must be from 0 to {LONGEST_PAUSE_S:g} s")
+        self._feed, self._motion = feed, motion
+        self._press_n, self._pause_s, self._waits = press_n, pause_s, waits
+        self._index, self._line_s = 0, 0.0
+        """The line, and for how long it has been read."""
+        self._before_ns: int | None = None
+        self._paused = False
+        self._asked: deque[int] = deque()
+        self._lock = threading.Lock()
+
+    @property
+    def keys(self) -> dict[str, Callable[[], None]]:
+        """Forward and back by a line, the line again, and a pause."""
+        return {
+            "right": lambda: self._asked.append(1),
+            "n": lambda: self._asked.append(1),
+            "left": lambda: self._asked.append(-1),
+            "p": lambda: self._asked.append(-1),
+            "r": lambda: self._asked.append(0),
+            " ": self.toggle_pause,
+        }
+
+    def toggle_pause(self) -> None:
+        """Stand still, or go on."""
+        self._paused = not self._paused
+
+    def at(self, time_ns: int) -> Spot | None:
+        """Move on by the time that has passed."""
+        elapsed_s = 0.0 if self._before_ns is None else (time_ns - self._before_ns) / 1e9
+        self._before_ns = time_ns
+        while self._asked:
+            self._go_to(max(self._feed.earliest, self._index + self._asked.popleft()))
+        line = self._feed.line(self._index)
+        if line is None:
+            # A key may have asked for more lines than there are.
+            return None if self._feed.ended(self._index) else Spot(self._index, None)
+        if not self._paused:
+            self._line_s += elapsed_s
+        way_mm = (self._line_s - SETTLE_S) * self._motion.speed_mm_s
+        length_mm = line.end_mm - line.start_mm
+        if way_mm <= length_mm:
+            return self._on_line(line, max(0.0, way_mm))
+        if self._line_s > SETTLE_S + length_mm / self._motion.speed_mm_s + self._pause_s and (
+            not self._waits or self._feed.ended(self._index + 1)
+        ):
+            self._go_to(self._index + 1)
+        return Spot(self._index, None)
+
+    def _go_to(self, index: int) -> None:
+        self._index, self._line_s = index, 0.0
+        self._feed.reach(index)
+
+    def _on_line(self, line: TouchLine, way_mm: float) -> Spot:
+        shown: TouchLine | None = line
+        step_mm = self._motion.step_mm
+        if step_mm:
+            steps = way_mm / step_mm + 1e-6
+            if self._motion.gaps and steps % 1 < GAP:
+                shown = None
+            way_mm = math.floor(steps) * step_mm
+            if self._motion.gaps and self._line_s < SETTLE_S:
+                # What comes step by step is as strong and as long each time: also the first.
+                shown, way_mm = None, -step_mm
+        press_n = self._press_n if self._line_s >= LAND_S else 0.0
+        return Spot(self._index, shown, line.start_mm + way_mm, 0.0, press_n)
+
+
+class FollowingCursor:
+    """Is where a live sensor says that the finger is on the page.
+
+    Parameters
+    ----------
+    feed : LineFeed
+        What is read; its lines know their places.
+    sensor : Sensor
+        An open one: its pose counts, from the beginning of the first line.
+    """
+
+    def __init__(self, feed: LineFeed, sensor: Sensor) -> None:
+        self._feed, self._sensor = feed, sensor
+        self.knows_force = sensor.knows_force
+
+    @property
+    def keys(self) -> dict[str, Callable[[], None]]:
+        """A finger that moves by itself needs no keys."""
+        return {}
+
+    def at(self, time_ns: int) -> Spot | None:
+        """Return what lies under the finger, on the line nearest to it."""
+        frame = self._sensor.read(time_ns)
+        if frame is None:
+            return None
+        first = self._feed.wait_for(0)
+        if first is None or first.place is None:
+            return None
+        x_mm = first.place.left_mm + frame.pose.x_mm
+        y_mm = first.place.middle_mm + frame.pose.y_mm
+        index, line = self._nearest(x_mm, y_mm)
+        assert line.place is not None
+        force_n = math.nan if frame.stale else frame.force_n
+        across_mm = (x_mm - line.place.left_mm) * line.place.scale
+        down_mm = (y_mm - line.place.middle_mm) * line.place.scale
+        return Spot(index, line, across_mm, down_mm, force_n)
+
+    def _nearest(self, x_mm: float, y_mm: float) -> tuple[int, TouchLine]:
+        best: tuple[float, int, TouchLine] | None = None
+        index = self._feed.earliest
+        while (line := self._feed.line(index)) is not None:
+            place = line.place
+            assert place is not None
+            beside_mm = max(place.left_mm - x_mm, x_mm - place.right_mm, 0.0)
+            apart_mm = math.hypot(beside_mm, place.middle_mm - y_mm)
+            if best is None or apart_mm < best[0]:
+                best = (apart_mm, index, line)
+            index += 1
+        assert best is not None
+        self._feed.reach(best[1])
+        return best[1], best[2]

@@ -1,0 +1,124 @@
+"""Lines through the whole chain to an emulated board, and what the skin got of each."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from joblib import Parallel, delayed
+
+from smarttouch.boards.emulator.simulated import SimulatedBoard
+from smarttouch.clock import SimulatedClock
+from smarttouch.controls import StopRequest
+from smarttouch.imaging.mapping import Tone
+from smarttouch.imaging.registration import Registration
+from smarttouch.live import Sent, run
+from smarttouch.modes.bank import KernelBank
+from smarttouch.perception import Perception
+from smarttouch.pipeline import Pipeline
+from smarttouch.primary import Mode
+from smarttouch.profile import Profile
+from smarttouch.reading.cursor import Motion, SweepingCursor
+from smarttouch.reading.delivered import LinePicture
+from smarttouch.reading.feed import LineFeed
+from smarttouch.reading.sensor import ReadingSensor
+from smarttouch.reading.touch_line import TouchLine
+from smarttouch.reading.window import pixel_of, press_n
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.tally import Tally
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How lines pass under the finger.
+
+    Attributes
+    ----------
+    profile : Profile
+        As `profile_for_reading` returns it.
+    bank : KernelBank
+    tone : Tone
+        How ink becomes activation.
+    motion : Motion
+    mode : Mode
+    """
+
+    profile: Profile
+    bank: KernelBank
+    tone: Tone
+    motion: Motion
+    mode: Mode = Mode.RA
+
+
+def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
+    """Read a line with a virtual finger on a simulated board; return what the skin got of it.
+
+    Frames, kernels, pressure gate, soft start, the proof of safety, the bytes
+    and the board's own check are those of a live run; only the clock is not.
+
+    Raises
+    ------
+    SmartTouchError
+        Whatever would end such a run.
+    """
+    profile = reading.profile
+    feed = LineFeed(iter([line])).start()
+    cursor = SweepingCursor(feed, reading.motion, press_n(profile))
+    sensor = ReadingSensor("a line", profile, feed, cursor)
+    feed.wait_for_end()
+    pipeline = Pipeline(profile, reading.bank, reading.mode, tone=reading.tone)
+    places: dict[int, float] = {}
+
+    def watch(sent: Sent) -> None:
+        if sent.number is not None and sent.step.sequence.intensity > 0:
+            places[sent.number] = sent.step.frame.pose.x_mm
+
+    with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
+        run(
+            sensor,
+            pipeline,
+            board,
+            stop=StopRequest(),
+            tally=Tally(),
+            observers=[watch],
+            clock=SimulatedClock(),
+        )
+        pulses = board.take_pulses()
+    answers = Perception(profile, reading.bank, reading.mode.primaries).answers(*pulses)
+    picture = LinePicture(profile.electrodes, _length_mm(line, profile))
+    silent = np.zeros(len(profile.electrodes), np.float32)
+    for number, x_mm in places.items():
+        picture.add(x_mm, answers.get(number, silent))
+    return picture
+
+
+def deliver_lines(lines: Iterable[TouchLine], reading: Reading) -> Iterator[LinePicture]:
+    """Do so with many lines, on all cores; yield what the skin got of each as it comes."""
+    work = Parallel(n_jobs=-1, return_as="generator", max_nbytes=None)
+    yield from work(delayed(deliver_line)(line, reading) for line in lines)
+
+
+def ideal_picture(line: TouchLine, profile: Profile, step_mm: float) -> LinePicture:
+    """Return the best that an array could deliver of a line: the ink in each electrode's cell.
+
+    Nothing is lost to kernels, thresholds or whole microamperes; what is left
+    is the pitch of the electrodes and the distance between two pulses.
+    """
+    optics, pixel_mm = profile.optics, pixel_of(profile)
+    shape = (optics.sensor_rows, optics.sensor_columns)
+    registration = Registration(profile.electrodes, optics, shape)
+    picture = LinePicture(profile.electrodes, _length_mm(line, profile))
+    paper = cv2.copyMakeBorder(
+        line.image, 0, 0, shape[1] + 1, shape[1] + 1, cv2.BORDER_CONSTANT, value=255
+    )
+    for x_mm in np.arange(line.start_mm, line.end_mm + step_mm, step_mm):
+        left = round(float(x_mm) / pixel_mm - shape[1] / 2) + shape[1] + 1
+        window = paper[:, max(0, left) : max(0, left) + shape[1]]
+        if window.shape == shape:
+            ink = np.asarray(cv2.bitwise_not(np.ascontiguousarray(window)), np.uint8)
+            picture.add(float(x_mm), registration.sample(ink))
+    return picture
+
+
+def _length_mm(line: TouchLine, profile: Profile) -> float:
+    return int(line.image.shape[1]) * pixel_of(profile)

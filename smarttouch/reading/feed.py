@@ -1,0 +1,106 @@
+"""Lines that are prepared while those before them are being read."""
+
+import threading
+from collections.abc import Iterator
+from typing import Self
+
+from smarttouch.reading.touch_line import TouchLine
+
+AHEAD = 30
+"""Lines that are prepared before they are needed: of a book not all."""
+BEHIND = 60
+"""Lines that have been read and can be gone back to: of a book not all."""
+JOIN_S = 2.0
+"""How long a page that is being recognized may hold up the end."""
+
+
+class LineFeed:
+    """Takes lines from an iterator, in a thread of its own, and keeps those around the finger.
+
+    Parameters
+    ----------
+    lines : iterator of TouchLine
+        Whatever it raises, `line` raises when that place is reached.
+    """
+
+    def __init__(self, lines: Iterator[TouchLine]) -> None:
+        self.earliest = 0
+        """The first line that can still be gone back to."""
+        self._lines: dict[int, TouchLine] = {}
+        self._count = 0
+        self._reached = 0
+        self._over = False
+        self._closing = False
+        self._error: Exception | None = None
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._take_all, args=(lines,), daemon=True)
+
+    def start(self) -> Self:
+        """Begin to prepare."""
+        self._thread.start()
+        return self
+
+    def line(self, index: int) -> TouchLine | None:
+        """Return a line; None if it is not ready, forgotten, or there is none (see `ended`).
+
+        Raises
+        ------
+        Exception
+            What went wrong before that line.
+        """
+        with self._changed:
+            if index >= self._count and self._error is not None:
+                raise self._error
+            return self._lines.get(index)
+
+    def reach(self, index: int) -> None:
+        """Prepare what lies ahead of a line, and forget what lies far behind it."""
+        with self._changed:
+            self._reached = index
+            while self.earliest < min(index - BEHIND, self._count):
+                del self._lines[self.earliest]
+                self.earliest += 1
+            self._changed.notify_all()
+
+    def ended(self, index: int) -> bool:
+        """Return whether there is no such line and there will be none."""
+        with self._changed:
+            return self._over and index >= self._count
+
+    def wait_for(self, index: int, timeout_s: float | None = None) -> TouchLine | None:
+        """Return a line as soon as it is ready; None if there is none, or not in time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._over or index < self._count, timeout_s)
+        return self.line(index)
+
+    def wait_for_end(self, timeout_s: float | None = None) -> bool:
+        """Return whether all lines were prepared in time; those far ahead wait to be reached."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._over, timeout_s)
+
+    def close(self) -> None:
+        """Prepare no more, and let go of what the lines come from."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        if self._thread.is_alive():
+            self._thread.join(JOIN_S)
+
+    def _take_all(self, lines: Iterator[TouchLine]) -> None:
+        try:
+            for line in lines:
+                with self._changed:
+                    self._lines[self._count] = line
+                    self._count += 1
+                    self._changed.notify_all()
+                    self._changed.wait_for(
+                        lambda: self._closing or self._count <= self._reached + AHEAD
+                    )
+                    if self._closing:
+                        break
+        except Exception as error:
+            self._error = error
+        finally:
+            with self._changed:
+                self._over = True
+                self._changed.notify_all()

@@ -1,0 +1,205 @@
+"""How much of a text can still be read from what the skin got: the yardstick of this project."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from smarttouch.braille.tables import open_table
+from smarttouch.reading.braille import Braille
+from smarttouch.reading.deliver import Reading, deliver_lines, ideal_picture
+from smarttouch.reading.delivered import LinePicture
+from smarttouch.reading.error_rate import character_error_rate
+from smarttouch.reading.ocr import Layout, recognize
+from smarttouch.reading.printed import LINE_PIXELS, recognized_lines
+from smarttouch.reading.shapes import Shapes, Style, shape_line
+from smarttouch.reading.source import Source
+
+_GAP = 0.45
+"""Between lines as they are recognized, of their height."""
+
+Progress = Callable[[int, int], None]
+"""Told how many of all lines are done."""
+
+
+def _in_silence(_done: int, _total: int) -> None: ...
+
+
+@dataclass(frozen=True)
+class Legibility:
+    """What could be read of letter shapes.
+
+    Attributes
+    ----------
+    character_error_rate : float
+        Of the text that Tesseract read from the delivered pulses.
+    sampling_limit : float
+        Of the text that it read from the ideal of that array: the ink in the
+        cell of each electrode, at the same pitch and sweep.
+    page_error_rate : float or None
+        Of the text that it read from the page itself; None where that text
+        is what the others are compared with.
+    text, limit_text, page_text, truth : str
+        What was read from each, and what it should have been.
+    lines : int
+    """
+
+    character_error_rate: float
+    sampling_limit: float
+    page_error_rate: float | None
+    text: str
+    limit_text: str
+    page_text: str
+    truth: str
+    lines: int
+
+
+def legibility_of_shapes(
+    source: Source,
+    reading: Reading,
+    shapes: Shapes,
+    truth: str | None = None,
+    progress: Progress = _in_silence,
+) -> Legibility:
+    """Let letter shapes be felt, and read what was felt.
+
+    Parameters
+    ----------
+    source : Source
+        Pages with text.
+    reading : Reading
+        How it passes under the finger.
+    shapes : Shapes
+    truth : str, optional
+        What it says; what Tesseract reads on the page if not given.
+    progress : callable
+
+    Raises
+    ------
+    SmartTouchError
+        If there is no text, Tesseract is missing, or a run would end.
+    """
+    how, profile = source.how, reading.profile
+    step_mm = reading.motion.speed_mm_s / profile.pulse.rate_hz
+    page_texts: list[str] = []
+    texts: list[str] = []
+    limit_texts: list[str] = []
+    total = 0
+    for page in source.prepared():
+        indices = range(len(page.lines))
+        page_texts += [text for _, text in recognized_lines(page, how, source.note)]
+        lines = (shape_line(page, index, profile, shapes.style) for index in indices)
+        felt = _kept(deliver_lines(lines, reading), total, total + len(indices), progress)
+        graded = (shape_line(page, index, profile, Style.GRADED) for index in indices)
+        ideal = [ideal_picture(line, profile, step_mm) for line in graded]
+        texts.append(_read(felt, how.languages))
+        limit_texts.append(_read(ideal, how.languages))
+        total += len(indices)
+    page_text, text, limit_text = ("\n".join(each) for each in (page_texts, texts, limit_texts))
+    compared = page_text if truth is None else truth
+    return Legibility(
+        character_error_rate=character_error_rate(compared, text),
+        sampling_limit=character_error_rate(compared, limit_text),
+        page_error_rate=None if truth is None else character_error_rate(compared, page_text),
+        text=text,
+        limit_text=limit_text,
+        page_text=page_text,
+        truth=compared,
+        lines=total,
+    )
+
+
+def _read(pictures: Sequence[LinePicture], languages: str) -> str:
+    """Return the text of pictures that lie below each other, as on a page.
+
+    What is as soft as they are Tesseract reads by the lines around it: alone, one
+    line without ascenders is nothing to it.
+    """
+    strips = [picture.picture(LINE_PIXELS) for picture in pictures]
+    gap = round(_GAP * LINE_PIXELS)
+    widest = max(strip.shape[1] for strip in strips)
+    sheet = np.full((len(strips) * (LINE_PIXELS + gap) + gap, widest + 2 * gap), 255, np.uint8)
+    for index, strip in enumerate(strips):
+        top = gap + index * (LINE_PIXELS + gap)
+        sheet[top : top + LINE_PIXELS, gap : gap + strip.shape[1]] = strip
+    return recognize(sheet, languages=languages, layout=Layout.BLOCK).text
+
+
+def _kept(
+    pictures: Iterable[LinePicture], before: int, total: int, progress: Progress
+) -> list[LinePicture]:
+    kept: list[LinePicture] = []
+    for picture in pictures:
+        kept.append(picture)
+        progress(before + len(kept), total)
+    return kept
+
+
+@dataclass(frozen=True)
+class BrailleLegibility:
+    """What could be read of Braille.
+
+    Attributes
+    ----------
+    cell_error_rate : float
+        Part of the cells that were not delivered as they should.
+    cells, lines : int
+        How many there were.
+    wanted, delivered : str
+        Cells, a line each.
+    text : str or None
+        The delivered cells as text; None if the table cannot go back.
+    """
+
+    cell_error_rate: float
+    cells: int
+    lines: int
+    wanted: str
+    delivered: str
+    text: str | None
+
+
+def legibility_of_braille(
+    source: Source, reading: Reading, braille: Braille, progress: Progress = _in_silence
+) -> BrailleLegibility:
+    """Let cells be felt, and decode the dots that were felt.
+
+    Parameters
+    ----------
+    source : Source
+        Anything that can be read as Braille.
+    reading : Reading
+        How it passes under the finger.
+    braille : Braille
+    progress : callable
+
+    Raises
+    ------
+    SmartTouchError
+        If there is nothing to read, or a run would end.
+    """
+    profile = reading.profile
+    lines = list(braille.lines(source, profile))
+    pictures = _kept(deliver_lines(lines, reading), 0, len(lines), progress)
+    wanted: list[str] = []
+    delivered: list[str] = []
+    for line, picture in zip(lines, pictures, strict=True):
+        layout = braille.layout(profile, line.cells)
+        wanted += line.cells
+        delivered += layout.decode(picture, line.cells, apart=reading.motion.gaps)
+    count = sum(map(len, wanted))
+    wrong = sum(
+        one != other
+        for pair in zip(wanted, delivered, strict=True)
+        for one, other in zip(*pair, strict=True)
+    )
+    table = open_table(braille.table)
+    felt = "\n".join(delivered)
+    return BrailleLegibility(
+        cell_error_rate=wrong / count,
+        cells=count,
+        lines=len(wanted),
+        wanted="\n".join(wanted),
+        delivered=felt,
+        text=table.to_text(felt) if table.code.goes_back else None,
+    )

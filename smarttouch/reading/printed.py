@@ -1,0 +1,191 @@
+"""Printed pages of a document, one after another, and the text recognized on them."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from smarttouch.errors import ReadingError
+from smarttouch.pages.document import open_document, parse_pages
+from smarttouch.pages.page_image import Page
+from smarttouch.pages.prepare import PreparedPage, prepare_page
+from smarttouch.reading.ocr import recognize_lines, upright
+
+LINE_PIXELS = 56
+"""Height of lines as they are recognized: ascender to descender."""
+SURE = 0.6
+"""Mean confidence below which a page is reported as badly recognized."""
+_CHUNK = 16
+_NEW_PARAGRAPH = 1.5
+"""Lines farther apart than this part of the usual distance begin a paragraph."""
+
+Note = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class HowToLook:
+    """What a user says of a document.
+
+    Attributes
+    ----------
+    pages : str, optional
+        Numbers as in ``1,3-5``; all if not given.
+    dpi, page_width_mm : float, optional
+        Scale.
+    password : str, optional
+        Of an encrypted PDF.
+    light_on_dark : bool, optional
+        Found out if not given.
+    languages : str
+        Of Tesseract, for example ``eng+deu``.
+    """
+
+    pages: str | None = None
+    dpi: float | None = None
+    page_width_mm: float | None = None
+    password: str | None = None
+    light_on_dark: bool | None = None
+    languages: str = "eng"
+
+
+def document_pages(path: Path, how: HowToLook) -> Iterator[tuple[int, Page]]:
+    """Yield numbers and pages of a document, one in memory at a time.
+
+    How large they are does not matter: every line is made as high as the array.
+
+    Raises
+    ------
+    PageError
+        If it cannot be read, or has no such page.
+    """
+    with open_document(
+        path, dpi=how.dpi, page_width_mm=how.page_width_mm, password=how.password
+    ) as document:
+        wanted = parse_pages(how.pages, len(document)) if how.pages else range(len(document))
+        for index in wanted:
+            yield index + 1, document.page(index)
+
+
+def upright_page(number: int, page: Page, how: HowToLook, note: Note) -> PreparedPage:
+    """Return a page straight and upright, ink on white paper, its lines in reading order."""
+    prepared = prepare_page(page, how.light_on_dark)
+    notes = list(prepared.notes)
+    turn_deg = _turn_deg(prepared, how)
+    if turn_deg:
+        turned = np.ascontiguousarray(np.rot90(prepared.page.grey, -turn_deg // 90))
+        prepared = prepare_page(replace(prepared.page, grey=turned), how.light_on_dark)
+        notes += [f"it was turned by {turn_deg}° to be upright", *prepared.notes]
+    for words in notes:
+        note(f"page {number}: {words}")
+    return prepared
+
+
+class EmptyPages:
+    """Keeps which pages showed nothing that can be read.
+
+    Parameters
+    ----------
+    note : callable
+        Told at the end which they were.
+    """
+
+    def __init__(self, note: Note) -> None:
+        self._note = note
+        self._found = False
+        self._empty: list[int] = []
+
+    def add(self, number: int, found: bool) -> None:
+        """Keep what a page showed."""
+        self._found |= found
+        if not found:
+            self._empty.append(number)
+
+    def conclude(self) -> None:
+        """Tell of them.
+
+        Raises
+        ------
+        ReadingError
+            If no page showed anything.
+        """
+        if not self._found:
+            raise ReadingError(
+                "no line of text was found: is it a page of print, sharp, and large enough "
+                "(letters of 6 pixels and more)?"
+            )
+        if self._empty:
+            self._note(f"no line of text on page {', '.join(map(str, self._empty))}")
+
+
+def prepared_pages(
+    pages: Iterator[tuple[int, Page]], how: HowToLook, note: Note
+) -> Iterator[PreparedPage]:
+    """Yield the pages that carry text, see `upright_page`.
+
+    Raises
+    ------
+    ReadingError
+        If none does.
+    """
+    empty = EmptyPages(note)
+    for number, page in pages:
+        prepared = upright_page(number, page, how, note)
+        empty.add(number, bool(prepared.lines))
+        if prepared.lines:
+            yield prepared
+    empty.conclude()
+
+
+def recognized_lines(
+    prepared: PreparedPage, how: HowToLook, note: Note
+) -> Iterator[tuple[int, str]]:
+    """Yield numbers and texts of the lines of a page; the first of them soon.
+
+    Raises
+    ------
+    ReadingError
+        If Tesseract is missing, or does not know the language.
+    """
+    count, start, size = len(prepared.lines), 0, 1
+    confidences: list[tuple[int, float]] = []
+    while start < count:
+        # A long piece is recognized faster than many short ones, but the first touch waits for it.
+        indices = range(start, min(count, start + size))
+        strips = [prepared.strip(index, LINE_PIXELS) for index in indices]
+        for index, line in zip(indices, recognize_lines(strips, how.languages), strict=True):
+            confidences.append((len(line.text), line.confidence))
+            yield index, line.text
+        start, size = indices.stop, min(_CHUNK, 4 * size)
+    characters = sum(length for length, _ in confidences)
+    sure = sum(length * each for length, each in confidences) / max(1, characters)
+    if sure < SURE:
+        note(
+            f"the text was recognized with a confidence of {sure:.0%} only: it may be handwriting, "
+            "a picture, or another language (see --language)"
+        )
+
+
+def recognized_text(prepared: PreparedPage, how: HowToLook, note: Note) -> str:
+    """Return the text of a page, a line for each paragraph; words that lines divide are joined."""
+    middles = [(line.top_mm + line.bottom_mm) / 2 for line in prepared.lines]
+    steps = np.diff(middles)
+    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
+    paragraphs: list[str] = []
+    for index, text in recognized_lines(prepared, how, note):
+        begins = index == 0 or not 0 < steps[index - 1] < _NEW_PARAGRAPH * usual
+        if begins or not paragraphs:
+            paragraphs.append(text)
+        elif paragraphs[-1].endswith("-") and text[:1].islower():
+            paragraphs[-1] = paragraphs[-1][:-1] + text
+        else:
+            paragraphs[-1] += " " + text
+    return "\n".join(each for each in paragraphs if each.strip())
+
+
+def _turn_deg(prepared: PreparedPage, how: HowToLook) -> int:
+    """Return by how much to turn a page clockwise, as far as Tesseract is there to tell."""
+    try:
+        return upright(prepared.cleaned, how.languages) if prepared.lines else 0
+    except ReadingError:
+        return 0

@@ -1,0 +1,90 @@
+"""Prepared lines as a source of frames: what lies under the array, moment by moment."""
+
+from collections.abc import Callable, Mapping
+
+import cv2
+import numpy as np
+
+from smarttouch.profile import Profile
+from smarttouch.reading.cursor import Cursor
+from smarttouch.reading.feed import LineFeed
+from smarttouch.reading.window import pixel_of
+from smarttouch.sensing.frame import Frame, Pose, Sensor
+
+LINE_GAP_MM = 4.0
+"""Between two lines where their poses are put on one sheet, one below the other."""
+
+
+class ReadingSensor(Sensor):
+    """Frames of lines that pass under the finger.
+
+    The pose of a frame is on a sheet on which all lines lie below each other,
+    at the scale of the array.
+
+    Parameters
+    ----------
+    title : str
+        What is read.
+    profile : Profile
+        As `profile_for_reading` returns it.
+    feed : LineFeed
+        Started.
+    cursor : Cursor
+        Moves over it.
+    """
+
+    ended = "end of the text"
+    keys_help = "← →  line    r  again    "
+
+    def __init__(self, title: str, profile: Profile, feed: LineFeed, cursor: Cursor) -> None:
+        super().__init__(title)
+        self._name = title
+        self.knows_force = cursor.knows_force
+        self.index = -1
+        """Of the line under the finger."""
+        self._feed, self._cursor = feed, cursor
+        self._pixel_mm = pixel_of(profile)
+        self._shape = (profile.optics.sensor_rows, profile.optics.sensor_columns)
+
+    @property
+    def keys(self) -> Mapping[str, Callable[[], None]]:
+        """What the cursor heeds: forward, back, again, pause."""
+        return self._cursor.keys
+
+    @property
+    def line_step_mm(self) -> float:
+        """How far lines are apart on the sheet, from middle to middle."""
+        return self._shape[0] * self._pixel_mm + LINE_GAP_MM
+
+    def read(self, time_ns: int) -> Frame | None:
+        """Return what lies under the array at a time; None after the last line."""
+        spot = self._cursor.at(time_ns)
+        if spot is None:
+            return None
+        if spot.index != self.index:
+            self.index = spot.index
+            line = self._feed.line(self.index)
+            says = f": {line.text}" if line is not None and line.text else ""
+            self.title = f"{self._name}, line {self.index + 1}{says}"
+        image = np.full(self._shape, 255, np.uint8)
+        if spot.line is not None:
+            rows, columns = self._shape
+            # Of the window's top left pixel in the line's image.
+            left = spot.x_mm / self._pixel_mm - columns / 2
+            top = spot.y_mm / self._pixel_mm + (spot.line.image.shape[0] - rows) / 2
+            cv2.warpAffine(
+                spot.line.image,
+                np.array([[1.0, 0.0, left], [0.0, 1.0, top]]),
+                (columns, rows),
+                dst=image,
+                flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+                borderMode=cv2.BORDER_CONSTANT,
+                borderValue=255,
+            )
+        self.frames += 1
+        pose = Pose(spot.x_mm, spot.index * self.line_step_mm + spot.y_mm)
+        return Frame(image, time_ns, pose, spot.force_n, number=self.frames - 1)
+
+    def close(self) -> None:
+        """Prepare no more lines."""
+        self._feed.close()

@@ -1,0 +1,91 @@
+"""What is to be read: images, documents, texts, files of cells."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from smarttouch.braille.files import read_text
+from smarttouch.pages.page_image import Page
+from smarttouch.pages.prepare import PreparedPage
+from smarttouch.pages.printed_text import prepare_text
+from smarttouch.reading.printed import HowToLook, Note, document_pages, prepared_pages
+
+_TEXT = "text:"
+_TEXT_FILES = (".txt",)
+_CELL_FILES = (".brf", ".pef")
+_PRINTED_AT_ONCE = 20
+"""Lines of a text that are printed on one page."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Something that can be read.
+
+    Attributes
+    ----------
+    name : str
+        A file, or ``text:`` and words.
+    how : HowToLook
+        What is known of it.
+    note : callable
+        Told what a user should know, a sentence each.
+    """
+
+    name: str
+    how: HowToLook = field(default_factory=HowToLook)
+    note: Note = lambda _words: None
+
+    @property
+    def title(self) -> str:
+        """What to call it on the screen."""
+        return "a text" if self.name.startswith(_TEXT) else Path(self.name).name
+
+    @property
+    def holds_cells(self) -> bool:
+        """Whether it is a file of Braille cells."""
+        return Path(self.name).suffix.lower() in _CELL_FILES and not self.name.startswith(_TEXT)
+
+    @property
+    def words(self) -> str | None:
+        """The text itself, where it is one; None for images and cells.
+
+        Raises
+        ------
+        BrailleError
+            If it is a file that cannot be read.
+        """
+        if self.name.startswith(_TEXT):
+            return self.name[len(_TEXT) :]
+        if Path(self.name).suffix.lower() in _TEXT_FILES:
+            return read_text(Path(self.name))
+        return None
+
+    def pages(self) -> Iterator[tuple[int, Page]]:
+        """Yield numbers and pages of a document.
+
+        Raises
+        ------
+        PageError
+            If it cannot be read, or has no such page.
+        """
+        return document_pages(Path(self.name), self.how)
+
+    def prepared(self) -> Iterator[PreparedPage]:
+        """Yield pages with print on them: of a document, or of a text as it is printed.
+
+        Raises
+        ------
+        PageError, ReadingError
+            If it cannot be read, or there is none.
+        """
+        words = self.words
+        if words is None:
+            yield from prepared_pages(self.pages(), self.how, self.note)
+            return
+        lines = words.splitlines()
+        parts = [
+            "\n".join(lines[start : start + _PRINTED_AT_ONCE])
+            for start in range(0, len(lines), _PRINTED_AT_ONCE)
+        ]
+        for part in [part for part in parts if part.strip()] or [""]:
+            yield prepare_text(part)

@@ -1,0 +1,69 @@
+"""What lies under the array while it reads: a window of its own size, without a sensor's optics."""
+
+from smarttouch.errors import ReadingError
+from smarttouch.imaging.registration import PIXELS_PER_CELL
+from smarttouch.profile import Profile
+
+FEWEST_ROWS = 4
+"""Letters cannot be told apart on fewer."""
+SAMPLES_PER_PITCH = 4
+"""How often an electrode pulses while the text moves on by one cell."""
+_PRESS = 1.1
+"""Force of a virtual finger that reads, of the profile's full force."""
+
+
+def profile_for_reading(profile: Profile) -> Profile:
+    """Return a profile whose frames are just what lies under the array, millimeter by millimeter.
+
+    Text that is read comes from no sensor: optics, their registration and
+    their flat field play no part.
+    """
+    width_mm, height_mm = profile.electrodes.extent_mm
+    pixel_mm = pixel_of(profile)
+    columns, rows = round(width_mm / pixel_mm), round(height_mm / pixel_mm)
+    optics = profile.optics.model_copy(
+        update={
+            "sensor_columns": columns,
+            "sensor_rows": rows,
+            "field_width_mm": columns * pixel_mm,
+            "field_height_mm": rows * pixel_mm,
+            "magnification": 1.0,
+            "rotation_deg": 0.0,
+            "offset_x_mm": 0.0,
+            "offset_y_mm": 0.0,
+            "homography": None,
+            "flat_field": None,
+        }
+    )
+    return profile.model_copy(update={"optics": optics})
+
+
+def pixel_of(profile: Profile) -> float:
+    """Return the size of a pixel of what lies under the array, mm."""
+    return min(profile.electrodes.cell_mm) / PIXELS_PER_CELL
+
+
+def usual_speed(profile: Profile, rate_hz: float | None = None) -> float:
+    """Return the speed at which each electrode pulses often enough in the width of a cell, mm/s."""
+    rate_hz = profile.pulse.rate_hz if rate_hz is None else rate_hz
+    return profile.electrodes.cell_mm[0] * rate_hz / SAMPLES_PER_PITCH
+
+
+def press_n(profile: Profile) -> float:
+    """Return how hard a finger presses that reads, N: enough for full intensity."""
+    return _PRESS * profile.force.full_n
+
+
+def rows_of(profile: Profile) -> int:
+    """Return how many rows of electrodes an array has."""
+    return len({round(float(y), 3) for y in profile.electrodes.position_mm[:, 1]})
+
+
+def require_rows(profile: Profile) -> None:
+    """Raise unless letters have room on an array."""
+    rows = rows_of(profile)
+    if rows < FEWEST_ROWS:
+        raise ReadingError(
+            f"{profile.name} has {rows} row{'s' * (rows > 1)} of electrodes, letter shapes need at "
+            f"least {FEWEST_ROWS}: choose another profile, for example electric-mouse"
+        )

@@ -1,0 +1,97 @@
+"""How much of printed pages can be read from what the skin got.
+
+Run with::
+
+    pytest tests/benchmarks/test_legibility.py --benchmark-only -n0 -s
+
+Pages at 10, 12 and 14 points, clean, turned, unevenly lit and noisy, and the page of scikit-image,
+felt in 8, 12, 16 and 24 rows, plain, thinned and graded: character error rates, beside those of the
+page itself and of the ideal at the same pitch and sweep (see ``smarttouch legibility``).
+"""
+
+import os
+
+import numpy as np
+import pytest
+from PIL import Image
+from skimage import data
+
+from smarttouch.modes.bank import load_bank
+from smarttouch.profile import load_profile
+from smarttouch.profile.device import Profile
+from smarttouch.reading.deliver import Reading
+from smarttouch.reading.legibility import legibility_of_shapes
+from smarttouch.reading.shapes import Shapes, Style
+from smarttouch.reading.source import Source
+from smarttouch.reading.window import profile_for_reading
+
+from ..pages.printed import degrade, print_page
+
+TEXT = [
+    "The quick brown fox jumps over the lazy dog.",
+    "A finger moves over print, and what is seen",
+    "becomes a pattern of 64 small currents; each",
+    "is felt as pressure, or as a faint vibration.",
+    "In 1998 the first displays had 120 points.",
+    "Nobody (not even I) could read them then.",
+]
+SKIMAGE = """Region-based segmentation
+Let us first determine markers of the coins and the
+background. These markers are pixels that we can label
+unambiguously as either object or background. Here,
+the markers are found at the two extreme parts of the
+histogram of grey values:
+>>> markers = np.zeros_like(coins)"""
+ROWS = [int(each) for each in os.environ.get("SMARTTOUCH_ROWS", "8,12,16,24").split(",")]
+PAGES = {
+    "10 pt": (10, {}),
+    "12 pt": (12, {}),
+    "14 pt": (14, {}),
+    "12 pt, sans": (12, {}),
+    "12 pt, turned by 3°": (12, {"skew_deg": 3}),
+    "12 pt, uneven light": (12, {"uneven": 0.6}),
+    "12 pt, noise": (12, {"noise": 20}),
+    "scikit-image": (0, {}),
+}
+
+
+def page_file(folder, name):
+    """Print a page; return its file and what it says."""
+    size_pt, damage = PAGES[name]
+    path = folder / "page.png"
+    if name == "scikit-image":
+        # Below these lines there is half of another: what is read of it counts as wrong.
+        Image.fromarray(data.page()).save(path)
+        return path, SKIMAGE
+    font = "DejaVuSans" if "sans" in name else "DejaVuSerif"
+    printed = print_page(TEXT, size_pt=size_pt, font=font)
+    Image.fromarray(np.asarray(degrade(printed, **damage).page.grey)).save(path)
+    return path, "\n".join(TEXT)
+
+
+def array_of(rows):
+    """Return a profile with so many rows at 2 mm; few columns are enough for what sweeps by."""
+    table = load_profile("electric-mouse").model_dump()
+    table["array"] |= {"rows": rows, "columns": 8 if rows == 8 else 4}
+    return profile_for_reading(Profile.model_validate(table))
+
+
+@pytest.mark.parametrize("rows", ROWS)
+def test_legibility(rows, tmp_path, benchmark):
+    profile = array_of(rows)
+    bank = load_bank(profile)
+
+    def measure():
+        print(f"\n{rows} rows: page / limit" + "".join(f" / {style}" for style in Style))
+        for name in PAGES:
+            path, truth = page_file(tmp_path, name)
+            figures = []
+            for style in Style:
+                shapes = Shapes(style)
+                reading = Reading(profile, bank, shapes.tone, shapes.motion(profile))
+                found = legibility_of_shapes(Source(str(path)), reading, shapes, truth)
+                figures.append(found.character_error_rate)
+            rates = [found.page_error_rate, found.sampling_limit, *figures]
+            print(f"{name:22s} " + " / ".join(f"{rate:.3f}" for rate in rates), flush=True)
+
+    benchmark.pedantic(measure, rounds=1)

@@ -1,0 +1,245 @@
+"""Reading with a fingertip, through the installed program."""
+
+import itertools
+import json
+import os
+import shutil
+import time
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from smarttouch.braille.tables import open_table
+from smarttouch.pages.printed_text import print_text
+from smarttouch.recording.reader import Recording
+
+from ..braille.embossed import emboss
+
+needs_tesseract = pytest.mark.skipif(
+    shutil.which("tesseract") is None, reason="needs Tesseract: apt install tesseract-ocr"
+)
+
+
+def figures_of(path):
+    return json.loads(path.read_text())
+
+
+@pytest.fixture
+def page_file(tmp_path):
+    """An image file of a page with two lines; it does not say how large it is."""
+    path = tmp_path / "page.png"
+    Image.fromarray(print_text("Touch what a\nthin light beam sees").grey).save(path)
+    return path
+
+
+def test_shapes_to_the_emulator(program, tmp_path):
+    done = program("read", "text:it", "--json", "f.json", "--pause", "0")
+    assert (done.returncode, done.stderr) == (0, "")
+    figures = figures_of(tmp_path / "f.json")
+    assert figures["ended"] == "end of the text"
+    assert figures["emulator_violations"] == 0
+    assert figures["slots"] > 0
+    assert figures["frames"] == figures["sequences"]
+
+
+def test_an_image_without_a_board(program_here, tmp_path, page_file):
+    done = program_here("read", page_file, "--frames", "f.gif", "--felt", "felt.png")
+    assert (done.returncode, done.stderr.strip()) == (0, "")
+    assert "end of the text" in done.stdout
+    with Image.open(tmp_path / "f.gif") as film:
+        assert film.n_frames > 100
+    # Above what passed under the finger, below what the skin got: the same.
+    sheet = 255.0 - np.asarray(Image.open(tmp_path / "felt.png").convert("L"), float)
+    half = sheet.shape[0] // 2
+    above, below = sheet[52 : half - 14], sheet[half + 40 : half + 40 + half - 66]
+    assert np.corrcoef(above.ravel(), below.ravel())[0, 1] > 0.7
+
+
+def test_what_was_read_replays_to_the_bit(program_here, tmp_path):
+    for kind in ("shapes", "braille"):
+        done = program_here(
+            "read", "text:ab", "--as", kind, "--board", "simulated:", "--record", f"{kind}.mcap"
+        )
+        assert done.returncode == 0, done.stderr
+        assert "identical" in program_here("replay", f"{kind}.mcap", "--check").stdout
+
+
+@pytest.mark.parametrize("cells", ["line", "cell"])
+def test_a_text_as_braille_patterns(program_here, tmp_path, cells):
+    done = program_here("read", "text:b", "--as", "braille", "--cells", cells, "--frames", "f.json")
+    assert done.returncode == 0, done.stderr
+    document = figures_of(tmp_path / "f.json")
+    rows = {
+        (round(each["x_mm"]), round(each["y_mm"]))
+        for step in document["steps"]
+        for each, level in zip(document["electrodes"], step["activation"], strict=True)
+        if level
+    }
+    # Dots 1 and 2, one above the other; one by one in one column, else in all of them.
+    assert {y for _, y in rows} == {-3, -1}
+    assert len({x for x, _ in rows}) == (1 if cells == "cell" else 8)
+
+
+def test_files_of_cells_and_texts(program_here, tmp_path):
+    (tmp_path / "note.txt").write_text("ab\n\nc\n")
+    (tmp_path / "note.brf").write_bytes(b"AB\r\nC\r\n")
+    slots = []
+    for name in ("note.txt", "note.brf"):
+        done = program_here(
+            "read", name, "--as", "braille", "--board", "simulated:", "--json", "f.json"
+        )
+        assert done.returncode == 0, done.stderr
+        slots.append(figures_of(tmp_path / "f.json")["slots"])
+    assert slots[0] > 0
+    done = program_here("read", "note.brf", "--frames", "f.gif")
+    assert done.returncode == 2
+    assert "--as braille" in done.stderr
+
+
+@needs_tesseract
+def test_an_image_becomes_braille(program_here, tmp_path, page_file):
+    done = program_here("legibility", page_file, "--as", "braille", "--json", "f.json", "--quiet")
+    assert done.returncode == 0, done.stderr
+    figures = figures_of(tmp_path / "f.json")
+    assert figures["cell_error_rate"] == 0
+    assert figures["text"] == "Touch what a\nthin light beam sees"
+
+
+@needs_tesseract
+def test_legibility_of_a_page(program_here, tmp_path, page_file):
+    (tmp_path / "truth.txt").write_text("Touch what a thin light beam sees")
+    done = program_here("legibility", page_file, "--truth", "truth.txt", "--json", "f.json")
+    assert done.returncode == 0, done.stderr
+    figures = figures_of(tmp_path / "f.json")
+    assert figures["page_error_rate"] <= 0.05
+    assert figures["sampling_limit"] <= 0.1
+    assert figures["character_error_rate"] <= figures["sampling_limit"] + 0.1
+    assert (figures["rows"], figures["style"], figures["lines"]) == (8, "graded", 2)
+    assert figures["text"] in done.stdout
+
+
+@needs_tesseract
+def test_legibility_knows_what_cannot_be_read(program_here, tmp_path, page_file):
+    """The measure can fail: compared with another text, all of it is wrong."""
+    (tmp_path / "truth.txt").write_text("0123456789 0123456789 00")
+    done = program_here(
+        "legibility", page_file, "--truth", "truth.txt", "--json", "f.json", "--quiet"
+    )
+    assert done.returncode == 0, done.stderr
+    assert figures_of(tmp_path / "f.json")["character_error_rate"] > 0.6
+
+
+def test_legibility_of_braille_needs_no_tesseract(program_here, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    done = program_here("legibility", "text:Hello, 42", "--as", "braille", "--json", "f.json")
+    assert done.returncode == 0, done.stderr
+    figures = figures_of(tmp_path / "f.json")
+    assert (figures["cell_error_rate"], figures["text"]) == (0, "Hello, 42")
+
+
+def test_without_tesseract_it_says_how_to_get_it(program_here, page_file, monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    for arguments in (["legibility"], ["read", "--as", "braille"]):
+        done = program_here(*arguments, page_file)
+        assert done.returncode == 2
+        assert "apt install tesseract-ocr" in done.stderr
+
+
+def test_a_finger_that_moves_by_itself(program_here, tmp_path, page_file):
+    """The pose of another sensor, here a finger over a page of its own, picks what is felt."""
+    (tmp_path / "path.csv").write_text(
+        "time_s,x_mm,y_mm,angle_deg,force_n\n0,0,0,0,1\n2,40,0,0,1\n3,40,0,0,1\n"
+    )
+    Image.fromarray(np.full((300, 600), 255, np.uint8)).save(tmp_path / "pad.png", dpi=(150, 150))
+    done = program_here(
+        "read", page_file, "--follow", f"page:{tmp_path / 'pad.png'}", "--board", "simulated:",
+        "--json", "f.json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert figures_of(tmp_path / "f.json")["slots"] > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nofile.png"], "no file nofile.png"),
+        (["text: "], "nothing to print"),
+        (["text:hi", "--as", "dots"], "choose shapes or braille"),
+        (["text:hi", "--style", "bold"], "choose plain or thinned or graded"),
+        (["text:hi", "--as", "braille", "--cells", "two"], "choose line or cell"),
+        (["text:hi", "--profile", "line-7"], "line-7 has 1 row"),
+        (["text:hi", "--profile", "kajimoto-61", "--as", "braille"], "no grid"),
+        (["text:hi", "--as", "braille", "--lines", "9"], "9 lines"),
+        (["text:hi", "--as", "braille", "--table", "xx"], "xx"),
+        (["text:hi", "--speed", "0"], "--speed 0"),
+        (["text:hi", "--pause", "-1"], "--pause -1"),
+        (["text:hi", "--frames", "f.bmp"], ".gif, .json"),
+        (["page.png", "--pages", "3"], "no page 3"),
+        (["page.png", "--pages", "x"], "--pages"),
+        (["blank.png"], "no line of text"),
+        (["broken.pdf"], "broken.pdf"),
+    ],
+)
+def test_bad_input_is_one_sentence(program_here, tmp_path, page_file, arguments, words):
+    Image.fromarray(np.full((400, 300), 240, np.uint8)).save(tmp_path / "blank.png")
+    (tmp_path / "broken.pdf").write_bytes(b"%PDF-1.7 and nothing else")
+    done = program_here("read", *arguments, "--board", "simulated:")
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert "Traceback" not in done.stderr
+
+
+@needs_tesseract
+def test_an_image_of_print_as_a_file_of_cells(program_here, tmp_path, page_file):
+    done = program_here("braille", page_file, "--output", "page.brf")
+    assert done.returncode == 0, done.stderr
+    back = program_here("braille", "page.brf", "--back")
+    assert back.stdout == "Touch what a thin light beam sees\n"
+
+
+def test_a_photograph_of_braille(program_here, tmp_path):
+    lines = (
+        open_table("en-1")
+        .to_cells("Raised dots cast\nshort shadows in\nlight from a side")
+        .split("\n")
+    )
+    photo = emboss(lines, skew_deg=2)
+    Image.fromarray(np.asarray(photo.page.grey)).save(tmp_path / "dots.png")
+    back = program_here("braille", "dots.png", "--back")
+    assert (back.returncode, back.stderr) == (0, "")
+    assert back.stdout == "Raised dots cast\nshort shadows in\nlight from a side\n"
+    done = program_here("legibility", "dots.png", "--as", "braille", "--json", "f.json")
+    assert done.returncode == 0, done.stderr
+    figures = figures_of(tmp_path / "f.json")
+    assert figures["cell_error_rate"] == 0
+    assert figures["wanted"].split("\n") == lines
+
+
+def test_at_a_terminal_keys_go_from_line_to_line(start_at_a_terminal, tmp_path):
+    process, keys = start_at_a_terminal(
+        "read", "text:one\ntwo\nthree\nfour", "--as", "braille", "--record", "run.mcap",
+        "--json", "f.json",
+    )  # fmt: skip
+    for key in (b"\x1b[C", b"\x1b[C", b"\x1b[D", b" "):
+        os.write(keys, key)
+        time.sleep(0.3)
+    os.write(keys, b"q")
+    _, err = process.communicate(timeout=30)
+    assert (process.returncode, err) == (0, "")
+    assert figures_of(tmp_path / "f.json")["ended"] == "key q"
+    heights = [
+        recorded.step.frame.pose.y_mm for recorded in Recording(tmp_path / "run.mcap").steps()
+    ]
+    lines = [round(each / 20) for each in heights]
+    assert [line for line, _ in itertools.groupby(lines)] == [0, 1, 2, 1]
+
+
+def test_what_waits_for_nothing_is_felt_at_once_also_from_a_terminal(start_at_a_terminal, tmp_path):
+    process, _ = start_at_a_terminal(
+        "read", "text:i", "--frames", "f.json", "--json", "figures.json"
+    )
+    _, err = process.communicate(timeout=30)
+    assert (process.returncode, err) == (0, "")
+    assert figures_of(tmp_path / "figures.json")["slots"] > 0

@@ -1,0 +1,47 @@
+"""An array that reads, and lines that lie under it."""
+
+import numpy as np
+import pytest
+
+from smarttouch.modes.bank import load_bank
+from smarttouch.profile import load_profile
+from smarttouch.reading.feed import LineFeed
+from smarttouch.reading.touch_line import TouchLine
+from smarttouch.reading.window import pixel_of, profile_for_reading
+
+
+@pytest.fixture(scope="session")
+def reading():
+    """The 8 x 8 array as it reads."""
+    return profile_for_reading(load_profile("electric-mouse"))
+
+
+@pytest.fixture(scope="session")
+def reading_bank(reading):
+    return load_bank(reading)
+
+
+@pytest.fixture
+def make_line(reading):
+    """Return a maker of lines with a bar of ink, as wide and as far in as asked."""
+
+    def make(length_mm=30.0, bar_mm=(10.0, 14.0), **more):
+        pixel_mm = pixel_of(reading)
+        image = np.full((reading.optics.sensor_rows, round(length_mm / pixel_mm)), 255, np.uint8)
+        image[:, round(bar_mm[0] / pixel_mm) : round(bar_mm[1] / pixel_mm)] = 0
+        half_mm = reading.optics.field_width_mm / 2
+        return TouchLine(image, -half_mm, length_mm + half_mm, **more)
+
+    return make
+
+
+@pytest.fixture
+def feed_of():
+    """Return a maker of feeds that are ready."""
+
+    def make(*lines):
+        feed = LineFeed(iter(lines)).start()
+        feed.wait_for_end(10)
+        return feed
+
+    return make

@@ -1,0 +1,101 @@
+"""What the skin got, put back together where the finger was."""
+
+import numpy as np
+import pytest
+
+from smarttouch.errors import SafetyError
+from smarttouch.imaging.mapping import Tone
+from smarttouch.reading.cursor import Motion
+from smarttouch.reading.deliver import Reading, deliver_line, deliver_lines, ideal_picture
+from smarttouch.reading.delivered import PIXELS_PER_PITCH, LinePicture
+from smarttouch.reading.shapes import Shapes, Style
+from smarttouch.reading.window import usual_speed
+
+GRADED = Tone(0.0, 1.0, prepared=True)
+
+
+@pytest.fixture
+def way(reading, reading_bank):
+    return Reading(reading, reading_bank, GRADED, Motion(usual_speed(reading)))
+
+
+def profile_of(picture):
+    """Mean of each column of a picture, by millimeters."""
+    values = picture.values()
+    return (np.arange(values.shape[1]) + 0.5) * 2.0 / PIXELS_PER_PITCH, values.mean(axis=0)
+
+
+def test_a_bar_is_felt_where_it_is(way, make_line):
+    x_mm, felt = profile_of(deliver_line(make_line(30.0, (10.0, 16.0)), way))
+    assert felt[(x_mm > 12) & (x_mm < 14)].min() > 0.9
+    assert felt[(x_mm < 7) | (x_mm > 19)].max() < 0.1
+    middle = (x_mm * felt).sum() / felt.sum()
+    assert middle == pytest.approx(13.0, abs=0.2)
+
+
+def test_what_is_felt_is_close_to_the_ideal(way, make_line, reading):
+    line = make_line(30.0, (10.0, 16.0))
+    ideal = ideal_picture(line, reading, 0.5).values()
+    felt = deliver_line(line, way).values()
+    assert np.abs(felt - ideal).mean() < 0.05
+
+
+def test_the_ideal_is_the_ink_in_each_cell(reading, make_line):
+    """With a step of a whole cell each electrode sees each cell of the line as it is."""
+    line = make_line(32.0, (8.0, 11.0))
+    picture = ideal_picture(line, reading, 2.0)
+    x_mm = np.arange(0.5, 16) * 2.0
+    values = picture.at(x_mm, np.full(16, 1.0))
+    assert values == pytest.approx([0] * 4 + [1, 0.5] + [0] * 10, abs=0.01)
+
+
+def test_several_lines_come_in_their_order(way, make_line):
+    bars = [(4.0, 8.0), (12.0, 16.0), (20.0, 24.0)]
+    pictures = deliver_lines([make_line(30.0, bar) for bar in bars], way)
+    for picture, (left, right) in zip(pictures, bars, strict=True):
+        x_mm, felt = profile_of(picture)
+        assert (x_mm * felt).sum() / felt.sum() == pytest.approx((left + right) / 2, abs=0.3)
+
+
+def test_nothing_unsafe_is_delivered(way, make_line, reading):
+    """The board of a measurement is behind the same gate as any other."""
+    too_much = reading.model_copy(
+        update={"limits": reading.limits.model_copy(update={"current_ma": 0.5})}
+    )
+    unsafe = Reading(too_much, way.bank, way.tone, way.motion)
+    with pytest.raises(SafetyError):
+        deliver_line(make_line(), unsafe)
+
+
+def test_values_count_where_their_electrodes_were(reading):
+    picture = LinePicture(reading.electrodes, 40.0)
+    values = np.zeros(64, np.float32)
+    values[8 * 3 + 5] = 1.0
+    picture.add(20.0, values)
+    row, column = np.unravel_index(picture.values().argmax(), picture.values().shape)
+    x_mm, y_mm = reading.electrodes.position_mm[8 * 3 + 5]
+    assert (column + 0.5) / 2 == pytest.approx(20.0 + x_mm, abs=0.3)
+    assert (row + 0.5) / 2 == pytest.approx(8.0 + y_mm, abs=0.3)
+
+
+def test_an_electrode_beyond_the_ends_is_left_out(reading):
+    picture = LinePicture(reading.electrodes, 10.0)
+    picture.add(-100.0, np.ones(64, np.float32))
+    assert picture.values().max() == 0
+    assert (picture.picture(32) == 255).all()
+
+
+def test_pictures_are_as_high_as_asked(reading):
+    picture = LinePicture(reading.electrodes, 40.0)
+    picture.add(20.0, np.ones(64, np.float32))
+    assert picture.picture(64).shape == (64, 160)
+    assert picture.picture(16).shape == (16, 40)
+
+
+def test_plain_shapes_are_on_or_off_and_graded_ones_are_not():
+    ink = np.linspace(0, 1, 11).astype(np.float32)
+    plain, graded = ink.copy(), ink.copy()
+    Shapes(Style.PLAIN).tone.apply(plain)
+    Shapes(Style.GRADED).tone.apply(graded)
+    assert plain.tolist() == [0.0] * 3 + [1.0] * 8
+    np.testing.assert_allclose(graded, ink)

@@ -1,0 +1,96 @@
+"""Lines come one after another, and whatever goes wrong comes where it went wrong."""
+
+import threading
+
+import pytest
+
+from smarttouch.errors import ReadingError
+from smarttouch.reading.feed import AHEAD, BEHIND, LineFeed
+
+
+def test_lines_are_there_before_all_are_ready(make_line):
+    go_on = threading.Event()
+    lines = [make_line(), make_line()]
+
+    def slowly():
+        yield lines[0]
+        go_on.wait(10)
+        yield lines[1]
+
+    feed = LineFeed(slowly()).start()
+    assert feed.wait_for(0, 10) is lines[0]
+    assert feed.line(1) is None
+    assert not feed.ended(1)
+    go_on.set()
+    assert feed.wait_for(1, 10) is lines[1]
+    assert feed.wait_for(2, 10) is None
+    assert feed.ended(2)
+    assert not feed.ended(1)
+
+
+def test_an_error_comes_after_the_lines_before_it(make_line):
+    def broken():
+        yield make_line()
+        raise ReadingError("page 2 is torn")
+
+    feed = LineFeed(broken()).start()
+    assert feed.wait_for(0, 10) is not None
+    with pytest.raises(ReadingError, match="torn"):
+        feed.wait_for(1, 10)
+    assert feed.line(0) is not None
+
+
+def test_of_a_book_only_what_lies_near_is_prepared_and_kept(make_line):
+    line, made = make_line(), []
+
+    def book():
+        for number in range(1000):
+            made.append(number)
+            yield line
+
+    feed = LineFeed(book()).start()
+    assert feed.wait_for(AHEAD, 10) is line
+    assert not feed.wait_for_end(0.05)
+    assert len(made) <= AHEAD + 2
+    feed.reach(500)
+    assert feed.wait_for(500 + AHEAD, 10) is line
+    feed.reach(500)
+    assert feed.earliest == 500 - BEHIND
+    assert feed.line(500 - BEHIND) is line
+    assert feed.line(499 - BEHIND) is None
+    assert len(made) <= 500 + AHEAD + 2
+    feed.close()
+    assert feed.wait_for_end(10)
+
+
+def test_closed_it_prepares_no_more(make_line):
+    made, go_on = [], threading.Event()
+
+    def endless():
+        while True:
+            made.append(make_line())
+            yield made[-1]
+            go_on.wait(10)
+
+    feed = LineFeed(endless()).start()
+    feed.wait_for(0, 10)
+    feed.close()
+    go_on.set()
+    assert feed.wait_for_end(10)
+    assert len(made) <= 2
+
+
+def test_closed_it_lets_go_of_where_the_lines_come_from(make_line):
+    let_go = []
+
+    def document():
+        try:
+            while True:
+                yield make_line()
+        finally:
+            let_go.append(True)
+
+    feed = LineFeed(document()).start()
+    feed.wait_for(0, 10)
+    feed.close()
+    assert let_go

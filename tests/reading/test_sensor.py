@@ -1,0 +1,63 @@
+"""Frames are what lies under the array."""
+
+import numpy as np
+import pytest
+
+from smarttouch.reading.cursor import Motion, Spot, SweepingCursor
+from smarttouch.reading.sensor import ReadingSensor
+from smarttouch.reading.window import pixel_of
+
+
+class Stands:
+    """A cursor that is where it is told to be."""
+
+    knows_force, keys = True, {}
+
+    def __init__(self, *spots):
+        self.spots = list(spots)
+
+    def at(self, time_ns):
+        return self.spots.pop(0) if self.spots else None
+
+
+def test_a_frame_is_a_window_on_the_line(reading, feed_of, make_line):
+    line, pixel_mm = make_line(30.0, (10.0, 14.0)), pixel_of(reading)
+    spots = [Spot(0, line, x, y, 1.0) for x, y in ((12.0, 0.0), (4.0, 0.0), (12.0, 4.0))]
+    sensor = ReadingSensor("x", reading, feed_of(line), Stands(*spots))
+    frames = [sensor.read(each) for each in range(3)]
+    assert sensor.read(3) is None
+    columns = reading.optics.sensor_columns
+    for frame, spot in zip(frames, spots, strict=True):
+        center_mm = spot.x_mm + (np.arange(columns) + 0.5 - columns / 2) * pixel_mm
+        ink = (center_mm > 10.0) & (center_mm < 14.0)
+        np.testing.assert_array_equal(frame.image[8] == 0, ink)
+        assert frame.pose.x_mm == spot.x_mm
+    # Below the line there is paper.
+    assert (frames[2].image[-1] == 255).all()
+    assert (frames[0].image[-1] == 0).any()
+
+
+def test_without_a_line_there_is_paper(reading, feed_of, make_line):
+    sensor = ReadingSensor("x", reading, feed_of(make_line()), Stands(Spot(0, None)))
+    frame = sensor.read(0)
+    assert (frame.image == 255).all()
+    assert frame.force_n == 0
+
+
+def test_lines_lie_one_below_the_other(reading, feed_of, make_line):
+    line = make_line(text="what it says")
+    stands = Stands(*(Spot(index, line, 5.0, 0.0, 1.0) for index in range(3)))
+    sensor = ReadingSensor("a page", reading, feed_of(line, line, line), stands)
+    heights = [sensor.read(each).pose.y_mm for each in range(3)]
+    assert np.diff(heights) == pytest.approx([sensor.line_step_mm] * 2)
+    assert sensor.line_step_mm > reading.electrodes.extent_mm[1]
+    assert sensor.title == "a page, line 3: what it says"
+
+
+def test_it_heeds_the_keys_of_its_cursor(reading, feed_of, make_line):
+    feed = feed_of(make_line(), make_line())
+    sensor = ReadingSensor("x", reading, feed, SweepingCursor(feed, Motion(25.0), 1.0))
+    sensor.read(0)
+    sensor.keys["right"]()
+    sensor.read(20_000_000)
+    assert sensor.index == 1

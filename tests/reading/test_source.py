@@ -1,0 +1,193 @@
+"""Texts, images, documents and files of cells, each as what it is."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from smarttouch.braille.cells import BLANK
+from smarttouch.errors import ReadingError, SmartTouchError
+from smarttouch.pages.printed_text import print_text
+from smarttouch.reading.braille import Braille, Presentation
+from smarttouch.reading.printed import EmptyPages, HowToLook
+from smarttouch.reading.shapes import Shapes, Style, thin
+from smarttouch.reading.source import Source
+
+
+@pytest.fixture
+def notes():
+    return []
+
+
+@pytest.fixture
+def source_of(tmp_path, notes):
+    """Return a maker of sources: a text, or pages that are given as texts and blanks."""
+
+    def make(name, *pages, **how):
+        if pages:
+            images = [
+                Image.fromarray(
+                    print_text(each).grey if each else np.full((700, 1000), 235, np.uint8)
+                )
+                for each in pages
+            ]
+            images[0].save(tmp_path / name, save_all=True, append_images=images[1:])
+            name = str(tmp_path / name)
+        return Source(name, HowToLook(**how), notes.append)
+
+    return make
+
+
+def test_a_text_is_printed_and_found_again(source_of, reading):
+    lines = list(Shapes().lines(source_of("text:Three lines\nof print\nare here"), reading))
+    assert len(lines) == 3
+    for line in lines:
+        assert line.image.shape[0] == reading.optics.sensor_rows
+        assert line.image.min() < 40
+        assert line.start_mm == -8
+        assert line.end_mm > 40
+
+
+def test_lines_of_one_print_are_equally_large(source_of, reading):
+    scales = {
+        round(line.place.scale, 2)
+        for line in Shapes().lines(source_of("text:with gaps high\nno such one\nTOP Lid"), reading)
+    }
+    assert max(scales) / min(scales) < 1.05
+
+
+@pytest.mark.parametrize("words", ["I", "HHH", "o", ".", "1 + 1 = 2"])
+def test_nothing_is_too_short_to_be_felt(source_of, reading, words):
+    (line,) = Shapes().lines(source_of(f"text:{words}"), reading)
+    assert (line.image < 128).any()
+
+
+def test_a_printed_line_fills_the_array_from_ascender_to_descender(source_of, reading):
+    (line,) = Shapes().lines(source_of("text:dp"), reading)
+    rows = np.flatnonzero((line.image < 128).any(axis=1))
+    assert rows[0] <= 3
+    assert rows[-1] >= reading.optics.sensor_rows - 4
+
+
+def test_a_long_text_file_is_printed_in_parts(tmp_path, reading):
+    (tmp_path / "long.txt").write_text("\n".join(f"line number {each}" for each in range(30)))
+    source = Source(str(tmp_path / "long.txt"))
+    assert [len(page.lines) for page in source.prepared()] == [20, 10]
+    assert len(list(Shapes().lines(source, reading))) == 30
+
+
+def test_pages_come_in_the_order_asked_for(source_of, reading):
+    source = source_of("three.tif", "wide wide wide", "n", "words here", pages="2,1")
+    lengths = [line.end_mm for line in Shapes().lines(source, reading)]
+    assert len(lengths) == 2
+    assert lengths[0] < lengths[1]
+
+
+def test_blank_pages_are_told_of(source_of, reading, notes):
+    source = source_of("three.tif", "some words", "", "and more")
+    assert len(list(Shapes().lines(source, reading))) == 2
+    assert notes == ["no line of text on page 2"]
+
+
+def test_where_nothing_is_found_it_says_so(source_of, reading):
+    for kind in (Shapes(), Braille(embossed=False)):
+        with pytest.raises(ReadingError, match="no line of text was found"):
+            list(kind.lines(source_of("two.tif", "", ""), reading))
+
+
+def test_a_picture_is_no_text(tmp_path, reading):
+    from skimage import data
+
+    Image.fromarray(data.astronaut()).save(tmp_path / "who.png")
+    with pytest.raises(ReadingError, match="no line of text"):
+        list(Shapes().lines(Source(str(tmp_path / "who.png")), reading))
+
+
+def test_empty_pages_count_only_where_others_are_not(notes):
+    empty = EmptyPages(notes.append)
+    empty.add(1, False)
+    empty.add(2, True)
+    empty.add(3, False)
+    empty.conclude()
+    assert notes == ["no line of text on page 1, 3"]
+
+
+def test_light_print_is_felt_as_print(tmp_path, reading):
+    dark = print_text("light words")
+    Image.fromarray(255 - dark.grey).save(tmp_path / "light.png")
+    Image.fromarray(dark.grey).save(tmp_path / "dark.png")
+    light_line, dark_line = (
+        next(Shapes().lines(Source(str(tmp_path / name)), reading))
+        for name in ("light.png", "dark.png")
+    )
+    assert light_line.image.shape == dark_line.image.shape
+    assert np.abs(light_line.image.astype(int) - dark_line.image).mean() < 12
+
+
+def test_thinned_strokes_are_as_wide_as_the_nib(source_of, reading):
+    bold = next(Shapes(Style.GRADED).lines(source_of("text:HHH"), reading)).image
+    thinned = next(Shapes(Style.THINNED).lines(source_of("text:HHH"), reading)).image
+    assert bold.shape == thinned.shape
+    # Across the upper half of an H there are its two stems.
+    row = thinned[thinned.shape[0] // 4] < 128
+    runs = np.diff(np.flatnonzero(np.diff(row.astype(int), prepend=0, append=0)))[::2]
+    assert (np.abs(runs - 7) <= 1).all()
+
+
+def test_thinning_keeps_a_hole_open():
+    ring = np.full((64, 64), 255, np.uint8)
+    ring[8:56, 8:56] = 0
+    ring[26:38, 26:38] = 255
+    assert thin(ring)[32, 32] == 255
+    assert thin(np.full((64, 64), 255, np.uint8)).min() == 255
+
+
+def test_words_and_cells_are_told_apart(tmp_path, reading):
+    (tmp_path / "a.brf").write_bytes(b"AB\r\n")
+    (tmp_path / "a.txt").write_text("ab")
+    assert Source(str(tmp_path / "a.brf")).holds_cells
+    assert Source(str(tmp_path / "a.brf")).words is None
+    assert Source(str(tmp_path / "a.txt")).words == "ab"
+    assert Source("text:it is in a.brf").words == "it is in a.brf"
+    assert not Source("text:it is in a.brf").holds_cells
+    for name in ("a.brf", "a.txt"):
+        lines = list(Braille().lines(Source(str(tmp_path / name)), reading))
+        assert [line.cells for line in lines] == [("⠁⠃",)]
+    with pytest.raises(ReadingError, match=r"a\.brf holds Braille"):
+        list(Shapes().lines(Source(str(tmp_path / "a.brf")), reading))
+
+
+def test_lines_of_braille_know_what_they_say(source_of, reading):
+    lines = list(Braille().lines(source_of("text:ab\n\nc"), reading))
+    assert [(line.cells, line.text) for line in lines] == [(("⠁⠃",), "ab"), (("⠉",), "c")]
+    # On paper they would be a centimeter apart.
+    assert lines[1].place.middle_mm - lines[0].place.middle_mm == 20.0
+
+
+def test_several_lines_at_once(source_of, reading):
+    lines = list(Braille(at_once=2).lines(source_of("text:a\nb\nc"), reading))
+    assert [line.cells for line in lines] == [("⠁", "⠃"), ("⠉",)]
+
+
+def test_characters_without_cells_are_left_out_and_named(source_of, reading, notes):
+    lines = list(Braille().lines(source_of("text:a漢b"), reading))
+    assert lines[0].cells == ("⠁⠃",)
+    assert "漢" in notes[0]
+
+
+def test_eight_dots_where_they_are_needed(source_of, reading):
+    eight = next(Braille().lines(source_of("text:⣿⠿"), reading))
+    assert eight.cells == ("⣿⠿",)
+    assert Braille().layout(reading, eight.cells).eight
+    assert not Braille().layout(reading, ("⠿",)).eight
+
+
+def test_a_cell_stays_as_long_as_a_line_takes_to_move_on_by_one(reading):
+    line = Braille(presentation=Presentation.LINE).motion(reading, 30.0)
+    cell = Braille(presentation=Presentation.CELL).motion(reading, 30.0)
+    assert (line.step_mm, line.gaps, cell.gaps) == (2.0, False, True)
+    assert cell.step_mm / cell.speed_mm_s == pytest.approx(6.0 / 30.0)
+
+
+def test_blank_cells_alone_are_nothing_to_read(source_of, reading):
+    with pytest.raises(SmartTouchError, match="nothing to read"):
+        list(Braille().lines(source_of(f"text:{BLANK}"), reading))
