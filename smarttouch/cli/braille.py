@@ -5,6 +5,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from smarttouch.cli.options import (
+    LanguageOption,
+    PagesOption,
+    PasswordOption,
+    TableOption,
+)
+
 if TYPE_CHECKING:
     from smarttouch.braille.source import Loaded
 
@@ -19,9 +26,7 @@ def braille(
             help="A text, a .txt, .brf or .pef file, or an image or PDF of print or Braille.",
         ),
     ] = None,
-    table: Annotated[
-        str, typer.Option(metavar="NAME", help="Braille code; see --tables.")
-    ] = "en-1",
+    table: TableOption = "en-1",
     back: Annotated[bool, typer.Option("--back", help="From cells to text.")] = False,
     output: Annotated[
         Path | None,
@@ -32,9 +37,9 @@ def braille(
     leave_out: Annotated[
         bool, typer.Option("--leave-out", help="Leave out what the table has no cells for.")
     ] = False,
-    language: Annotated[
-        str, typer.Option(metavar="NAMES", help="Of print, for Tesseract, as in eng+deu.")
-    ] = "eng",
+    language: LanguageOption = "eng",
+    page_list: PagesOption = None,
+    password: PasswordOption = None,
     tables: Annotated[bool, typer.Option("--tables", help="List the tables.")] = False,
 ) -> None:
     """Turn a text into Braille, or Braille into a text."""
@@ -52,7 +57,8 @@ def braille(
         raise BrailleError("nothing to read is given: give a text or a file, or --tables")
     require_folder(output)
     code = open_table(table)
-    loaded = _seen(source, table, language) or load_cells(source, code, leave_out)
+    loaded = _seen(source, table, page_list, password, language)
+    loaded = loaded or load_cells(source, code, leave_out)
     for note in loaded.notes:
         typer.echo(note, err=True)
     if back:
@@ -78,7 +84,9 @@ def braille(
     print(f"{output}: pages {len(pages)}, lines {sum(map(len, pages))}")
 
 
-def _seen(source: str, table: str, language: str) -> "Loaded | None":
+def _seen(
+    source: str, table: str, pages: str | None, password: str | None, languages: str
+) -> "Loaded | None":
     """Return what an image or a PDF shows, as cells; None for anything else."""
     if Path(source).suffix.lower() not in _DOCUMENTS:
         return None
@@ -88,7 +96,8 @@ def _seen(source: str, table: str, language: str) -> "Loaded | None":
     from smarttouch.reading.source import Source
 
     notes: list[str] = []
-    document = Source(source, HowToLook(languages=language), notes.append)
+    how = HowToLook(pages, password=password, languages=languages)
+    document = Source(source, how, notes.append)
     return Loaded(Braille(table).paragraphs(document), None, notes)
 
 

@@ -5,6 +5,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from smarttouch.cli.options import (
+    AsOption,
+    CellsOption,
+    JsonOption,
+    LanguageOption,
+    PagesOption,
+    PasswordOption,
+    QuietOption,
+    StyleOption,
+    TableOption,
+)
+
 if TYPE_CHECKING:
     from smarttouch.reading.braille import Braille
     from smarttouch.reading.deliver import Reading
@@ -25,31 +37,19 @@ def legibility(
         Path | None,
         typer.Option(metavar="FILE.txt", help="What the page says; what Tesseract reads if none."),
     ] = None,
-    kind: Annotated[
-        str, typer.Option("--as", metavar="shapes|braille", help="How it is felt.")
-    ] = "shapes",
-    style: Annotated[
-        str, typer.Option(metavar="plain|thinned|graded", help="Of letter shapes.")
-    ] = "graded",
-    table: Annotated[str, typer.Option(metavar="NAME", help="Braille code.")] = "en-1",
-    cells: Annotated[
-        str, typer.Option(metavar="line|cell", help="A moving line, or one cell at a time.")
-    ] = "line",
-    language: Annotated[
-        str, typer.Option(metavar="NAMES", help="Of the print, for Tesseract, as in eng+deu.")
-    ] = "eng",
-    pages: Annotated[
-        str | None, typer.Option(metavar="LIST", help="Of a document, as in 1,3-5; all if none.")
-    ] = None,
-    password: Annotated[str | None, typer.Option(help="Of an encrypted PDF.")] = None,
+    kind: AsOption = "shapes",
+    style: StyleOption = "graded",
+    table: TableOption = "en-1",
+    cells: CellsOption = "line",
+    language: LanguageOption = "eng",
+    pages: PagesOption = None,
+    password: PasswordOption = None,
     mode: Annotated[str, typer.Option(metavar="RA|SAI", help="Whose receptors.")] = "RA",
     speed: Annotated[
         float | None, typer.Option(metavar="MM/S", help="Of the text under the finger.")
     ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures.")
-    ] = None,
-    quiet: Annotated[bool, typer.Option(help="Show nothing but errors.")] = False,
+    json_file: JsonOption = None,
+    quiet: QuietOption = False,
 ) -> None:
     """Measure it: the whole chain to a simulated board, and Tesseract on what the skin got."""
     from smarttouch.cli.files import parse_choice, parse_mode, require_folder, write_json

@@ -5,6 +5,19 @@ from typing import Annotated
 
 import typer
 
+from smarttouch.cli.options import (
+    FeltOption,
+    ForceOption,
+    IntensityOption,
+    JsonOption,
+    ModeOption,
+    ProfileOption,
+    QuietOption,
+    RateOption,
+    RecordOption,
+    SecondsOption,
+)
+
 
 def live(
     sensor: Annotated[
@@ -19,38 +32,16 @@ def live(
         str,
         typer.Option(metavar="URL", help="emulator:, kajimoto61:PORT, etactilekit:PORT, link:PORT"),
     ] = "emulator:",
-    profile: Annotated[
-        str | None,
-        typer.Option(metavar="NAME|FILE", help="Device and finger; the board's usual if none."),
-    ] = None,
-    mode: Annotated[
-        str, typer.Option(metavar="RA|SAI|natural", help="What drives which afferents.")
-    ] = "RA",
-    force: Annotated[
-        str | None,
-        typer.Option(
-            metavar="URL",
-            help="How hard the finger presses: hx711:PORT, loadcell:PORT, recorded:CSV, fixed:N; "
-            "the sensor's or the board's own word if not given.",
-        ),
-    ] = None,
-    intensity: Annotated[
-        float | None,
-        typer.Option(
-            metavar="0..1",
-            help="To begin with, of the strongest; 0 with a keyboard and a real board, else 1.",
-        ),
-    ] = None,
+    profile: ProfileOption = None,
+    mode: ModeOption = "RA",
+    force: ForceOption = None,
+    intensity: IntensityOption = None,
     softness: Annotated[
         float | None,
         typer.Option(metavar="0..1", help="1: SAI pulses at a constant rate; 0: follows force."),
     ] = None,
-    rate: Annotated[
-        float | None, typer.Option(metavar="HZ", help="Sequences a second; the profile's if none.")
-    ] = None,
-    seconds: Annotated[
-        float | None, typer.Option(metavar="S", help="Longest run, wall time.")
-    ] = None,
+    rate: RateOption = None,
+    seconds: SecondsOption = None,
     seed: Annotated[
         int | None, typer.Option(help="Of the virtual finger's and sensor's noise.")
     ] = None,
@@ -91,16 +82,12 @@ def live(
         bool,
         typer.Option("--balance", help="Turn the polarity of scans to keep net charge at zero."),
     ] = False,
-    felt: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="Draw the page and what the skin got.")
-    ] = None,
-    record: Annotated[Path | None, typer.Option(metavar="MCAP", help="Keep the run.")] = None,
+    felt: FeltOption = None,
+    record: RecordOption = None,
     subject: Annotated[str, typer.Option(help="Who feels it, for the recording.")] = "",
     note: Annotated[str, typer.Option(help="Anything else, for the recording.")] = "",
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures of the run.")
-    ] = None,
-    quiet: Annotated[bool, typer.Option(help="Show nothing but errors.")] = False,
+    json_file: JsonOption = None,
+    quiet: QuietOption = False,
 ) -> None:
     """Let a finger feel what a sensor sees, until the page ends, a key or Ctrl-C."""
     import contextlib

@@ -1,9 +1,29 @@
 """``smarttouch read``: text from a file under the finger, as letter shapes or as Braille."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from smarttouch.cli.options import (
+    AsOption,
+    CellsOption,
+    FeltOption,
+    ForceOption,
+    FramesOption,
+    IntensityOption,
+    JsonOption,
+    LanguageOption,
+    ModeOption,
+    PagesOption,
+    PasswordOption,
+    ProfileOption,
+    QuietOption,
+    RateOption,
+    RecordOption,
+    SecondsOption,
+    StyleOption,
+    TableOption,
+)
 
 
 def read(
@@ -15,20 +35,10 @@ def read(
             "text: and words.",
         ),
     ],
-    kind: Annotated[
-        str, typer.Option("--as", metavar="shapes|braille", help="How it is felt.")
-    ] = "shapes",
-    style: Annotated[
-        str,
-        typer.Option(metavar="plain|thinned|graded", help="Of letter shapes."),
-    ] = "graded",
-    table: Annotated[
-        str, typer.Option(metavar="NAME", help="Braille code; smarttouch braille --tables.")
-    ] = "en-1",
-    cells: Annotated[
-        str,
-        typer.Option(metavar="line|cell", help="Braille: a moving line, or one cell at a time."),
-    ] = "line",
+    kind: AsOption = "shapes",
+    style: StyleOption = "graded",
+    table: TableOption = "en-1",
+    cells: CellsOption = "line",
     lines: Annotated[int, typer.Option(help="Lines of Braille under the finger at once.")] = 1,
     embossed: Annotated[
         bool | None,
@@ -40,15 +50,11 @@ def read(
         float | None,
         typer.Option(metavar="DEG", help="Where the light on raised dots comes from."),
     ] = None,
-    language: Annotated[
-        str, typer.Option(metavar="NAMES", help="Of the print, for Tesseract, as in eng+deu.")
-    ] = "eng",
-    pages: Annotated[
-        str | None, typer.Option(metavar="LIST", help="Of a document, as in 1,3-5; all if none.")
-    ] = None,
+    language: LanguageOption = "eng",
+    pages: PagesOption = None,
     dpi: Annotated[float | None, typer.Option(help="Resolution of the image.")] = None,
     page_width_mm: Annotated[float | None, typer.Option(help="Or the width of its page.")] = None,
-    password: Annotated[str | None, typer.Option(help="Of an encrypted PDF.")] = None,
+    password: PasswordOption = None,
     light_on_dark: Annotated[
         bool | None,
         typer.Option(
@@ -74,37 +80,17 @@ def read(
             help="As for live; simulated: waits for nothing. With --frames that, else emulator:",
         ),
     ] = None,
-    profile: Annotated[
-        str | None,
-        typer.Option(metavar="NAME|FILE", help="Device and finger; the board's usual if none."),
-    ] = None,
-    mode: Annotated[
-        str, typer.Option(metavar="RA|SAI|natural", help="What drives which afferents.")
-    ] = "RA",
-    force: Annotated[
-        str | None, typer.Option(metavar="URL", help="How hard the finger presses, as for live.")
-    ] = None,
-    intensity: Annotated[
-        float | None, typer.Option(metavar="0..1", help="To begin with, as for live.")
-    ] = None,
-    rate: Annotated[
-        float | None, typer.Option(metavar="HZ", help="Sequences a second; the profile's if none.")
-    ] = None,
-    seconds: Annotated[
-        float | None, typer.Option(metavar="S", help="Longest run, wall time.")
-    ] = None,
-    frames: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE|FOLDER", help="The patterns: .gif, .json, or PNG in a folder."),
-    ] = None,
-    felt: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="Draw the text and what the skin got.")
-    ] = None,
-    record: Annotated[Path | None, typer.Option(metavar="MCAP", help="Keep the run.")] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures of the run.")
-    ] = None,
-    quiet: Annotated[bool, typer.Option(help="Show nothing but errors.")] = False,
+    profile: ProfileOption = None,
+    mode: ModeOption = "RA",
+    force: ForceOption = None,
+    intensity: IntensityOption = None,
+    rate: RateOption = None,
+    seconds: SecondsOption = None,
+    frames: FramesOption = None,
+    felt: FeltOption = None,
+    record: RecordOption = None,
+    json_file: JsonOption = None,
+    quiet: QuietOption = False,
 ) -> None:
     """Read a page with a fingertip, line by line.
 

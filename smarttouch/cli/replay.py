@@ -5,6 +5,13 @@ from typing import Annotated
 
 import typer
 
+from smarttouch.cli.options import (
+    JsonOption,
+    QuietOption,
+    RecordOption,
+    SecondsOption,
+)
+
 
 def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, whole or cut.")],
@@ -30,14 +37,10 @@ def replay(
             help="To begin with, of the recorded; 0 with a keyboard and a real board, else 1.",
         ),
     ] = None,
-    seconds: Annotated[
-        float | None, typer.Option(metavar="S", help="Longest run, wall time.")
-    ] = None,
-    record: Annotated[Path | None, typer.Option(metavar="MCAP", help="Keep the run.")] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures of the run.")
-    ] = None,
-    quiet: Annotated[bool, typer.Option(help="Show nothing but errors.")] = False,
+    seconds: SecondsOption = None,
+    record: RecordOption = None,
+    json_file: JsonOption = None,
+    quiet: QuietOption = False,
 ) -> None:
     """Let a finger feel once more what was recorded, or prove that it still would."""
     from smarttouch.profile import load_profile
@@ -67,6 +70,7 @@ def replay(
             rate_hz=settings["rate_hz"],
             light_on_dark=settings["light_on_dark"],
             softness=settings["softness"],
+            tone=recording.tone,
             level=intensity,
             seconds=seconds,
             force_url=force,

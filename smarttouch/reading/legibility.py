@@ -9,7 +9,7 @@ from smarttouch.braille.tables import open_table
 from smarttouch.reading.braille import Braille
 from smarttouch.reading.deliver import Reading, deliver_lines, ideal_picture
 from smarttouch.reading.delivered import LinePicture
-from smarttouch.reading.error_rate import character_error_rate
+from smarttouch.reading.error_rate import character_error_rate, word_error_rate
 from smarttouch.reading.ocr import Layout, recognize
 from smarttouch.reading.printed import LINE_PIXELS, recognized_lines
 from smarttouch.reading.shapes import Shapes, Style, shape_line
@@ -31,7 +31,7 @@ class Legibility:
 
     Attributes
     ----------
-    character_error_rate : float
+    character_error_rate, word_error_rate : float
         Of the text that Tesseract read from the delivered pulses.
     sampling_limit : float
         Of the text that it read from the ideal of that array: the ink in the
@@ -45,6 +45,7 @@ class Legibility:
     """
 
     character_error_rate: float
+    word_error_rate: float
     sampling_limit: float
     page_error_rate: float | None
     text: str
@@ -99,6 +100,7 @@ def legibility_of_shapes(
     compared = page_text if truth is None else truth
     return Legibility(
         character_error_rate=character_error_rate(compared, text),
+        word_error_rate=word_error_rate(compared, text),
         sampling_limit=character_error_rate(compared, limit_text),
         page_error_rate=None if truth is None else character_error_rate(compared, page_text),
         text=text,

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from smarttouch.errors import RecordingError
-from smarttouch.imaging.mapping import Tone
 from smarttouch.modes.bank import KernelBank, load_bank
 from smarttouch.pipeline import Measured, Pipeline
 from smarttouch.primary import Mode
@@ -178,8 +177,7 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
             settings["light_on_dark"],
             timing,
             settings["softness"],
-            # Recordings from before there was a choice do not name it.
-            Tone(**settings["tone"]) if settings.get("tone") else None,
+            recording.tone,
         )
         adaptation = ledger = None
         if settings["hold"] is not None:

@@ -18,6 +18,7 @@ from mcap.writer import MCAP0_MAGIC
 from pydantic import ValidationError
 
 from smarttouch.errors import ProfileError, RecordingError
+from smarttouch.imaging.mapping import Tone
 from smarttouch.profile import Profile
 from smarttouch.recording.decoder import RecordedStep, StepDecoder
 from smarttouch.recording.schemas import FORMAT, METADATA
@@ -125,6 +126,12 @@ class Recording:
     def settings(self) -> dict[str, Any]:
         """How the run was set up."""
         return self._table("settings")
+
+    @property
+    def tone(self) -> Tone | None:
+        """How ink became activation; recordings from before there was a choice do not say."""
+        told = self.settings.get("tone")
+        return Tone(**told) if told else None
 
     @cached_property
     def versions(self) -> dict[str, Any]:

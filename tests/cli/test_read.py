@@ -65,6 +65,18 @@ def test_what_was_read_replays_to_the_bit(program_here, tmp_path):
         assert "identical" in program_here("replay", f"{kind}.mcap", "--check").stdout
 
 
+def test_what_was_read_can_be_felt_once_more(program_here, tmp_path):
+    slots = []
+    for command in (
+        ["read", "text:ab", "--as", "braille", "--record", "run.mcap"],
+        ["replay", "run.mcap"],
+    ):
+        done = program_here(*command, "--board", "simulated:", "--json", "f.json")
+        assert done.returncode == 0, done.stderr
+        slots.append(figures_of(tmp_path / "f.json")["slots"])
+    assert slots[0] == slots[1] > 0
+
+
 @pytest.mark.parametrize("cells", ["line", "cell"])
 def test_a_text_as_braille_patterns(program_here, tmp_path, cells):
     done = program_here("read", "text:b", "--as", "braille", "--cells", cells, "--frames", "f.json")

@@ -89,6 +89,7 @@ class Books:
             left_uc = float(np.abs(residual_uc).max(initial=0))
             self.max_net_charge_uc = max(self.max_net_charge_uc, left_uc)
         self.max_volts = max(self.max_volts, delivered.source_v)
+        self.keep(number, width_us, delivered.current_ua)
         if self.folder is not None:
             record = np.zeros((), _record(self.electrodes))
             record["number"], record["slot"], record["site"] = number, slot, site
@@ -97,6 +98,9 @@ class Books:
             record["charge_uc"] = delivered.charge_pc * 1e-6
             record["volts"], record["residual_uc"] = delivered.volts, residual_uc
             self._delivered += record.tobytes()
+
+    def keep(self, number: int, width_us: float, current_ua: NDArray[np.float64]) -> None:
+        """Have a pulse at hand, where someone asks for it later."""
 
     def write(self) -> None:
         """Put on disk what has been entered since the last time."""

@@ -258,9 +258,10 @@ class LinkFirmware:
         )
         return head + NAME.encode()
 
-    def _report(self) -> bytes:
+    def account(self) -> tuple[int, int, int, int, float, float, float]:
+        """Return what has been delivered, as `BoardReport` has it."""
         books = self.books
-        return protocol.REPORT.pack(
+        return (
             books.sequences,
             books.slots,
             books.pulses,
@@ -268,5 +269,9 @@ class LinkFirmware:
             books.max_current_ma,
             books.max_charge_uc,
             books.max_net_charge_uc,
-            (self._running is not None) + (self._waiting is not None),
+        )
+
+    def _report(self) -> bytes:
+        return protocol.REPORT.pack(
+            *self.account(), (self._running is not None) + (self._waiting is not None)
         )

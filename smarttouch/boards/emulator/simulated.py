@@ -11,7 +11,6 @@ from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.rules import MAX_CURRENT_UA, MAX_SLOTS
-from smarttouch.boards.emulator.skin import Delivered
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_sequence import encode_sequence
 from smarttouch.errors import BoardError
@@ -32,20 +31,8 @@ class _KeptBooks(Books):
 
     _kept: list[tuple[int, float, NDArray[np.int16]]] = field(default_factory=list, repr=False)
 
-    def enter(
-        self,
-        number: int,
-        slot: int,
-        site: int,
-        delivered: Delivered,
-        width_us: float,
-        residual_uc: NDArray[np.float64],
-        time_us: float,
-        *,
-        more: bool = False,
-    ) -> None:
-        super().enter(number, slot, site, delivered, width_us, residual_uc, time_us, more=more)
-        self._kept.append((number, width_us, np.rint(delivered.current_ua).astype(np.int16)))
+    def keep(self, number: int, width_us: float, current_ua: NDArray[np.float64]) -> None:
+        self._kept.append((number, width_us, np.rint(current_ua).astype(np.int16)))
 
     def take(self) -> Pulses:
         kept, self._kept = self._kept, []
@@ -140,16 +127,7 @@ class SimulatedBoard(Board):
         """Nothing waits here: what is sent is over."""
 
     def report(self) -> BoardReport:
-        books = self._books
-        return BoardReport(
-            books.sequences,
-            books.slots,
-            books.pulses,
-            books.violations,
-            books.max_current_ma,
-            books.max_charge_uc,
-            books.max_net_charge_uc,
-        )
+        return BoardReport(*self._firmware.account())
 
     def _stop(self) -> None:
         self._say(protocol.encode(Kind.STOP))
