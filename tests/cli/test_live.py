@@ -108,7 +108,7 @@ BLANK = {
 def test_blank_pages_are_silent(program_here, tmp_path, name):
     Image.fromarray(BLANK[name]).save(tmp_path / "blank.png")
     options = ("--dpi", 300, "--speed", 360, "--quiet", "--json", "run.json")
-    done = program_here("live", "--board", "memory:", "--sensor", "page:blank.png", *options)
+    done = program_here("live", "--board", "simulated:", "--sensor", "page:blank.png", *options)
     assert done.returncode == 0, done.stderr
     assert figures_of(tmp_path / "run.json")["active_fraction"] <= 0.02
 
@@ -117,6 +117,7 @@ def test_blank_pages_are_silent(program_here, tmp_path, name):
 def test_every_profile_runs(program_here, tmp_path, name):
     done = program_here(
         "live",
+        "--board=simulated:",
         "--sensor=text:Hi",
         f"--profile={name}",
         "--speed=120",
