@@ -176,11 +176,16 @@ def recognized_text(prepared: PreparedPage, how: HowToLook, note: Note) -> str:
         begins = index == 0 or not 0 < steps[index - 1] < _NEW_PARAGRAPH * usual
         if begins or not paragraphs:
             paragraphs.append(text)
-        elif paragraphs[-1].endswith("-") and text[:1].islower():
-            paragraphs[-1] = paragraphs[-1][:-1] + text
         else:
-            paragraphs[-1] += " " + text
+            paragraphs[-1] = _joined(paragraphs[-1], text)
     return "\n".join(each for each in paragraphs if each.strip())
+
+
+def _joined(before: str, after: str) -> str:
+    """Return two lines as one: a hyphen goes where it divides a word, and stays in North-South."""
+    if not before.endswith("-") or before.endswith(" -"):
+        return f"{before} {after}"
+    return (before[:-1] if after[:1].islower() else before) + after
 
 
 def _turn_deg(prepared: PreparedPage, how: HowToLook) -> int:

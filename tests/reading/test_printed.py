@@ -1,0 +1,132 @@
+"""Pages are turned upright, recognized piece by piece, and their paragraphs put together."""
+
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from smarttouch.errors import ReadingError
+from smarttouch.pages.printed_text import prepare_text, print_text
+from smarttouch.reading import printed
+from smarttouch.reading.error_rate import character_error_rate
+from smarttouch.reading.ocr import RecognizedLine
+from smarttouch.reading.printed import (
+    HowToLook,
+    document_pages,
+    recognized_lines,
+    recognized_text,
+    upright_page,
+)
+
+TEXT = "Some words that are di-\nvided by a line, and\nmore of them\n\nanother paragraph"
+
+
+class Reads:
+    """Stands for Tesseract: knows what the lines say, in order."""
+
+    def __init__(self, lines, confidence=0.9):
+        self.lines, self.confidence, self.pieces = list(lines), confidence, []
+
+    def __call__(self, strips, languages):
+        self.pieces.append(len(strips))
+        return [RecognizedLine(self.lines.pop(0), (0, 0, 9, 9), self.confidence) for _ in strips]
+
+
+@pytest.fixture
+def notes():
+    return []
+
+
+@pytest.fixture
+def tesseract(monkeypatch):
+    """Return a setter of what Tesseract reads."""
+
+    def reads(text, **more):
+        stands = Reads([line for line in text.split("\n") if line], **more)
+        monkeypatch.setattr(printed, "recognize_lines", stands)
+        return stands
+
+    return reads
+
+
+def test_paragraphs_are_put_together_and_divided_words_joined(tesseract, notes):
+    tesseract(TEXT)
+    text = recognized_text(prepare_text(TEXT), HowToLook(), notes.append)
+    assert text == "Some words that are divided by a line, and more of them\nanother paragraph"
+    assert notes == []
+
+
+@pytest.mark.parametrize(
+    ("lines", "text"),
+    [
+        ("North-\nSouth", "North-South"),
+        ("divi-\nded", "divided"),
+        ("so -\nor not", "so - or not"),
+        ("one\ntwo", "one two"),
+    ],
+)
+def test_hyphens_at_the_end_of_a_line(tesseract, notes, lines, text):
+    tesseract(lines)
+    assert recognized_text(prepare_text(lines), HowToLook(), notes.append) == text
+
+
+def test_the_first_line_is_not_waited_for(tesseract, notes):
+    stands = tesseract("\n".join(f"line {number}" for number in range(40)))
+    lines = recognized_lines(prepare_text("x\n" * 40), HowToLook(), notes.append)
+    assert next(lines) == (0, "line 0")
+    assert stands.pieces == [1]
+    assert [text for _, text in lines] == [f"line {number}" for number in range(1, 40)]
+    assert stands.pieces == [1, 4, 16, 16, 3]
+
+
+def test_what_is_hardly_recognized_is_told_of(tesseract, notes):
+    tesseract("scrawl", confidence=0.3)
+    assert list(recognized_lines(prepare_text("x"), HowToLook(), notes.append)) == [(0, "scrawl")]
+    assert len(notes) == 1
+    assert "confidence of 30%" in notes[0]
+    assert "handwriting" in notes[0]
+
+
+@pytest.mark.parametrize("turn_deg", [0, 90, 180, 270])
+def test_a_page_is_turned_as_it_should_be(monkeypatch, notes, turn_deg):
+    page = print_text("Some words\non a page\nthat is read")
+    seen = []
+
+    def upright(image, languages):
+        seen.append(languages)
+        return turn_deg
+
+    monkeypatch.setattr(printed, "upright", upright)
+    prepared = upright_page(3, page, HowToLook(languages="deu"), notes.append)
+    assert seen == ["deu"]
+    if turn_deg:
+        assert f"page 3: it was turned by {turn_deg}° to be upright" in notes
+    else:
+        assert notes == []
+    if turn_deg == 180:
+        np.testing.assert_array_equal(prepared.page.grey, page.grey[::-1, ::-1])
+
+
+def test_without_tesseract_a_page_stays_as_it_is(monkeypatch, notes):
+    def missing(image, languages):
+        raise ReadingError("Tesseract is not here")
+
+    monkeypatch.setattr(printed, "upright", missing)
+    prepared = upright_page(1, print_text("Some words\non a page"), HowToLook(), notes.append)
+    assert len(prepared.lines) == 2
+    assert notes == []
+
+
+@pytest.mark.skipif(
+    shutil.which("tesseract") is None, reason="needs Tesseract: apt install tesseract-ocr"
+)
+def test_an_upside_down_page_is_read(tmp_path, notes):
+    grey = print_text("A page is a quiet place.\nRest one finger on a line").grey
+    Image.fromarray(np.ascontiguousarray(grey[::-1, ::-1])).save(tmp_path / "page.png")
+    ((number, page),) = document_pages(tmp_path / "page.png", HowToLook())
+    prepared = upright_page(number, page, HowToLook(), notes.append)
+    text = recognized_text(prepared, HowToLook(), notes.append)
+    truth = "A page is a quiet place. Rest one finger on a line"
+    assert character_error_rate(truth, text) < 0.05
+    assert any("180°" in note for note in notes)
