@@ -9,7 +9,7 @@ from typing import Protocol
 
 from smarttouch.errors import ReadingError
 from smarttouch.reading.feed import LineFeed
-from smarttouch.reading.touch_line import TouchLine
+from smarttouch.reading.touch_line import Place, TouchLine
 from smarttouch.sensing.frame import Sensor
 
 LAND_S = 0.15
@@ -192,6 +192,7 @@ class FollowingCursor:
 
     def __init__(self, feed: LineFeed, sensor: Sensor) -> None:
         self._feed, self._sensor = feed, sensor
+        self._origin: Place | None = None
         self.knows_force = sensor.knows_force
 
     @property
@@ -204,11 +205,13 @@ class FollowingCursor:
         frame = self._sensor.read(time_ns)
         if frame is None:
             return None
-        first = self._feed.wait_for(0)
-        if first is None or first.place is None:
-            return None
-        x_mm = first.place.left_mm + frame.pose.x_mm
-        y_mm = first.place.middle_mm + frame.pose.y_mm
+        if self._origin is None:
+            first = self._feed.wait_for(0)
+            if first is None or first.place is None:
+                return None
+            self._origin = first.place
+        x_mm = self._origin.left_mm + frame.pose.x_mm
+        y_mm = self._origin.middle_mm + frame.pose.y_mm
         index, line = self._nearest(x_mm, y_mm)
         assert line.place is not None
         force_n = math.nan if frame.stale else frame.force_n

@@ -100,11 +100,14 @@ def shape_line(prepared: PreparedPage, index: int, profile: Profile, style: Styl
         strip = thin(strip)
     pixel_mm = pixel_of(profile)
     half_mm = profile.optics.field_width_mm / 2
+    scale = rows * pixel_mm / line.height_mm
+    # A strip begins and ends with some paper.
+    margin_mm = (strip.shape[1] * pixel_mm / scale - (line.right_mm - line.left_mm)) / 2
     place = Place(
-        line.left_mm,
-        line.right_mm,
+        line.left_mm - margin_mm,
+        line.right_mm + margin_mm,
         (line.top_mm + line.bottom_mm) / 2,
-        rows * pixel_mm / line.height_mm,
+        scale,
     )
     return TouchLine(strip, -half_mm, strip.shape[1] * pixel_mm + half_mm, place=place)
 

@@ -7,6 +7,7 @@ import pytest
 
 from smarttouch.boards.board import make_board
 from smarttouch.boards.emulator.books import read_slots, read_state
+from smarttouch.boards.emulator.rules import Rules
 from smarttouch.errors import BoardError, SafetyError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
@@ -319,3 +320,12 @@ class TestSimulated(TestMemory):
             board.send(self.sequence(1), times=10)
             board.send(self.sequence(2, sites=[5]))
             assert board.report().slots == 41
+
+    def test_what_the_firmware_refuses_ends_it(self, make_board, monkeypatch):
+        with make_board() as board:
+            board.send(self.sequence(0))
+            monkeypatch.setattr(Rules, "complaint", lambda rules, sequence: "too much")
+            with pytest.raises(BoardError, match="refused sequence 2: too much"):
+                board.send(self.sequence(1))
+            assert (board.refused, board.report().violations) == (1, 1)
+        self.assert_silent()

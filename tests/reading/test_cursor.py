@@ -189,6 +189,15 @@ def test_a_live_pose_picks_the_line_below_it(feed_of, make_line):
     assert cursor.at(5) is None
 
 
+def test_following_leads_on_through_a_long_text(make_line):
+    lines = [make_line(place=Place(0.0, 50.0, 10.0 * number, 1.0)) for number in range(200)]
+    feed = LineFeed(iter(lines)).start()
+    cursor = FollowingCursor(feed, Follows(*((5.0, 10.0 * number) for number in range(200))))
+    for number in range(200):
+        feed.wait_for(number, 10)
+        assert cursor.at(number).index == number
+
+
 def test_a_stale_pose_presses_nobody_knows_how_hard(feed_of, make_line):
     feed = feed_of(make_line(place=Place(20.0, 80.0, 30.0, 4.0)))
     assert math.isnan(FollowingCursor(feed, Follows((0, 0), stale=True)).at(0).force_n)

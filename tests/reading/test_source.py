@@ -11,6 +11,7 @@ from smarttouch.reading.braille import Braille, Presentation
 from smarttouch.reading.printed import EmptyPages, HowToLook
 from smarttouch.reading.shapes import Shapes, Style, thin
 from smarttouch.reading.source import Source
+from smarttouch.reading.window import profile_for_reading
 
 
 @pytest.fixture
@@ -66,6 +67,27 @@ def test_a_printed_line_fills_the_array_from_ascender_to_descender(source_of, re
     rows = np.flatnonzero((line.image < 128).any(axis=1))
     assert rows[0] <= 3
     assert rows[-1] >= reading.optics.sensor_rows - 4
+
+
+def test_a_line_knows_how_much_larger_it_is_than_on_its_page(source_of, reading):
+    source = source_of("text:dp and more")
+    (line,) = Shapes().lines(source, reading)
+    (page,) = source.prepared()
+    array_mm = reading.electrodes.extent_mm[1]
+    assert line.place.scale == pytest.approx(array_mm / page.lines[0].height_mm)
+    on_page_mm = line.place.right_mm - line.place.left_mm
+    width_mm = line.end_mm - line.start_mm - reading.optics.field_width_mm
+    assert width_mm / line.place.scale == pytest.approx(on_page_mm, rel=0.02)
+
+
+def test_optics_and_their_registration_play_no_part(profile):
+    optics = profile.optics.model_copy(
+        update={"rotation_deg": 30.0, "offset_x_mm": 1.0, "offset_y_mm": 2.0, "flat_field": "x",
+                "homography": (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0)}
+    )  # fmt: skip
+    odd = profile_for_reading(profile.model_copy(update={"optics": optics}))
+    assert odd.optics == profile_for_reading(profile).optics
+    assert odd.optics.field_height_mm == pytest.approx(profile.electrodes.extent_mm[1])
 
 
 def test_a_long_text_file_is_printed_in_parts(tmp_path, reading):
