@@ -10,7 +10,7 @@ from smarttouch.pages.text_lines import TextLine
 
 _AROUND = 0.8
 """How much of the page above and below a line is looked at, in heights of the line."""
-_SIDES = 0.25
+SIDES = 0.25
 """Paper kept before and after a line, in heights of the line."""
 _INK = 128
 """Darker than this is ink when the spots of neighboring lines are looked for."""
@@ -40,7 +40,7 @@ def cut_strip(
     Returns
     -------
     ndarray, (height_px, W) uint8
-        As wide as the line is long, at the same scale.
+        As wide as the line is long, and `SIDES` of paper at each end.
     """
     line_px = line.height_mm / mm_per_pixel
     # Made smaller, a strip is first sampled as finely as the page and then averaged.
@@ -68,7 +68,7 @@ def cut_strip(
 
 def _places(line: TextLine, pixel_mm: float, steps: int) -> NDArray[np.float64]:
     """Return the x of every column, equally far from each other along the baseline, mm."""
-    sides_mm = _SIDES * line.height_mm
+    sides_mm = SIDES * line.height_mm
     x_mm = np.linspace(line.left_mm - sides_mm, line.right_mm + sides_mm, 400)
     passed_mm = np.cumsum(np.hypot(np.diff(x_mm), np.diff(line.baseline_mm(x_mm))))
     passed_mm = np.concatenate([[0.0], passed_mm])

@@ -13,6 +13,7 @@ from smarttouch.errors import ReadingError
 from smarttouch.imaging.mapping import Tone
 from smarttouch.imaging.registration import PIXELS_PER_CELL
 from smarttouch.pages.prepare import PreparedPage
+from smarttouch.pages.strips import SIDES
 from smarttouch.profile import Profile
 from smarttouch.reading.cursor import Motion
 from smarttouch.reading.source import Source
@@ -100,14 +101,13 @@ def shape_line(prepared: PreparedPage, index: int, profile: Profile, style: Styl
         strip = thin(strip)
     pixel_mm = pixel_of(profile)
     half_mm = profile.optics.field_width_mm / 2
-    scale = rows * pixel_mm / line.height_mm
     # A strip begins and ends with some paper.
-    margin_mm = (strip.shape[1] * pixel_mm / scale - (line.right_mm - line.left_mm)) / 2
+    margin_mm = SIDES * line.height_mm
     place = Place(
         line.left_mm - margin_mm,
         line.right_mm + margin_mm,
         (line.top_mm + line.bottom_mm) / 2,
-        scale,
+        rows * pixel_mm / line.height_mm,
     )
     return TouchLine(strip, -half_mm, strip.shape[1] * pixel_mm + half_mm, place=place)
 
