@@ -94,7 +94,7 @@ def paper_of(grey: Grey) -> Grey:
     What is dark and narrower than a window is closed. The window is taken
     from the height of the letters, which are first looked for with a wide one.
     """
-    small = _reduced(grey)
+    small = reduced(grey, _REDUCED_PIXELS)
     side = math.sqrt(small.size) / _WIDEST
     paper = _closed(small, side)
     spots = find_spots(small < _ROUGHLY_INK * paper)
@@ -112,7 +112,7 @@ def is_light_on_dark(grey: Grey) -> bool:
     window tells the side; where there is no print, or the edge of a sheet on a
     darker table, it is small or cancels.
     """
-    small = _reduced(grey).astype(np.float32)
+    small = reduced(grey, _REDUCED_PIXELS).astype(np.float32)
     side = max(3, round(math.sqrt(small.size) / _WINDOWS)) | 1
     window = (side, side)
     mean = cv2.blur(small, window)
@@ -123,8 +123,9 @@ def is_light_on_dark(grey: Grey) -> bool:
     return bool((third / variance).sum() > _LEAST_SKEW * np.sqrt(variance).sum())
 
 
-def _reduced(grey: Grey) -> Grey:
-    factor = math.sqrt(grey.size / _REDUCED_PIXELS)
+def reduced(grey: Grey, pixels: int) -> Grey:
+    """Return an image with so many pixels at most, averaged."""
+    factor = math.sqrt(grey.size / pixels)
     if factor <= 1:
         return grey
     size = (max(1, round(grey.shape[1] / factor)), max(1, round(grey.shape[0] / factor)))

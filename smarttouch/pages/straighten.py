@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.pages.ink import separate_ink
+from smarttouch.pages.ink import reduced, separate_ink
 from smarttouch.pages.letters import Spots, letters_alone
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.rows import neighbors
@@ -52,7 +52,7 @@ def straighten(page: Page) -> tuple[Page, list[str]]:
     if corners is not None:
         page = Page(flattened(page.grey, corners), page.mm_per_pixel)
         notes.append("the sheet of paper was cut out of the photograph and laid flat")
-    found = letters_alone(separate_ink(_reduced(page.grey)).ink)
+    found = letters_alone(separate_ink(reduced(page.grey, _REDUCED_PIXELS)).ink)
     if found is None or len(found[1].area) < _FEWEST_LETTERS:
         return page, notes
     ink, letters, height = found
@@ -102,14 +102,6 @@ def measure_skew(ink: NDArray[np.bool_], height: float) -> tuple[float, float]:
     fine = coarse[found.argmax()] + np.arange(-_COARSE_DEG, _COARSE_DEG, _FINE_DEG)
     finest = np.array([contrast(degrees) for degrees in fine])
     return float(fine[finest.argmax()]), float(finest.max() / max(np.median(found), 1.0))
-
-
-def _reduced(grey: Grey) -> Grey:
-    factor = math.sqrt(grey.size / _REDUCED_PIXELS)
-    if factor <= 1:
-        return grey
-    size = (round(grey.shape[1] / factor), round(grey.shape[0] / factor))
-    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _runs_downwards(letters: Spots) -> bool:
