@@ -97,7 +97,7 @@ def _of_shapes(
     from smarttouch.reading.legibility import legibility_of_shapes
     from smarttouch.reading.window import require_rows, rows_of
 
-    require_rows(reading.profile)
+    require_rows(reading.profile, text.note)
     said = text.words if truth is None else read_text(truth)
     with lines_progress(quiet) as progress:
         found = legibility_of_shapes(text, reading, shapes, said, progress)

@@ -73,7 +73,7 @@ class Shapes:
         SmartTouchError
             If there is nothing that could be read.
         """
-        require_rows(profile)
+        require_rows(profile, source.note)
         if source.holds_cells:
             raise ReadingError(f"{source.name} holds Braille, not letters: read it --as braille")
         for prepared in source.prepared():

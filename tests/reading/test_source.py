@@ -7,6 +7,7 @@ from PIL import Image
 from smarttouch.braille.cells import BLANK
 from smarttouch.errors import ReadingError, SmartTouchError
 from smarttouch.pages.printed_text import print_text
+from smarttouch.profile import load_profile
 from smarttouch.reading.braille import Braille, Presentation
 from smarttouch.reading.printed import EmptyPages, HowToLook
 from smarttouch.reading.shapes import Shapes, Style, thin
@@ -88,6 +89,16 @@ def test_optics_and_their_registration_play_no_part(profile):
     odd = profile_for_reading(profile.model_copy(update={"optics": optics}))
     assert odd.optics == profile_for_reading(profile).optics
     assert odd.optics.field_height_mm == pytest.approx(profile.electrodes.extent_mm[1])
+
+
+def test_few_rows_are_told_of_and_fewer_are_refused(source_of, notes):
+    four = profile_for_reading(load_profile("smarttouch-4x4"))
+    assert list(Shapes().lines(source_of("text:hi"), four))
+    assert len(notes) == 1
+    assert "smarttouch-4x4 has 4 rows" in notes[0]
+    assert "--as braille" in notes[0]
+    with pytest.raises(ReadingError, match="line-7 has 1 row of electrodes"):
+        list(Shapes().lines(source_of("text:hi"), profile_for_reading(load_profile("line-7"))))
 
 
 def test_a_long_text_file_is_printed_in_parts(tmp_path, reading):
