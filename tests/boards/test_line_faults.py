@@ -72,9 +72,7 @@ MISHAPS = [
 
 
 @pytest.mark.parametrize(("hosted", "change"), MISHAPS, indirect=["hosted"])
-def test_bytes_lost_or_doubled_on_the_way_to_the_board(hosted, change, monkeypatch):
-    # A busy machine may keep the emulator, a process of its own, waiting for half a second.
-    monkeypatch.setattr("smarttouch.boards.link_line.SILENCE_S", 2.0)
+def test_bytes_lost_or_doubled_on_the_way_to_the_board(hosted, change):
     with hosted.board as board:
         send_on(hosted, 4)
         hosted.line.to_board = once(change)
@@ -89,9 +87,7 @@ def test_bytes_lost_or_doubled_on_the_way_to_the_board(hosted, change, monkeypat
 
 @pytest.mark.parametrize("hosted", ["link", "etactilekit"], indirect=True)
 @pytest.mark.parametrize("change", [double_one, cut_short])
-def test_a_reply_that_is_not_whole(hosted, change, monkeypatch):
-    # A busy machine may keep the emulator, a process of its own, waiting for half a second.
-    monkeypatch.setattr("smarttouch.boards.link_line.SILENCE_S", 2.0)
+def test_a_reply_that_is_not_whole(hosted, change):
     with hosted.board:
         send_on(hosted, 4)
         hosted.line.to_host = once(change)

@@ -108,6 +108,13 @@ def test_a_page_is_turned_as_it_should_be(monkeypatch, notes, turn_deg):
         np.testing.assert_array_equal(prepared.page.grey, page.grey[::-1, ::-1])
 
 
+@pytest.mark.parametrize("matters", [False, True])
+def test_a_guessed_size_is_told_of_where_it_matters(tmp_path, notes, matters):
+    Image.fromarray(print_text("words").grey).save(tmp_path / "page.png")
+    list(document_pages(tmp_path / "page.png", HowToLook(scale_matters=matters), notes.append))
+    assert [("210 mm" in note) for note in notes] == [True] * matters
+
+
 def test_without_tesseract_a_page_stays_as_it_is(monkeypatch, notes):
     def missing(image, languages):
         raise ReadingError("Tesseract is not here")
@@ -124,7 +131,7 @@ def test_without_tesseract_a_page_stays_as_it_is(monkeypatch, notes):
 def test_an_upside_down_page_is_read(tmp_path, notes):
     grey = print_text("A page is a quiet place.\nRest one finger on a line").grey
     Image.fromarray(np.ascontiguousarray(grey[::-1, ::-1])).save(tmp_path / "page.png")
-    ((number, page),) = document_pages(tmp_path / "page.png", HowToLook())
+    ((number, page),) = document_pages(tmp_path / "page.png", HowToLook(), notes.append)
     prepared = upright_page(number, page, HowToLook(), notes.append)
     text = recognized_text(prepared, HowToLook(), notes.append)
     truth = "A page is a quiet place. Rest one finger on a line"

@@ -21,16 +21,25 @@ HEADER = "time_s,x_mm,y_mm,angle_deg,force_n\n"
 
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_printed_lines_are_all_found(count):
-    lines = find_lines(print_text("\n".join(["finger tips"] * count)))
+    page = print_text("\n".join(["finger tips"] * count))
+    lines = find_lines(page)
     assert len(lines) == count
     # Ascender to descender, of letters of 5.3 mm.
     assert all(5.0 < line.bottom_mm - line.top_mm < 5.5 for line in lines)
+    for line in lines:
+        top, bottom = (round(edge / page.mm_per_pixel) for edge in (line.top_mm, line.bottom_mm))
+        rows = np.flatnonzero((page.grey[top:bottom] < 128).any(axis=1))
+        assert 2.5 < (rows[-1] - rows[0] + 1) * page.mm_per_pixel < 5.2
 
 
 def test_lines_of_a_photographed_page():
     lines = find_lines(Page(data.page(), 110 / 384))
     assert 7 <= len(lines) <= 9
-    assert all(a.bottom_mm < b.bottom_mm for a, b in itertools.pairwise(lines))
+    for above, below in itertools.pairwise(lines):
+        # They slope, and are not equally long: what counts is where both are.
+        shared = np.array([max(above.left_mm, below.left_mm), min(above.right_mm, below.right_mm)])
+        lower = above.baseline_mm(shared) + above.descent_mm
+        assert (lower <= below.baseline_mm(shared) - below.ascent_mm).all()
 
 
 def test_light_on_dark_lines():
@@ -108,6 +117,13 @@ def test_a_tall_line_takes_several_sweeps(profile):
     assert path.lines[0].top_mm == pytest.approx(line.top_mm)
     assert path.lines[-1].bottom_mm == pytest.approx(line.bottom_mm)
     assert all(a.bottom_mm == pytest.approx(b.top_mm) for a, b in itertools.pairwise(path.lines))
+
+
+def test_a_tall_block_takes_several_sweeps(profile):
+    grey = np.full((400, 400), 255, np.uint8)
+    grey[100:250, 50:350] = 0
+    grey[100:250, ::20] = 255
+    assert len(ReadingPath(Page(grey, 0.1), profile, 40).lines) >= 3
 
 
 @pytest.mark.parametrize("speed", [0, -1, 501, math.nan, math.inf])
