@@ -125,7 +125,9 @@ def read(
         presentation = parse_choice("--cells", cells, Presentation)
         wanted = Braille(table, presentation, lines, embossed, light_from)
     motion = wanted.motion(chosen, speed, rate)
-    look = HowToLook(pages, dpi, page_width_mm, password, light_on_dark, language)
+    look = HowToLook(
+        pages, dpi, page_width_mm, password, light_on_dark, language, follow is not None
+    )
     notes: list[str] = []
     text = Source(source, look, notes.append)
     plan = Plan(

@@ -5,8 +5,7 @@ import math
 import re
 from abc import ABC, abstractmethod
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -103,7 +102,7 @@ def parse_pages(text: str, count: int) -> list[int]:
     return indexes
 
 
-class Document(ABC):
+class Document(contextlib.AbstractContextManager["Document", None], ABC):
     """Pages that are loaded when they are asked for, from one thread at a time.
 
     Parameters
@@ -144,15 +143,7 @@ class Document(ABC):
     def close(self) -> None:
         """Let go of the file."""
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _note(self, sentence: str) -> None:

@@ -1,7 +1,6 @@
 """Where the finger is while lines pass under it: by itself, or where a live pose says."""
 
 import math
-import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -120,7 +119,6 @@ class SweepingCursor:
         self._before_ns: int | None = None
         self._paused = False
         self._asked: deque[int] = deque()
-        self._lock = threading.Lock()
 
     @property
     def keys(self) -> dict[str, Callable[[], None]]:

@@ -39,6 +39,8 @@ class HowToLook:
         Found out if not given.
     languages : str
         Of Tesseract, for example ``eng+deu``.
+    scale_matters : bool
+        Whether millimeters on the page count, as for a finger that moves over it.
     """
 
     pages: str | None = None
@@ -47,12 +49,14 @@ class HowToLook:
     password: str | None = None
     light_on_dark: bool | None = None
     languages: str = "eng"
+    scale_matters: bool = False
 
 
-def document_pages(path: Path, how: HowToLook) -> Iterator[tuple[int, Page]]:
+def document_pages(path: Path, how: HowToLook, note: Note) -> Iterator[tuple[int, Page]]:
     """Yield numbers and pages of a document, one in memory at a time.
 
-    How large they are does not matter: every line is made as high as the array.
+    How large they are is told of only where it matters: every line is made as
+    high as the array.
 
     Raises
     ------
@@ -64,7 +68,12 @@ def document_pages(path: Path, how: HowToLook) -> Iterator[tuple[int, Page]]:
     ) as document:
         wanted = parse_pages(how.pages, len(document)) if how.pages else range(len(document))
         for index in wanted:
-            yield index + 1, document.page(index)
+            told = len(document.notes)
+            page = document.page(index)
+            if how.scale_matters:
+                for words in document.notes[told:]:
+                    note(words)
+            yield index + 1, page
 
 
 def upright_page(number: int, page: Page, how: HowToLook, note: Note) -> PreparedPage:

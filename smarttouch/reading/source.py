@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 from smarttouch.braille.files import read_text
@@ -45,7 +46,7 @@ class Source:
         """Whether it is a file of Braille cells."""
         return Path(self.name).suffix.lower() in _CELL_FILES and not self.name.startswith(_TEXT)
 
-    @property
+    @cached_property
     def words(self) -> str | None:
         """The text itself, where it is one; None for images and cells.
 
@@ -68,7 +69,7 @@ class Source:
         PageError
             If it cannot be read, or has no such page.
         """
-        return document_pages(Path(self.name), self.how)
+        return document_pages(Path(self.name), self.how, self.note)
 
     def prepared(self) -> Iterator[PreparedPage]:
         """Yield pages with print on them: of a document, or of a text as it is printed.
