@@ -6,7 +6,7 @@ import pytest
 
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.prepare import prepare_page
-from smarttouch.pages.strips import cut_strip
+from smarttouch.pages.strips import SIDES, cut_strip
 from smarttouch.pages.text_lines import TextLine
 
 from .printed import degrade, print_page, some_lines
@@ -124,3 +124,15 @@ def test_straightening_can_be_left_out(printed):
     assert prepared.page is tilted
     assert len(prepared.lines) == len(printed.lines)
     assert "turned level" in prepare_page(tilted).notes[0]
+
+
+def test_ink_beside_what_is_left_out_stays():
+    """A descender from the line above comes within a pixel of a letter of this line."""
+    page = np.full((200, 200), 255, np.uint8)
+    page[85:115, 50:60] = 0
+    page[20:90, 61:66] = 0
+    line = TextLine(50.0, 150.0, (110.0,), 20.0, 30.0, 10.0)
+    strip = cut_strip(page, 1.0, line, 40)
+    before = round(SIDES * line.height_mm)
+    assert (strip[6:34, before + 1 : before + 10] < 60).all()
+    assert (strip[:, before + 13 : before + 15] > 200).all()
