@@ -99,3 +99,11 @@ def test_plain_shapes_are_on_or_off_and_graded_ones_are_not():
     Shapes(Style.GRADED).tone.apply(graded)
     assert plain.tolist() == [0.0] * 3 + [1.0] * 8
     np.testing.assert_allclose(graded, ink)
+
+
+def test_a_lifted_finger_makes_nothing_paler(way, make_line):
+    """At the end of a line it is lifted, and nothing of that belongs to the text."""
+    picture = deliver_line(make_line(30.0, (0.0, 10.0)), way)
+    x_mm, y_mm = np.meshgrid([3.0, 5.0], np.arange(1.0, 16, 2.0))
+    # What is missing from 1 are parts of a microampere; a lifted step more would make it 0.96.
+    assert picture.at(x_mm.ravel(), y_mm.ravel()).min() > 0.99
