@@ -6,17 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import SmartTouchError
+from smarttouch.errors import ScheduleError, SmartTouchError
 from smarttouch.imaging.mapping import TactileMapper, Tone
 from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.modes.bank import KernelBank
-from smarttouch.primary import Mode
+from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
 from smarttouch.scan.intensity import SoftStart, force_gate
 from smarttouch.scan.schedule import PointScan
 from smarttouch.scan.sequence import ScanSequence
 from smarttouch.scan.timing import ScanTiming
-from smarttouch.sensing.frame import Frame, Pose
+from smarttouch.sensing.frame import Frame, Pose, PulseRequest
 
 Measured = tuple[ScanSequence, NDArray[np.float32]]
 """A sequence that was delivered, and what its source needed in each slot, (S,) V."""
@@ -75,6 +75,8 @@ class Pipeline:
         How little the rate of SAI pulses follows force; the profile's own if not given.
     tone : Tone, optional
         How ink becomes activation; as for frames of a sensor if not given.
+    vibrated : bool
+        Whether mechanical vibrators do what PC is to feel, and no current (paper, Section V).
     """
 
     def __init__(
@@ -87,8 +89,11 @@ class Pipeline:
         timing: ScanTiming | None = None,
         softness: float | None = None,
         tone: Tone | None = None,
+        vibrated: bool = False,
     ) -> None:
-        self._settings = (profile, bank, mode, rate_hz, light_on_dark, timing, softness, tone)
+        self._settings = (
+            profile, bank, mode, rate_hz, light_on_dark, timing, softness, tone, vibrated,
+        )  # fmt: skip
         self._profile = profile
         self._mapper = TactileMapper(profile, light_on_dark, tone)
         self._soft_start = SoftStart(profile.limits.ramp_s)
@@ -110,9 +115,16 @@ class Pipeline:
         self.restart_softly()
 
     def offered(self) -> tuple[Mode, ...]:
-        """Return the modes that the board, the profile and its kernels offer."""
+        """Return the modes that the board, the profile and its kernels offer.
+
+        Where each frame asks for its pulses, that is the one it asks in.
+        """
+        if self.mode is Mode.COLOR:
+            return (self.mode,)
         modes = []
         for mode in Mode:
+            if mode is Mode.COLOR:
+                continue
             with contextlib.suppress(SmartTouchError):
                 self._scan(mode)
                 modes.append(mode)
@@ -120,21 +132,28 @@ class Pipeline:
 
     def _scan(self, mode: Mode) -> PointScan:
         if mode not in self._scans:
-            profile, bank, _, rate_hz, _, timing, softness, _ = self._settings
+            profile, bank, _, rate_hz, _, timing, softness, _, vibrated = self._settings
+            classes, vibrated = mode.primaries, vibrated and mode is Mode.COLOR
+            if mode is Mode.COLOR:
+                made = {*bank.weights, *((Primary.PC,) if vibrated else ())}
+                classes = tuple(each for each in classes if each in made)
             # A rate asked for in one mode is not for the two of natural mode.
             natural = mode is Mode.NATURAL and bool(self._scans)
             self._scans[mode] = PointScan(
                 profile,
                 bank,
-                mode.primaries,
+                classes,
                 None if natural else rate_hz,
                 timing,
                 profile.pulse.softness if softness is None else softness,
+                vibrated,
             )
         return self._scans[mode]
 
     def process(self, frame: Frame, level: float = 1.0) -> Step:
         """Return the tactile image and the scan sequence of a frame.
+
+        A frame that asks for its pulses gets just those.
 
         Parameters
         ----------
@@ -143,11 +162,18 @@ class Pipeline:
         level : float, in [0, 1]
             What the user asked for, of the strongest.
         """
-        tactile = self._mapper.map(frame, self.mode)
+        request, wanted, period_us = frame.request, level, None
+        if request is not None:
+            tactile = TactileImage(request.activation, frame.time_ns, frame.force_n)
+            wanted, period_us = level * request.level, request.period_us
+        elif self.mode is Mode.COLOR:
+            raise ScheduleError("mode color is for sources that ask for their pulses: choose RA")
+        else:
+            tactile = self._mapper.map(frame, self.mode)
         pressure = force_gate(frame.force_n, self._profile.force)
-        intensity = self._soft_start.follow(pressure * level, frame.time_ns)
+        intensity = self._soft_start.follow(pressure * wanted, frame.time_ns)
         scan = self._scans[self.mode]
-        sequence = scan.schedule(tactile, intensity, pressure)
+        sequence = scan.schedule(tactile, intensity, pressure, period_us)
         restarted, self._restarted = self._restarted, False
         return Step(frame, tactile, sequence, self.mode, level, restarted, scan.asked_us)
 
@@ -167,5 +193,10 @@ class Pipeline:
         optics, force = self._profile.optics, self._profile.force
         image = np.full((optics.sensor_rows, optics.sensor_columns), 230, np.uint8)
         image[::2, : optics.sensor_columns // 2] = 20
+        request = None
+        if self.mode is Mode.COLOR:
+            active = np.ones((len(Primary), len(self._profile.electrodes)), np.float32)
+            active[[each for each in Primary if each not in self._settings[1].weights]] = 0
+            request = PulseRequest(active, 20_000)
         for time_ns in (0, 10**9):
-            twin.process(Frame(image, time_ns, Pose(0, 0), force.full_n))
+            twin.process(Frame(image, time_ns, Pose(0, 0), force.full_n, request=request))

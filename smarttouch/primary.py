@@ -24,9 +24,15 @@ class Mode(StrEnum):
     """Ink drives RA alone."""
     SAI = "SAI"
     """Ink drives SAI alone."""
+    PC = "PC"
+    """Ink drives PC, and with it what lies above: PC cannot be reached alone."""
     NATURAL = "natural"
     """Moving edges of the ink drive RA, what stays drives SAI."""
+    COLOR = "color"
+    """Each class as its source asks: for sources that know what they want to be felt."""
 
     @property
     def primaries(self) -> tuple[Primary, ...]:
+        if self is Mode.COLOR:
+            return tuple(Primary)
         return (Primary.RA, Primary.SAI) if self is Mode.NATURAL else (Primary[self.name],)

@@ -92,10 +92,12 @@ def test_a_change_of_mode_begins_at_zero(profile, bank, make_frame, patch):
 
 
 def test_modes_that_a_board_offers(profile, bank):
-    assert Pipeline(profile, bank).offered() == tuple(Mode)
-    assert Pipeline(profile, bank, rate_hz=40).offered() == tuple(Mode)
+    for_images = (Mode.RA, Mode.SAI, Mode.PC, Mode.NATURAL)
+    assert Pipeline(profile, bank).offered() == for_images
+    assert Pipeline(profile, bank, rate_hz=40).offered() == for_images
+    assert Pipeline(profile, bank, Mode.COLOR).offered() == (Mode.COLOR,)
     one_rate = Pipeline(profile, bank, timing=ScanTiming(whole_hz=True))
-    assert one_rate.offered() == (Mode.RA, Mode.SAI)
+    assert one_rate.offered() == (Mode.RA, Mode.SAI, Mode.PC)
     with pytest.raises(ScheduleError, match="choose RA or SAI"):
         one_rate.change_mode(Mode.NATURAL)
     assert one_rate.mode is Mode.RA

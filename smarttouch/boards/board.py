@@ -29,7 +29,7 @@ class Capabilities:
     """What a board can do, and what it cannot."""
 
     electrodes: int
-    output: Literal["weighted", "three-state", "one-against-all"]
+    output: Literal["weighted", "three-state", "one-against-all", "vibration"]
     max_current_ma: float
     max_slots: int
     time_to_zero_ms: float | None
@@ -45,6 +45,8 @@ class Capabilities:
     """Whether it tells how hard the finger presses."""
     compliance_v: float | None = None
     """The most its source can give, if it is known."""
+    vibrates: bool = False
+    """Whether mechanical vibrators are part of it."""
 
     def describe(self) -> list[tuple[str, str]]:
         """Return what there is to tell a user, as names and values."""
@@ -180,6 +182,11 @@ class Board(ABC):
             raise BoardError(
                 f"the sequence is for {sequence.electrodes} electrodes, the board has "
                 f"{self.capabilities.electrodes}: use the profile of this board"
+            )
+        if sequence.vibration is not None and not self.capabilities.vibrates:
+            raise BoardError(
+                "the sequence asks for mechanical vibration, and this board has no vibrators: "
+                "give --vibrators"
             )
         if not 1 <= times <= LONGEST_REPEAT:
             raise BoardError(f"{times} repetitions are not possible: from 1 to {LONGEST_REPEAT}")

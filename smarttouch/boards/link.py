@@ -80,7 +80,7 @@ class LinkBoard(Board):
         self._number += 1
         packet = encode_sequence(
             self._number,
-            self.capabilities.output,
+            self._kind,
             sequence.period_us,
             sequence.width_us,
             sequence.discharge_us,
@@ -184,9 +184,10 @@ class LinkBoard(Board):
         )
         if output >= len(protocol.OUTPUTS):
             raise BoardError(f"the board at {name} has outputs of unknown kind {output}")
+        self._kind = protocol.OUTPUTS[output]
         self.capabilities = Capabilities(
             electrodes=electrodes,
-            output=protocol.OUTPUTS[output],
+            output=self._kind,
             max_current_ma=current_ua / 1000,
             max_slots=slots,
             time_to_zero_ms=zero_ms,

@@ -15,11 +15,12 @@ Choice = TypeVar("Choice", bound=str)
 
 
 def parse_mode(mode: str) -> Mode:
-    """Return the mode that ``--mode`` names."""
-    for each in Mode:
+    """Return the mode that ``--mode`` names, one that images can drive."""
+    offered = [each for each in Mode if each is not Mode.COLOR]
+    for each in offered:
         if mode.lower() == each.value.lower():
             return each
-    raise SmartTouchError(f"--mode {mode!r} is not offered: choose {' or '.join(Mode)}")
+    raise SmartTouchError(f"--mode {mode!r} is not offered: choose {' or '.join(offered)}")
 
 
 def parse_choice(option: str, text: str, choices: Iterable[Choice]) -> Choice:

@@ -12,7 +12,7 @@ ProfileOption = Annotated[
     ),
 ]
 ModeOption = Annotated[
-    str, typer.Option("--mode", metavar="RA|SAI|natural", help="What drives which afferents.")
+    str, typer.Option("--mode", metavar="RA|SAI|PC|natural", help="What drives which afferents.")
 ]
 ForceOption = Annotated[
     str | None,

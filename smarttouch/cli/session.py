@@ -65,6 +65,8 @@ class Plan:
     subject: str = ""
     note: str = ""
     controls: Callable[[Wish, tuple[Mode, ...]], Controls] = field(default=Controls)
+    attend: Callable[[Board], Callable[[Sent], None]] | None = None
+    """Given the open board, returns who is told of every step."""
 
     def __post_init__(self) -> None:
         for output in (self.felt, self.record, self.json_file):
@@ -120,17 +122,20 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
             each.watch for each in (drawing, patterns) if each is not None
         ]
         wish = Wish(plan.mode, plan.first_level)
-        controls = plan.controls(wish, pipeline.offered())
+        offered = (plan.mode,) if source.asks else pipeline.offered()
+        controls = plan.controls(wish, offered)
         report: BoardReport | None = None
         ended = "fault"
         screen = Screen(source, profile, controls, plan.board_url, display, tally, plan.quiet)
         observers.append(screen.show)
         tells: list[Tell] = [screen.tell]
-        tell = _told_to(tells)
+        source.tell = tell = _told_to(tells)
         try:
             with settled(pipeline), display:
                 _require_force(source, force, display)
                 _warn_of_simulation(plan, profile)
+                if plan.attend is not None:
+                    observers.append(plan.attend(display))
                 regulator = make_regulator(display, profile, plan.hold, plan.balance, plan.quiet)
                 if plan.record is not None:
                     recorder = _recorder(plan, profile, source, force, display)

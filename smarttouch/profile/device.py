@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 
 from smarttouch.electrodes import ElectrodeArray
 from smarttouch.profile.array import ArrayLayout
@@ -123,6 +123,11 @@ class Perception(Table):
     comfort_ratio: float = Field(gt=1, le=10)
     comfort_ma: tuple[Positive, ...] | None = None
     """Measured strongest of each electrode; ``threshold_ma`` × ``comfort_ratio`` if not given."""
+    ra_shift_mm: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
+    sai_shift_mm: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
+    pc_shift_mm: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
+    """How far from the stimulated point a class is felt, right and down: at the receptor, not where
+    its axon was hit (paper, Section III-B.4: PC 1 to 3 mm toward the fingertip)."""
 
 
 class Calibrated(Table):

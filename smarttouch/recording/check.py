@@ -178,6 +178,7 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
             timing,
             settings["softness"],
             recording.tone,
+            settings.get("vibrated", False),
         )
         adaptation = ledger = None
         if settings["hold"] is not None:
@@ -225,6 +226,13 @@ def _differences(
         old, new = getattr(was, name), getattr(now, name)
         if old != new:
             yield difference(name, unit, old, new)
+    shaken = [
+        np.zeros(was.electrodes, np.float32) if each.vibration is None else each.vibration
+        for each in (was, now)
+    ]
+    for electrode in np.flatnonzero(shaken[0] != shaken[1]).tolist():
+        old, new = (float(each[electrode]) for each in shaken)
+        yield difference("vibration", "", old, new, electrode=electrode)
     if was.current_ua.shape != now.current_ua.shape:
         # Slots that moved would differ in everything.
         return

@@ -4,7 +4,7 @@ import base64
 import json
 import math
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ from smarttouch.primary import Mode, Primary
 from smarttouch.recording.encoder import Message, remember
 from smarttouch.recording.schemas import LAST
 from smarttouch.scan.sequence import ScanSequence
-from smarttouch.sensing.frame import Frame, Pose
+from smarttouch.sensing.frame import Frame, Pose, PulseRequest
 
 _IMPOSSIBLE = (
     ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError, cv2.error,
@@ -101,9 +101,14 @@ class StepDecoder:
             bool(finger["stale"]),
         )
         told = parts["/sequence"]
+        tactile = _tactile_of(parts["/tactile"], sequence.electrodes, frame)
+        if "/request" in parts:
+            asked = parts["/request"]
+            request = PulseRequest(tactile.activation, int(asked["period_us"]), asked["level"])
+            frame = replace(frame, request=request)
         step = Step(
             frame=frame,
-            tactile=_tactile_of(parts["/tactile"], sequence.electrodes, frame),
+            tactile=tactile,
             sequence=sequence,
             mode=Mode(told["mode"]),
             level=float(told["level"]),
@@ -127,6 +132,7 @@ def _sequence_of(message: Message) -> ScanSequence:
     """Return the sequence in a message of `/sequence`; ValueError and its like if there is none."""
     slots, electrodes = int(message["slots"]), int(message["electrodes"])
     current_ua = np.frombuffer(base64.b64decode(message["current_ua"]), "<i2")
+    vibration = message.get("vibration")
     keys = ("width_us", "discharge_us", "site")
     columns = {key: np.array(message[key], np.uint16) for key in keys}
     if slots < 0 or electrodes < 1 or any(each.shape != (slots,) for each in columns.values()):
@@ -139,6 +145,7 @@ def _sequence_of(message: Message) -> ScanSequence:
         period_us=int(message["period_us"]),
         intensity=float(message["intensity"]),
         time_ns=int(message["time_ns"]),
+        vibration=None if vibration is None else np.array(vibration, np.float32),
     )
 
 

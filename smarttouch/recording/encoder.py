@@ -50,6 +50,9 @@ class StepEncoder:
             yield "/frame", self._image(frame)
         yield "/finger", _finger(frame)
         yield "/tactile", _tactile(step)
+        if frame.request is not None:
+            request = frame.request
+            yield "/request", {"period_us": request.period_us, "level": float(request.level)}
         yield "/sequence", _sequence(sent)
         remember(self._numbers, step.sequence.time_ns, sent.number)
         for sequence, volts in step.observed:
@@ -130,8 +133,11 @@ def _finger(frame: Frame) -> Message:
 
 
 def _tactile(step: Step) -> Message:
-    rounded = np.round(step.tactile.activation.astype(np.float64), _DIGITS)
-    driven = step.mode.primaries
+    rounded = step.tactile.activation.astype(np.float64)
+    if step.frame.request is None:
+        rounded = np.round(rounded, _DIGITS)
+    # What was asked for cannot be computed again: it is kept to the bit, and as short as it is.
+    driven = step.mode.primaries if step.frame.request is None else ()
     return {
         each.name: rounded[each].tolist() if each in driven or rounded[each].any() else []
         for each in Primary
@@ -157,6 +163,7 @@ def _sequence(sent: Sent) -> Message:
         "width_us": sequence.width_us.tolist(),
         "discharge_us": sequence.discharge_us.tolist(),
         "current_ua": _base64(sequence.current_ua.astype("<i2").tobytes()),
+        "vibration": None if sequence.vibration is None else sequence.vibration.tolist(),
     }
 
 

@@ -64,6 +64,13 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
         "smarttouch.TactileImage",
         {"RA": _ROW, "SAI": _ROW, "PC": _ROW},
     ),
+    "/request": (
+        "smarttouch.PulseRequest",
+        {
+            "period_us": {**_INTEGER, "description": "until the source is asked again"},
+            "level": {**_NUMBER, "description": "of the strongest, in [0, 1]"},
+        },
+    ),
     "/sequence": (
         "smarttouch.ScanSequence",
         {
@@ -83,6 +90,7 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
             "width_us": _COUNTS,
             "discharge_us": _COUNTS,
             "current_ua": _base64("int16 little endian (slots, electrodes), positive cathodic"),
+            "vibration": {"type": ["array", "null"], "items": _NUMBER},
         },
     ),
     "/volts": (

@@ -1,5 +1,6 @@
 """A recording as a sensor: what was seen and how hard the finger pressed, once more."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from smarttouch.errors import SensorError
@@ -69,7 +70,7 @@ class RecordingSensor(Sensor):
         frame = self._now.step.frame
         age_ns = 0 if self._unpaced else max(0, time_ns - frame.time_ns)
         number = self.frames - 1
-        return Frame(frame.image, time_ns, frame.pose, frame.force_n, number, age_ns, frame.stale)
+        return replace(frame, time_ns=time_ns, number=number, age_ns=age_ns)
 
     def close(self) -> None:
         """Let go of the file; an image that was passed and not read is dropped."""

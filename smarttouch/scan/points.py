@@ -56,6 +56,7 @@ class PointSlots:
         self._weakest_level = self._weakest_that_switches(profile.output.kind)
         self._weakest_level[masked] = np.inf
         self._currents = np.empty_like(weights)
+        self._felt_at = felt_at(profile, primary)
         self._pulse = profile.pulse
         self._by_width = profile.pulse.carrier == "width"
         self._in_index_order = timing.in_index_order
@@ -80,10 +81,14 @@ class PointSlots:
         Parameters
         ----------
         activation : ndarray, (E,) float32, in [0, 1]
-            What each electrode should let the finger feel.
+            What should be felt at each electrode; the electrode whose receptors lie there
+            is stimulated.
         intensity : float, in [0, 1]
             What all currents are scaled with.
         """
+        if self._felt_at is not None:
+            # The last one stands for nowhere.
+            activation = np.append(activation, np.float32(0))[self._felt_at]
         site = np.flatnonzero(activation) if intensity > 0 else np.empty(0, np.intp)
         if not self._in_index_order:
             site = site[spread_order(len(site))]
@@ -122,6 +127,34 @@ class PointSlots:
         full, chronaxie = self._pulse.width_us, self._pulse.chronaxie_us
         width = chronaxie * level / (1 + chronaxie / full - level)
         return np.asarray(np.floor(width + 1e-3), np.uint16)
+
+
+def felt_at(profile: Profile, primary: Primary) -> NDArray[np.intp] | None:
+    """Return at which electrode each electrode's point is felt, E if at none of them.
+
+    Parameters
+    ----------
+    profile : Profile
+        Its ``perception.pc_shift_mm`` and the like (paper, Section III-B.4).
+    primary : Primary
+        Whose axons are stimulated.
+
+    Returns
+    -------
+    ndarray or None, (E,)
+        None where every point is felt where it is.
+    """
+    felt = profile.perception
+    shift_mm = (felt.ra_shift_mm, felt.sai_shift_mm, felt.pc_shift_mm)[primary]
+    if not any(shift_mm):
+        return None
+    place_mm = profile.electrodes.position_mm
+    away_mm = np.abs(place_mm[:, None] + shift_mm - place_mm)
+    nearest = np.hypot(*away_mm.transpose(2, 0, 1)).argmin(axis=1)
+    # Half a cell away it is still that electrode's.
+    half_mm = np.array(profile.electrodes.cell_mm) / 2 + 1e-9
+    here = (away_mm[np.arange(len(nearest)), nearest] <= half_mm).all(axis=1)
+    return np.asarray(np.where(here, nearest, len(nearest)), np.intp)
 
 
 @lru_cache(maxsize=4096)

@@ -101,7 +101,7 @@ class SafetyGate:
 
         Checked: array sizes, charge balance of every slot, current of every
         electrode and of all together, pulse width, charge per pulse, current
-        against stated intensity, rate, duty, that the slots fit the period,
+        and vibration against stated intensity, rate, duty, that the slots fit the period,
         and the rise of intensity since the sequence before.
 
         Raises
@@ -124,6 +124,8 @@ class SafetyGate:
         self._prove_timing(sequence)
         if sequence.slots:
             self._prove_pulses(sequence)
+        if sequence.vibration is not None:
+            self._prove_vibration(sequence.vibration, sequence.intensity)
 
     def _prove_shape(self, sequence: ScanSequence) -> None:
         currents, slots = sequence.current_ua, sequence.slots
@@ -136,6 +138,19 @@ class SafetyGate:
             values = getattr(sequence, name)
             if values.dtype != np.uint16 or values.shape != (slots,):
                 raise SafetyError(f"{name} is {values.dtype} {values.shape}, must be uint16 (S,)")
+
+    def _prove_vibration(self, vibration: NDArray[np.float32], intensity: float) -> None:
+        electrodes = self.limits.electrodes
+        if vibration.dtype != np.float32 or vibration.shape != (electrodes,):
+            raise SafetyError(
+                f"vibration is {vibration.dtype} {vibration.shape}, must be float32 ({electrodes},)"
+            )
+        # Not "any above": nothing is above NaN.
+        if not ((vibration >= 0) & (vibration <= intensity + _LEEWAY)).all():
+            raise SafetyError(
+                f"vibration from {vibration.min():g} to {vibration.max():g} is not between 0 and "
+                f"the intensity {intensity:.3f} that was stated"
+            )
 
     def _prove_timing(self, sequence: ScanSequence) -> None:
         if sequence.period_us <= 0 or sequence.rate_hz > self.limits.rate_hz * (1 + 1e-9):

@@ -34,6 +34,8 @@ class PointScan:
         What the board fixes; nothing if not given.
     softness : float, in [0, 1]
         How little the rate of SAI pulses follows force.
+    vibrated : bool
+        Whether mechanical vibrators do what PC is to feel, and no current.
 
     Attributes
     ----------
@@ -55,12 +57,16 @@ class PointScan:
         rate_hz: float | None = None,
         timing: ScanTiming | None = None,
         softness: float = 1.0,
+        vibrated: bool = False,
     ) -> None:
         timing = ScanTiming() if timing is None else timing
         timing.check(profile)
         pulse, limits = profile.pulse, profile.limits
         rates_hz = {primaries[0]: pulse.rate_hz if rate_hz is None else rate_hz}
-        if len(primaries) > 1:
+        if Primary.PC in primaries and len(primaries) > 1:
+            # All three never pulse by themselves.
+            rates_hz = {}
+        elif len(primaries) > 1:
             rates_hz = {Primary.RA: pulse.ra_rate_hz, Primary.SAI: pulse.sai_rate_hz}
             if rate_hz is not None:
                 raise ScheduleError(
@@ -78,11 +84,14 @@ class PointScan:
                     f"a rate of {each_hz:g} Hz is not possible: it must be above 0 and at most "
                     f"the profile's limit of {limits.rate_hz:g} Hz"
                 )
-        self._points = {each: PointSlots(profile, bank, each, timing) for each in primaries}
+        self._vibrated = vibrated
+        driven = [each for each in primaries if not (vibrated and each is Primary.PC)]
+        self._points = {each: PointSlots(profile, bank, each, timing) for each in driven}
         self.asked_us = 0
-        self._first = primaries[0]
+        self._first = driven[0]
         self._softness = softness
-        self._rates = PulseRates(rates_hz, math.ceil(1e6 / limits.rate_hz))
+        self._least_us = math.ceil(1e6 / limits.rate_hz)
+        self._rates = PulseRates(rates_hz, self._least_us)
         self._one_rate_hz = rates_hz[primaries[0]] if len(primaries) == 1 else None
         self._discharge_us = pulse.discharge_us
         self._duty = limits.duty
@@ -96,7 +105,11 @@ class PointScan:
         self._rates.restart()
 
     def schedule(
-        self, image: TactileImage, intensity: float, pressure: float = 1.0
+        self,
+        image: TactileImage,
+        intensity: float,
+        pressure: float = 1.0,
+        period_us: int | None = None,
     ) -> ScanSequence:
         """Return the sequence for one tactile image.
 
@@ -111,8 +124,19 @@ class PointScan:
             What all currents are scaled with.
         pressure : float, in [0, 1]
             What the finger's force asks for: the rate of SAI pulses follows it.
+        period_us : int, µs, optional
+            Given, every active class pulses now, and not again before this has passed.
+
+        Raises
+        ------
+        ScheduleError
+            If a period is given that the profile's limits forbid, or a class is active that
+            cannot be driven.
         """
-        due, self.asked_us = self._due(image.time_ns, pressure)
+        if period_us is None:
+            due, self.asked_us = self._due(image.time_ns, pressure)
+        else:
+            due, self.asked_us = self._active(image.activation, period_us), period_us
         parts = [self._points[each].slots(image.activation[each], intensity) for each in due]
         if not parts:
             # The rate has fallen since this time was set.
@@ -123,10 +147,34 @@ class PointScan:
             width_us=width_us,
             discharge_us=np.full(len(site), self._discharge_us, np.uint16),
             site=site,
-            period_us=max(self.asked_us, self._shortest_us(width_us)),
+            period_us=max(
+                self._timing.possible_period_us(self.asked_us), self._shortest_us(width_us)
+            ),
             intensity=float(intensity),
             time_ns=image.time_ns,
+            vibration=image.activation[Primary.PC] * np.float32(intensity)
+            if self._vibrated
+            else None,
         )
+
+    def _active(self, activation: NDArray[np.float32], period_us: int) -> tuple[Primary, ...]:
+        """Return the classes that a request lets pulse."""
+        if period_us < self._least_us:
+            raise ScheduleError(
+                f"pulses {period_us} µs apart are not possible: the profile's limit of "
+                f"{1e6 / self._least_us:g} Hz asks for {self._least_us} µs or more"
+            )
+        driven = []
+        for each in np.flatnonzero(activation.any(axis=1)).tolist():
+            if each in self._points:
+                driven.append(Primary(each))
+            elif not (self._vibrated and each == Primary.PC):
+                offered = ", ".join(point.name for point in self._points) or "none"
+                raise ScheduleError(
+                    f"{Primary(each).name} was asked for and cannot be driven here: choose of "
+                    f"{offered}"
+                )
+        return tuple(driven)
 
     def _due(self, time_ns: int, pressure: float) -> tuple[tuple[Primary, ...], int]:
         """Return which classes pulse now, and how long until the next is due, µs."""

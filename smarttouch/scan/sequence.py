@@ -32,6 +32,9 @@ class ScanSequence:
         Pressure gate times soft start that the currents were scaled with.
     time_ns : int
         Time of the frame it came from.
+    vibration : ndarray, (E,) float32, in [0, 1], optional
+        How strongly mechanical vibrators shake the skin under each site for the whole
+        period; none if not given.
     """
 
     current_ua: NDArray[np.int16]
@@ -41,6 +44,7 @@ class ScanSequence:
     period_us: int
     intensity: float
     time_ns: int
+    vibration: NDArray[np.float32] | None = None
 
     @property
     def slots(self) -> int:

@@ -25,6 +25,25 @@ class Pose:
 
 
 @dataclass(frozen=True, eq=False)
+class PulseRequest:
+    """Pulses that a source asks for by itself: one of each class at each active site, now.
+
+    Attributes
+    ----------
+    activation : ndarray, (3, E) float32, in [0, 1]
+        One row for each `Primary`; no pulse where it is zero.
+    period_us : int, µs
+        Until the source wants to be asked again.
+    level : float, in [0, 1]
+        Of the strongest comfortable current, on top of what the user wishes.
+    """
+
+    activation: NDArray[np.float32]
+    period_us: int
+    level: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
 class Frame:
     """One look of the sensor.
 
@@ -44,6 +63,8 @@ class Frame:
         How old the image was when it was asked for.
     stale : bool
         The sensor has fallen silent: what the image shows may be gone.
+    request : PulseRequest, optional
+        What is to be felt, where the source does not leave it to the image.
     """
 
     image: NDArray[np.uint8]
@@ -53,6 +74,10 @@ class Frame:
     number: int = 0
     age_ns: int = 0
     stale: bool = False
+    request: PulseRequest | None = None
+
+
+def _tell_nobody(_time_ns: int, _words: str) -> None: ...
 
 
 class Sensor(Device, ABC):
@@ -68,6 +93,10 @@ class Sensor(Device, ABC):
     """What its end is called."""
     keys_help: ClassVar[str] = ""
     """What its keys are for, a few words."""
+    asks: ClassVar[bool] = False
+    """Whether its frames ask for their pulses: then it also chooses the classes."""
+    tell: Callable[[int, str], None] = staticmethod(_tell_nobody)
+    """Told of what happens in it, as `smarttouch.live.Tell`; set by who runs it."""
     knows_force: bool = False
     """Whether its frames tell how hard the finger presses."""
     frames: int = 0

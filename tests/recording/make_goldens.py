@@ -19,7 +19,7 @@ from smarttouch.errors import LineLostError
 from smarttouch.live import run
 from smarttouch.modes.bank import load_bank
 from smarttouch.pipeline import Pipeline
-from smarttouch.primary import Mode
+from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.recording import recorder as recorder_module
 from smarttouch.recording.recorder import Recorder, about_run
@@ -29,7 +29,7 @@ from smarttouch.scan.ledger import ChargeLedger
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.timing import ScanTiming
 from smarttouch.sensing import open_sensor
-from smarttouch.sensing.frame import Frame, Sensor
+from smarttouch.sensing.frame import Frame, PulseRequest, Sensor
 from smarttouch.tally import Tally
 
 FOLDER = Path(__file__).parent / "goldens"
@@ -57,6 +57,7 @@ class Golden:
     timing: ScanTiming = field(default_factory=ScanTiming)
     wishes: tuple[tuple[float, Wish], ...] = ()
     lost_at: int | None = None
+    asks: bool = False
 
 
 GOLDENS = (
@@ -75,6 +76,8 @@ GOLDENS = (
         "regulated", "electric-mouse", Mode.RA, "l", 1.2, rate_hz=20, hold="energy", balance=True,
         light_on_dark=True, lost_at=14,
     ),
+    Golden("pc", "electric-mouse", Mode.PC, "up", 1.0, rate_hz=20),
+    Golden("color", "electric-mouse", Mode.COLOR, "o", 0.9, asks=True),
 )  # fmt: skip
 
 
@@ -96,7 +99,15 @@ class Held(Sensor):
         if number != self._number:
             self._number = number
             self._image = 255 - found.image if self._golden.light_on_dark else found.image
-        return Frame(self._image, time_ns, found.pose, found.force_n, self._number)
+        request = self._request(time_ns) if self._golden.asks else None
+        return Frame(self._image, time_ns, found.pose, found.force_n, self._number, request=request)
+
+    def _request(self, time_ns):
+        """Ask for all three classes here and there, each time after another while."""
+        random = np.random.default_rng(time_ns)
+        activation = random.random((len(Primary), 64), np.float32)
+        activation[random.random(activation.shape) > 0.04] = 0
+        return PulseRequest(activation, int(random.integers(20_000, 40_000)), 0.8)
 
 
 class Script(Controls):

@@ -49,7 +49,7 @@ def test_what_would_be_too_short_is_not_felt(by_width, bank):
 @given(
     intensity=st.floats(0, 1, width=32),
     seed=st.integers(0, 2**32 - 1),
-    mode=st.sampled_from(list(Mode)),
+    mode=st.sampled_from([each for each in Mode if each is not Mode.COLOR]),
     softness=st.floats(0, 1),
     pressure=st.floats(0, 1),
 )

@@ -1,0 +1,163 @@
+"""Sources that ask for their pulses get just those, within the same limits as everyone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.boards.board import make_board
+from smarttouch.errors import BoardError, SafetyError, ScheduleError
+from smarttouch.modes.bank import load_bank
+from smarttouch.pipeline import Pipeline
+from smarttouch.primary import Mode, Primary
+from smarttouch.profile import load_profile
+from smarttouch.scan.points import felt_at
+from smarttouch.scan.safety import SafetyGate, SafetyLimits
+from smarttouch.sensing.frame import Frame, Pose, PulseRequest
+
+FULL_N = 0.9
+BLANK = np.full((64, 64), 255, np.uint8)
+
+
+def asking(activation, period_us=20_000, time_ns=0, level=1.0, force_n=FULL_N):
+    rows = np.zeros((3, 64), np.float32)
+    for primary, sites in activation.items():
+        rows[primary, list(sites)] = 1
+    return Frame(BLANK, time_ns, Pose(0, 0), force_n, request=PulseRequest(rows, period_us, level))
+
+
+def settled(profile, bank, mode, **options):
+    """Return a pipeline at full intensity, and the time of its next frame."""
+    pipeline = Pipeline(profile, bank, mode, **options)
+    for time_ns in (0, 10**9):
+        pipeline.process(asking({}, time_ns=time_ns))
+    return pipeline, 2 * 10**9
+
+
+def test_each_class_pulses_with_its_own_kernel_where_it_is_asked_for(profile, bank):
+    pipeline, now = settled(profile, bank, Mode.COLOR)
+    asked = {Primary.RA: (9, 20), Primary.SAI: (30,), Primary.PC: (35, 36, 40)}
+    sequence = pipeline.process(asking(asked, 25_000, now)).sequence
+    assert (sequence.period_us, sequence.slots) == (25_000, 6)
+    assert sorted(sequence.site[:2]) == [9, 20]
+    for slot, primary in enumerate([Primary.RA] * 2 + [Primary.SAI] + [Primary.PC] * 3):
+        site = sequence.site[slot]
+        expected = bank.kernels(primary)[site] * profile.full_ma[site] * 1000
+        np.testing.assert_allclose(sequence.current_ua[slot], expected, atol=10)
+
+
+def test_nothing_asked_is_silence_of_just_that_time(profile, bank):
+    pipeline, now = settled(profile, bank, Mode.RA)
+    sequence = pipeline.process(asking({}, 7_000, now)).sequence
+    assert (sequence.slots, sequence.period_us) == (0, 7_000)
+
+
+def test_any_period_down_to_the_limit_is_kept(profile, bank):
+    pipeline, now = settled(profile, bank, Mode.RA)
+    for step, period_us in enumerate((66_667, 22_222, 5_000)):
+        frame = asking({Primary.RA: (27,)}, period_us, now + step)
+        assert pipeline.process(frame).sequence.period_us == period_us
+    with pytest.raises(ScheduleError, match=r"4999 µs apart .* 200 Hz"):
+        pipeline.process(asking({Primary.RA: (27,)}, 4_999, now + 9))
+
+
+def test_pulses_that_do_not_fit_lengthen_the_period_and_say_so(profile, bank):
+    pipeline, now = settled(profile, bank, Mode.COLOR)
+    everything = {each: range(64) for each in Primary}
+    step = pipeline.process(asking(everything, 10_000, now))
+    assert step.asked_us == 10_000
+    # PC of the last row would have to be stimulated below it: its 8 points have no slot.
+    assert step.sequence.slots == 3 * 64 - 8
+    assert step.sequence.period_us >= step.sequence.slots * 300
+    SafetyGate(SafetyLimits.of(profile)).prove_measurement(step.sequence)
+
+
+def test_level_and_force_and_soft_start_count_as_for_everyone(profile, bank):
+    pipeline = Pipeline(profile, bank, Mode.RA)
+    site = {Primary.RA: (27,)}
+    assert pipeline.process(asking(site)).sequence.slots == 0
+    assert pipeline.process(asking(site, time_ns=250_000_000)).sequence.intensity == 0.5
+    half = pipeline.process(asking(site, time_ns=10**9, level=0.25), 0.5)
+    assert half.sequence.intensity == 0.125
+    assert half.level == 0.5
+    assert pipeline.process(asking(site, time_ns=2 * 10**9, force_n=0.1)).sequence.slots == 0
+
+
+def test_a_class_that_cannot_be_driven_is_refused(profile, bank):
+    pipeline, now = settled(profile, bank, Mode.RA)
+    with pytest.raises(ScheduleError, match=r"SAI was asked for .* choose of RA"):
+        pipeline.process(asking({Primary.SAI: (3,)}, time_ns=now))
+    board = load_profile("kajimoto-61")
+    pipeline = Pipeline(board, load_bank(board), Mode.COLOR)
+    pipeline.warm_up()
+    rows = np.zeros((3, 61), np.float32)
+    rows[Primary.PC, 5] = 1
+    frame = replace(asking({}), request=PulseRequest(rows, 20_000))
+    with pytest.raises(ScheduleError, match="PC was asked for"):
+        pipeline.process(frame)
+
+
+def test_color_is_not_for_images(profile, bank):
+    with pytest.raises(ScheduleError, match="choose RA"):
+        Pipeline(profile, bank, Mode.COLOR).process(Frame(BLANK, 0, Pose(0, 0), FULL_N))
+
+
+def test_vibrators_take_pc_over(profile, bank):
+    pipeline, now = settled(profile, bank, Mode.COLOR, vibrated=True)
+    frame = asking({Primary.PC: (35, 36), Primary.RA: (4,)}, time_ns=now, level=0.5)
+    sequence = pipeline.process(frame).sequence
+    assert sequence.site.tolist() == [4]
+    assert np.flatnonzero(sequence.vibration).tolist() == [35, 36]
+    assert sequence.vibration.max() == sequence.intensity == 0.5
+    gate = SafetyGate(SafetyLimits.of(profile))
+    gate.prove_measurement(sequence)
+    for wrong in (
+        np.full(64, 0.6, np.float32), np.full(64, np.nan, np.float32), np.zeros(63, np.float32),
+        np.full(64, -0.1, np.float32), np.zeros(64),
+    ):  # fmt: skip
+        with pytest.raises(SafetyError, match="vibration"):
+            gate.prove_measurement(replace(sequence, vibration=wrong))
+
+
+def test_a_sensation_is_placed_at_the_receptor(profile, bank, changed):
+    """What should be felt at a place is stimulated where its axons run (Section III-B.4)."""
+    shifted = changed(profile, {"perception.pc_shift_mm": (0.0, -2.0)})
+    pipeline, now = settled(shifted, load_bank(shifted), Mode.COLOR)
+    asked = {Primary.PC: (27, 60), Primary.RA: (27,)}
+    sequence = pipeline.process(asking(asked, time_ns=now)).sequence
+    # Felt 2 mm above where it is stimulated; below the last row there is nothing to stimulate.
+    assert sequence.site.tolist() == [27, 35]
+
+
+@given(
+    shift=st.tuples(st.floats(-20, 20), st.floats(-20, 20)),
+    primary=st.sampled_from(Primary),
+)
+def test_every_point_is_felt_within_half_a_cell_of_where_it_should_be(
+    profile, changed, shift, primary
+):
+    felt = felt_at(
+        changed(profile, {f"perception.{primary.name.lower()}_shift_mm": shift}), primary
+    )
+    if felt is None:
+        assert shift == (0, 0)
+        return
+    place = profile.electrodes.position_mm
+    here = felt < 64
+    away = np.abs(place[here] + shift - place[felt[here]])
+    assert (away <= np.array(profile.electrodes.cell_mm) / 2 + 1e-6).all()
+    # Nowhere else: a place that no point is felt at lies more than half a cell from all of them.
+    beyond = place[~here] + shift
+    outside = np.abs(beyond) > np.abs(place).max(axis=0) + np.array(profile.electrodes.cell_mm) / 2
+    assert outside.any(axis=1).all()
+
+
+def test_boards_without_vibrators_refuse_vibration(profile, bank):
+    pipeline = Pipeline(profile, bank, Mode.COLOR, vibrated=True)
+    with (
+        make_board("memory:", SafetyLimits.of(profile)) as board,
+        pytest.raises(BoardError, match="no vibrators"),
+    ):
+        board.send(pipeline.process(asking({})).sequence)
