@@ -94,7 +94,8 @@ def live(
 
     from smarttouch.boards.board import usual_profile
     from smarttouch.cli.files import parse_mode, parse_size
-    from smarttouch.cli.session import Plan, play
+    from smarttouch.cli.plan import Plan
+    from smarttouch.cli.session import play
     from smarttouch.profile import load_profile
     from smarttouch.resources import data_folder
     from smarttouch.sensing import open_sensor

@@ -101,8 +101,9 @@ def read(
 
     from smarttouch.boards.board import usual_profile
     from smarttouch.cli.files import parse_choice, parse_mode
+    from smarttouch.cli.plan import Plan
     from smarttouch.cli.progress import first_line_awaited
-    from smarttouch.cli.session import Plan, play
+    from smarttouch.cli.session import play
     from smarttouch.profile import load_profile
     from smarttouch.reading.braille import Braille, Presentation
     from smarttouch.reading.cursor import Cursor, FollowingCursor, SweepingCursor

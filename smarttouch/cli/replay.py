@@ -52,7 +52,8 @@ def replay(
     import contextlib
     from functools import partial
 
-    from smarttouch.cli.session import Plan, play
+    from smarttouch.cli.plan import Plan
+    from smarttouch.cli.session import play
     from smarttouch.errors import RecordingError
     from smarttouch.primary import Mode
     from smarttouch.recording.controls import RecordedControls

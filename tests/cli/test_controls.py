@@ -90,7 +90,7 @@ def test_nobody_knows_the_force(program_here, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("--mode", "PC"), "choose RA or SAI or natural"),
+        (("--mode", "color"), "choose RA or SAI or PC or natural"),
         (("--intensity", "1.2"), "--intensity 1.2 must be from 0 to 1"),
         (("--softness", "nan"), "--softness nan must be from 0 to 1"),
         (("--size", "640"), "give width and height as 640x480"),

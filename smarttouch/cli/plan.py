@@ -1,0 +1,77 @@
+"""What a run is asked to be, whichever command asks."""
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from smarttouch.boards.board import Board
+from smarttouch.cli.files import require_folder
+from smarttouch.controls import Controls, Wish
+from smarttouch.errors import SmartTouchError
+from smarttouch.imaging.mapping import Tone
+from smarttouch.live import Sent
+from smarttouch.primary import Mode
+
+_TELL_ALL = ("emulator:", "simulated:")
+"""Boards that report every pulse."""
+_NO_FINGER = (*_TELL_ALL, "memory:")
+"""Boards that no finger is on."""
+
+
+@dataclass
+class Plan:
+    """What a run is asked to be."""
+
+    sensor_url: str
+    board_url: str
+    mode: Mode
+    rate_hz: float | None = None
+    seconds: float | None = None
+    level: float | None = None
+    softness: float | None = None
+    light_on_dark: bool = False
+    force_url: str | None = None
+    measure: bool = False
+    hold: str | None = None
+    balance: bool = False
+    tone: Tone | None = None
+    felt: Path | None = None
+    frames: Path | None = None
+    record: Path | None = None
+    markers: bool = False
+    vibrators_url: str | None = None
+    json_file: Path | None = None
+    quiet: bool = False
+    seed: int = 0
+    subject: str = ""
+    note: str = ""
+    controls: Callable[[Wish, tuple[Mode, ...]], Controls] = field(default=Controls)
+    attend: Callable[[Board], Callable[[Sent], None]] | None = None
+    """Given the open board, returns who is told of every step."""
+
+    def __post_init__(self) -> None:
+        for output in (self.felt, self.record, self.json_file):
+            require_folder(output)
+        if self.felt is not None and not self.board_url.startswith(_TELL_ALL):
+            raise SmartTouchError(
+                f"--felt needs a board that reports every pulse, and {self.board_url!r} does not: "
+                "use --board emulator:"
+            )
+        for name, value in (("--intensity", self.level), ("--softness", self.softness)):
+            if value is not None and not 0 <= value <= 1:
+                raise SmartTouchError(f"{name} {value:g} must be from 0 to 1")
+        if self.seconds is not None and not self.seconds > 0:
+            raise SmartTouchError(f"--seconds {self.seconds:g} must be above 0")
+
+    @property
+    def first_level(self) -> float:
+        """Intensity at the start: where someone can turn it up on a real board, nothing."""
+        if self.level is not None:
+            return self.level
+        return 0.0 if sys.stdin.isatty() and self.on_a_finger else 1.0
+
+    @property
+    def on_a_finger(self) -> bool:
+        """Whether the board may have a finger on it."""
+        return not self.board_url.startswith(_NO_FINGER)
