@@ -9,6 +9,7 @@ from smarttouch.cli.board import board
 from smarttouch.cli.boards import boards
 from smarttouch.cli.braille import braille
 from smarttouch.cli.calibrate import calibrate
+from smarttouch.cli.color import color
 from smarttouch.cli.design import design
 from smarttouch.cli.figures import figures
 from smarttouch.cli.legibility import legibility
@@ -32,6 +33,7 @@ app.command()(live)
 app.command()(read)
 app.command()(braille)
 app.command()(legibility)
+app.command()(color)
 app.command()(stop)
 app.command()(replay)
 app.command()(profiles)

@@ -23,14 +23,14 @@ def figures(
     ] = None,
     kind: Annotated[str, typer.Option("--format", metavar="png|pdf|svg")] = "png",
 ) -> None:
-    """Redraw the paper's Fig. 5, 8, 9 and 10, and draw kernels, activation and fibers."""
+    """Redraw the paper's Fig. 2, 5, 8, 9 and 10, and draw kernels, activation and fibers."""
     import numpy as np
     from rich.console import Console
 
     from smarttouch.cli.files import require_site
     from smarttouch.cli.progress import bank_progress
     from smarttouch.errors import SmartTouchError
-    from smarttouch.figures import fibers, kernels, paper, style
+    from smarttouch.figures import colors, fibers, kernels, paper, style
     from smarttouch.modes.bank import load_bank
     from smarttouch.modes.switching import kind_of
     from smarttouch.nerve.af_error import af_error_table
@@ -54,6 +54,7 @@ def figures(
     own = {each: bank.kernel(each, site, kind_of(chosen)) for each in sorted(bank.weights)}
     console = Console(stderr=True)
     drawings: dict[str, Callable[[], Figure]] = {
+        "fig-2": colors.thresholds_figure,
         "fig-5": lambda: paper.figure_5(line),
         "fig-8": lambda: paper.figure_8(line),
         "fig-9": lambda: paper.figure_9(line),

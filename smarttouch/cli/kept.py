@@ -36,6 +36,8 @@ class Kept:
         Who is told of each step, and of what happens.
     board_options : dict
         What the board has to be made with.
+    notes : list of str
+        What a user should know of them after the run.
     """
 
     def __init__(self, plan: Plan, stack: ExitStack) -> None:
@@ -43,6 +45,7 @@ class Kept:
         self.observers: list[Callable[[Sent], None]] = []
         self.tells: list[Tell] = []
         self.board_options: dict[str, Any] = {}
+        self.notes: list[str] = []
         self._drawing: FeltImage | None = None
         self._patterns: PatternFile | None = None
         if plan.felt is not None and plan.board_url.startswith("emulator:"):
@@ -56,9 +59,11 @@ class Kept:
         outputs = (plan.felt, plan.frames, plan.record, plan.json_file)
         return [each for each in outputs if each is not None]
 
-    def draw(self, source: Sensor, profile: Profile, bank: KernelBank) -> None:
-        """Begin the pictures."""
+    def prepare(self, source: Sensor, profile: Profile, bank: KernelBank) -> None:
+        """Begin the pictures and the outlets, which takes long: no board is open yet."""
         plan = self._plan
+        if plan.markers:
+            self._mark(profile)
         if plan.felt is not None:
             from smarttouch.felt import FeltImage
 
@@ -72,7 +77,7 @@ class Kept:
             self.observers.append(self._patterns.watch)
 
     def open(self, source: Sensor, profile: Profile, board: Board) -> None:
-        """Begin what needs the open board: the recording, and the outlets for markers."""
+        """Begin the recording, which says what the open board is."""
         plan = self._plan
         if plan.record is not None:
             self._record(plan.record, source, profile, board)
@@ -86,6 +91,15 @@ class Kept:
         self._stack.callback(recorder.close)
         self.tells.append(recorder.event)
         self.observers.append(lambda sent: recorder.record(sent, board.acknowledged, board.refused))
+
+    def _mark(self, profile: Profile) -> None:
+        from smarttouch.markers import Markers
+
+        markers = Markers(profile)
+        self._stack.callback(markers.close)
+        self.notes = markers.notes
+        self.tells.append(markers.event)
+        self.observers.append(markers.watch)
 
     def finish(self, board: Board) -> None:
         """Write the pictures."""
@@ -127,8 +141,9 @@ def _delivered(board: Board, books: Path | None) -> "Pulses":
     if books is None:
         from smarttouch.boards.emulator.simulated import SimulatedBoard
 
-        assert isinstance(board, SimulatedBoard)
-        return board.take_pulses()
+        electric = getattr(board, "electric", board)
+        assert isinstance(electric, SimulatedBoard)
+        return electric.take_pulses()
     from smarttouch.boards.emulator.books import read_delivered
 
     return read_delivered(books)

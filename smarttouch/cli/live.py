@@ -10,6 +10,7 @@ from smarttouch.cli.options import (
     ForceOption,
     IntensityOption,
     JsonOption,
+    MarkersOption,
     ModeOption,
     ProfileOption,
     QuietOption,
@@ -86,6 +87,7 @@ def live(
     record: RecordOption = None,
     subject: Annotated[str, typer.Option(help="Who feels it, for the recording.")] = "",
     note: Annotated[str, typer.Option(help="Anything else, for the recording.")] = "",
+    markers: MarkersOption = False,
     json_file: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
@@ -116,6 +118,7 @@ def live(
         balance=balance,
         felt=felt,
         record=record,
+        markers=markers,
         json_file=json_file,
         quiet=quiet,
         seed=seed or 0,

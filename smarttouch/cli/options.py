@@ -53,6 +53,12 @@ FeltOption = Annotated[
 RecordOption = Annotated[
     Path | None, typer.Option("--record", metavar="MCAP", help="Keep the run.")
 ]
+MarkersOption = Annotated[
+    bool,
+    typer.Option(
+        "--markers", help="Tell pulses, frames and events to the Lab Streaming Layer (extra lsl)."
+    ),
+]
 JsonOption = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write the figures of the run.")
 ]

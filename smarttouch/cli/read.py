@@ -13,6 +13,7 @@ from smarttouch.cli.options import (
     IntensityOption,
     JsonOption,
     LanguageOption,
+    MarkersOption,
     ModeOption,
     PagesOption,
     PasswordOption,
@@ -89,6 +90,7 @@ def read(
     frames: FramesOption = None,
     felt: FeltOption = None,
     record: RecordOption = None,
+    markers: MarkersOption = False,
     json_file: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
@@ -143,6 +145,7 @@ def read(
         frames=frames,
         felt=felt,
         record=record,
+        markers=markers,
         json_file=json_file,
         quiet=quiet,
     )

@@ -7,6 +7,7 @@ import typer
 
 from smarttouch.cli.options import (
     JsonOption,
+    MarkersOption,
     QuietOption,
     RecordOption,
     SecondsOption,
@@ -39,6 +40,7 @@ def replay(
     ] = None,
     seconds: SecondsOption = None,
     record: RecordOption = None,
+    markers: MarkersOption = False,
     json_file: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
@@ -76,6 +78,7 @@ def replay(
             seconds=seconds,
             force_url=force,
             record=record,
+            markers=markers,
             json_file=json_file,
             quiet=quiet,
             controls=partial(RecordedControls, recording),

@@ -52,7 +52,7 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
             plan.tone,
             plan.vibrators_url is not None,
         )
-        kept.draw(source, profile, bank)
+        kept.prepare(source, profile, bank)
         wish = Wish(plan.mode, plan.first_level)
         offered = (plan.mode,) if source.asks else pipeline.offered()
         controls = plan.controls(wish, offered)
@@ -100,13 +100,20 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
                 write_json(plan.json_file, figures)
         kept.finish(display)
     if not plan.quiet:
-        screen.summarize(figures, _notes(source, force, display), kept.files)
+        notes = [*_notes(source, force, display), *kept.notes]
+        screen.summarize(figures, notes, kept.files)
 
 
 def _board(plan: Plan, profile: Profile, kept: Kept) -> Board:
     """Return the board of a plan, not opened yet; with its vibrators, if it has any."""
     limits = SafetyLimits.of(profile)
-    return make_board(plan.board_url, limits, profile.output, **kept.board_options)
+    display = make_board(plan.board_url, limits, profile.output, **kept.board_options)
+    if plan.vibrators_url is None:
+        return display
+    from smarttouch.boards.hybrid import HybridBoard
+    from smarttouch.boards.vibrators import make_vibrators
+
+    return HybridBoard(display, make_vibrators(plan.vibrators_url, limits, profile.electrodes))
 
 
 def _keys(controls: Controls, stop: StopRequest, source: Sensor) -> Callable[[str], None]:

@@ -1,0 +1,124 @@
+"""Electrodes and vibrators as one board: current for RA and SAI, vibration for PC.
+
+The paper's hybrid method (Section V).
+"""
+
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.boards.board import Board, BoardReport, Capabilities
+from smarttouch.boards.impedance import Impedance
+from smarttouch.boards.vibrators import VibratorBoard
+from smarttouch.errors import BoardRestartedError
+from smarttouch.scan.safety import SafetyGate
+from smarttouch.scan.sequence import ScanSequence
+from smarttouch.scan.timing import ScanTiming
+
+
+def _electric(name: str) -> Any:
+    """Return an attribute that is the electrode board's."""
+    return property(
+        lambda board: getattr(board.electric, name),
+        lambda board, value: setattr(board.electric, name, value),
+    )
+
+
+def _vibrating() -> Any:
+    return property(lambda board: replace(board.electric.capabilities, vibrates=True))
+
+
+class HybridBoard(Board):
+    """Hands each sequence to two boards at once.
+
+    Whatever the one answers is answered by the electrode board; a fault of either puts
+    both at zero.
+
+    Parameters
+    ----------
+    electric : Board
+        Gets the slots.
+    shaking : VibratorBoard
+        Gets the vibration.
+
+    Attributes
+    ----------
+    electric, shaking
+        The same.
+    """
+
+    acknowledged: int = _electric("acknowledged")
+    refused: int = _electric("refused")
+    replaced: int = _electric("replaced")
+    force_n: float | None = _electric("force_n")
+    lifted: bool = _electric("lifted")
+    ua_per_count: float | None = _electric("ua_per_count")
+    timing: ScanTiming = _electric("timing")
+    waits_for_nothing: ClassVar[bool] = _electric("waits_for_nothing")
+    capabilities: Capabilities = _vibrating()
+
+    def __init__(self, electric: Board, shaking: VibratorBoard) -> None:
+        super().__init__(electric._gate.limits)
+        self.electric, self.shaking = electric, shaking
+        # One list: whatever any of the three has to say is said once.
+        self.notes = electric.notes
+        self.notes += shaking.notes
+        shaking.share_notes(self.notes)
+
+    def _open(self) -> None:
+        self.electric.open()
+        try:
+            self.shaking.open()
+        except BaseException:
+            self.electric.close()
+            raise
+
+    def _send(self, sequence: ScanSequence, times: int) -> int:
+        try:
+            number = self.electric.send(replace(sequence, vibration=None), times)
+            self.shaking.send(_only_vibration(sequence), times)
+        except BoardRestartedError:
+            self.shaking.silence()
+            self._gate = SafetyGate(self._gate.limits)
+            raise
+        except BaseException:
+            self.stop()
+            raise
+        return number
+
+    def take_volts(self) -> list[tuple[ScanSequence, NDArray[np.float32]]]:
+        return self.electric.take_volts()
+
+    def _measure(self) -> Impedance:
+        self.shaking.silence()
+        return self.electric.measure()
+
+    def drain(self, timeout_s: float = 1.0) -> None:
+        self.electric.drain(timeout_s)
+
+    def report(self) -> BoardReport:
+        return self.electric.report()
+
+    def _stop(self) -> None:
+        try:
+            self.shaking.stop()
+        finally:
+            self.electric.stop()
+
+    def _close(self) -> None:
+        try:
+            self.shaking.close()
+        finally:
+            self.electric.close()
+
+
+def _only_vibration(sequence: ScanSequence) -> ScanSequence:
+    return replace(
+        sequence,
+        current_ua=sequence.current_ua[:0],
+        width_us=sequence.width_us[:0],
+        discharge_us=sequence.discharge_us[:0],
+        site=sequence.site[:0],
+    )

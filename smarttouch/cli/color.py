@@ -1,0 +1,271 @@
+"""``smarttouch color``: a vibration as tactile primary colors."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from smarttouch.cli.options import (
+    ForceOption,
+    FramesOption,
+    IntensityOption,
+    JsonOption,
+    MarkersOption,
+    ProfileOption,
+    QuietOption,
+    RecordOption,
+)
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from smarttouch.color.mix import Mixture
+    from smarttouch.color.sensor import ColorSensor
+    from smarttouch.color.split import Answer
+    from smarttouch.color.trace import Trace
+    from smarttouch.primary import Primary
+    from smarttouch.profile import Profile
+
+    Answers = dict[Primary, Answer]
+
+
+def color(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SPEC|CSV",
+            help="What the skin is to feel, as in tone:30Hz,8um+press:0.5N (also noise:60-400Hz,3um"
+            " and sweep:5-500Hz,5um, a part of the time as in tone:250Hz,2um@0.5-1), or a file "
+            "with time_s and displacement_um or force_n, or frequency_hz and amplitude_um.",
+        ),
+    ],
+    seconds: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="How long; 2 if none, and a file of its own length."),
+    ] = None,
+    sites: Annotated[
+        str | None,
+        typer.Option(metavar="LIST", help="Electrodes that pulse, as in 27,28,35-36, or all."),
+    ] = None,
+    radius_mm: Annotated[
+        float | None,
+        typer.Option(metavar="MM", help="Or those so near to the middle; one pitch if none."),
+    ] = None,
+    split_only: Annotated[
+        bool, typer.Option("--split-only", help="Say what each class answers; no board.")
+    ] = False,
+    board: Annotated[
+        str,
+        typer.Option(metavar="URL", help="As for live; simulated: waits for nothing."),
+    ] = "emulator:",
+    vibrators: Annotated[
+        str | None,
+        typer.Option(metavar="URL", help="Mechanical vibrators, to shake PC instead of current."),
+    ] = None,
+    profile: ProfileOption = None,
+    force: ForceOption = None,
+    intensity: IntensityOption = None,
+    seed: Annotated[int, typer.Option(help="Of noise, and of phases a spectrum has not.")] = 0,
+    frames: FramesOption = None,
+    record: RecordOption = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(metavar="PNG", help="Draw the trace, the answers and the pulses."),
+    ] = None,
+    markers: MarkersOption = False,
+    json_file: JsonOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Split a vibration into what RA, SAI and PC answer, and let the finger feel it mixed again.
+
+    The first half second is weaker: intensity rises as in every run.
+    """
+    import contextlib
+
+    from smarttouch.boards.board import make_board, usual_profile
+    from smarttouch.cli.files import require_folder, write_json
+    from smarttouch.cli.plan import Plan
+    from smarttouch.cli.progress import bank_progress
+    from smarttouch.cli.session import play
+    from smarttouch.color.mix import mix
+    from smarttouch.color.price import pacinian_price
+    from smarttouch.color.report import as_figures, notes
+    from smarttouch.color.sensor import ColorSensor
+    from smarttouch.color.spec import is_spec, open_trace
+    from smarttouch.color.split import split
+    from smarttouch.modes.bank import load_bank
+    from smarttouch.primary import Primary
+    from smarttouch.profile import load_profile
+    from smarttouch.reading.window import press_n
+    from smarttouch.scan.safety import SafetyLimits
+    from smarttouch.sensing.forces.force import open_force
+
+    for output in (plot, json_file):
+        require_folder(output)
+    trace = open_trace(source, 2.0 if seconds is None else seconds, seed)
+    chosen = load_profile(profile or usual_profile(board))
+    answers = split(trace, sai_full_n=chosen.force.full_n, sai_rate_hz=chosen.pulse.sai_rate_hz)
+    if split_only:
+        if plot is not None:
+            _draw(plot, trace, answers)
+        if json_file is not None:
+            write_json(json_file, as_figures(answers))
+        if not quiet:
+            _print_answers(source, answers)
+        return
+    with bank_progress(quiet) as progress:
+        bank = load_bank(chosen, progress)
+    timing = make_board(board, SafetyLimits.of(chosen), chosen.output).timing
+    places = _places(chosen, sites, radius_mm)
+    shaken = vibrators is not None
+    mixture = mix(answers, trace.duration_s, chosen, bank, places, timing, shaken)
+    plan = Plan(
+        sensor_url=source,
+        board_url=board,
+        mode=mixture.mode,
+        seconds=None if is_spec(source) else seconds,
+        level=intensity,
+        force_url=force,
+        vibrators_url=vibrators,
+        frames=frames,
+        record=record,
+        markers=markers,
+        json_file=json_file,
+        quiet=quiet,
+        seed=seed,
+    )
+    pressed_n = press_n(chosen) if force is None and not plan.on_a_finger else math.nan
+    sensor = ColorSensor(source, chosen, mixture, pressed_n)
+    sensor.notes += notes(mixture, answers)
+    price = None
+    if mixture.pulses(Primary.PC):
+        price = pacinian_price(chosen, bank, mixture.sites)
+        sensor.notes.append(str(price))
+    plan.attend = lambda _board: sensor.watch
+    with contextlib.ExitStack() as stack:
+        pressing = None if force is None else stack.enter_context(open_force(force, chosen))
+        play(plan, sensor, pressing, chosen)
+    if json_file is not None:
+        _add(json_file, as_figures(answers, mixture, sensor, price))
+    if plot is not None:
+        _draw(plot, trace, answers, mixture)
+    if not quiet:
+        _print_mixture(source, answers, mixture, sensor)
+
+
+def _places(
+    profile: "Profile", sites: str | None, radius_mm: float | None
+) -> "NDArray[np.intp] | list[int]":
+    from smarttouch.color.sites import disc
+    from smarttouch.errors import SmartTouchError
+
+    if sites is not None and radius_mm is not None:
+        raise SmartTouchError("--sites and --radius-mm both say what pulses: give one of them")
+    if radius_mm is not None and not radius_mm >= 0:
+        raise SmartTouchError(f"--radius-mm {radius_mm:g} is not possible: give 0 or more")
+    if sites is None:
+        return disc(profile, radius_mm)
+    if sites == "all":
+        return profile.driven
+    named: list[int] = []
+    for part in sites.split(","):
+        first, dash, last = part.strip().partition("-")
+        if not first.isdecimal() or (dash and not last.isdecimal()):
+            raise SmartTouchError(f"--sites {sites!r} is no list: write 27,28,35-36, or all")
+        named += range(int(first), int(last or first) + 1)
+    return named
+
+
+def _add(path: Path, figures: dict[str, object]) -> None:
+    """Put what is known of the colors beside the figures of the run."""
+    import json
+
+    from smarttouch.cli.files import write_json
+
+    write_json(path, json.loads(path.read_text(encoding="utf-8")) | {"color": figures})
+
+
+def _draw(path: Path, trace: "Trace", answers: "Answers", mixture: "Mixture | None" = None) -> None:
+    import numpy as np
+
+    from smarttouch.figures.colors import ClassRow, color_figure
+    from smarttouch.figures.style import save
+    from smarttouch.primary import Primary
+
+    rows = {}
+    for primary, answer in answers.items():
+        which = np.empty(0, np.intp)
+        shaken = mixture is not None and mixture.vibrated and primary is Primary.PC
+        if mixture is not None:
+            everything = np.arange(len(mixture.time_us))
+            which = everything if shaken else mixture.carried.get(primary, which)
+            pulse_s, drive = mixture.time_us[which] / 1e6, mixture.drive[which, primary]
+        else:
+            pulse_s = drive = np.empty(0)
+        rows[primary] = ClassRow(answer.drive, pulse_s, drive.astype(np.float64), shaken)
+    figure = color_figure(trace.time_s, trace.displacement_um, trace.force_n, rows, trace.title)
+    save(figure, path)
+
+
+def _print_answers(source: str, answers: "Answers") -> None:
+    from smarttouch.color.report import answered
+
+    _print_table(
+        source,
+        ("class", "drive", "peak", "fires at", "share"),
+        [
+            (
+                primary.name,
+                f"{row.mean_drive:.2f}",
+                f"{row.peak_drive:.2f}",
+                f"{row.rate_hz:.1f} Hz" if row.rate_hz else "–",
+                f"{row.share:.0%}",
+            )
+            for primary, row in answered(answers).items()
+        ],
+        "Drive: from threshold (0) to full (1), mean over the trace. Fires at: its afferents, "
+        "while they do. Share: of the drive of all.",
+    )
+
+
+def _print_mixture(
+    source: str, answers: "Answers", mixture: "Mixture", sensor: "ColorSensor"
+) -> None:
+    from smarttouch.color.report import answered, sent_out
+
+    sent = sent_out(mixture, sensor)
+    rows = []
+    for primary, row in answered(answers).items():
+        cells = ["–", "–", "–"]
+        if primary in sent:
+            out = sent[primary]
+            off = f"{out.off_p50_us / 1000:.2f} / {out.off_max_us / 1000:.2f}"
+            cells = [f"{out.pulses}", f"{out.rate_hz:.1f} Hz", off]
+        elif mixture.vibrated and row.share:
+            cells[0] = "vibrated"
+        fires = f"{row.rate_hz:.1f} Hz" if row.rate_hz else "–"
+        rows.append((primary.name, f"{row.mean_drive:.2f}", f"{row.share:.0%}", fires, *cells))
+    _print_table(
+        f"{source}, at {len(mixture.sites)} sites",
+        ("class", "drive", "share", "fires at", "pulses", "at", "off by, ms"),
+        rows,
+        "Pulses: sent to each site, and how many a second. Off by: from their own time, p50 / max.",
+    )
+
+
+def _print_table(
+    title: str, heading: tuple[str, ...], rows: list[tuple[str, ...]], note: str
+) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(*heading, title=title, title_justify="left", box=None, pad_edge=False)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for row in rows:
+        table.add_row(*row)
+    console = Console()
+    console.print(table)
+    console.print(note, style="dim")

@@ -1,0 +1,183 @@
+"""What happens in a run, told to other recorders: outlets of the Lab Streaming Layer (LSL).
+
+What records brain waves, gaze or an experiment can record such streams with them, on one
+clock: see https://labstreaminglayer.org.
+"""
+
+import contextlib
+import importlib
+import os
+import platform
+import time
+from collections import deque
+from typing import Any
+
+import numpy as np
+
+from smarttouch.errors import SmartTouchError
+from smarttouch.live import Sent
+from smarttouch.profile import Profile
+
+PULSES = (
+    ("number", "count"),
+    ("slots", "count"),
+    ("strongest", "mA"),
+    ("intensity", "1"),
+    ("period", "us"),
+)
+FRAMES = (("number", "count"), ("x", "mm"), ("y", "mm"), ("force", "N"))
+_LINGER_S = 0.1
+"""What was pushed last is still on its way to who listens."""
+_STEPS = 16
+_MOVED_S = 0.001
+"""If so many steps in a row come so late, the loop has moved its schedule."""
+
+
+class MarkersError(SmartTouchError):
+    """Markers cannot be sent."""
+
+
+class Markers:
+    """Three outlets: ``smarttouch-pulses``, ``smarttouch-frames`` and ``smarttouch-events``.
+
+    Pulses get a sample for each sequence (the board's number, or -1 where it was lost with
+    the board; slots; the strongest electrode's current; intensity; period), frames one for
+    each frame (number, place on the page, force), events a string for whatever is told in
+    a run: keys, faults, trials, answers. Times are those of the run on LSL's clock: of a
+    sequence or frame, when it was due. Failing later than at the start ends nothing; it is
+    noted.
+
+    Parameters
+    ----------
+    profile : Profile
+        Named in the streams' description.
+    source : str, optional
+        Distinguishes this run from others on the network; host and process if not given.
+
+    Attributes
+    ----------
+    notes : list of str
+        What a user should know after the run.
+
+    Raises
+    ------
+    MarkersError
+        If the extra ``lsl`` is missing, or no outlet can be made.
+    """
+
+    def __init__(self, profile: Profile, source: str | None = None) -> None:
+        self.notes: list[str] = []
+        self._lsl = _import_pylsl()
+        self._begin_s: float | None = None
+        self._late_s: deque[float] = deque(maxlen=_STEPS)
+        source = source or f"{platform.node()}-{os.getpid()}"
+        try:
+            self._pulses = self._outlet("pulses", "Stimulation", PULSES, profile, source)
+            self._frames = self._outlet("frames", "Position", FRAMES, profile, source)
+            self._events = self._outlet("events", "Markers", (("event", ""),), profile, source)
+        except (RuntimeError, OSError) as error:
+            raise MarkersError(
+                f"the Lab Streaming Layer makes no outlet: {error}; check the network, or leave "
+                "out --markers"
+            ) from None
+
+    def watch(self, sent: Sent) -> None:
+        """Tell of one step; an observer of `smarttouch.live.run`."""
+        sequence, frame = sent.step.sequence, sent.step.frame
+        stamp_s = self._stamp_s(frame.time_ns, sent.latency_us / 1e6)
+        strongest_ua = int(np.abs(sequence.current_ua).max()) if sequence.slots else 0
+        self._push(
+            self._pulses,
+            [
+                -1 if sent.number is None else sent.number,
+                sequence.slots,
+                strongest_ua / 1000,
+                sequence.intensity,
+                sequence.period_us,
+            ],
+            stamp_s,
+        )
+        pose = frame.pose
+        self._push(self._frames, [frame.number, pose.x_mm, pose.y_mm, frame.force_n], stamp_s)
+
+    def event(self, time_ns: int, words: str) -> None:
+        """Tell of an event; a `smarttouch.live.Tell`."""
+        if self._begin_s is None:
+            self._stamp_s(time_ns, 0.0)
+        self._push(self._events, [words], self._at_s(time_ns))
+
+    def close(self) -> None:
+        """End the streams; a second time does nothing."""
+        if self._pulses is not None:
+            time.sleep(_LINGER_S)
+        self._pulses = self._frames = self._events = None
+
+    def _stamp_s(self, time_ns: int, ago_s: float) -> float:
+        """Return when a time of the run was, which came about so long ago, on LSL's clock."""
+        now_s = float(self._lsl.local_clock()) - ago_s
+        if self._begin_s is None:
+            self._begin_s = now_s - time_ns / 1e9
+        self._late_s.append(now_s - self._at_s(time_ns))
+        if len(self._late_s) == _STEPS and min(self._late_s) > _MOVED_S:
+            self._begin_s += min(self._late_s)
+            self._late_s.clear()
+        return self._at_s(time_ns)
+
+    def _at_s(self, time_ns: int) -> float:
+        return (self._begin_s or 0.0) + time_ns / 1e9
+
+    def _push(self, outlet: Any, sample: list[Any], stamp_s: float) -> None:
+        if outlet is None:
+            return
+        try:
+            outlet.push_sample(sample, stamp_s)
+        except Exception as error:
+            # Whatever it is: a finger's run does not end because nobody can be told of it.
+            self.notes.append(f"markers ended before the run, the Lab Streaming Layer: {error}")
+            self._pulses = self._frames = self._events = None
+
+    def _outlet(
+        self,
+        name: str,
+        kind: str,
+        channels: tuple[tuple[str, str], ...],
+        profile: Profile,
+        source: str,
+    ) -> Any:
+        lsl = self._lsl
+        form = lsl.cf_string if kind == "Markers" else lsl.cf_double64
+        info = lsl.StreamInfo(
+            f"smarttouch-{name}",
+            kind,
+            len(channels),
+            lsl.IRREGULAR_RATE,
+            form,
+            f"smarttouch-{name}-{source}",
+        )
+        about = info.desc()
+        about.append_child_value("manufacturer", "SmartTouch")
+        about.append_child_value("profile", profile.name or profile.title)
+        listed = about.append_child("channels")
+        for label, unit in channels:
+            channel = listed.append_child("channel")
+            channel.append_child_value("label", label)
+            channel.append_child_value("unit", unit)
+        return lsl.StreamOutlet(info)
+
+
+def _import_pylsl() -> Any:
+    try:
+        pylsl = importlib.import_module("pylsl")
+    except ImportError:
+        raise MarkersError(
+            "markers need pylsl: install it with the extra, pip install 'smarttouch[lsl]'"
+        ) from None
+    except RuntimeError:
+        raise MarkersError(
+            "markers need liblsl, which pylsl has not found: install it (https://labstreaminglayer.org)"
+            ", or leave out --markers"
+        ) from None
+    # Its library otherwise writes over the screen; older ones cannot be told.
+    with contextlib.suppress(AttributeError, RuntimeError):
+        pylsl.set_config_content("[log]\nlevel = -3\n")
+    return pylsl

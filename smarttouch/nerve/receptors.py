@@ -1,0 +1,151 @@
+"""What skin vibration each class of receptor answers: thresholds by frequency.
+
+The curves of the paper's Fig. 2 as simple analytic ones. RA and PC are valleys in
+log-log coordinates, flat at their best frequency and straight far from it; SAI is flat
+up to a few hertz. They are tied down by
+
+- the best frequencies and bands of the paper (Sections I and III-C): RA best at 30 Hz,
+  20 to 70 Hz; PC best at 250 Hz, 60 to 800 Hz; SAI static. RA's band is taken as where
+  its threshold is at most 3 dB above its best. PC's threshold is as high at 800 as at
+  60 Hz, and passes RA's at 65 Hz, halfway between where the paper lets PC come in (60)
+  and RA end (70);
+- the slopes of the four-channel model (Bolanowski, Gescheider, Verrillo and Checkosky,
+  J. Acoust. Soc. Am. 84, 1988): about -12 dB per octave below the best frequency of the
+  Pacinian channel, about -5 below that of NP I (RA), none for NP III (SAI);
+- two levels. PC at its best: -20 dB re 1 µm under 2.9 cm² (the same), 3 dB higher for each
+  halving of the area (Verrillo, J. Acoust. Soc. Am. 35, 1963): rounded to -10 dB for the
+  0.3 cm² of a finger pad under an array. SAI: 28 dB (Bolanowski et al.). RA's level
+  follows from where the curves meet.
+
+RA and SAI then meet at about 2 Hz, where the four-channel model has 3. Recordings
+from human afferents agree on the order (Johansson, Landström and Lundström, Brain Res.
+244, 1982: RA 8 to 64 Hz, PC above, SAI below). How round the valleys are is ours.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from smarttouch.primary import Primary
+
+Array = NDArray[np.float64]
+
+RA_BEST_HZ, RA_BAND_HZ = 30.0, (20.0, 70.0)
+PC_BEST_HZ, PC_BAND_HZ = 250.0, (60.0, 800.0)
+"""Paper, Section III-C."""
+BAND_DB = 3.0
+"""How far above its best RA's threshold is at the edges of its band: half the power. Ours."""
+MEETING_HZ = 65.0
+"""Where RA and PC need the same vibration. Ours, between 60 and 70 Hz of the paper."""
+PC_BEST_DB, SAI_DB = -10.0, 28.0
+"""Thresholds, dB re 1 µm of amplitude: see above."""
+SAI_CORNER_HZ = 5.0
+"""From here on SAI needs more; at first order. Ours, for "below a few hertz"."""
+PC_DB_PER_OCTAVE = 12.0
+"""Bolanowski et al. 1988."""
+
+
+@dataclass(frozen=True)
+class _Flank:
+    """One side of a valley: dB above the best, ``octaves`` away from it."""
+
+    db_per_octave: float
+    roundness: float
+
+    def rise_db(self, octaves: Array) -> Array:
+        """Return a hyperbola: flat at the best frequency, straight far from it."""
+        w = self.roundness
+        return np.asarray(self.db_per_octave * (np.hypot(octaves, w) - w))
+
+
+def _flank_through(frequency_hz: float, best_hz: float, rise_db: float, round_: float) -> _Flank:
+    octaves = abs(np.log2(frequency_hz / best_hz))
+    return _Flank(float(rise_db / (np.hypot(octaves, round_) - round_)), round_)
+
+
+@dataclass(frozen=True)
+class _Valley:
+    """A threshold curve with one best frequency."""
+
+    best_hz: float
+    best_db: float
+    below: _Flank
+    above: _Flank
+
+    def threshold_db(self, frequency_hz: Array) -> Array:
+        octaves = np.log2(frequency_hz / self.best_hz)
+        rise = np.where(octaves < 0, self.below.rise_db(octaves), self.above.rise_db(octaves))
+        return np.asarray(self.best_db + rise)
+
+
+def _valleys() -> dict[Primary, _Valley]:
+    pc_below = _Flank(PC_DB_PER_OCTAVE, 0.5)
+    edge_db = float(pc_below.rise_db(np.log2(np.array(PC_BAND_HZ[0] / PC_BEST_HZ))))
+    pc = _Valley(
+        PC_BEST_HZ,
+        PC_BEST_DB,
+        pc_below,
+        _flank_through(PC_BAND_HZ[1], PC_BEST_HZ, edge_db, 0.5),
+    )
+    # 6.1 dB per octave far below, 8.7 far above.
+    below, above = (
+        _flank_through(edge_hz, RA_BEST_HZ, BAND_DB, round_)
+        for edge_hz, round_ in zip(RA_BAND_HZ, (0.1, 2.0), strict=True)
+    )
+    meeting = np.array(MEETING_HZ)
+    rise_db = above.rise_db(np.log2(meeting / RA_BEST_HZ))
+    ra = _Valley(RA_BEST_HZ, float(pc.threshold_db(meeting) - rise_db), below, above)
+    return {Primary.RA: ra, Primary.PC: pc}
+
+
+_VALLEYS = _valleys()
+
+
+def threshold_um(primary: Primary, frequency_hz: ArrayLike) -> Array:
+    """Return the smallest vibration of the skin that a class answers.
+
+    Parameters
+    ----------
+    primary : Primary
+        Whose receptors.
+    frequency_hz : array_like, Hz
+        Of a sinusoid; 0 is a static indentation, which RA and PC never answer.
+
+    Returns
+    -------
+    ndarray, µm
+        Amplitude, half of peak to peak; shaped as ``frequency_hz``.
+
+    Raises
+    ------
+    ValueError
+        If a frequency is negative.
+    """
+    frequency = np.asarray(frequency_hz, np.float64)
+    if np.any(frequency < 0):
+        raise ValueError(f"a frequency of {frequency.min():g} Hz: give 0 or more")
+    if primary is Primary.SAI:
+        return np.asarray(10 ** (SAI_DB / 20) * np.hypot(1, frequency / SAI_CORNER_HZ))
+    with np.errstate(divide="ignore", over="ignore"):
+        return np.asarray(10 ** (_VALLEYS[primary].threshold_db(frequency) / 20))
+
+
+def sensitivity(primary: Primary, frequency_hz: ArrayLike) -> Array:
+    """Return how well a class answers vibrations, of its best: 1 at 30 Hz (RA), 250 Hz (PC)
+    or rest (SAI).
+
+    Parameters are those of `threshold_um`.
+
+    Returns
+    -------
+    ndarray, in [0, 1]
+        Lowest threshold over the threshold; shaped as ``frequency_hz``.
+    """
+    best = threshold_um(primary, best_hz(primary))
+    return np.asarray(best / threshold_um(primary, frequency_hz))
+
+
+def best_hz(primary: Primary) -> float:
+    """Return the frequency at which a class has its lowest threshold, Hz."""
+    return 0.0 if primary is Primary.SAI else _VALLEYS[primary].best_hz

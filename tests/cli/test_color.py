@@ -1,0 +1,131 @@
+"""Tactile primary colors, through the program."""
+
+import json
+
+import numpy as np
+import pytest
+import typer
+from PIL import Image
+from typer.testing import CliRunner
+
+from smarttouch.cli.color import color
+from smarttouch.errors import SmartTouchError
+from smarttouch.recording.check import assert_replays
+
+
+@pytest.fixture
+def run_color(tmp_path, monkeypatch):
+    """Return a runner of the command alone, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    app = typer.Typer(pretty_exceptions_enable=False)
+    app.command()(color)
+
+    def run(*arguments):
+        done = CliRunner().invoke(app, list(map(str, arguments)), catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+        return done.stdout
+
+    return run
+
+
+def rows_of(output):
+    """Return the cells of a printed table by the name of the class."""
+    lines = (line.split() for line in output.splitlines())
+    return {cells[0]: cells[1:] for cells in lines if cells and cells[0] in {"RA", "SAI", "PC"}}
+
+
+def test_split_alone_needs_no_board(run_color, tmp_path):
+    said = run_color("tone:30Hz,8um+press:0.45N", "--split-only", "--json", "f.json", "--plot",
+                     "a.png")  # fmt: skip
+    rows = rows_of(said)
+    assert rows["RA"][2:] == ["30.0", "Hz", "63%"]
+    assert rows["PC"] == ["0.00", "0.00", "–", "0%"]
+    figures = json.loads((tmp_path / "f.json").read_text())
+    assert figures["classes"]["SAI"]["answered"]["peak_drive"] == pytest.approx(0.5, abs=0.01)
+    assert np.asarray(Image.open(tmp_path / "a.png").convert("L")).std() > 5
+
+
+def test_all_three_on_an_emulated_board(run_color, tmp_path):
+    spec = "tone:30Hz,6um+tone:250Hz,1.5um+press:0.45N"
+    said = run_color(spec, "--seconds", 1, "--board", "simulated:", "--json", "f.json", "--record",
+                     "r.mcap", "--plot", "a.png")  # fmt: skip
+    rows = rows_of(said)
+    assert rows["RA"][-6:-3] == ["29", "30.0", "Hz"]
+    assert rows["PC"][-6:-3] == ["121", "125.0", "Hz"]
+    figures = json.loads((tmp_path / "f.json").read_text())
+    assert figures["ended"] == "the end of the trace"
+    assert figures["emulator_violations"] == 0
+    assert figures["color"]["sites"] == [27, 28, 35, 36]
+    price = figures["color"]["pc_also_reaches"]
+    assert price["classes"] == ["RA"]
+    assert f"PC pulses also reach RA, {price['mean_times']:.1f} times" in " ".join(said.split())
+    off_us = [each["sent"]["off_max_us"] for each in figures["color"]["classes"].values()]
+    assert max(off_us) <= 2500
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+    assert_replays(tmp_path / "r.mcap")
+
+
+def test_sites_are_a_list_a_disc_or_all(run_color):
+    for option, sites in (
+        (("--sites", "27, 28,35-36"), 4),
+        (("--sites", "0"), 1),
+        (("--sites", "all"), 64),
+        (("--radius-mm", 3.2), 12),
+    ):
+        said = run_color("tone:30Hz,8um", "--seconds", 0.3, "--board", "simulated:", *option)
+        assert f"tone:30Hz,8um, at {sites} sites" in said
+
+
+def test_a_file_keeps_its_own_time_and_can_be_cut(run_color, tmp_path):
+    time_s = np.arange(0, 1, 0.001)
+    moved = 8 * np.sin(60 * np.pi * time_s)
+    lines = [f"{time:.3f},{um:.3f}" for time, um in zip(time_s, moved, strict=True)]
+    (tmp_path / "t.csv").write_text("\n".join(["time_s,displacement_um", *lines]))
+    for more, lasts in (((), 1.0), (("--seconds", 0.4), 0.4)):
+        run_color("t.csv", "--board", "simulated:", "--json", "f.json", "--quiet", *more)
+        figures = json.loads((tmp_path / "f.json").read_text())
+        assert figures["seconds"] == pytest.approx(lasts, abs=0.03)
+
+
+def test_nothing_is_said_when_quiet(run_color):
+    assert run_color("press:1N", "--seconds", 0.2, "--board", "simulated:", "--quiet") == ""
+    assert run_color("press:1N", "--split-only", "--quiet") == ""
+
+
+def test_what_is_left_out_is_said(run_color):
+    said = run_color("tone:30Hz,9um+press:1N", "--profile", "kajimoto-61", "--board", "simulated:",
+                     "--seconds", 0.3)  # fmt: skip
+    assert "SAI would answer too, and this board cannot drive it here: left out" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("tone:250Hz,2um", "--profile", "kajimoto-61"), "only PC would answer"),
+        (("tone:30Hz,2um", "--sites", "a-b"), "is no list"),
+        (("tone:30Hz,2um", "--sites", "64"), "site 64 cannot pulse"),
+        (("tone:30Hz,2um", "--sites", "3", "--radius-mm", "2"), "give one of them"),
+        (("tone:30Hz,2um", "--radius-mm", "-1"), "give 0 or more"),
+        (("tone:30", "--split-only"), "no part of a trace"),
+        (("tone:30Hz,9um", "--json", "no/f.json"), "folder that exists"),
+        (("tone:30Hz,9um", "--intensity", "2"), "must be from 0 to 1"),
+        (("none.csv",), "neither a file nor"),
+    ],
+)
+def test_what_cannot_be_done_is_one_sentence(run_color, arguments, says):
+    with pytest.raises(SmartTouchError, match=says):
+        run_color(*arguments, "--board", "simulated:")
+
+
+def test_without_force_there_is_no_current(run_color):
+    sent = [
+        rows_of(run_color("tone:30Hz,9um", "--seconds", 0.3, "--board", "simulated:", *more))["RA"]
+        for more in ((), ("--force", "fixed:0.9"), ("--force", "fixed:0"))
+    ]
+    assert [cells[-6] for cells in sent] == ["8", "8", "0"]
+
+
+def test_a_finger_on_the_board_needs_a_word_on_force(run_color, monkeypatch):
+    monkeypatch.setattr("smarttouch.cli.plan._NO_FINGER", ())
+    with pytest.raises(SmartTouchError, match="nobody knows how hard the finger presses"):
+        run_color("tone:30Hz,9um", "--board", "simulated:")

@@ -1,0 +1,233 @@
+"""What is told in a run arrives on the Lab Streaming Layer, in order and on time."""
+
+import sys
+import types
+
+import numpy as np
+import pytest
+
+from smarttouch.boards.memory import MemoryBoard
+from smarttouch.clock import SimulatedClock
+from smarttouch.controls import StopRequest
+from smarttouch.live import Sent, run
+from smarttouch.markers import FRAMES, PULSES, Markers, MarkersError
+from smarttouch.pipeline import Pipeline
+from smarttouch.primary import Mode
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.sensing.frame import Frame, Pose, Sensor
+from smarttouch.tally import Tally
+
+
+class Bars(Sensor):
+    """A few frames of black bars, each a little farther on the page."""
+
+    def __init__(self, most):
+        super().__init__("bars")
+        self.knows_force, self.most = True, most
+
+    def read(self, time_ns):
+        if self.frames == self.most:
+            return None
+        image = np.full((64, 64), 220, np.uint8)
+        image[:, 20:30] = 20
+        self.frames += 1
+        return Frame(image, time_ns, Pose(self.frames, 2.0), 0.5, self.frames - 1)
+
+
+class FakeLsl(types.ModuleType):
+    """Keeps what is pushed; its clock stands still unless it is set."""
+
+    cf_string, cf_double64, IRREGULAR_RATE = 3, 2, 0.0
+
+    def __init__(self, refuse=None):
+        super().__init__("pylsl")
+        self.now_s, self.pushed, self.infos, self.refuse = 100.0, {}, [], refuse
+
+    def local_clock(self):
+        return self.now_s
+
+    def StreamInfo(self, name, kind, channels, rate, form, source):  # noqa: N802
+        node = types.SimpleNamespace(append_child_value=lambda *_: None)
+        node.append_child = lambda _: node
+        self.infos.append((name, kind, channels, rate, form, source))
+        return types.SimpleNamespace(name=name, desc=lambda: node)
+
+    def StreamOutlet(self, info):  # noqa: N802
+        if self.refuse is not None:
+            raise self.refuse
+        pushed = self.pushed[info.name] = []
+        return types.SimpleNamespace(push_sample=lambda sample, at_s: pushed.append((at_s, sample)))
+
+
+@pytest.fixture
+def lsl(monkeypatch):
+    fake = FakeLsl()
+    monkeypatch.setitem(sys.modules, "pylsl", fake)
+    monkeypatch.setattr("smarttouch.markers._LINGER_S", 0.0)
+    return fake
+
+
+@pytest.fixture
+def felt(profile, bank):
+    """Return a runner of a few frames, and the steps that were sent."""
+
+    def felt(markers, most=30):
+        steps = []
+        with MemoryBoard("", SafetyLimits.of(profile), profile.output) as board:
+            run(
+                Bars(most),
+                Pipeline(profile, bank, Mode.RA),
+                board,
+                stop=StopRequest(),
+                tally=Tally(),
+                observers=[markers.watch, steps.append],
+                tell=markers.event,
+                clock=SimulatedClock(),
+            )
+        return steps
+
+    return felt
+
+
+class TestWhatIsTold:
+    def test_every_sequence_frame_and_event_has_its_sample(self, lsl, profile, felt):
+        markers = Markers(profile)
+        steps = felt(markers)
+        pulses = lsl.pushed["smarttouch-pulses"]
+        frames = lsl.pushed["smarttouch-frames"]
+        assert len(pulses) == len(frames) == len(steps) == 30
+        for step, (at_s, pulse), (seen_s, frame) in zip(steps, pulses, frames, strict=True):
+            sequence = step.step.sequence
+            strongest = np.abs(sequence.current_ua).max() / 1000 if sequence.slots else 0
+            assert pulse == [
+                step.number, sequence.slots, strongest, sequence.intensity, sequence.period_us,
+            ]  # fmt: skip
+            assert frame == [step.step.frame.number, step.step.frame.pose.x_mm, 2.0, 0.5]
+            assert at_s == seen_s == pytest.approx(100 + sequence.time_ns / 1e9, abs=0.05)
+        assert pulses[-1][1][2] > 0
+        told = lsl.pushed["smarttouch-events"]
+        assert [words for _, [words] in told] == [
+            "intensity 1.00", "mode RA", "the end of what the sensor sees",
+        ]  # fmt: skip
+        assert told[-1][0] - told[0][0] == pytest.approx(30 / profile.pulse.rate_hz)
+
+    def test_the_streams_say_what_they_are(self, lsl, profile):
+        Markers(profile, "here")
+        assert lsl.infos == [
+            ("smarttouch-pulses", "Stimulation", len(PULSES), 0, 2, "smarttouch-pulses-here"),
+            ("smarttouch-frames", "Position", len(FRAMES), 0, 2, "smarttouch-frames-here"),
+            ("smarttouch-events", "Markers", 1, 0, 3, "smarttouch-events-here"),
+        ]
+
+    def test_a_sequence_that_was_lost_has_no_number(self, lsl, profile, felt):
+        markers = Markers(profile)
+        step = felt(markers, 1)[0]
+        markers.watch(Sent(step.step, None, 0.0))
+        assert lsl.pushed["smarttouch-pulses"][-1][1][0] == -1
+
+
+class TestTime:
+    def step(self, felt, markers, time_ns):
+        from dataclasses import replace
+
+        step = self.first = getattr(self, "first", None) or felt(markers, 1)[0].step
+        return Sent(replace(step, frame=replace(step.frame, time_ns=time_ns)), 1, 500.0)
+
+    def watched(self, lsl, profile, felt, late_s):
+        """Return how far stamps are off the schedule, for steps that come so late."""
+        template = self.step(felt, Markers(profile), 0)
+        markers, off_s = Markers(profile), []
+        for index, late in enumerate(late_s):
+            time_ns = index * 20_000_000
+            lsl.now_s = 100 + time_ns / 1e9 + late + 0.0005
+            markers.watch(self.step(felt, markers, time_ns))
+            off_s.append(lsl.pushed["smarttouch-pulses"][-1][0] - 100 - time_ns / 1e9)
+        assert template.latency_us == 500
+        return off_s
+
+    def test_a_single_late_step_moves_nothing(self, lsl, profile, felt):
+        late_s = [0.0] * 20 + [0.015] + [0.0] * 20
+        assert self.watched(lsl, profile, felt, late_s) == pytest.approx([0.0] * 41, abs=1e-9)
+
+    def test_a_schedule_that_moved_is_followed(self, lsl, profile, felt):
+        late_s = [0.0] * 20 + [0.3] * 16 + [0.315] + [0.3] * 30
+        off_s = self.watched(lsl, profile, felt, late_s)
+        assert off_s[:20] == pytest.approx([0.0] * 20, abs=1e-9)
+        assert off_s[36:] == pytest.approx([0.3] * 31, abs=1e-9)
+
+    def test_an_event_before_the_first_step_begins_the_time(self, lsl, profile):
+        markers = Markers(profile)
+        markers.event(2_000_000_000, "one")
+        lsl.now_s = 777.0
+        markers.event(3_500_000_000, "two")
+        assert lsl.pushed["smarttouch-events"] == [(100.0, ["one"]), (101.5, ["two"])]
+
+
+class TestFaults:
+    def test_a_fault_in_the_run_is_noted_once_and_ends_nothing(self, lsl, profile, felt):
+        markers = Markers(profile)
+
+        def refuse(sample, at_s):
+            raise RuntimeError("an internal error has occurred.")
+
+        markers._frames.push_sample = refuse
+        assert len(felt(markers)) == 30
+        assert len(markers.notes) == 1
+        assert "an internal error" in markers.notes[0]
+        markers.close()
+
+    def test_a_fault_at_the_start_is_told(self, lsl, profile):
+        lsl.refuse = RuntimeError("could not create stream outlet.")
+        with pytest.raises(MarkersError, match="could not create stream outlet"):
+            Markers(profile)
+
+    @pytest.mark.parametrize(
+        ("missing", "words"),
+        [(ImportError(), r"smarttouch\[lsl\]"), (RuntimeError("no library"), "liblsl")],
+    )
+    def test_what_is_missing_is_said(self, profile, monkeypatch, missing, words):
+        def refuse(name):
+            raise missing
+
+        monkeypatch.setattr("importlib.import_module", refuse)
+        with pytest.raises(MarkersError, match=words):
+            Markers(profile)
+
+    def test_after_closing_nothing_is_pushed(self, lsl, profile):
+        markers = Markers(profile)
+        for _ in range(2):
+            markers.close()
+        markers.event(0, "late")
+        assert lsl.pushed["smarttouch-events"] == []
+        assert markers.notes == []
+
+
+def test_everything_arrives_over_the_real_layer(profile, felt):
+    pylsl = pytest.importorskip("pylsl")
+    markers = Markers(profile, "test of markers")
+    inlets = {}
+    for name in ("pulses", "events"):
+        source = f"smarttouch-{name}-test of markers"
+        found = pylsl.resolve_byprop("source_id", source, timeout=5)
+        if not found:
+            pytest.skip("this network carries no streams")
+        inlets[name] = pylsl.StreamInlet(found[0])
+        inlets[name].open_stream(timeout=5)
+    described = inlets["pulses"].info(timeout=5)
+    assert described.get_channel_labels() == [label for label, _ in PULSES]
+    assert described.get_channel_units() == [unit for _, unit in PULSES]
+    assert described.desc().child_value("profile") == profile.name
+    began_s = pylsl.local_clock()
+    steps = felt(markers)
+    markers.event(1_000_000_000, "trial 1: “A”, 30 Hz")
+    got = [inlets["pulses"].pull_sample(timeout=5) for _ in steps]
+    for step, (pulse, at_s) in zip(steps, got, strict=True):
+        assert pulse[:2] == [step.number, step.step.sequence.slots]
+        assert at_s - got[0][1] == pytest.approx(step.step.sequence.time_ns / 1e9)
+    assert 0 <= got[0][1] - began_s < 5
+    events = [inlets["events"].pull_sample(timeout=5) for _ in range(4)]
+    assert [each[0] for each, _ in events][0::3] == ["intensity 1.00", "trial 1: “A”, 30 Hz"]
+    assert events[3][1] - events[0][1] == pytest.approx(1)
+    for inlet in inlets.values():
+        inlet.close_stream()
+    markers.close()
