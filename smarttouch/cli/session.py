@@ -109,6 +109,11 @@ def _board(plan: Plan, profile: Profile, kept: Kept) -> Board:
     limits = SafetyLimits.of(profile)
     display = make_board(plan.board_url, limits, profile.output, **kept.board_options)
     if plan.vibrators_url is None:
+        if plan.board_url.startswith("vibrators:"):
+            raise SmartTouchError(
+                "vibrators make no current, and shake only what smarttouch color asks for: give "
+                "them to it with --vibrators"
+            )
         return display
     from smarttouch.boards.hybrid import HybridBoard
     from smarttouch.boards.vibrators import make_vibrators

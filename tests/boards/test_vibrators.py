@@ -426,9 +426,5 @@ def test_without_vibration_it_is_still(make, wav):
 
 
 def test_the_url_of_the_registry_opens_it(tmp_path, profile):
-    from importlib.metadata import entry_points
-
-    if "vibrators" not in {each.name for each in entry_points(group="smarttouch.boards")}:
-        pytest.skip("not registered in this installation")
     board = make_board(f"vibrators:{tmp_path}/out.wav", SafetyLimits.of(profile), profile.output)
     assert board.capabilities.vibrates

@@ -51,6 +51,7 @@ def folder(tmp_path):
         ("live --board link:/dev/nothing", "cannot open /dev/nothing: there is no such port"),
         ("live --board emulator:7", "takes nothing after the colon"),
         ("live --mode XY", "--mode 'XY' is not offered"),
+        ("live --board vibrators:x.wav", "vibrators make no current"),
         ("live --mode color", "--mode 'color' is not offered"),
         ("live --profile kajimoto-61 --mode SAI", "mode SAI is not possible"),
         ("live --rate 0", "a rate of 0 Hz"),
