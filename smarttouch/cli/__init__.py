@@ -11,6 +11,8 @@ from smarttouch.cli.braille import braille
 from smarttouch.cli.calibrate import calibrate
 from smarttouch.cli.color import color
 from smarttouch.cli.design import design
+from smarttouch.cli.experiment import experiment
+from smarttouch.cli.experiment_fit import fit
 from smarttouch.cli.figures import figures
 from smarttouch.cli.legibility import legibility
 from smarttouch.cli.live import live
@@ -40,6 +42,8 @@ app.command()(profiles)
 app.command()(design)
 app.command()(figures)
 app.command()(boards)
+experiment.command()(fit)
+app.add_typer(experiment, name="experiment")
 app.add_typer(board, name="board")
 app.add_typer(sensor, name="sensor")
 app.add_typer(calibrate, name="calibrate")

@@ -6,6 +6,7 @@ from collections.abc import Callable
 import typer
 
 from smarttouch.boards.board import Board, BoardReport, make_board
+from smarttouch.cli.blind_screen import BlindScreen
 from smarttouch.cli.files import write_json
 from smarttouch.cli.kept import Kept
 from smarttouch.cli.keyboard import LOST, keys_heeded
@@ -58,7 +59,8 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
         controls = plan.controls(wish, offered)
         report: BoardReport | None = None
         ended = "fault"
-        screen = Screen(source, profile, controls, plan.board_url, display, tally, plan.quiet)
+        shown = BlindScreen if source.hidden else Screen
+        screen = shown(source, profile, controls, plan.board_url, display, tally, plan.quiet)
         kept.observers.append(screen.show)
         kept.tells.append(screen.tell)
         source.tell = tell = _told_to(kept.tells)

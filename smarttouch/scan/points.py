@@ -51,6 +51,13 @@ class PointSlots:
             )
         self._kernels_ua = weights * (profile.full_ma * 1000)[:, None]
         self._strongest = np.abs(weights).argmax(axis=1)
+        sign = np.sign(weights[np.arange(len(weights)), self._strongest])
+        self._opposite = (-sign[:, None] * weights).argmax(axis=1)
+        limits = profile.limits
+        most_ma = np.full(len(weights), limits.current_ma)
+        if limits.electrode_ma is not None:
+            most_ma = np.minimum(most_ma, limits.electrode_ma)
+        self._most_ua = np.floor(1000 * most_ma[self._strongest] + 1e-6)
         self._faintest = np.asarray(profile.threshold_ma / profile.full_ma, np.float32)
         self._range = 1 - self._faintest
         self._weakest_level = self._weakest_that_switches(profile.output.kind)
@@ -76,7 +83,8 @@ class PointSlots:
         intensity at full activation; where width is the carrier, the strongest
         current for as short as does the same. Currents are whole µA that sum to
         zero in every slot: what rounding leaves over goes to the strongest
-        electrode of the kernel. A masked electrode has no slot.
+        electrode of the kernel, or off its strongest opposite where that would be
+        above its limit. A masked electrode has no slot.
 
         Parameters
         ----------
@@ -115,7 +123,10 @@ class PointSlots:
         np.rint(currents, out=currents)
         current_ua = currents.astype(np.int16)
         surplus = current_ua.sum(axis=1, dtype=np.int16)
-        current_ua[np.arange(slots), self._strongest[site]] -= surplus
+        rows, electrode = np.arange(slots), self._strongest[site]
+        closed = current_ua[rows, electrode] - surplus
+        over = np.abs(closed) > self._most_ua[site]
+        current_ua[rows, np.where(over, self._opposite[site], electrode)] -= surplus
         return site.astype(np.uint16), current_ua, width_us
 
     def _widths_us(self, level: NDArray[np.float32]) -> NDArray[np.uint16]:

@@ -95,6 +95,8 @@ class Sensor(Device, ABC):
     """What its keys are for, a few words."""
     asks: ClassVar[bool] = False
     """Whether its frames ask for their pulses: then it also chooses the classes."""
+    hidden: ClassVar[bool] = False
+    """Whether the screen must not show what is sent: it would tell the answer."""
     tell: Callable[[int, str], None] = staticmethod(_tell_nobody)
     """Told of what happens in it, as `smarttouch.live.Tell`; set by who runs it."""
     knows_force: bool = False

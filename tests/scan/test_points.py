@@ -7,7 +7,9 @@ from hypothesis import strategies as st
 
 from smarttouch.errors import SafetyError, ScheduleError
 from smarttouch.imaging.tactile_image import TactileImage
+from smarttouch.modes.bank import load_bank
 from smarttouch.primary import Mode, Primary
+from smarttouch.profile import load_profile
 from smarttouch.scan.points import SHORTEST_PULSE_US, PointSlots
 from smarttouch.scan.safety import SafetyGate, SafetyLimits
 from smarttouch.scan.schedule import PointScan
@@ -133,3 +135,20 @@ def test_hard_things_pulse_faster_when_pressed(profile, bank):
 def test_where_two_rates_are_not_possible(profile, bank, options, says):
     with pytest.raises(ScheduleError, match=says):
         PointScan(profile, bank, Mode.NATURAL.primaries, **options)
+
+
+@pytest.mark.parametrize("keys", [
+    {"perception.comfort_ma": (2.0,) * 8},
+    {"limits.electrode_ma": (1.0,) * 8},
+])  # fmt: skip
+def test_a_comfort_that_is_just_the_limit_stays_within_it(changed, keys):
+    """What rounding leaves over must not push the strongest electrode above its limit."""
+    line = changed(load_profile("line-8"), keys)
+    bank = load_bank(line)
+    gate = SafetyGate(SafetyLimits.of(line))
+    for primary in Primary:
+        scan = PointScan(line, bank, (primary,), 10.0)
+        rows = np.zeros((3, 8), np.float32)
+        rows[primary] = 1
+        for level in np.linspace(0.5, 1, 30):
+            gate.prove_measurement(scan.schedule(TactileImage(rows, 0, 1.0), float(level)))
