@@ -6,7 +6,10 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from smarttouch.boards.board import Board
 from smarttouch.cli.plan import Plan
@@ -17,8 +20,22 @@ from smarttouch.sensing.frame import Sensor
 
 if TYPE_CHECKING:
     from smarttouch.boards.emulator.simulated import Pulses
-    from smarttouch.felt import FeltImage
     from smarttouch.patterns import PatternFile
+
+
+class Drawing(Protocol):
+    """Draws what the skin got."""
+
+    def watch(self, sent: Sent) -> None: ...
+
+    def deliver(
+        self,
+        numbers: NDArray[np.uint32],
+        width_us: NDArray[np.float32],
+        current_ua: NDArray[np.int16],
+    ) -> None: ...
+
+    def save(self, path: Path) -> None: ...
 
 
 class Kept:
@@ -46,7 +63,7 @@ class Kept:
         self.tells: list[Tell] = []
         self.board_options: dict[str, Any] = {}
         self.notes: list[str] = []
-        self._drawing: FeltImage | None = None
+        self._drawing: Drawing | None = None
         self._patterns: PatternFile | None = None
         if plan.felt is not None and plan.board_url.startswith("emulator:"):
             folder = tempfile.TemporaryDirectory(prefix="smarttouch-")
@@ -67,8 +84,13 @@ class Kept:
         if plan.felt is not None:
             from smarttouch.felt import FeltImage
 
+            own = getattr(source, "drawing", None)
             page = getattr(source, "page", None)
-            self._drawing = FeltImage(profile, bank, plan.mode.primaries, page)
+            self._drawing = (
+                FeltImage(profile, bank, plan.mode.primaries, page)
+                if own is None
+                else own(profile, bank)
+            )
             self.observers.append(self._drawing.watch)
         if plan.frames is not None:
             from smarttouch.patterns import PatternFile

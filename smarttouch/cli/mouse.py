@@ -1,0 +1,154 @@
+"""``smarttouch mouse``: a texture under a hand that moves."""
+
+from typing import Annotated, Any
+
+import typer
+
+from smarttouch.cli.options import (
+    FeltOption,
+    ForceOption,
+    IntensityOption,
+    JsonOption,
+    MarkersOption,
+    ProfileOption,
+    QuietOption,
+    RecordOption,
+    SecondsOption,
+)
+
+
+def mouse(
+    texture: Annotated[
+        str,
+        typer.Option(
+            metavar="FILE|grating:PITCH|text:WORDS",
+            help="What lies under the hand: an image (ink is high), a height map (16 bits or .npy: "
+            "bright is high), grating:4mm,30deg, or letters of 12 mm.",
+        ),
+    ] = "grating:4mm",
+    motion: Annotated[
+        str,
+        typer.Option(
+            metavar="URL",
+            help="How the hand moves: sweep: (a virtual one), sweep:ROUNDS, evdev:DEVICE (a "
+            "mouse), window: (the pointer), path:CSV, or a sensor's pose, as camera:0.",
+        ),
+    ] = "sweep:",
+    speed: Annotated[
+        float | None, typer.Option(metavar="MM/S", help="Of the virtual hand; 40 if not given.")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Let the virtual hand tremble, always the same way.")
+    ] = None,
+    cpi: Annotated[
+        float | None, typer.Option(help="Counts per inch of the mouse; 800 if not given.")
+    ] = None,
+    grab: Annotated[
+        bool, typer.Option("--grab", help="Keep the mouse from all other programs.")
+    ] = False,
+    scale: Annotated[
+        float, typer.Option(metavar="RATIO", help="Texture's millimeters for one of the hand.")
+    ] = 1.0,
+    dpi: Annotated[
+        float | None, typer.Option(help="Resolution of a texture that does not say.")
+    ] = None,
+    width_mm: Annotated[float | None, typer.Option(help="Or its width.")] = None,
+    grain_mm: Annotated[
+        float | None,
+        typer.Option(help="Way from pulse to pulse on wide high ground; measured if none."),
+    ] = None,
+    tiled: Annotated[bool, typer.Option("--tiled", help="Repeat the texture without end.")] = False,
+    light_on_dark: Annotated[
+        bool, typer.Option("--light-on-dark", help="Turn high and low.")
+    ] = False,
+    board: Annotated[
+        str, typer.Option(metavar="URL", help="As for live; simulated: waits for nothing.")
+    ] = "emulator:",
+    profile: ProfileOption = None,
+    mode: Annotated[
+        str, typer.Option("--mode", metavar="RA|SAI|PC", help="Which class feels the ridges.")
+    ] = "RA",
+    force: ForceOption = None,
+    intensity: IntensityOption = None,
+    rate: Annotated[float, typer.Option(metavar="HZ", help="Frames a second.")] = 100.0,
+    fastest: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ",
+            help="Most pulses a second of an electrode; 100 if none, at most half the frames.",
+        ),
+    ] = None,
+    seconds: SecondsOption = None,
+    felt: FeltOption = None,
+    record: RecordOption = None,
+    markers: MarkersOption = False,
+    json_file: JsonOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Feel a texture that stays where it is while the hand moves.
+
+    Each electrode pulses when a ridge passes under it: spatial frequency times speed times a
+    second, and nothing at rest.
+    """
+    import contextlib
+
+    from smarttouch.boards.board import usual_profile
+    from smarttouch.cli.files import parse_mode
+    from smarttouch.cli.plan import Plan
+    from smarttouch.cli.session import play
+    from smarttouch.mouse.motion import open_motion
+    from smarttouch.mouse.sensor import MouseSensor
+    from smarttouch.mouse.sweep_motion import strokes_over
+    from smarttouch.mouse.texture import open_texture
+    from smarttouch.profile import load_profile
+    from smarttouch.reading.window import press_n, profile_for_reading
+    from smarttouch.sensing.forces.force import open_force
+
+    own = load_profile(profile or usual_profile(board))
+    chosen = profile_for_reading(own)
+    plan = Plan(
+        sensor_url=texture,
+        board_url=board,
+        mode=parse_mode(mode),
+        seconds=seconds,
+        level=intensity,
+        force_url=force,
+        felt=felt,
+        record=record,
+        markers=markers,
+        json_file=json_file,
+        quiet=quiet,
+        seed=seed or 0,
+    )
+    surface = open_texture(
+        texture,
+        dpi=dpi,
+        width_mm=width_mm,
+        grain_mm=grain_mm,
+        tiled=tiled,
+        light_on_dark=light_on_dark,
+    )
+    kind = motion.partition(":")[0]
+    more: dict[str, Any] = {}
+    if kind == "window":
+        more = {"texture": surface}
+    elif kind == "sweep" and surface.size_mm is not None:
+        more = strokes_over(surface.size_mm, chosen.electrodes.extent_mm)
+    elif kind not in ("sweep", "path", "evdev"):
+        more = {"profile": own}
+    with contextlib.ExitStack() as stack:
+        moves = stack.enter_context(
+            open_motion(motion, speed_mm_s=speed, seed=seed, cpi=cpi, grab=grab or None, **more)
+        )
+        sensor = MouseSensor(
+            surface,
+            moves,
+            chosen,
+            plan.mode,
+            rate,
+            fastest,
+            scale,
+            None if plan.on_a_finger or force is not None else press_n(chosen),
+        )
+        pressing = None if force is None else stack.enter_context(open_force(force, chosen))
+        play(plan, sensor, pressing, chosen)

@@ -1,0 +1,42 @@
+"""A hand that rests is at rest, though what tells its motion jumps by a count."""
+
+import math
+
+SLIDES = 1.5
+"""Counts by which a moving hand is followed at a distance: to and fro by one count, along both
+axes (2.8 counts from end to end), is then no motion back."""
+STICKS = 4.5
+"""Counts that a resting hand must have moved by: what it slid behind, and the same to and fro."""
+
+_ROUNDING = 1 + 1e-6
+"""It ends a slide at just this distance, give or take a bit."""
+
+
+class Steady:
+    """Follows a place as a block follows a rubber band: it sticks, then slides behind.
+
+    Once the place has stood still for one look, its jumping to and fro by one
+    count along both axes moves nothing, for ever.
+
+    Parameters
+    ----------
+    resolution_mm : float, mm
+        One count; 0 follows exactly.
+    """
+
+    def __init__(self, resolution_mm: float) -> None:
+        self._slides_mm, self._sticks_mm = SLIDES * resolution_mm, STICKS * resolution_mm
+        self._moves = False
+        self._x_mm = self._y_mm = 0.0
+
+    def follow(self, x_mm: float, y_mm: float) -> tuple[float, float]:
+        """Return where the hand is taken to be, mm."""
+        by_x, by_y = x_mm - self._x_mm, y_mm - self._y_mm
+        far_mm = math.hypot(by_x, by_y)
+        far_enough_mm = self._slides_mm if self._moves else self._sticks_mm
+        self._moves = far_mm > far_enough_mm * _ROUNDING
+        if self._moves:
+            share = 1 - self._slides_mm / far_mm
+            self._x_mm += share * by_x
+            self._y_mm += share * by_y
+        return self._x_mm, self._y_mm

@@ -1,0 +1,146 @@
+"""The electric mouse: frequencies, objects that stay put, and time per frame.
+
+Run with::
+
+    pytest tests/benchmarks/test_mouse.py --benchmark-only -n0 -s
+
+Measured on what a simulated board delivered: pulses of each electrode, where it was.
+"""
+
+import math
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+from smarttouch.modes.bank import load_bank
+from smarttouch.mouse.sensor import MouseSensor
+from smarttouch.mouse.sweep_motion import SweepMotion
+from smarttouch.mouse.texture import open_texture
+from smarttouch.profile import load_profile
+from smarttouch.reading.window import profile_for_reading
+
+from ..mouse.touched import grating_file, object_file, path_motion, stroke, touch
+
+PROFILE = profile_for_reading(load_profile("electric-mouse"))
+STROKE_MM = 60.0
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return load_bank(PROFILE)
+
+
+def error_of(texture, speed, want_hz, bank, **options):
+    pulses_hz, sensor = stroke(texture, speed, PROFILE, bank, STROKE_MM, **options)
+    mean, worst = pulses_hz.mean() - want_hz, np.abs(pulses_hz - want_hz).max()
+    one = speed / STROKE_MM
+    return (
+        f"{want_hz:6.2f} Hz: mean {mean:+.3f}, worst electrode {worst:.2f} (a pulse is {one:.2f})"
+        f"{'; ' + '; '.join(sensor.notes) if sensor.notes else ''}"
+    )
+
+
+def test_frequencies(benchmark, bank, tmp_path):
+    def measure():
+        for angle in (0, 30, 60, 90):
+            for speed in (20, 40, 80):
+                want = speed / 4 * abs(math.cos(math.radians(angle)))
+                texture = open_texture(f"grating:4mm,{angle}deg")
+                print(f"4 mm, {angle:2}°, {speed} mm/s:", error_of(texture, speed, want, bank))
+        for pitch, angle, kind in (
+            (1, 0, "square"), (2, 30, "thin"), (4, 0, "square"), (4, 0, "thin"), (4, 30, "faint"),
+            (4, 60, "square"), (8, 30, "faint"),
+        ):  # fmt: skip
+            noise = 5.0 if kind == "faint" else 0.0
+            texture = open_texture(
+                str(grating_file(tmp_path / "g.png", pitch, angle, kind, noise=noise))
+            )
+            speed = 15 * pitch
+            want = speed / pitch * math.cos(math.radians(angle))
+            print(f"image {pitch} mm, {angle}°, {kind}:", error_of(texture, speed, want, bank))
+        for rate, speed in ((100, 120), (100, 160), (100, 200), (100, 300), (200, 300), (200, 400)):
+            texture = open_texture("grating:4mm,10deg")
+            want = speed / 4 * math.cos(math.radians(10))
+            words = error_of(texture, speed, want, bank, rate_hz=rate)
+            print(f"{rate} frames/s, {speed} mm/s:", words)
+
+    print()
+    benchmark.pedantic(measure, rounds=1)
+
+
+def ways(folder):
+    """Return motions over an object in the middle of 80 x 40 mm."""
+    time_s = np.linspace(0, 2, 201)
+    yield "straight, 40 mm/s", path_motion(folder, time_s, 40 * time_s, 20 + 0 * time_s)
+    yield "straight, 80 mm/s", path_motion(folder, time_s / 2, 40 * time_s, 20 + 0 * time_s)
+    bent = 20 + 6 * np.sin(math.pi * time_s)
+    yield "bent, 40 mm/s to the right", path_motion(folder, time_s, 40 * time_s, bent)
+    yield "bent, 40 mm/s to the left", path_motion(folder, time_s, 80 - 40 * time_s, bent)
+    turn = 2 * math.pi * time_s / 2
+    yield "circle", path_motion(folder, time_s, 40 + 12 * np.sin(turn), 20 + 12 * np.cos(turn))
+    swing = np.linspace(0, 6, 601)
+    there = 40 + 14 * np.sin(2 * math.pi * swing / 1.5)
+    yield "to and fro", path_motion(folder, swing, there, 20 + swing - 3)
+
+
+def residual_of(felt, texture):
+    """Return by how much pulses are off the object, mm: centroid, and best shift of the picture."""
+    wide, high = texture.size_mm
+    shape = (round(high / 0.1), round(wide / 0.1))
+    drawn = 255 - texture.draw(0.0, 0.0, shape, 0.1).astype(np.float32)
+    got = 255 - felt.picture((0.0, 0.0), shape, 0.1).astype(np.float32)
+    y, x = np.mgrid[: shape[0], : shape[1]] * 0.1 + 0.05
+    middle = [
+        float((each * got).sum() / got.sum() - (each * drawn).sum() / drawn.sum())
+        for each in (x, y)
+    ]
+    margin = 40
+    score = cv2.matchTemplate(
+        cv2.copyMakeBorder(got, *(margin,) * 4, cv2.BORDER_CONSTANT), drawn, cv2.TM_CCORR
+    )
+    _, best, _, (column, row) = cv2.minMaxLoc(score)
+    return middle, ((column - margin) / 10, (row - margin) / 10), best
+
+
+def test_objects_stay_put(benchmark, bank, tmp_path):
+    def measure():
+        for kind in ("disc", "cross"):
+            texture = open_texture(str(object_file(tmp_path / "o.png", kind)))
+            for name, motion in ways(tmp_path):
+                touched, _ = touch(texture, motion, PROFILE, bank)
+                middle, shift, _ = residual_of(touched.felt, texture)
+                print(
+                    f"{kind}, {name}: centroid off by ({middle[0]:+.2f}, {middle[1]:+.2f}) mm, "
+                    f"best shift ({shift[0]:+.1f}, {shift[1]:+.1f}) mm, "
+                    f"{len(touched.felt.number)} pulses"
+                )
+
+    print()
+    benchmark.pedantic(measure, rounds=1)
+
+
+def test_time_per_frame(benchmark, tmp_path):
+    def frame_us(spec, speed):
+        texture, motion = open_texture(spec), SweepMotion(speed, (60.0, 0.0), rounds=4)
+        motion.origin_mm = (15.0, 20.0)
+        sensor = MouseSensor(texture, motion, PROFILE, press_n=1.0)
+        times = [int(each * 1e7) for each in range(int(motion.duration_s * 100))]
+        spent = []
+        for time_ns in times:
+            began = time.perf_counter()
+            sensor.read(time_ns)
+            spent.append(1e6 * (time.perf_counter() - began))
+        return np.percentile(spent, (50, 99))
+
+    def measure():
+        image = str(grating_file(tmp_path / "g.png", 4, 30, "faint", noise=5.0))
+        disc = str(object_file(tmp_path / "o.png", "disc"))
+        for spec in ("grating:4mm,30deg", image, disc):
+            for speed in (40, 160):
+                median, late = frame_us(spec, speed)
+                print(f"{spec.rsplit('/')[-1]}, {speed} mm/s: {median:.0f} µs, 99 % {late:.0f} µs")
+
+    print()
+    benchmark.pedantic(measure, rounds=1)

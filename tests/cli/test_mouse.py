@@ -1,0 +1,102 @@
+"""The electric mouse, through the program."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from ..mouse.touched import object_file
+
+SIMULATED = ("--board", "simulated:")
+
+
+def figures_of(path):
+    return json.loads(path.read_text())
+
+
+def test_without_options_a_virtual_hand_strokes_a_grating(program_here, tmp_path):
+    done = program_here("mouse", *SIMULATED, "--json", "f.json", "--felt", "felt.png")
+    assert (done.returncode, done.stderr) == (0, "")
+    figures = figures_of(tmp_path / "f.json")
+    # 60 mm there and back over 4 mm: 15 ridges each, at all of 64 electrodes.
+    assert figures["slots"] == pytest.approx(2 * 15 * 64, abs=64)
+    assert figures["emulator_violations"] == 0
+    assert figures["ended"] == "the hand has stopped"
+    with Image.open(tmp_path / "felt.png") as picture:
+        assert picture.width > 900
+
+
+def test_faster_is_as_many_pulses_in_less_time(program_here, tmp_path):
+    slots, seconds = [], []
+    for speed in (40, 80):
+        done = program_here("mouse", *SIMULATED, "--speed", speed, "--json", "f.json", "--quiet")
+        assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+        figures = figures_of(tmp_path / "f.json")
+        slots.append(figures["slots"])
+        seconds.append(figures["seconds"])
+    assert slots[0] == pytest.approx(slots[1], abs=64)
+    assert seconds[0] - seconds[1] == pytest.approx(1.5, abs=0.1)
+
+
+def test_an_image_under_a_recorded_hand(program_here, tmp_path):
+    object_file(tmp_path / "o.png", "disc")
+    (tmp_path / "way.csv").write_text(
+        "time_s,x_mm,y_mm,force_n\n0,20,20,1\n1,20,20,1\n2,60,20,1\n2.1,60,20,1\n"
+    )
+    there = ("--texture", "o.png", "--motion", "path:way.csv")
+    done = program_here("mouse", *there, *SIMULATED, "--json", "f.json", "--quiet")
+    assert (done.returncode, done.stderr) == (0, "")
+    all_over = figures_of(tmp_path / "f.json")["slots"]
+    assert 100 < all_over < 250
+    done = program_here(
+        "mouse", *there, *SIMULATED, "--grain-mm", 1, "--json", "f.json", "--mode", "SAI", "--quiet"
+    )
+    assert figures_of(tmp_path / "f.json")["slots"] == pytest.approx(2 * all_over, rel=0.2)
+    done = program_here(
+        "mouse", *there, *SIMULATED, "--force", "fixed:0.1", "--json", "f.json", "--quiet"
+    )
+    assert figures_of(tmp_path / "f.json")["slots"] == 0
+
+
+def test_letters_and_height_maps(program_here, tmp_path):
+    np.save(tmp_path / "h.npy", np.kron(np.eye(2), np.ones((50, 100))))
+    for texture in (("text:i",), ("h.npy", "--width-mm", 20, "--rate", 200)):
+        done = program_here(
+            "mouse", "--texture", *texture, *SIMULATED, "--speed", 100, "--json", "f.json"
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+        assert figures_of(tmp_path / "f.json")["slots"] > 30
+
+
+def test_what_was_felt_replays_to_the_bit(program_here, tmp_path):
+    done = program_here("mouse", *SIMULATED, "--seed", 3, "--speed", 90, "--record", "run.mcap")
+    assert (done.returncode, done.stderr) == (0, "")
+    done = program_here("replay", "run.mcap", "--check")
+    assert "identical" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--texture", "none.png"], "no file none.png"),
+        (["--texture", "grating:x"], "is no grating"),
+        (["--motion", "wheel:"], "unknown motion"),
+        (["--motion", "evdev:/dev/null"], "no input device"),
+        (["--motion", "sweep:", "--cpi", "400"], "does not take cpi"),
+        (["--speed", "0"], "--speed 0"),
+        (["--rate", "300"], "--rate 300"),
+        (["--fastest", "80"], "at most half"),
+        (["--scale", "-1"], "--scale -1"),
+        (["--mode", "natural"], "choose RA, SAI or PC"),
+        (["--mode", "XY"], "is not offered"),
+        (["--seconds", "0"], "--seconds 0"),
+        (["--felt", "felt.png", "--board", "memory:"], "--felt needs a board"),
+    ],
+)
+def test_bad_input_is_one_sentence(program_here, arguments, words):
+    done = program_here("mouse", *SIMULATED, *arguments)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert "Traceback" not in done.stderr
