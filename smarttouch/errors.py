@@ -29,6 +29,10 @@ class ReadingError(SmartTouchError):
     """What was asked cannot be read with a fingertip, or not by machine."""
 
 
+class ExperimentError(SmartTouchError):
+    """An experiment cannot be run as asked, or its answers cannot be read."""
+
+
 class CalibrationError(SmartTouchError):
     """A calibration cannot be done, or what it measured makes no sense."""
 
@@ -59,3 +63,7 @@ class BoardRestartedError(BoardError):
 
 class RecordingError(SmartTouchError):
     """A recording cannot be written or read."""
+
+
+class MarkersError(SmartTouchError):
+    """Markers cannot be sent."""

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from smarttouch.errors import SmartTouchError
+from smarttouch.errors import MarkersError
 from smarttouch.live import Sent
 from smarttouch.profile import Profile
 
@@ -31,10 +31,6 @@ _LINGER_S = 0.1
 _STEPS = 16
 _MOVED_S = 0.001
 """If so many steps in a row come so late, the loop has moved its schedule."""
-
-
-class MarkersError(SmartTouchError):
-    """Markers cannot be sent."""
 
 
 class Markers:

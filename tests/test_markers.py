@@ -9,8 +9,9 @@ import pytest
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.clock import SimulatedClock
 from smarttouch.controls import StopRequest
+from smarttouch.errors import MarkersError
 from smarttouch.live import Sent, run
-from smarttouch.markers import FRAMES, PULSES, Markers, MarkersError
+from smarttouch.markers import FRAMES, PULSES, Markers
 from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode
 from smarttouch.scan.safety import SafetyLimits

@@ -16,6 +16,7 @@ from smarttouch.cli.experiment_fit import fit
 from smarttouch.cli.figures import figures
 from smarttouch.cli.legibility import legibility
 from smarttouch.cli.live import live
+from smarttouch.cli.mouse import mouse
 from smarttouch.cli.profiles import profiles
 from smarttouch.cli.read import read
 from smarttouch.cli.recordings import recordings
@@ -35,6 +36,7 @@ app.command()(live)
 app.command()(read)
 app.command()(braille)
 app.command()(legibility)
+app.command()(mouse)
 app.command()(color)
 app.command()(stop)
 app.command()(replay)

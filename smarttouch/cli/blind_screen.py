@@ -1,0 +1,42 @@
+"""The terminal of a participant: what to do now, and nothing that would tell the answer."""
+
+from rich.console import Group
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from smarttouch.cli.screen import Screen
+
+_TELLS = ("trial ", "response ")
+"""How the account of an experiment begins, which is not for who sits it."""
+_KEYS = "+ −  amplitude    0  none    space  pause    q, Esc, Ctrl-C  end, goes on another time"
+
+
+class BlindScreen(Screen):
+    """Shows question, amplitude and pressure; no electrodes, rates or currents."""
+
+    def tell(self, time_ns: int, words: str) -> None:
+        """Keep what happened last, unless it tells of a trial."""
+        if not words.startswith(_TELLS):
+            super().tell(time_ns, words)
+
+    def _render(self) -> Group | Text:
+        sent = self._latest
+        if sent is None:
+            return Text("waiting for the first frame")
+        frame = sent.step.frame
+        table = Table.grid(padding=(0, 1))
+        for name, part in (
+            ("amplitude", self._controls.wish(frame.time_ns).level),
+            ("pressure", frame.force_n / self._profile.force.full_n),
+        ):
+            filled = round(20 * min(1.0, max(0.0, part)))
+            table.add_row(Text(name, style="dim"), Text("█" * filled + "░" * (20 - filled)))
+        where, _, now = self._source.title.partition(": ")
+        return Group(
+            Text(where, style="dim"),
+            Panel(Text(now or " ", style="bold", justify="center"), width=72, padding=(1, 2)),
+            table,
+            Text(_KEYS, style="dim"),
+            Text(self._event, style="dim"),
+        )

@@ -1,0 +1,227 @@
+"""``smarttouch experiment``: psychophysics with pulses, from a list of experiments or freely."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from smarttouch.cli.options import (
+    ForceOption,
+    IntensityOption,
+    JsonOption,
+    MarkersOption,
+    ProfileOption,
+    QuietOption,
+    RecordOption,
+    SecondsOption,
+)
+
+experiment = typer.Typer(
+    help="Psychophysics: what a finger can tell of pulses (paper, Section III).",
+    no_args_is_help=True,
+)
+
+_Mode = Annotated[str, typer.Option("--mode", metavar="RA|SAI|PC", help="Which afferents.")]
+_Site = Annotated[
+    int | None, typer.Option("--site", metavar="N", help="Electrode; in the middle if none.")
+]
+_Overwrite = Annotated[bool, typer.Option("--overwrite", help="Begin the CSV file anew.")]
+_Participant = Annotated[str, typer.Option("--participant", metavar="NAME", help="Who feels it.")]
+_Session = Annotated[str, typer.Option("--session", metavar="NAME", help="Which session.")]
+_Output = Annotated[
+    Path | None,
+    typer.Option("--output", metavar="CSV", help="Answers; named by participant if none."),
+]
+
+
+@experiment.command("list")
+def list_all() -> None:
+    """Show which experiments there are."""
+    from smarttouch.experiments.catalog import CATALOG
+
+    for name, entry in CATALOG.items():
+        typer.echo(f"{name:13} {entry.about} [{', '.join(entry.methods)}]")
+    typer.echo(f"{'free':13} turn amplitude, rate and mode by hand: smarttouch experiment free")
+
+
+@experiment.command()
+def run(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="See smarttouch experiment list.")],
+    mode: _Mode = "RA",
+    procedure: Annotated[
+        str | None,
+        typer.Option(metavar="constant|staircase|questplus", help="Which stimulus comes next."),
+    ] = None,
+    standards: Annotated[
+        str | None, typer.Option(metavar="LIST", help="Of frequency, Hz, as in 15,30,45.")
+    ] = None,
+    repetitions: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Of each condition (constant).")
+    ] = None,
+    trials: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Most of each standard (adaptive).")
+    ] = None,
+    letters: Annotated[
+        str | None, typer.Option(metavar="LIST", help="Of letters, as in AEIOU; A to Z if none.")
+    ] = None,
+    two_intervals: Annotated[
+        bool, typer.Option("--two-intervals", help="Detection: in which of two, not yes or no.")
+    ] = False,
+    site: _Site = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(metavar="HZ", help="Of pulses, where it is not what is asked about."),
+    ] = None,
+    train_s: Annotated[float | None, typer.Option(metavar="S", help="Length of trains.")] = None,
+    gap_s: Annotated[float, typer.Option(metavar="S", help="Between two intervals.")] = 0.5,
+    answer_s: Annotated[
+        float, typer.Option(metavar="S", help="Then the trial ends without an answer; 0: never.")
+    ] = 10.0,
+    participant: _Participant = "",
+    session: _Session = "",
+    seed: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Of all orders; from participant and session if none."),
+    ] = None,
+    output: _Output = None,
+    overwrite: _Overwrite = False,
+    simulate: Annotated[
+        str | None,
+        typer.Option(
+            metavar="model|random|first|silent",
+            help="Who answers instead of a person, on simulated:",
+        ),
+    ] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(metavar="URL", help="As for live; emulator:, with --simulate simulated:"),
+    ] = None,
+    profile: ProfileOption = None,
+    force: ForceOption = None,
+    intensity: IntensityOption = None,
+    record: RecordOption = None,
+    markers: MarkersOption = False,
+    json_file: JsonOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Run an experiment of the list; the same command again goes on where it was.
+
+    Keys: the answers that the screen names, r for the trial once more, and those of live: + − for
+    the amplitude, space for a pause, q to go on another time.
+    """
+    import contextlib
+
+    from smarttouch.boards.board import usual_profile
+    from smarttouch.cli.experiment_steps import (
+        Sitting,
+        numbered,
+        parse_standards,
+        require_answers,
+        sit,
+        usual_name,
+    )
+    from smarttouch.cli.files import parse_choice, parse_primary
+    from smarttouch.cli.plan import Plan
+    from smarttouch.experiments.catalog import Wanted, design
+    from smarttouch.experiments.course import Course
+    from smarttouch.experiments.rows import About, RowFile
+    from smarttouch.experiments.session import Session
+    from smarttouch.primary import Mode
+    from smarttouch.profile import load_profile
+    from smarttouch.sensing.forces.force import open_force
+
+    if simulate is not None:
+        simulate = parse_choice("--simulate", simulate, ("model", "random", "first", "silent"))
+    board = board or ("emulator:" if simulate is None else "simulated:")
+    require_answers(simulate, board)
+    chosen = load_profile(profile or usual_profile(board))
+    primary = parse_primary(mode)
+    named = f"{name}-{primary.name}"
+    stem, order = usual_name(named, participant, session, seed)
+    wanted = Wanted(
+        primary, procedure, parse_standards(standards), repetitions, trials, site, train_s, rate,
+        letters, two_intervals, order,
+    )  # fmt: skip
+    made = design(name, chosen, wanted)
+    # Nobody is there who could press harder, or turn the intensity up.
+    patience_s = None if simulate is None else 10.0
+    course = Course(gap_s, answer_s or None, made.again, patience_s)
+    path = output or Path(f"{stem}.csv")
+    about = About(named, made.method, participant, session, order)
+    with RowFile(path, about, overwrite) as file, contextlib.ExitStack() as stack:
+        sitting = Sitting(made, Session(made.task, made.procedure, file, _now()), chosen, course)
+        resumed = sitting.session.resumed
+        plan = Plan(
+            sensor_url=f"experiment:{named}",
+            board_url=board,
+            mode=Mode[primary.name],
+            level=intensity,
+            force_url=force,
+            record=record if record is None or not resumed else numbered(record),
+            markers=markers,
+            json_file=json_file,
+            quiet=quiet,
+            seed=order,
+            subject=participant,
+            note=session,
+        )
+        pressing = None if force is None else stack.enter_context(open_force(force, chosen))
+        sit(sitting, plan, pressing, simulate, path)
+
+
+@experiment.command()
+def free(
+    mode: _Mode = "RA",
+    site: _Site = None,
+    rate: Annotated[float, typer.Option(metavar="HZ", help="Of pulses, 10 to 200.")] = 50.0,
+    knob: Annotated[
+        str | None,
+        typer.Option(metavar="URL", help="Moved away from you: stronger. evdev:, window:, ..."),
+    ] = None,
+    participant: _Participant = "",
+    output: Annotated[
+        Path | None, typer.Option(metavar="CSV", help="All changes; free.csv or the next number.")
+    ] = None,
+    board: Annotated[str, typer.Option(metavar="URL", help="As for live.")] = "emulator:",
+    profile: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="The paper's line array if not given.")
+    ] = "line-8",
+    force: ForceOption = None,
+    intensity: IntensityOption = 0.0,
+    seconds: SecondsOption = None,
+    record: RecordOption = None,
+    markers: MarkersOption = False,
+    json_file: JsonOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Turn the current by hand, from nothing to the device's own limit (paper, III-A).
+
+    Keys: ↑ ↓ + − for the amplitude, ← → for the rate, m for the mode, [ ] for the site, 1 to 9 to
+    mark what is felt; and those of live. Every change is a row of the CSV file.
+    """
+    from smarttouch.cli.experiment_steps import free_run
+    from smarttouch.cli.files import parse_primary
+    from smarttouch.cli.plan import Plan
+    from smarttouch.primary import Mode
+    from smarttouch.profile import load_profile
+
+    plan = Plan(
+        sensor_url="experiment:free",
+        board_url=board,
+        mode=Mode.COLOR,
+        seconds=seconds,
+        level=intensity,
+        force_url=force,
+        record=record,
+        markers=markers,
+        json_file=json_file,
+        quiet=quiet,
+        subject=participant,
+    )
+    free_run(plan, load_profile(profile), parse_primary(mode), site, rate, knob, output)
+
+
+def _now() -> str:
+    from datetime import datetime
+
+    return datetime.now().astimezone().isoformat(timespec="seconds")

@@ -1,0 +1,166 @@
+"""``smarttouch experiment fit``: psychometric functions through answers, and what they say."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from smarttouch.cli.options import JsonOption, QuietOption
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from smarttouch.experiments.fitting.psychometric import Guess
+    from smarttouch.experiments.fitting.table import Table
+    from smarttouch.experiments.fitting.verdict import Finding
+
+
+def fit(
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="CSV files of answers, one of each condition."),
+    ],
+    x: Annotated[str, typer.Option("--x", metavar="COLUMN", help="What was shown.")] = "comparison",
+    y: Annotated[
+        str, typer.Option("--y", metavar="COLUMN", help="What was answered: 1, 0 or nothing.")
+    ] = "success",
+    standard: Annotated[
+        str, typer.Option(metavar="COLUMN", help="What it was compared with, if anything.")
+    ] = "standard",
+    function: Annotated[
+        str, typer.Option(metavar="normal|logistic|weibull", help="Shape of the curve.")
+    ] = "normal",
+    linear: Annotated[
+        bool | None,
+        typer.Option("--linear/--log", help="Its axis; found out from the comparisons if none."),
+    ] = None,
+    guess: Annotated[
+        str | None,
+        typer.Option(
+            metavar="0..1|equal|free",
+            help="Successes where nothing is known: 0.5 of two intervals; equal to the lapses; "
+            "free; found out if none.",
+        ),
+    ] = None,
+    lapse: Annotated[float, typer.Option(metavar="0..1", help="Most lapses.")] = 0.1,
+    at: Annotated[
+        float | None,
+        typer.Option(
+            metavar="0..1",
+            help="Share of answers at the threshold; 0.75, or halfway from the guess.",
+        ),
+    ] = None,
+    samples: Annotated[int, typer.Option(metavar="N", help="Of the bootstrap.")] = 1000,
+    resample: Annotated[
+        str, typer.Option(metavar="curve|trials", help="What the bootstrap draws from.")
+    ] = "curve",
+    seed: Annotated[int, typer.Option(metavar="N", help="Of the bootstrap.")] = 0,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="PNG|PDF|SVG", help="Draw shares and thresholds.")
+    ] = None,
+    json_file: JsonOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Fit answers: thresholds with intervals, or why there are none.
+
+    Several files, of RA and PC mode for example, come into one table and one picture, under their
+    names.
+    """
+    from dataclasses import replace
+
+    from smarttouch.cli.files import parse_choice, require_folder, write_json
+    from smarttouch.errors import ExperimentError
+    from smarttouch.experiments.fitting.answers import usual_model
+    from smarttouch.experiments.fitting.fit import How
+    from smarttouch.experiments.fitting.psychometric import Shape
+    from smarttouch.experiments.fitting.report import as_figures, as_series
+    from smarttouch.experiments.fitting.table import read_table
+    from smarttouch.experiments.fitting.verdict import judge
+    from smarttouch.figures import style
+    from smarttouch.figures.discrimination import discrimination_figure
+
+    require_folder(json_file)
+    require_folder(plot)
+    if plot is not None:
+        style.new_figure(1, 1)
+    if not 100 <= samples <= 100_000:
+        raise ExperimentError(f"--samples {samples} is not offered: give 100 to 100000")
+    if seed < 0:
+        raise ExperimentError(f"--seed {seed} is not offered: give 0 or more")
+    parametric = parse_choice("--resample", resample, ("curve", "trials")) == "curve"
+    how = How(samples, seed, parametric)
+    shape, wanted = parse_choice("--function", function, Shape), _parse_guess(guess)
+    found: list[tuple[Table, list[Finding]]] = []
+    for path in files:
+        table = read_table(path, x, y, standard)
+        if sum(each.stem == path.stem for each in files) > 1:
+            table = replace(table, name=str(path))
+        axis = None if linear is None else not linear
+        model = usual_model(table.answers, shape, wanted, axis, at, lapse)
+        found.append((table, [judge(each, model, how) for each in table.answers]))
+    if not quiet:
+        _print(found)
+    if json_file is not None:
+        write_json(json_file, {table.name: as_figures(findings) for table, findings in found})
+    if plot is not None:
+        style.save(discrimination_figure([as_series(*each) for each in found]), plot)
+
+
+def _parse_guess(text: str | None) -> "Guess | None":
+    from smarttouch.errors import ExperimentError
+
+    if text is None:
+        return None
+    if text == "equal":
+        return "equal"
+    if text == "free":
+        return "free"
+    try:
+        return float(text)
+    except ValueError:
+        raise ExperimentError(
+            f"--guess {text!r} is not offered: give a share such as 0.5, equal or free"
+        ) from None
+
+
+def _print(found: Sequence[tuple["Table", list["Finding"]]]) -> None:
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    for table, findings in found:
+        console.print(f"{table.name}{', ' * bool(table.unit)}{table.unit}", style="bold")
+        compares = any(each.answers.standard for each in findings)
+        _print_thresholds(console, [each for each in findings if not each.verdict], compares)
+        for each in findings:
+            about = f"{each.answers.standard:g}: " if compares else ""
+            if each.verdict is not None:
+                console.print(f"{about}no threshold: {each.verdict}", soft_wrap=True)
+            for note in each.notes:
+                console.print(f"{about}{note}", style="dim", soft_wrap=True)
+
+
+def _print_thresholds(console: "Console", findings: list["Finding"], compares: bool) -> None:
+    from rich.table import Table as Shown
+
+    from smarttouch.experiments.fitting.report import in_percent, in_words
+
+    if not findings:
+        return
+    shown = Shown(box=None, padding=(0, 1, 0, 0))
+    names = ["n", f"{findings[0].model.share:.0%} at", "slope", "lapse", "p"]
+    if compares:
+        names[2:2] = ["Weber", "lower", "middle"]
+        names.insert(0, "standard")
+    for name in names:
+        shown.add_column(name, justify="right", no_wrap=True)
+    for each in findings:
+        assert each.fit is not None
+        goodness = "" if each.goodness is None else f"{each.goodness:.2f}"
+        cells = [str(each.answers.answered), in_words(each.threshold)]
+        if compares:
+            lower = "" if each.lower_weber is None else f"{each.lower_weber.value:.0%}"
+            cells += [in_percent(each.weber), lower, f"{each.fit.at(0.5):.3g}"]
+            cells.insert(0, f"{each.answers.standard:g}")
+        shown.add_row(*cells, f"{each.fit.slope:.2g}", f"{each.fit.lapse:.2f}", goodness)
+    console.print(shown)

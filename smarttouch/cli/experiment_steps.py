@@ -1,0 +1,193 @@
+"""What ``smarttouch experiment run`` does around a run."""
+
+import contextlib
+import sys
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import count
+from pathlib import Path
+
+import typer
+
+from smarttouch.boards.board import Board
+from smarttouch.cli.plan import Plan
+from smarttouch.cli.progress import bank_progress
+from smarttouch.cli.session import play
+from smarttouch.clock import MonotonicClock
+from smarttouch.errors import ExperimentError, SmartTouchError
+from smarttouch.experiments.catalog import Design
+from smarttouch.experiments.course import Course
+from smarttouch.experiments.free import FreeLog, FreeSensor, HandControls, up_to_the_ceiling
+from smarttouch.experiments.sensor import ExperimentSensor
+from smarttouch.experiments.session import Session
+from smarttouch.experiments.subject import Subject, make_observer
+from smarttouch.experiments.summary import summarize
+from smarttouch.live import Sent
+from smarttouch.modes.bank import load_bank
+from smarttouch.mouse.motion import open_motion
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+from smarttouch.reading.window import press_n
+from smarttouch.sensing.forces.force import ForceSource, open_force
+
+_SIMULATED = "simulated:"
+
+
+@dataclass
+class Sitting:
+    """One run of an experiment."""
+
+    made: Design
+    session: Session
+    profile: Profile
+    course: Course
+
+
+def sit(
+    sitting: Sitting, plan: Plan, force: ForceSource | None, simulate: str | None, path: Path
+) -> None:
+    """Run an experiment to its end or until a user ends it; say how far it came."""
+    session, profile = sitting.session, sitting.profile
+    if not plan.quiet:
+        _say_before(sitting, path)
+    if session.over:
+        if not plan.quiet:
+            _say_after(sitting, path)
+        return
+    nobody = force is None and not plan.on_a_finger
+    sensor = ExperimentSensor(
+        session,
+        profile,
+        sitting.course,
+        press_n(profile) if nobody else None,
+        None if plan.board_url == _SIMULATED else MonotonicClock(),
+    )
+
+    def attend(board: Board) -> Callable[[Sent], None]:
+        if simulate is None:
+            return sensor.watch
+        seed = plan.seed + session.resumed
+        drawn = getattr(sitting.made.task, "drawn", None)
+        observer = make_observer(simulate, profile, seed, drawn)
+        subject = Subject(sensor, observer, board)
+
+        def watch(sent: Sent) -> None:
+            sensor.watch(sent)
+            subject.watch(sent)
+
+        return watch
+
+    try:
+        play(replace(plan, attend=attend), sensor, force, profile)
+    finally:
+        if not plan.quiet:
+            _say_after(sitting, path)
+
+
+def free_run(
+    plan: Plan,
+    profile: Profile,
+    primary: Primary,
+    site: int | None,
+    rate_hz: float,
+    knob_url: str | None,
+    output: Path | None,
+) -> None:
+    """Let a user turn amplitude, rate, mode and site until they have had enough."""
+    if not sys.stdin.isatty() and plan.seconds is None:
+        raise ExperimentError(
+            "there is no keyboard, by which this would end: use a terminal, or give --seconds"
+        )
+    raised = up_to_the_ceiling(profile)
+    with contextlib.ExitStack() as stack:
+        force = None
+        if plan.force_url is not None:
+            force = stack.enter_context(open_force(plan.force_url, raised))
+        knob = None if knob_url is None else stack.enter_context(open_motion(knob_url))
+        with bank_progress(plan.quiet) as progress:
+            offered = tuple(sorted(load_bank(raised, progress).weights))
+        nobody = force is None and not plan.on_a_finger
+        log = stack.enter_context(FreeLog(output or numbered(Path("free.csv"))))
+        sensor = FreeSensor(
+            raised, offered, log, primary, site, rate_hz, press_n(raised) if nobody else None
+        )
+        hand = partial(HandControls, knob=knob)
+        play(
+            replace(plan, controls=hand, attend=lambda _board: sensor.watch), sensor, force, raised
+        )
+        if not plan.quiet:
+            typer.echo(f"every change is in {log.path}")
+
+
+def _say_before(sitting: Sitting, path: Path) -> None:
+    session = sitting.session
+    total = "" if session.total is None else f" of {session.total}"
+    if session.resumed and not session.over:
+        typer.echo(f"goes on at trial {session.resumed + 1}{total}: {path}")
+    for note in sitting.made.notes:
+        typer.echo(note)
+
+
+def _say_after(sitting: Sitting, path: Path) -> None:
+    for line in summarize(sitting.made, sitting.session, path):
+        typer.echo(line)
+
+
+def require_answers(simulate: str | None, board_url: str) -> None:
+    """Raise unless somebody can answer."""
+    if simulate is not None and board_url != _SIMULATED:
+        raise ExperimentError(
+            f"--simulate answers for nobody: no current of its flows through {board_url!r}, only "
+            f"through {_SIMULATED}"
+        )
+    if simulate is None and not sys.stdin.isatty():
+        raise ExperimentError("there is no keyboard to answer on: use a terminal, or --simulate")
+    if simulate is None and board_url == _SIMULATED:
+        raise ExperimentError(
+            "nobody can answer as fast as simulated: goes: choose emulator:, or --simulate"
+        )
+
+
+def parse_standards(text: str | None) -> tuple[float, ...] | None:
+    """Return the frequencies that ``--standards 15,30`` names."""
+    if text is None:
+        return None
+    try:
+        standards = tuple(float(each) for each in text.split(","))
+    except ValueError:
+        standards = ()
+    if not standards or not all(0 < each < 1e6 for each in standards):
+        raise SmartTouchError(
+            f"--standards {text!r} is not understood: give frequencies in Hz, as in 15,30,45"
+        )
+    return tuple(dict.fromkeys(standards))
+
+
+def usual_name(
+    experiment: str, participant: str, session: str, seed: int | None
+) -> tuple[str, int]:
+    """Return what an experiment's file is called without ending, and the seed of its orders.
+
+    Raises
+    ------
+    SmartTouchError
+        If a name cannot be part of a file's, or the seed is negative.
+    """
+    for option, name in (("--participant", participant), ("--session", session)):
+        if any(not (each.isalnum() or each in "-_.") for each in name):
+            raise SmartTouchError(
+                f"{option} {name!r} becomes part of a file's name: use letters, digits, - and _"
+            )
+    if seed is not None and seed < 0:
+        raise SmartTouchError(f"--seed {seed} must be 0 or more")
+    named = "-".join(each for each in (participant, session, experiment) if each)
+    usual = zlib.crc32(f"{participant}/{session}".encode()) % 10_000
+    return named, usual if seed is None else seed
+
+
+def numbered(path: Path) -> Path:
+    """Return a file's name with the next number, if there is one of that name."""
+    names = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
+    return next(each for each in names if not each.exists()) if path.exists() else path

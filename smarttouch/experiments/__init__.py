@@ -1,0 +1,1 @@
+"""Psychophysics: which stimulus comes next, what was answered, and what follows from it."""

@@ -1,0 +1,38 @@
+"""How a trial goes: its pauses, and how long an answer is waited for."""
+
+from dataclasses import dataclass
+
+from smarttouch.errors import ExperimentError
+
+
+@dataclass(frozen=True)
+class Course:
+    """How a trial goes.
+
+    Attributes
+    ----------
+    gap_s : float, s
+        Between two intervals.
+    answer_s : float or None, s
+        How long an answer is waited for; for ever if None.
+    again : bool
+        Whether a participant may feel a trial once more.
+    patience_s : float or None, s
+        How long it is waited for intensity before a trial; for ever if None.
+
+    Raises
+    ------
+    ExperimentError
+        If it cannot go so.
+    """
+
+    gap_s: float = 0.5
+    answer_s: float | None = 10.0
+    again: bool = True
+    patience_s: float | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.gap_s <= 60:
+            raise ExperimentError(f"--gap-s {self.gap_s:g} must be from 0 to 60 s")
+        if self.answer_s is not None and not 0 < self.answer_s <= 3600:
+            raise ExperimentError(f"--answer-s {self.answer_s:g} must be above 0, at most 3600 s")

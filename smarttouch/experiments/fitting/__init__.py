@@ -1,0 +1,1 @@
+"""Psychometric functions through answers, and what can be said of them."""

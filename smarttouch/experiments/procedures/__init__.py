@@ -1,0 +1,1 @@
+"""Which stimulus comes next."""

@@ -1,0 +1,287 @@
+"""One row of a CSV file for each trial, as users of PsychoPy know it; on disk at once."""
+
+import csv
+import io
+import math
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from types import NoneType, TracebackType
+from typing import Any, Self, get_args
+
+from smarttouch.errors import ExperimentError
+
+_BOM = "\N{ZERO WIDTH NO-BREAK SPACE}".encode()
+"""By which spreadsheets know UTF-8."""
+_SAME = ("experiment", "procedure", "participant", "session", "seed")
+"""What all rows of a file agree in."""
+
+
+@dataclass(frozen=True)
+class TrialRow:
+    """One trial. The attributes are the columns of the file, in their order.
+
+    Attributes
+    ----------
+    repetition, trial, number, index : int
+        PsychoPy's thisRepN, thisTrialN, thisN and thisIndex: repetition, trial in it, trial of
+        all, which condition; all from 0.
+    experiment : str
+        Its name.
+    procedure : str
+        ``constant``, ``staircase`` or ``questplus``.
+    standard : float or None
+        What was compared with; None (an empty cell) where there is nothing.
+    comparison : float
+        Level, frequency or distance of what was tested.
+    comparison_interval : int or None
+        1 or 2; None where there are no two intervals.
+    unit : str
+        Of standard and comparison: Hz, mA, mm.
+    target, response : str
+        What was shown and what was answered, in words; an empty response is none.
+    success : bool or None
+        Discrimination: the comparison was judged higher or stronger. Detection: it was felt.
+        Identification: it was named. None if no answer came. 1, 0 or empty in the file.
+    rt : float or None, s
+        From the end of the stimulus to the answer.
+    time_s : float, s
+        Of the run, at the answer.
+    level : float
+        Amplitude that the user had chosen, 0 to 1.
+    participant, session, date : str
+        Who, which session, and when it began.
+    seed : int
+        Of the order of trials.
+    frame_rate_hz : float or None
+        PsychoPy's frameRate: sequences a second.
+    version : str
+        Of smarttouch.
+    """
+
+    repetition: int
+    trial: int
+    number: int
+    index: int
+    experiment: str
+    procedure: str
+    standard: float | None
+    comparison: float
+    comparison_interval: int | None
+    unit: str
+    target: str
+    response: str
+    success: bool | None
+    rt: float | None
+    time_s: float
+    level: float
+    participant: str
+    session: str
+    date: str
+    seed: int
+    frame_rate_hz: float | None
+    version: str
+
+
+_PSYCHOPY = {
+    "repetition": "thisRepN",
+    "trial": "thisTrialN",
+    "number": "thisN",
+    "index": "thisIndex",
+    "frame_rate_hz": "frameRate",
+}
+COLUMNS = {each.name: _PSYCHOPY.get(each.name, each.name) for each in fields(TrialRow)}
+"""Of each attribute."""
+
+
+@dataclass(frozen=True)
+class About:
+    """Whose answers a file keeps; every row says it.
+
+    Attributes
+    ----------
+    experiment, procedure, participant, session : str
+    seed : int
+    """
+
+    experiment: str
+    procedure: str
+    participant: str
+    session: str
+    seed: int
+
+
+class RowFile:
+    """A file that rows are added to, each on disk before `append` returns.
+
+    A file that is there already goes on; a line that was cut off when a program was killed is
+    dropped from it first.
+
+    Parameters
+    ----------
+    path : Path
+        The CSV file; made if missing.
+    about : About
+        What a file that is there must be about.
+    overwrite : bool
+        Whether to begin anew.
+
+    Attributes
+    ----------
+    rows : list of TrialRow
+        Those in the file.
+
+    Raises
+    ------
+    ExperimentError
+        If it cannot be opened, is no such file, or is about something else.
+    """
+
+    def __init__(self, path: Path, about: About, overwrite: bool = False) -> None:
+        self.path, self.about = path, about
+        if path.suffix.lower() != ".csv":
+            raise ExperimentError(f"answers go into a .csv file, not {path}: give such a name")
+        data = b"" if overwrite or not path.exists() else _bytes(path)
+        whole = data[: data.rfind(b"\n") + 1]
+        self.rows = _parse(whole, path) if whole else []
+        self._require_same(self.rows[:1] + self.rows[-1:])
+        try:
+            self._file = path.open("r+b" if whole else "wb")
+            self._file.truncate(len(whole))
+            self._file.seek(len(whole))
+            if not whole:
+                self._write(_BOM + _line(COLUMNS.values()))
+        except OSError as error:
+            raise ExperimentError(f"cannot write {path}: {error.strerror}") from None
+
+    def append(self, row: TrialRow) -> None:
+        """Add one trial.
+
+        Raises
+        ------
+        ExperimentError
+            If it is about something else, has what no cell can hold, or cannot be written.
+        """
+        self._require_same([row])
+        line = _line(_cell(getattr(row, name), COLUMNS[name]) for name in COLUMNS)
+        try:
+            self._write(line)
+        except OSError as error:
+            raise ExperimentError(f"cannot write {self.path}: {error.strerror}") from None
+        self.rows.append(row)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _write(self, data: bytes) -> None:
+        self._file.write(data)
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def _require_same(self, rows: list[TrialRow]) -> None:
+        for row in rows:
+            for name in _SAME:
+                has, wanted = getattr(row, name), getattr(self.about, name)
+                if has != wanted:
+                    raise ExperimentError(
+                        f"{self.path} has {name} {has!r}, not {wanted!r}: give another file, or "
+                        "overwrite it"
+                    )
+
+
+def read_rows(path: Path) -> list[TrialRow]:
+    """Return the trials of a file; a line that was cut off at its end is dropped.
+
+    Raises
+    ------
+    ExperimentError
+        If it cannot be read, or a line is not what such a file has.
+    """
+    data = _bytes(path)
+    return _parse(data[: data.rfind(b"\n") + 1], path)
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ExperimentError(f"cannot read {path}: {error.strerror}") from None
+
+
+def _parse(data: bytes, path: Path) -> list[TrialRow]:
+    try:
+        lines = list(csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ExperimentError(f"{path} is no CSV file in UTF-8: {error}") from None
+    head = lines[0] if lines else []
+    for column in COLUMNS.values():
+        if column not in head:
+            raise ExperimentError(
+                f"{path} has no column {column} in its first line: give a file of answers"
+            )
+    place = {each.name: head.index(COLUMNS[each.name]) for each in fields(TrialRow)}
+    kinds = {each.name: each.type for each in fields(TrialRow)}
+    rows, name = [], ""
+    for number, line in enumerate(lines[1:], start=2):
+        if not line:
+            continue
+        try:
+            values: dict[str, Any] = {}
+            for name, kind in kinds.items():
+                values[name] = _value(line[place[name]], kind)
+            rows.append(TrialRow(**values))
+        except (IndexError, ValueError):
+            raise ExperimentError(
+                f"{path}, line {number}: {COLUMNS[name]} is missing or not what belongs there; "
+                "mend or delete the line"
+            ) from None
+    return rows
+
+
+def _value(text: str, kind: Any) -> str | bool | float | None:
+    """Return what a cell says; kinds are those of the attributes of `TrialRow`."""
+    if kind is str:
+        return text
+    kinds = get_args(kind) or (kind,)
+    if not text and NoneType in kinds:
+        return None
+    if bool in kinds:
+        return bool(("0", "1").index(text))
+    if int in kinds:
+        return int(text)
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(text)
+    return number
+
+
+def _cell(value: str | float | None, column: str) -> str:
+    if isinstance(value, str):
+        if "\n" in value or "\r" in value:
+            raise ExperimentError(f"{column} {value!r} has a line break: leave it out")
+        return value
+    if value is None:
+        return ""
+    if not math.isfinite(value):
+        raise ExperimentError(f"{column} is {value}, which no trial can be: give a number")
+    # What comes from numpy would be written with its type's name.
+    return repr(float(value)) if isinstance(value, float) else str(int(value))
+
+
+def _line(cells: Iterable[str]) -> bytes:
+    line = io.StringIO(newline="")
+    csv.writer(line, lineterminator="\n").writerow(cells)
+    return line.getvalue().encode()

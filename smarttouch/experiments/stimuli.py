@@ -1,0 +1,165 @@
+"""Pulse trains on sites of an array: what an interval of a trial lets the finger feel."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import ExperimentError
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+
+FEWEST_PULSES = 2
+"""Fewer have no frequency."""
+LONGEST_S = 60.0
+_PIXELS = 4
+"""Of the picture of an array, across the cell of an electrode."""
+
+
+@dataclass(frozen=True, eq=False)
+class Train:
+    """Pulses at one frequency.
+
+    Attributes
+    ----------
+    activation : ndarray, (3, E) float32, in [0, 1]
+        One row for each `Primary`; all zero is a blank of the same length.
+    period_us : int, µs
+        From pulse to pulse.
+    pulses : int
+        It ends one period after the last.
+    level : float, in [0, 1]
+        Of the strongest comfortable current, on top of what the user wishes.
+    rises : bool
+        Whether it rises to that level evenly from nothing.
+    """
+
+    activation: NDArray[np.float32]
+    period_us: int
+    pulses: int
+    level: float = 1.0
+    rises: bool = False
+
+    @property
+    def rate_hz(self) -> float:
+        return 1e6 / self.period_us
+
+    def blank(self) -> "Train":
+        """Return the same without current."""
+        return replace(self, activation=np.zeros_like(self.activation))
+
+    def level_at(self, pulse: int) -> float:
+        """Return the level of a pulse, counted from 0."""
+        return self.level * (pulse + 1) / self.pulses if self.rises else self.level
+
+
+class Stimuli:
+    """Makes trains for one class of afferents.
+
+    Parameters
+    ----------
+    profile : Profile
+        Array, limits and currents.
+    primary : Primary
+        Which class the trains drive.
+    train_s : float, s
+        How long they are.
+
+    Raises
+    ------
+    ExperimentError
+        If trains cannot be that long.
+    """
+
+    def __init__(self, profile: Profile, primary: Primary, train_s: float) -> None:
+        if not 0 < train_s <= LONGEST_S:
+            raise ExperimentError(
+                f"--train-s {train_s:g} must be above 0 and at most {LONGEST_S:g} s"
+            )
+        self.profile, self.primary, self.train_s = profile, primary, train_s
+
+    def train(self, where: Sequence[int] | NDArray[np.float32], rate_hz: float) -> Train:
+        """Return a train on some sites, or with an activation of each, (E,).
+
+        Raises
+        ------
+        ExperimentError
+            If the frequency is above the profile's limit, or too low for a train.
+        """
+        limit_hz = self.profile.limits.rate_hz
+        if not 0 < rate_hz <= limit_hz:
+            raise ExperimentError(
+                f"pulses at {rate_hz:g} Hz are not possible: the frequency must be above 0 and at "
+                f"most the profile's limit of {limit_hz:g} Hz"
+            )
+        pulses = round(self.train_s * rate_hz)
+        if pulses < FEWEST_PULSES:
+            raise ExperimentError(
+                f"{self.train_s:g} s at {rate_hz:g} Hz are {pulses} pulses, fewer than the "
+                f"{FEWEST_PULSES} that make a frequency: raise --train-s"
+            )
+        activation = np.zeros((len(Primary), len(self.profile.electrodes)), np.float32)
+        if isinstance(where, np.ndarray):
+            activation[self.primary] = where
+        else:
+            activation[self.primary, list(where)] = 1
+        return Train(activation, round(1e6 / rate_hz), pulses)
+
+    @property
+    def middle(self) -> int:
+        """The site in the middle of the array, of those that are driven."""
+        return self.nearest((0.0, 0.0))
+
+    def nearest(self, place_mm: Sequence[float] | NDArray[np.float64]) -> int:
+        """Return the driven site that is nearest to a place, (x, y) mm."""
+        driven = self.profile.driven
+        away_mm = self.profile.electrodes.position_mm[driven] - place_mm
+        return int(driven[np.hypot(*away_mm.T).round(6).argmin()])
+
+    def beside(self, site: int) -> dict[float, int]:
+        """Return the other driven sites on the same row, by how far right they are, mm."""
+        place_mm = self.profile.electrodes.position_mm
+        away_mm = place_mm[self.profile.driven] - place_mm[site]
+        return {
+            round(float(right), 3): int(other)
+            for other, (right, down) in zip(self.profile.driven, away_mm, strict=True)
+            if abs(down) < 1e-3 and abs(right) > 1e-3
+        }
+
+    def pairs(self) -> dict[float, tuple[int, int]]:
+        """Return two sites beside each other around the middle, by their distance, mm."""
+        place_mm = self.profile.electrodes.position_mm
+        found: dict[float, tuple[float, tuple[int, int]]] = {}
+        for left in self.profile.driven.tolist():
+            for far_mm, right in self.beside(left).items():
+                off_mm = float(np.hypot(*(place_mm[left] + place_mm[right]))) / 2
+                if far_mm > 0 and off_mm < found.get(far_mm, (np.inf,))[0] - 1e-6:
+                    found[far_mm] = off_mm, (left, right)
+        return {far_mm: found[far_mm][1] for far_mm in sorted(found)}
+
+
+def picture(profile: Profile, activation: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return what is felt as an image: dark where a site is active, whatever its class.
+
+    Parameters
+    ----------
+    profile : Profile
+    activation : ndarray, (3, E) float32, in [0, 1]
+
+    Returns
+    -------
+    ndarray, (H, W) uint8
+    """
+    electrodes = profile.electrodes
+    width_mm, height_mm = electrodes.extent_mm
+    per_mm = _PIXELS / min(electrodes.cell_mm)
+    shape = (round(height_mm * per_mm), round(width_mm * per_mm))
+    image = np.full(shape, 255, np.uint8)
+    corner_mm = electrodes.position_mm - electrodes.position_mm.min(axis=0)
+    size = np.rint(np.array(electrodes.cell_mm) * per_mm).astype(int)
+    strongest = activation.max(axis=0)
+    for site in np.flatnonzero(strongest):
+        left, top = np.rint(corner_mm[site] * per_mm).astype(int)
+        image[top : top + size[1], left : left + size[0]] = round(255 * (1 - strongest[site]))
+    return image

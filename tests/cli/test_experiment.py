@@ -1,0 +1,214 @@
+"""Experiments as a user runs them: at a terminal, simulated, stopped, killed and gone on with."""
+
+import io
+import json
+import os
+import signal
+import time
+from types import SimpleNamespace
+
+import pytest
+from rich.console import Console
+
+from smarttouch.cli.blind_screen import BlindScreen
+from smarttouch.controls import Controls, Wish
+from smarttouch.experiments.rows import read_rows
+from smarttouch.primary import Mode
+from smarttouch.recording.reader import Recording
+from smarttouch.tally import Tally
+
+SMALL = ("experiment", "run", "frequency", "--standards", "30", "--train-s", "0.15")
+SIMULATED = (*SMALL, "--simulate", "model")
+
+
+def shown(path):
+    return [(row.number, row.comparison, row.comparison_interval) for row in read_rows(path)]
+
+
+def test_the_list_names_every_experiment(program_here):
+    listed = program_here("experiment", "list").stdout
+    for name in ("frequency", "detection", "discomfort", "two-point", "localization", "letters"):
+        assert f"\n{name} " in f"\n{listed}"
+    assert "staircase" in listed
+    assert "free" in listed
+
+
+def test_a_simulated_session_is_kept_and_gone_on_with(program_here, tmp_path):
+    one = (*SIMULATED, "--repetitions", "1", "--participant", "ann", "--session", "2")
+    first = program_here(*one, "--json", "run.json")
+    assert (first.returncode, first.stderr) == (0, "")
+    assert "10 of 10 trials\n" in first.stdout
+    assert "fit it: smarttouch experiment fit ann-2-frequency-RA.csv" in first.stdout
+    path = tmp_path / "ann-2-frequency-RA.csv"
+    before = path.read_bytes()
+    assert json.loads((tmp_path / "run.json").read_text())["emulator_violations"] == 0
+    again = program_here(*one)
+    assert again.stdout.startswith("10 of 10 trials (10 in earlier runs)\n")
+    assert path.read_bytes() == before
+    path.write_bytes(before[:-20])
+    rest = program_here(*one)
+    assert rest.stdout.startswith("goes on at trial 10 of 10: ann-2-frequency-RA.csv\n")
+    assert len(read_rows(path)) == 10
+    program_here(*one, "--overwrite", "--quiet")
+    assert shown(path) == shown(path)
+    assert len(read_rows(path)) == 10
+
+
+def test_a_killed_session_goes_on_and_has_each_trial_once(start_program, program_here, tmp_path):
+    killed, whole = tmp_path / "killed.csv", tmp_path / "whole.csv"
+    many = (*SIMULATED, "--repetitions", "6")
+    process = start_program(*many, "--output", killed)
+    while process.poll() is None and not (killed.exists() and killed.read_bytes().count(b"\n") > 3):
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    left = len(read_rows(killed))
+    rest = program_here(*many, "--output", killed)
+    assert 3 <= left < 60
+    assert f"goes on at trial {left + 1} of 60" in rest.stdout
+    program_here(*many, "--output", whole)
+    assert shown(killed) == shown(whole)
+
+
+def test_recordings_of_a_session_are_numbered(program_here, tmp_path):
+    one = (*SIMULATED, "--repetitions", "1", "--output", "a.csv", "--record", "run.mcap")
+    program_here(*one)
+    path = tmp_path / "a.csv"
+    path.write_bytes(path.read_bytes()[:-20])
+    second = program_here(*one)
+    assert "wrote run-2.mcap" in second.stdout
+    words = [words for _, words in Recording(tmp_path / "run-2.mcap").events()]
+    trials = [each for each in words if each.startswith(("trial", "response"))]
+    assert len(trials) == 2
+    assert trials[0].startswith("trial 10: standard 30 Hz, comparison ")
+    assert trials[1].startswith("response 10: ")
+    assert any(
+        each.startswith("trial 1: ") for _, each in Recording(tmp_path / "run.mcap").events()
+    )
+
+
+def test_useless_subjects_are_simulated_too(program_here, tmp_path):
+    one = ("--repetitions", "1")
+    program_here(*SMALL, *one, "--simulate", "first", "--output", "first.csv")
+    assert {row.response for row in read_rows(tmp_path / "first.csv")} == {"1"}
+    quick = (*SMALL, *one, "--answer-s", "0.5")
+    silent = program_here(*quick, "--simulate", "silent", "--output", "silent.csv")
+    assert "20 of 20 trials, 20 of them without an answer\n" in silent.stdout
+    assert "fit it" not in silent.stdout
+
+
+def test_letters_end_with_who_was_taken_for_whom(program_here):
+    result = program_here(
+        "experiment", "run", "letters", "--simulate", "model", "--letters", "LOX",
+        "--train-s", "0.1", "--repetitions", "2",
+    )  # fmt: skip
+    assert "right by chance: 1 in 3" in result.stdout
+    assert " of 6 right" in result.stdout
+    assert "     L  O  X" in result.stdout
+
+
+def test_discomfort_ends_with_a_current(program_here, tmp_path):
+    result = program_here(
+        "experiment", "run", "discomfort", "--simulate", "model", "--repetitions", "2"
+    )
+    rows = read_rows(tmp_path / "discomfort-RA.csv")
+    enough = [row.comparison for row in rows if row.success]
+    assert len(rows) == 2
+    assert ("enough at" in result.stdout) == bool(enough)
+
+
+def test_a_person_answers_by_key_and_ends_with_ctrl_c(start_at_a_terminal, tmp_path):
+    process, keys = start_at_a_terminal(*SMALL, "--json", "run.json", "--gap-s", "0.1")
+    path = tmp_path / "frequency-RA.csv"
+    while process.poll() is None and path.read_bytes().count(b"\n") < 2:
+        os.write(keys, b"1")
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, err) == (0, "")
+    assert "(Ctrl-C): all electrodes off." in out
+    assert "of 100 trials; the same command goes on there" in out
+    figures = json.loads((tmp_path / "run.json").read_text())
+    assert figures["emulator_violations"] == 0
+    rows = read_rows(path)
+    assert len(rows) >= 1
+    assert {row.response for row in rows} == {"1"}
+    assert [row.number for row in rows] == list(range(len(rows)))
+
+
+def test_free_stimulation_by_hand(start_at_a_terminal, tmp_path):
+    process, keys = start_at_a_terminal("experiment", "free", "--json", "run.json")
+    path = tmp_path / "free.csv"
+    for key, row in ((b"+", "amplitude,0.1"), (b"\x1b[C", "rate,55.0"), (b"m", "mode,SAI")):
+        os.write(keys, key)
+        while process.poll() is None and row not in path.read_text(encoding="utf-8-sig"):
+            time.sleep(0.02)
+    os.write(keys, b"q")
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, err) == (0, "")
+    assert "every change is in free.csv" in out
+    figures = json.loads((tmp_path / "run.json").read_text())
+    assert figures["emulator_violations"] == 0
+    assert figures["max_current_ma"] < 0.11
+
+
+def test_free_stimulation_for_some_seconds(program_here, tmp_path):
+    free = ("experiment", "free", "--board", "simulated:", "--seconds", "1")
+    assert program_here(*free, "--intensity", "0.5").returncode == 0
+    assert (tmp_path / "free.csv").exists()
+    assert "every change is in free-2.csv" in program_here(*free).stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("run", "frequency"), "there is no keyboard to answer on"),
+        (("run", "frequency", "--simulate", "model", "--board", "memory:"), "only through simul"),
+        (("run", "frequency", "--simulate", "me"), "--simulate 'me' is not offered"),
+        (("run", "sight", "--simulate", "model"), "there is no experiment 'sight'"),
+        ((*SIMULATED[1:], "--participant", "a/b"), "becomes part of a file's name"),
+        ((*SIMULATED[1:], "--standards", "30,x"), "--standards '30,x' is not understood"),
+        ((*SIMULATED[1:], "--seed", "-1"), "--seed -1 must be 0 or more"),
+        ((*SIMULATED[1:], "--gap-s", "-1"), "--gap-s -1 must be from 0 to 60 s"),
+        ((*SIMULATED[1:], "--mode", "natural"), "--mode 'natural' is not offered"),
+        ((*SIMULATED[1:], "--output", "a.txt"), "give such a name"),
+        (("free",), "there is no keyboard, by which this would end"),
+        (("free", "--seconds", "1", "--rate", "500"), "--rate 500 must be from 10 to 200 Hz"),
+        (("free", "--seconds", "1", "--mode", "warm"), "--mode 'warm' is not offered"),
+    ],
+)
+def test_what_cannot_be_asked_for(program_here, arguments, says):
+    result = program_here("experiment", *arguments)
+    assert result.returncode == 2
+    assert says in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_the_seed_of_another_session_is_not_gone_on_with(program_here):
+    program_here(*SIMULATED, "--repetitions", "1")
+    other = program_here(*SIMULATED, "--repetitions", "1", "--seed", "1")
+    assert other.returncode == 2
+    assert "give another file, or overwrite it" in other.stderr
+
+
+def test_a_participant_s_screen_does_not_tell_the_answer(profile, make_frame):
+    source = SimpleNamespace(
+        title="frequency-RA, trial 3 of 50: which was faster? 1 or 2", keys={}, keys_help=""
+    )
+    controls = Controls(Wish(Mode.RA, 0.5))
+    screen = BlindScreen(source, profile, controls, "emulator:", None, Tally(), quiet=True)
+    frame = make_frame([[0]], force_n=0.45)
+    sequence = SimpleNamespace(rate_hz=45.0, current_ua=None)
+    screen.show(SimpleNamespace(step=SimpleNamespace(frame=frame, sequence=sequence)))
+    screen.tell(1_000_000_000, "trial 3: standard 30 Hz, comparison 45 Hz second")
+    console = Console(width=100, file=io.StringIO())
+    console.print(screen._render())
+    seen = console.file.getvalue()
+    assert "which was faster? 1 or 2" in seen
+    assert "trial 3 of 50" in seen
+    assert "45" not in seen
+    assert "Hz" not in seen
+    assert f"amplitude {'█' * 10}{'░' * 10}" in seen
+    screen.tell(2_000_000_000, "the finger is lifted")
+    console.print(screen._render())
+    assert "2.0 s: the finger is lifted" in console.file.getvalue()

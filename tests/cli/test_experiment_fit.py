@@ -1,0 +1,159 @@
+"""``smarttouch experiment fit``, as a user sees it."""
+
+import csv
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from smarttouch.cli.experiment_fit import fit
+from smarttouch.errors import SmartTouchError
+from smarttouch.experiments.procedures.constant import ConstantStimuli, ratio_pairs
+
+from ..experiments.simulated import Subject, answer_all
+
+FAST = ("--samples", "100")
+
+
+@pytest.fixture
+def program(tmp_path, monkeypatch):
+    """Return a runner of the command in an empty folder: its output, or the error's sentence."""
+    monkeypatch.chdir(tmp_path)
+    app = typer.Typer()
+    app.command()(fit)
+
+    def run(*arguments):
+        found = CliRunner().invoke(app, [*map(str, arguments)])
+        if found.exception is not None and not isinstance(found.exception, SystemExit):
+            raise found.exception
+        return found.output
+
+    return run
+
+
+def session(path, thresholds, seed=0):
+    """Write the answers of a subject with these thresholds of standards; none: the first."""
+    with path.open("w", newline="", encoding="utf-8-sig") as file:
+        writer = csv.writer(file)
+        writer.writerow(["standard", "comparison", "comparison_interval", "unit", "success"])
+        for standard, threshold in thresholds.items():
+            procedure = ConstantStimuli(ratio_pairs([standard]), 20, seed=seed)
+            subject = Subject(threshold or 1.0, 0.2)
+            answers = answer_all(procedure, subject.probability, seed + int(standard))
+            success = answers.success if threshold else answers.interval == 1
+            for row in zip(answers.comparison, answers.interval, success, strict=True):
+                writer.writerow([standard, row[0], row[1], "Hz", int(row[2])])
+
+
+def test_two_modes(program, tmp_path):
+    session(tmp_path / "RA.csv", {30.0: 36.0, 75.0: None})
+    session(tmp_path / "PC.csv", {30.0: 36.0, 75.0: 90.0})
+    said = program("RA.csv", "PC.csv", "--plot", "a.png", "--json", "a.json", *FAST)
+    lines = said.splitlines()
+    assert lines[0] == "RA, Hz"
+    assert lines[1].split() == [
+        "standard",
+        "n",
+        "75%",
+        "at",
+        "Weber",
+        "lower",
+        "middle",
+        "slope",
+        "lapse",
+        "p",
+    ]
+    assert "75: no threshold: the first interval was chosen 200 of 200 times" in said
+    assert max(map(len, lines[:3])) <= 80
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+    figures = json.loads((tmp_path / "a.json").read_text())
+    assert list(figures) == ["RA", "PC"]
+    good, bad = figures["RA"]
+    assert good["threshold"]["low"] < good["threshold"]["value"] < good["threshold"]["high"]
+    assert good["threshold"]["value"] == pytest.approx(36, rel=0.1)
+    assert good["weber"]["value"] == pytest.approx(good["threshold"]["value"] / 30 - 1)
+    assert good["verdict"] is None
+    assert bad["threshold"] is bad["weber"] is bad["spread"] is None
+    assert "first interval" in bad["verdict"]
+    row = lines[2].split()
+    assert row[:2] == ["30", "200"]
+    assert float(row[2]) == pytest.approx(good["threshold"]["value"], rel=0.01)
+
+
+def test_the_same_again(program, tmp_path):
+    session(tmp_path / "RA.csv", {30.0: 36.0})
+    assert program("RA.csv", *FAST) == program("RA.csv", *FAST)
+    assert program("RA.csv", *FAST) != program("RA.csv", *FAST, "--seed", 5)
+    assert program("RA.csv", *FAST, "--quiet") == ""
+
+
+def test_others_answers(program, tmp_path):
+    """Detection of somebody else's: no standard, columns with names of their own."""
+    random = np.random.default_rng(2)
+    subject = Subject(0.8, 0.3, 0.5, 0.01, guess=0.1)
+    lines = ["mA;ok"]
+    for level in (0.0, 0.3, 0.5, 0.7, 0.9, 1.2, 1.6):
+        for _ in range(25):
+            lines.append(
+                f"{level};{'yes' if random.random() < subject.probability(level) else 'no'}"
+            )
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    program("a.csv", "--x", "mA", "--y", "ok", "--json", "a.json", "--plot", "a.svg", *FAST)
+    (found,) = json.loads((tmp_path / "a.json").read_text())["a"]
+    assert found["standard"] is found["weber"] is None
+    assert found["at"] == 0.5
+    assert 0 < found["guess"] < 0.3
+    assert found["threshold"]["value"] == pytest.approx(0.8, rel=0.2)
+    for options, at in (
+        (("--guess", "0.1", "--function", "weibull"), 0.55),
+        (("--guess", "equal", "--function", "logistic", "--linear", "--at", "0.6"), 0.6),
+        (("--guess", "free", "--resample", "trials", "--lapse", "0.02"), 0.5),
+    ):
+        program("a.csv", "--x", "mA", "--y", "ok", "--json", "a.json", *FAST, *options)
+        (found,) = json.loads((tmp_path / "a.json").read_text())["a"]
+        assert found["at"] == pytest.approx(at)
+        assert found["threshold"]["value"] == pytest.approx(0.8, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("none.csv",), "cannot read none.csv"),
+        (("a.csv", "--x", "hz"), "no column 'hz', but comparison, success"),
+        (("a.csv", "--guess", "half"), "--guess 'half' is not offered"),
+        (("a.csv", "--guess", "1"), "guess rate of 1"),
+        (("a.csv", "--function", "cubic"), "--function 'cubic' is not offered"),
+        (("a.csv", "--samples", "3"), "--samples 3 is not offered"),
+        (("a.csv", "--seed", "-1"), "--seed -1 is not offered"),
+        (("a.csv", "--function", "weibull", "--linear"), "logarithmic axis"),
+        (("a.csv", "--plot", "a.doc"), "name it"),
+        (("a.csv", "--plot", "none/a.png"), "cannot write none/a.png"),
+        (("a.csv", "--resample", "rows"), "--resample 'rows' is not offered"),
+    ],
+)
+def test_what_a_user_can_do_wrong(program, tmp_path, options, says):
+    (tmp_path / "a.csv").write_text("comparison,success\n1,0\n2,1\n")
+    with pytest.raises(SmartTouchError, match=says):
+        program(*options, "--quiet")
+
+
+def test_files_of_the_same_name(program, tmp_path):
+    for folder in ("p1", "p2"):
+        (tmp_path / folder).mkdir()
+        session(tmp_path / folder / "RA.csv", {30.0: 36.0})
+    said = program("p1/RA.csv", "p2/RA.csv", "--json", "a.json", *FAST)
+    assert list(json.loads((tmp_path / "a.json").read_text())) == ["p1/RA.csv", "p2/RA.csv"]
+    assert "p1/RA.csv, Hz" in said
+
+
+def test_the_command_line_imports_nothing_heavy():
+    code = (
+        "import sys, smarttouch.cli.experiment_fit\n"
+        "print([each for each in ('numpy', 'scipy', 'matplotlib') if each in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
