@@ -99,7 +99,7 @@ def mouse(
     from smarttouch.mouse.motion import open_motion
     from smarttouch.mouse.sensor import MouseSensor
     from smarttouch.mouse.sweep_motion import strokes_over
-    from smarttouch.mouse.texture import open_texture
+    from smarttouch.mouse.textures import open_texture
     from smarttouch.profile import load_profile
     from smarttouch.reading.window import press_n, profile_for_reading
     from smarttouch.sensing.forces.force import open_force

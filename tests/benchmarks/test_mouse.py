@@ -17,7 +17,7 @@ import pytest
 from smarttouch.modes.bank import load_bank
 from smarttouch.mouse.sensor import MouseSensor
 from smarttouch.mouse.sweep_motion import SweepMotion
-from smarttouch.mouse.texture import open_texture
+from smarttouch.mouse.textures import open_texture
 from smarttouch.profile import load_profile
 from smarttouch.reading.window import profile_for_reading
 

@@ -6,7 +6,7 @@ from PIL import Image
 
 from smarttouch.errors import SmartTouchError
 from smarttouch.mouse.sweep_motion import SweepMotion, strokes_over
-from smarttouch.mouse.texture import open_texture
+from smarttouch.mouse.textures import open_texture
 
 from .touched import object_file, touch
 

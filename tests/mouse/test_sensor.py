@@ -9,7 +9,7 @@ from smarttouch.errors import SensorError
 from smarttouch.mouse.motion import Motion
 from smarttouch.mouse.sensor import JUMP_MM, MouseSensor, PulseLimit
 from smarttouch.mouse.sweep_motion import START_S
-from smarttouch.mouse.texture import open_texture
+from smarttouch.mouse.textures import open_texture
 from smarttouch.mouse.touch import feel
 from smarttouch.primary import Mode, Primary
 

@@ -10,7 +10,7 @@ from PIL import Image
 
 from smarttouch.errors import PageError
 from smarttouch.mouse.grain import dominant_pitch_mm
-from smarttouch.mouse.texture import open_texture
+from smarttouch.mouse.textures import open_texture
 
 from .touched import grating_file, object_file
 
