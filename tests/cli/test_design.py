@@ -187,7 +187,7 @@ def test_figures(program_here, tmp_path):
     done = program_here("figures", "drawn", "--profile=line-8", "--format=svg")
     assert done.returncode == 0, done.stderr
     names = {path.name for path in (tmp_path / "drawn").iterdir()}
-    expected = {f"fig-{number}.svg" for number in (5, 8, 9, 10)} | {
+    expected = {f"fig-{number}.svg" for number in (2, 5, 8, 9, 10)} | {
         "kernels-line-8.svg",
         "strength-duration-line-8.svg",
         "af-against-cable-line-8.svg",

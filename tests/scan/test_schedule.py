@@ -12,7 +12,7 @@ from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.modes.bank import design_bank, load_bank
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile, profile_names
-from smarttouch.scan.points import spread_order
+from smarttouch.scan.points import felt_at, spread_order
 from smarttouch.scan.safety import SafetyGate, SafetyLimits
 from smarttouch.scan.schedule import PointScan
 from smarttouch.scan.timing import ScanTiming
@@ -47,7 +47,9 @@ def test_every_sequence_of_every_profile_is_safe(name, data):
     sequence = scan.schedule(tactile(activation, primary=primary), intensity)
     started(profile).prove(sequence)
     assert not sequence.current_ua.sum(axis=1).any()
-    assert set(sequence.site) <= set(np.flatnonzero(activation))
+    felt = felt_at(profile, primary)
+    places = sequence.site if felt is None else felt[sequence.site]
+    assert set(places) <= set(np.flatnonzero(activation))
 
 
 def test_full_activation_gets_the_comfortable_current_and_faint_the_threshold(profile, bank):
