@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from scipy.fft import ifft, irfft, next_fast_len, rfft
 
 from smarttouch.color.trace import Array, Trace
+from smarttouch.errors import ScheduleError
 from smarttouch.nerve.receptors import sensitivity, threshold_um
 from smarttouch.primary import Primary
 from smarttouch.scan.rates import SLOWEST
@@ -98,7 +99,17 @@ def split(
         Force at which SAI is driven in full.
     sai_rate_hz : float, Hz
         At which it then fires.
+
+    Raises
+    ------
+    ScheduleError
+        If SAI is driven in full before it answers at all.
     """
+    if not sai_full_n > SAI_FORCE_N:
+        raise ScheduleError(
+            f"full force at {sai_full_n:g} N is no more than the {SAI_FORCE_N:g} N at which SAI "
+            "begins to answer: raise force.full_n of the profile"
+        )
     return {
         Primary.RA: _vibration(trace, Primary.RA, span_db),
         Primary.SAI: _pressure(trace, sai_full_n, sai_rate_hz),

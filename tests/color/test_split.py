@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from smarttouch.color.spec import open_trace
 from smarttouch.color.split import SPAN_DB, shares, split
 from smarttouch.color.trace import Trace
+from smarttouch.errors import ScheduleError
 from smarttouch.nerve.receptors import threshold_um
 from smarttouch.primary import Primary
 
@@ -131,3 +132,8 @@ def test_more_of_the_same_drives_no_class_less(seed, factor):
     before, after = split(trace), split(more)
     for primary in Primary:
         assert (after[primary].drive >= before[primary].drive - 1e-9).all()
+
+
+def test_a_force_at_which_sai_is_full_before_it_answers_is_refused():
+    with pytest.raises(ScheduleError, match=r"raise force\.full_n"):
+        split(open_trace("press:0.5N", 0.2), sai_full_n=0.001)

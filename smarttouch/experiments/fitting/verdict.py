@@ -113,7 +113,7 @@ class Finding:
         if self.goodness is not None and self.goodness < POOR:
             notes.append(
                 f"the curve fits poorly (deviance {self.fit.deviance:.1f}, "
-                f"p {self.goodness:.3f}): answers may have drifted"
+                f"p {self.goodness:.3f}): answers may have drifted, or follow another curve"
             )
         return notes
 
