@@ -117,16 +117,25 @@ def test_discomfort_ends_with_a_current(program_here, tmp_path):
     assert ("enough at" in result.stdout) == bool(enough)
 
 
-def test_a_person_answers_by_key_and_ends_with_ctrl_c(start_at_a_terminal, tmp_path):
+def test_a_person_answers_by_key_and_ends_with_ctrl_c(start_at_a_terminal, tmp_path, monkeypatch):
+    # The screen is drawn, though what it is drawn on is kept.
+    monkeypatch.setenv("FORCE_COLOR", "1")
     process, keys = start_at_a_terminal(*SMALL, "--json", "run.json", "--gap-s", "0.1")
+    # A key of other runs: the class is the experiment's.
+    os.write(keys, b"m")
     path = tmp_path / "frequency-RA.csv"
     while process.poll() is None and path.read_bytes().count(b"\n") < 2:
         os.write(keys, b"1")
-        time.sleep(0.02)
+        # The screen is drawn ten times a second.
+        time.sleep(0.3)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=30)
     assert (process.returncode, err) == (0, "")
     assert "(Ctrl-C): all electrodes off." in out
+    # Whoever answers sees the question, and nothing that would tell the answer.
+    assert "which was faster? 1 or 2" in out
+    for telling in ("RA electrodes", "slots,", "sensor sees", "comparison", "second after"):
+        assert telling not in out
     assert "of 100 trials; the same command goes on there" in out
     figures = json.loads((tmp_path / "run.json").read_text())
     assert figures["emulator_violations"] == 0

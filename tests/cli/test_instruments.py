@@ -1,0 +1,65 @@
+"""What the instruments share with every run: recordings, pictures, markers, vibrators."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.io import wavfile
+
+from smarttouch.recording.check import check_recording
+from smarttouch.recording.reader import Recording
+
+from ..test_markers import FakeLsl
+
+SIMULATED = ("--board", "simulated:", "--quiet")
+
+
+def test_pulses_that_were_asked_for_are_asked_for_again_in_a_replay(program_here, tmp_path):
+    stroke = ("mouse", "--speed", "120", "--seconds", "1.5", *SIMULATED)
+    assert program_here(*stroke, "--record", "a.mcap", "--json", "a.json").returncode == 0
+    again = ("replay", "a.mcap", "--board", "simulated:", "--json", "b.json", "--quiet")
+    assert program_here(*again).returncode == 0
+    was, now = (json.loads((tmp_path / name).read_text()) for name in ("a.json", "b.json"))
+    assert was["slots"] == now["slots"] > 200
+
+
+def test_vibrators_shake_what_the_recording_says(program_here, tmp_path, changed):
+    mixed = ("color", "tone:30Hz,8um+tone:250Hz,2um", "--seconds", "1", *SIMULATED)
+    done = program_here(*mixed, "--vibrators", "v.wav?grid=1x1", "--record", "a.mcap")
+    assert (done.returncode, done.stderr) == (0, "")
+    rate_hz, wave = wavfile.read(tmp_path / "v.wav")
+    spectrum = np.abs(np.fft.rfft(wave.astype(np.float64)))
+    assert np.fft.rfftfreq(len(wave), 1 / rate_hz)[spectrum.argmax()] == pytest.approx(250, abs=2)
+    recording = Recording(tmp_path / "a.mcap")
+    assert recording.settings["vibrators"] == "v.wav?grid=1x1"
+    shaken = [each.step.sequence.vibration for each in recording.steps()]
+    assert max(each.max() for each in shaken) > 0.8
+    assert check_recording(tmp_path / "a.mcap").exact
+    slower = changed(recording.profile, {"limits.ramp_s": 0.9})
+    told = {each.what for each in check_recording(tmp_path / "a.mcap", profile=slower).differences}
+    assert "vibration" in told
+
+
+def test_the_picture_of_a_mouse_has_its_few_pulses_in_full(program_here, tmp_path):
+    stroke = ("mouse", "--texture", "text:I", "--speed", "120", *SIMULATED)
+    assert program_here(*stroke, "--felt", "felt.png").returncode == 0
+    picture = np.asarray(Image.open(tmp_path / "felt.png").convert("L"))
+    touched = picture[picture.shape[0] // 2 + 40 :]
+    assert np.percentile(touched, 0.5) < 60
+
+
+def test_markers_are_told_of_a_run(program_here, monkeypatch):
+    lsl = FakeLsl()
+    monkeypatch.setitem(sys.modules, "pylsl", lsl)
+    stroke = ("mouse", "--speed", "120", "--seconds", "1", "--markers", *SIMULATED)
+    assert program_here(*stroke).returncode == 0
+    pulses, frames, events = (
+        [sample for _, sample in lsl.pushed[f"smarttouch-{name}"]]
+        for name in ("pulses", "frames", "events")
+    )
+    assert len(pulses) == len(frames) == 100
+    assert sum(sample[1] for sample in pulses) > 100
+    assert ["intensity 1.00"] in events
+    assert any("all electrodes" in each or "are over" in each for (each,) in events)
