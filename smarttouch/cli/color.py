@@ -104,6 +104,10 @@ def color(
 
     for output in (plot, json_file):
         require_folder(output)
+    if plot is not None:
+        from smarttouch.figures import style
+
+        style.require_drawable(plot)
     trace = open_trace(source, 2.0 if seconds is None else seconds, seed)
     chosen = load_profile(profile or usual_profile(board))
     answers = split(trace, sai_full_n=chosen.force.full_n, sai_rate_hz=chosen.pulse.sai_rate_hz)

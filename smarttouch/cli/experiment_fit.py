@@ -83,7 +83,7 @@ def fit(
     require_folder(json_file)
     require_folder(plot)
     if plot is not None:
-        style.new_figure(1, 1)
+        style.require_drawable(plot)
     if not 100 <= samples <= 100_000:
         raise ExperimentError(f"--samples {samples} is not offered: give 100 to 100000")
     if seed < 0:

@@ -36,6 +36,19 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
+def require_drawable(path: Path) -> None:
+    """Raise before any work is done if a figure could not be drawn in the end.
+
+    Raises
+    ------
+    SmartTouchError
+        If its name ends in none of `FORMATS`, or matplotlib is not installed.
+    """
+    if path.suffix.lower().lstrip(".") not in FORMATS:
+        raise SmartTouchError(f"cannot draw {path}: name it {', '.join('*.' + f for f in FORMATS)}")
+    new_figure(1, 1)
+
+
 def plain(axes: Any, title: str = "", x: str = "", y: str = "") -> None:
     """Label axes, and leave only the two lines that carry numbers."""
     axes.set_title(title, loc="left", fontsize=9, pad=9)
@@ -53,8 +66,7 @@ def save(figure: "Figure", path: Path) -> None:
     SmartTouchError
         If that is none of `FORMATS`, or the file cannot be written.
     """
-    if path.suffix.lower().lstrip(".") not in FORMATS:
-        raise SmartTouchError(f"cannot draw {path}: name it {', '.join('*.' + f for f in FORMATS)}")
+    require_drawable(path)
     try:
         figure.savefig(path, dpi=200)
     except OSError as error:
