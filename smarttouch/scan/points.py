@@ -58,6 +58,8 @@ class PointSlots:
         if limits.electrode_ma is not None:
             most_ma = np.minimum(most_ma, limits.electrode_ma)
         self._most_ua = np.floor(1000 * most_ma[self._strongest] + 1e-6)
+        rounding_ua = len(weights) / 2
+        self._tight = bool((1000 * profile.full_ma + rounding_ua > self._most_ua).any())
         self._faintest = np.asarray(profile.threshold_ma / profile.full_ma, np.float32)
         self._range = 1 - self._faintest
         self._weakest_level = self._weakest_that_switches(profile.output.kind)
@@ -124,9 +126,10 @@ class PointSlots:
         current_ua = currents.astype(np.int16)
         surplus = current_ua.sum(axis=1, dtype=np.int16)
         rows, electrode = np.arange(slots), self._strongest[site]
-        closed = current_ua[rows, electrode] - surplus
-        over = np.abs(closed) > self._most_ua[site]
-        current_ua[rows, np.where(over, self._opposite[site], electrode)] -= surplus
+        if self._tight:
+            over = np.abs(current_ua[rows, electrode] - surplus) > self._most_ua[site]
+            electrode = np.where(over, self._opposite[site], electrode)
+        current_ua[rows, electrode] -= surplus
         return site.astype(np.uint16), current_ua, width_us
 
     def _widths_us(self, level: NDArray[np.float32]) -> NDArray[np.uint16]:

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-
 from smarttouch.figures.colors import ClassRow, color_figure, thresholds_figure
 from smarttouch.figures.style import CLASS_COLORS
 from smarttouch.primary import Primary
