@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smarttouch.modes.frame_fields import FieldMap
+from smarttouch.modes.frames.fields import FieldMap
 from smarttouch.nerve.activation import af_matrix
 from smarttouch.nerve.afferents import everywhere
 from smarttouch.primary import Primary
@@ -35,7 +35,7 @@ def test_a_map_is_what_all_rows_are(name, separable, primary):
     # Fields of a frame are known to 0.2 % of their largest: far below any bound's meaning.
     whole = current @ rows.T
     assert np.abs(field(current) - whole).max() < 2e-3 * np.abs(whole).max()
-    index = np.random.default_rng(1).choice(field.rows_n, 20, replace=False)
+    index = np.random.default_rng(1).integers(field.rows_n, size=20)
     assert np.abs(field.rows(index) - rows[index]).max() < 3e-4 * np.abs(rows).max()
     gram = rows.T @ rows
     assert np.abs(field.gram() - gram).max() < 1e-3 * np.abs(gram).max()

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.errors import DesignError
-from smarttouch.modes.frame_judge import FrameJudge, full_wish
+from smarttouch.modes.frames.judge import FrameBounds, FrameJudge, full_wish
 from smarttouch.modes.problem import Problem
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
@@ -47,6 +47,23 @@ def test_figures_are_those_of_all_rows(judged, seed, points):
     assert judge.far(active) == pytest.approx(far)
 
 
+@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
+@pytest.mark.parametrize("shallow", [Primary.SAI, Primary.PC])
+def test_every_class_counts(profile, changed, primary, shallow):
+    """Whichever lies highest answers most."""
+    if primary is shallow:
+        shallow = Primary.RA
+    mine = changed(profile, {f"skin.{shallow.name.lower()}_depth_mm": 0.45})
+    problem, judge = Problem(mine, primary), FrameJudge(mine, primary, np.ones(64))
+    level = np.zeros(64)
+    level[[9, 27, 50]] = 1.0
+    current = np.linalg.solve(problem.target, level)
+    reached = problem.rows[0].other @ current
+    assert problem.other_class[reached.argmax()] == shallow
+    expected = reached.max() / (problem.target[level > 0] @ current).min()
+    assert judge.judge(current, level).worst_other == pytest.approx(expected, rel=0.02)
+
+
 def test_a_single_kernel_has_its_bank_s_figures(judged, profile, bank):
     judge, _ = judged
     level = np.eye(64)[27]
@@ -71,3 +88,9 @@ def test_what_cannot_be_judged_is_said(profile):
     judge = FrameJudge(load_profile("smarttouch-4x4"), Primary.RA, np.ones(16))
     with pytest.raises(DesignError, match="without an active site"):
         judge.judge(np.zeros(16), np.zeros(16))
+
+
+@pytest.mark.parametrize("bound", [{"other": 0.0}, {"spill": -1.0}, {"uneven": 1.0}])
+def test_bounds_that_are_none_are_refused(bound):
+    with pytest.raises(DesignError, match="must be above 0"):
+        FrameBounds(**bound)

@@ -1,0 +1,109 @@
+"""What no subset of a set of sites can break: a proof for all frames at once.
+
+Fixed kernels that do not move one another's targets are superposed. A node of
+another class is then reached by at most the sum of what it gets from those
+that excite it, whichever of them are on; the worst node bounds all subsets.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import DesignError
+from smarttouch.modes.frames.operator import FrameOperator
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SharedKernels:
+    """Kernels of sites that may be on together, in any combination.
+
+    Attributes
+    ----------
+    sites : ndarray, (A,) intp
+    kernels : ndarray, (A, E) mA
+        Row i gives site i its wish, and the others of the set nothing.
+    """
+
+    operator: FrameOperator
+    sites: NDArray[np.intp]
+
+    @cached_property
+    def kernels(self) -> Array:
+        return np.asarray(self.operator.independent(self.sites) * self._wish[:, None])
+
+    @property
+    def _wish(self) -> Array:
+        return self.operator.judge.wish_af[self.sites]
+
+    @cached_property
+    def worst_other(self) -> float:
+        """No subset has a larger `FrameFigures.worst_other`."""
+        judge = self.operator.judge
+        reached = [np.maximum(field(self.kernels), 0).sum(axis=0).max() for field in judge.others]
+        return self._against_targets(float(max(reached)))
+
+    @cached_property
+    def worst_spill(self) -> float:
+        """No subset has a larger `FrameFigures.worst_spill`.
+
+        A node counts only where every active site is more than a pitch away:
+        sites within a pitch of it add nothing.
+        """
+        judge = self.operator.judge
+        own = np.maximum(judge.own(self.kernels), 0)
+        for row, site in zip(own, self.sites, strict=True):
+            row[~judge.far(np.array([site]))] = 0
+        return self._against_targets(float(own.sum(axis=0).max()))
+
+    @cached_property
+    def total_ma(self) -> float:
+        """No subset has a larger total."""
+        return float(np.abs(self.kernels).sum() / 2)
+
+    @cached_property
+    def electrode_ma(self) -> Array:
+        """No subset sends more through an electrode, (E,)."""
+        positive = np.maximum(self.kernels, 0).sum(axis=0)
+        return np.asarray(np.maximum(positive, np.maximum(-self.kernels, 0).sum(axis=0)))
+
+    @cached_property
+    def weakest(self) -> float:
+        """No subset leaves a target that is on less of its wish.
+
+        Below 1 where there are as many wishes as electrodes: currents that sum
+        to zero cannot keep them all.
+        """
+        return float((self._reached / self._wish).min())
+
+    def _against_targets(self, reached: float) -> float:
+        """Return it over the least that a target of any subset gets; infinite if that is none."""
+        smallest = float(self._reached.min())
+        return reached / smallest if smallest > 0 else np.inf
+
+    @cached_property
+    def _reached(self) -> Array:
+        each = self.operator.judge.target[self.sites] @ self.kernels.T
+        own = np.diag(each)
+        return np.asarray(own + np.minimum(each - np.diag(own), 0).sum(axis=1))
+
+
+def color_classes(operator: FrameOperator, step: int) -> list[SharedKernels]:
+    """Return the sites of a grid in classes of every so many rows and columns.
+
+    Raises
+    ------
+    DesignError
+        If the array is no grid.
+    """
+    array, driven = operator.judge.profile.electrodes, operator.judge.profile.driven
+    x, column = np.unique(array.position_mm[:, 0].round(6), return_inverse=True)
+    y, row = np.unique(array.position_mm[:, 1].round(6), return_inverse=True)
+    if len(x) * len(y) != len(array):
+        raise DesignError("color classes are for grids: give the sites of each set by yourself")
+    color = (row % step) * step + column % step
+    sets = (driven[color[driven] == each] for each in range(step * step))
+    return [SharedKernels(operator, sites) for sites in sets if len(sites)]

@@ -1,0 +1,201 @@
+"""What finished currents of one slot do: to the points they are for, and to all else."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import DesignError
+from smarttouch.modes.frames.fields import FieldMap
+from smarttouch.nerve.activation import af_matrix
+from smarttouch.nerve.afferents import Afferents, everywhere, targets
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile, Skin
+
+Array = NDArray[np.float64]
+
+_SAME_MM = 1e-9
+
+
+@dataclass(frozen=True)
+class FrameFigures:
+    """What one slot is judged by; AF as ratios to the weakest target's, scaled to level 1.
+
+    Attributes
+    ----------
+    worst_other : float
+        Largest activation of any other class.
+    worst_spill : float
+        Largest activation of the own class more than a pitch from every target.
+    weakest, strongest : float
+        Activation of the targets, of what was wished there.
+    total_ma, electrode_ma : float, mA
+        What all cathodes carry together, and the strongest electrode.
+    """
+
+    worst_other: float
+    worst_spill: float
+    weakest: float
+    strongest: float
+    total_ma: float
+    electrode_ma: float
+
+    @property
+    def error(self) -> float:
+        """How far apart the targets are, each against its wish; 0 is even."""
+        return self.strongest / self.weakest - 1 if self.weakest > 0 else np.inf
+
+
+@dataclass(frozen=True)
+class FrameBounds:
+    """What a slot may do at most.
+
+    Attributes
+    ----------
+    other, spill : float
+        Of `FrameFigures.worst_other` and `worst_spill`. 0.30 is what the paper's
+        own single SAI point reaches on its line array (Fig. 8).
+    uneven : float
+        How far targets may be from their wish, of it. All may be as much weaker
+        together, which saves current.
+
+    Raises
+    ------
+    DesignError
+        If one of them is not above zero, or unevenness not below 1.
+    """
+
+    other: float = 0.30
+    spill: float = 0.30
+    uneven: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name, value in (("other", self.other), ("spill", self.spill), ("uneven", self.uneven)):
+            if not 0 < value < (1 if name == "uneven" else np.inf):
+                raise DesignError(
+                    f"bound {name} = {value} of a frame must be above 0, uneven below 1"
+                )
+
+
+class FrameJudge:
+    """Judges currents on the nodes of one skin.
+
+    Parameters
+    ----------
+    profile : Profile
+        Array of E electrodes, and skin.
+    primary : Primary
+        Class that is to fire.
+    wish_af : ndarray, (E,) V/mm²
+        Activation at each target that a level of 1 wishes for.
+    skin : Skin, optional
+        Another skin than the profile's: depths, conductivities.
+    vary : callable, optional
+        Returns what a set of nodes is to be instead: other directions, say.
+    others : list of FieldMap, optional
+        Of the other classes, where another judge has them already.
+    """
+
+    def __init__(
+        self,
+        profile: Profile,
+        primary: Primary,
+        wish_af: Array,
+        skin: Skin | None = None,
+        vary: Callable[[Afferents], Afferents] = lambda one: one,
+        others: list[FieldMap] | None = None,
+    ) -> None:
+        if skin is not None:
+            profile = profile.model_copy(update={"skin": skin})
+        if np.shape(wish_af) != (len(profile.electrodes),):
+            raise DesignError(
+                f"wish_af has {np.size(wish_af)} values, the array {len(profile.electrodes)} "
+                "electrodes: give one for each"
+            )
+        self.profile, self.primary = profile, primary
+        self.wish_af = np.asarray(wish_af, np.float64)
+        self.target = af_matrix(profile, vary(targets(profile, primary)))
+        """Row s is the activating function of the target under electrode s, (E, E)."""
+        self.others = others or [
+            FieldMap(profile, vary(everywhere(profile, each)))
+            for each in Primary
+            if each is not primary
+        ]
+        place = vary(everywhere(profile, primary))
+        self.own = FieldMap(profile, place)
+        self._near = _near(place.position_mm, profile)
+
+    @property
+    def full_ma(self) -> Array:
+        """The most that each electrode may carry at intensity 1, (E,) mA, 0 where masked."""
+        limits = self.profile.limits
+        most = np.minimum(np.asarray(self.profile.full_ma, np.float64), limits.current_ma)
+        if limits.electrode_ma is not None:
+            most = np.minimum(most, np.asarray(limits.electrode_ma))
+        return np.where(np.isin(np.arange(len(most)), self.profile.driven), most, 0.0)
+
+    def far(self, active: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Return which own nodes are more than a pitch from every active target, (D·N,)."""
+        mask = np.ones(self.own.places_n + 1, np.bool_)
+        mask[self._near[active]] = False
+        return np.tile(mask[:-1], self.own.directions_n)
+
+    def reference(self, current: Array, level: Array) -> tuple[float, Array]:
+        """Return the weakest target's activation scaled to level 1, and all of its wish, (A,)."""
+        active = np.flatnonzero(level)
+        reached = self.target[active] @ current / level[active]
+        return float(reached.min()), reached / self.wish_af[active]
+
+    def judge(self, current: Array, level: Array) -> FrameFigures:
+        """Return what currents (E,) mA do that are to activate sites with level (E,) > 0.
+
+        Where a target is not activated at all the ratios are infinite.
+
+        Raises
+        ------
+        DesignError
+            If no site is active.
+        """
+        active = np.flatnonzero(level)
+        if not len(active):
+            raise DesignError("a frame without an active site has no figures: leave its slot out")
+        smallest, ratio = self.reference(current, level)
+        frame = np.asarray(current)[None]
+        other = max(float(field(frame).max()) for field in self.others)
+        own = self.own(frame)[0].reshape(self.own.directions_n, -1)
+        away = np.append(own.max(axis=0), -np.inf)
+        away[self._near[active]] = -np.inf
+        spill = max(float(away.max()), 0.0)
+        total, most = float(np.abs(current).sum() / 2), float(np.abs(current).max())
+        if smallest <= 0:
+            return FrameFigures(np.inf, np.inf, ratio.min(), ratio.max(), total, most)
+        return FrameFigures(
+            other / smallest, spill / smallest, float(ratio.min()), float(ratio.max()), total, most
+        )
+
+
+def full_wish(profile: Profile, primary: Primary, kernels: Array, receptor: Array) -> Array:
+    """Return what single kernels reach at the strongest comfortable current, (E,) V/mm².
+
+    Parameters
+    ----------
+    kernels : ndarray, (E, E)
+        `KernelBank.kernels` of the primary: peaks of 1, rows of masked sites zero.
+    receptor : ndarray, (E, E), V/mm² per mA
+        `KernelBank.receptor` of the primary.
+    """
+    return np.asarray(profile.full_ma * (receptor * kernels).sum(axis=1), np.float64)
+
+
+def _near(position_mm: Array, profile: Profile) -> NDArray[np.intp]:
+    """Return the places within a pitch of each electrode, (E, K), filled up with N."""
+    array = profile.electrodes
+    found = []
+    for center in array.position_mm:
+        away = np.hypot(*(position_mm - center).T)
+        found.append(np.flatnonzero(away <= array.pitch_mm + _SAME_MM))
+    near = np.full((len(found), max(map(len, found))), len(position_mm), np.intp)
+    for row, places in zip(near, found, strict=True):
+        row[: len(places)] = places
+    return near

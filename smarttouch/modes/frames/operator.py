@@ -1,0 +1,296 @@
+"""Currents for all points of a slot at once, from precomputed matrices.
+
+Side effects of currents w are a quadratic form wᵀMw, M the sum of the outer
+products of every node's AF row, weighted by class, and of the squared currents.
+The currents that activate the targets as wished, and cause the least of it, are
+
+    w = P T_aᵀ (T_a P T_aᵀ)⁻¹ y_a
+
+with T_a the AF rows of the *active* targets and P the inverse of M on the
+driven electrodes with Σw = 0 (least squares with linear constraints; a linear
+combination of the active targets' own least-disturbing kernels that makes
+them independent of each other). Sites that are not active have no wish. P and T P Tᵀ are
+computed once; a frame costs one system as large as it has points.
+
+What breaks a bound then is bounded: the worst rows are added one after the
+other as inequalities, and the small dual problem is solved by nonnegative
+least squares (Lawson and Hanson 1974), so that only the rows that matter take
+part.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.optimize import nnls
+
+from smarttouch.errors import DesignError
+from smarttouch.modes.frames.fields import FieldMap
+from smarttouch.modes.frames.judge import FrameBounds, FrameFigures, FrameJudge
+
+Array = NDArray[np.float64]
+
+_SOFT = 1e-6
+"""Of the targets' mean response: keeps systems solvable where all sites are active."""
+_SOFT_BOUND = 1e-5
+_STEPS = 3
+_ROUNDS = 8
+_ROWS_AT_ONCE = 12
+_HOPELESS = 1.6
+"""Total current of the least-disturbing currents, of the limit, above which none keep it."""
+_PROGRESS = 0.9
+"""A round that leaves more than this of the excess, after the first few, is the last."""
+_PATIENT_ROUNDS = 3
+_AIM = 0.8
+"""Part of the allowed unevenness by which all targets are wished weaker: it saves current."""
+_CELL = 3
+"""Lattice steps within which one broken row stands for its neighbors."""
+_INSIDE = 0.985
+"""Part of a bound that is aimed at."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What counts how much in the quadratic form; each class relative to its own mean.
+
+    Attributes
+    ----------
+    other, own : float
+        Nodes of the other classes, and of the class that is to fire.
+    current : float
+        Squared currents.
+    """
+
+    other: float
+    own: float
+    current: float
+
+
+CHOSEN = Weights(other=0.0, own=1.0, current=1.0)
+"""By measurement for RA and SAI alike (benchmarks/test_frames.py): least field of the own class.
+
+With less weight on currents frames are a little more selective, but a point of 32 x 32 electrodes
+then takes up to 5 mA instead of 2.5, and fewer share a slot.
+
+The other classes in the form, where both signs count, cost more than they save: a node
+that is pushed down harms nobody. Their positive sides are bounded in `FrameOperator.bounded`.
+"""
+
+
+class FrameOperator:
+    """Finds the currents of one slot.
+
+    Parameters
+    ----------
+    judge : FrameJudge
+        Rows, wishes and limits.
+    weights : Weights, optional
+        Of the quadratic form.
+    """
+
+    def __init__(self, judge: FrameJudge, weights: Weights = CHOSEN) -> None:
+        self.judge = judge
+        driven = judge.profile.driven
+        count = len(judge.profile.electrodes)
+        form = weights.current * np.eye(count)
+        for factor, fields in ((weights.other, judge.others), (weights.own, [judge.own])):
+            for field in fields:
+                gram = field.gram()
+                form += factor * gram / np.trace(gram) * count
+        # Masked electrodes carry nothing, and all currents sum to zero.
+        basis = _zero_sum(len(driven))
+        inner = basis.T @ form[np.ix_(driven, driven)] @ basis
+        self._inverse = np.zeros((count, count))
+        self._inverse[np.ix_(driven, driven)] = basis @ np.linalg.inv(inner) @ basis.T
+        self._columns = self._inverse @ judge.target.T
+        self._response = judge.target @ self._columns
+        self._soft = _SOFT * float(np.trace(self._response)) / count
+
+    @cached_property
+    def matrix(self) -> Array:
+        """The one matrix that serves all frames, (E, E) mA per V/mm²: every site has its wish.
+
+        An inactive site wishes for 0, which costs selectivity; w = matrix @ y is
+        a single product.
+        """
+        count = len(self._response)
+        system = self._response + self._soft * np.eye(count)
+        return np.asarray(np.linalg.solve(system, self._columns.T).T)
+
+    def currents(self, level: Array) -> Array:
+        """Return the currents (E,) mA that cause the least side effects for levels (E,)."""
+        active = self._active(level)
+        system = cho_factor(self._system(active))
+        wish = level[active] * self.judge.wish_af[active]
+        return np.asarray(self._columns[:, active] @ cho_solve(system, wish))
+
+    def independent(self, sites: NDArray[np.intp]) -> Array:
+        """Return kernels (A, E) mA per V/mm² of a set of sites that leave one another alone."""
+        system = cho_factor(self._system(sites))
+        return np.asarray(cho_solve(system, self._columns[:, sites].T))
+
+    def bounded(
+        self,
+        level: Array,
+        bounds: FrameBounds,
+        total_ma: float | None = None,
+        rounds: int = _ROUNDS,
+    ) -> tuple[Array, FrameFigures]:
+        """Return currents that keep the bounds as far as that can be, and their figures.
+
+        Parameters
+        ----------
+        level : ndarray, (E,)
+        bounds : FrameBounds
+        total_ma : float, optional
+            What all cathodes may carry; by default the profile's limit.
+        rounds : int
+            Broken rows are added so often at most.
+        """
+        judge, active = self.judge, self._active(level)
+        limit = judge.profile.limits.total_ma if total_ma is None else total_ma
+        wish = (1 - _AIM * bounds.uneven) * level[active] * judge.wish_af[active]
+        system = cho_factor(self._system(active))
+        columns = self._columns[:, active]
+        free = columns @ cho_solve(system, wish)
+        reference = float((wish / level[active]).min())
+        broken = _Broken(judge, active, bounds, reference, limit)
+        current, best = free, None
+        rows, limits = np.zeros((0, len(free))), np.zeros(0)
+        for done in range(rounds + 1):
+            figures = judge.judge(current, level)
+            excess = _excess(judge, figures, bounds, current, limit)
+            stuck = best is not None and excess > _PROGRESS * best[0]
+            if best is None or excess < best[0]:
+                best = excess, current, figures
+            if excess <= 0 or (stuck and done >= _PATIENT_ROUNDS):
+                break
+            if limit is not None and not done and figures.total_ma > _HOPELESS * limit:
+                break
+            more, at_most = broken.rows(current)
+            if not len(more):
+                break
+            rows, limits = np.concatenate([rows, more]), np.concatenate([limits, at_most])
+            # Rows that end at a bound, in the currents that change no target.
+            moved = self._inverse @ rows.T
+            moved -= columns @ cho_solve(system, columns.T @ rows.T)
+            price = _prices(rows @ moved, rows @ free - limits)
+            if price is None:
+                break
+            current = free - moved @ price
+            rows, limits = rows[price > 0], limits[price > 0]
+        assert best is not None
+        return best[1], best[2]
+
+    def _active(self, level: Array) -> NDArray[np.intp]:
+        active = np.flatnonzero(level)
+        masked = np.isin(active, self.judge.profile.output.masked)
+        if masked.any():
+            raise DesignError(
+                f"site {active[masked][0]} is masked: its electrode is not driven; leave it out"
+            )
+        return active
+
+    def _system(self, active: NDArray[np.intp]) -> Array:
+        return self._response[np.ix_(active, active)] + self._soft * np.eye(len(active))
+
+
+class _Broken:
+    """Chooses the rows of nodes and limits that currents break, each with its bound."""
+
+    def __init__(
+        self,
+        judge: FrameJudge,
+        active: NDArray[np.intp],
+        bounds: FrameBounds,
+        reference: float,
+        total_ma: float | None,
+    ) -> None:
+        self._judge, self._total_ma = judge, total_ma
+        self._fields: list[tuple[FieldMap, float, NDArray[np.bool_] | None]] = [
+            (field, _INSIDE * bounds.other * reference, None) for field in judge.others
+        ]
+        self._fields.append((judge.own, _INSIDE * bounds.spill * reference, judge.far(active)))
+
+    def rows(self, current: Array) -> tuple[Array, Array]:
+        """Return broken rows (K, E) and what each may reach (K,)."""
+        rows, limits = [np.zeros((0, len(current)))], [np.zeros(0)]
+        for field, bound, where in self._fields:
+            chosen = _hills(field, field(current[None])[0] - bound, where)
+            rows.append(field.rows(chosen))
+            limits.append(np.full(len(chosen), bound))
+        most = _INSIDE * self._judge.full_ma
+        over = np.flatnonzero(np.abs(current) > most)
+        rows.append(np.sign(current[over])[:, None] * np.eye(len(current))[over])
+        limits.append(most[over])
+        if self._total_ma is not None and np.abs(current).sum() > 2 * _INSIDE * self._total_ma:
+            # Whatever the signs, their sum with the currents is no more than all magnitudes.
+            rows.append(np.sign(current)[None] / 2)
+            limits.append(np.array([_INSIDE * self._total_ma]))
+        return np.concatenate(rows), np.concatenate(limits)
+
+
+def _hills(field: FieldMap, excess: Array, where: NDArray[np.bool_] | None) -> NDArray[np.intp]:
+    """Return the worst broken rows, one of each little cell of the lattice."""
+    broken = excess > 0 if where is None else (excess > 0) & where
+    index = np.flatnonzero(broken)
+    index = index[np.argsort(-excess[index])]
+    line, column = np.divmod(index, field.grid[1])
+    cell = line // _CELL * (field.grid[1] // _CELL + 1) + column // _CELL
+    _, first = np.unique(cell, return_index=True)
+    return np.asarray(index[np.sort(first)[:_ROWS_AT_ONCE]])
+
+
+def _prices(form: Array, excess: Array) -> Array | None:
+    """Minimize ½ λᵀ form λ − excess·λ over λ ≥ 0; slightly soft, as bounds may contradict.
+
+    None where that takes too long: only bounds that contradict one another do.
+    """
+    scale = float(np.trace(form)) / len(form)
+    root = cholesky(form + _SOFT_BOUND * scale * np.eye(len(form)), lower=True)
+    wanted = solve_triangular(root, excess, lower=True)
+    try:
+        return np.asarray(nnls(root.T, wanted, maxiter=_STEPS * len(form))[0])
+    except RuntimeError:
+        return None
+
+
+def keeps(
+    judge: FrameJudge,
+    figures: FrameFigures,
+    bounds: FrameBounds,
+    current: Array,
+    total_ma: float | None,
+) -> bool:
+    """Return whether currents (E,) mA with these figures keep bounds and limits."""
+    return _excess(judge, figures, bounds, current, total_ma) <= 0
+
+
+def _excess(
+    judge: FrameJudge,
+    figures: FrameFigures,
+    bounds: FrameBounds,
+    current: Array,
+    total_ma: float | None,
+) -> float:
+    """Return by which part the worst bound is broken; 0 or less if none is."""
+    most = judge.full_ma
+    parts = [
+        figures.worst_other / bounds.other,
+        figures.worst_spill / bounds.spill,
+        float((np.abs(current[most > 0]) / most[most > 0]).max()),
+        np.inf if current[most == 0].any() else 0.0,
+        (1 - figures.weakest) / bounds.uneven,
+        (figures.strongest - 1) / bounds.uneven,
+    ]
+    if total_ma is not None:
+        parts.append(figures.total_ma / total_ma)
+    return max(parts) - 1
+
+
+def _zero_sum(count: int) -> Array:
+    """Return an orthonormal basis of the vectors that sum to zero, (n, n − 1)."""
+    full, _ = np.linalg.qr(np.c_[np.ones(count), np.eye(count)[:, 1:]])
+    return np.asarray(full[:, 1:])

@@ -1,0 +1,137 @@
+"""Which points of a frame share a slot: few slots, every one within its bounds."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import DesignError
+from smarttouch.modes.frames.judge import FrameBounds, FrameFigures
+from smarttouch.modes.frames.operator import FrameOperator, keeps
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSlot:
+    """One slot and its proof.
+
+    Attributes
+    ----------
+    sites : ndarray, (A,) intp
+        Points that it activates.
+    current : ndarray, (E,) mA
+        Finished currents at intensity 1, positive cathodic.
+    figures : FrameFigures
+        What they do.
+    kept : bool
+        Whether the bounds hold. They may not for a single point that cannot be
+        selected any better; no slot of several points breaks one.
+    """
+
+    sites: NDArray[np.intp]
+    current: Array
+    figures: FrameFigures
+    kept: bool
+
+
+def plan_slots(
+    operator: FrameOperator,
+    level: Array,
+    bounds: FrameBounds,
+    total_ma: float | None = None,
+    points_ma: Array | None = None,
+) -> list[FrameSlot]:
+    """Return few slots that together activate every site with a level above zero.
+
+    As many slots are tried first as total current asks for;
+    points are dealt out so that those of one slot lie far apart. Points of
+    slots that break a bound are dealt out anew to one slot more, down to single
+    points.
+
+    Parameters
+    ----------
+    operator : FrameOperator
+    level : ndarray, (E,) in [0, 1]
+        What is wished at each site.
+    bounds : FrameBounds
+    total_ma : float, optional
+        What all cathodes may carry; by default the profile's limit.
+    points_ma : ndarray, (E, E), optional
+        Currents of each site alone at level 1 (rows), for points that break a
+        bound even so: the profile's own kernels at full current.
+    """
+    judge = operator.judge
+    limit = judge.profile.limits.total_ma if total_ma is None else total_ma
+    waiting = np.flatnonzero(level)
+    done: list[FrameSlot] = []
+    many = likely_slots(operator, level, bounds, limit)
+    while len(waiting):
+        failed = []
+        for sites in _dealt(judge.profile.electrodes.position_mm, waiting, many):
+            slot = _slot(operator, level, sites, bounds, limit, points_ma)
+            if slot.kept or len(sites) == 1:
+                done.append(slot)
+            else:
+                failed.append(sites)
+        waiting = np.concatenate(failed) if failed else waiting[:0]
+        many = len(failed) + 1 + len(failed) // 4
+    return done
+
+
+def likely_slots(
+    operator: FrameOperator, level: Array, bounds: FrameBounds, total_ma: float | None
+) -> int:
+    """Return how many slots total current asks for, about: where a plan begins.
+
+    Each point is taken to need what its own electrode alone would, weakened as
+    far as the bounds allow. Returns cost a little more, neighbors save a little.
+    """
+    sites = np.flatnonzero(level)
+    if not len(sites) or total_ma is None:
+        return min(len(sites), 1)
+    own = np.abs(np.diag(operator.judge.target))[sites]
+    needed_ma = (1 - bounds.uneven) * level[sites] * operator.judge.wish_af[sites] / own
+    return max(1, int(np.ceil(needed_ma.sum() / total_ma - 1e-9)))
+
+
+def _slot(
+    operator: FrameOperator,
+    level: Array,
+    sites: NDArray[np.intp],
+    bounds: FrameBounds,
+    total_ma: float | None,
+    points_ma: Array | None,
+) -> FrameSlot:
+    wanted = np.zeros_like(level)
+    wanted[sites] = level[sites]
+    try:
+        current, figures = operator.bounded(wanted, bounds, total_ma)
+    except np.linalg.LinAlgError:
+        raise DesignError("the points of a slot depend on one another: give fewer") from None
+    kept = keeps(operator.judge, figures, bounds, current, total_ma)
+    if not kept and len(sites) == 1 and points_ma is not None:
+        current = points_ma[sites[0]] * level[sites[0]]
+        figures = operator.judge.judge(current, wanted)
+        kept = keeps(operator.judge, figures, bounds, current, total_ma)
+    return FrameSlot(sites, current, figures, kept)
+
+
+def _dealt(position_mm: Array, sites: NDArray[np.intp], many: int) -> list[NDArray[np.intp]]:
+    """Deal sites out to so many groups, each group's sites far apart from one another."""
+    many = min(many, len(sites))
+    place = position_mm[sites]
+    apart = np.hypot(*(place[:, None] - place[None]).transpose(2, 0, 1))
+    size = int(np.ceil(len(sites) / many))
+    # The most crowded first: they have the fewest choices.
+    crowd = (1 / (1 + apart**2)).sum(axis=1)
+    groups: list[list[int]] = [[] for _ in range(many)]
+    push = np.zeros((many, len(sites)))
+    full = np.zeros(many)
+    for each in np.argsort(-crowd, kind="stable"):
+        chosen = int((push[:, each] + full).argmin())
+        groups[chosen].append(int(each))
+        push[chosen] += 1 / (1e-9 + apart[each] ** 3)
+        if len(groups[chosen]) >= size:
+            full[chosen] = 1e9
+    return [np.sort(sites[group]) for group in groups if group]

@@ -1,0 +1,84 @@
+"""Bounds of sets of sites: no subset breaks them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.errors import DesignError
+from smarttouch.modes.frames.bound import SharedKernels, color_classes
+from smarttouch.modes.frames.judge import FrameJudge
+from smarttouch.modes.frames.operator import FrameOperator
+from smarttouch.primary import Primary
+from smarttouch.profile import load_profile
+
+from .test_operator import make_operator
+
+__all__ = ["make_operator"]
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.sampled_from([Primary.RA, Primary.SAI]), st.integers(1, 4), st.integers(0, 2**32 - 1)
+)  # fmt: skip
+def test_no_subset_breaks_a_bound(make_operator, primary, step, seed):
+    operator = make_operator(primary)
+    rng = np.random.default_rng(seed)
+    one = rng.choice(color_classes(operator, step))
+    on = rng.random(len(one.sites)) < rng.uniform(0.1, 1)
+    on[rng.integers(len(on))] = True
+    current = on @ one.kernels
+    level = np.zeros(64)
+    level[one.sites[on]] = 1
+    figures = operator.judge.judge(current, level)
+    assert figures.worst_other <= one.worst_other * 1.001
+    assert figures.worst_spill <= one.worst_spill * 1.001
+    assert figures.total_ma <= one.total_ma + 1e-9
+    assert (np.abs(current) <= one.electrode_ma + 1e-9).all()
+    assert figures.weakest >= one.weakest - 1e-9
+    if step > 1:
+        assert one.weakest == pytest.approx(1, abs=1e-3)
+
+
+@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
+@pytest.mark.parametrize("step", [2, 3])
+def test_the_bounds_are_reached_by_a_subset(make_operator, primary, step):
+    """The worst node's exciting sites alone reach it: no bound is looser than it must be."""
+    judge = make_operator(primary).judge
+    operator = make_operator(primary)
+    # Neighbors calm what each excites: only some of them make the worst subset.
+    beside = SharedKernels(operator, np.array([18, 19, 20, 26, 28, 45]))
+    for one in [*color_classes(operator, step), beside]:
+        reached = [field(one.kernels) for field in judge.others]
+        field = max(reached, key=lambda each: np.maximum(each, 0).sum(axis=0).max())
+        own = judge.own(one.kernels)
+        far = np.array([judge.far(np.array([site])) for site in one.sites])
+        # All that are on lie far from the node, else it would be no spill.
+        for name, each in (("worst_other", field), ("worst_spill", np.where(far, own, 0))):
+            node = np.maximum(each, 0).sum(axis=0).argmax()
+            on = each[:, node] > 0
+            level = np.zeros(64)
+            level[one.sites[on]] = 1
+            figures = judge.judge(on @ one.kernels, level)
+            # Targets of such a subset may be a little stronger than the weakest of all.
+            assert getattr(figures, name) == pytest.approx(getattr(one, name), rel=0.01)
+
+
+def test_classes_are_all_driven_sites_once(profile, changed):
+    mine = changed(profile, {"output.masked": [0, 9]})
+    operator = FrameOperator(FrameJudge(mine, Primary.RA, np.full(64, 2.2)))
+    classes = color_classes(operator, 2)
+    assert len(classes) == 4
+    assert sorted(np.concatenate([each.sites for each in classes])) == mine.driven.tolist()
+    wide = operator.judge.profile.electrodes.distance_mm
+    for each in classes:
+        apart = wide[np.ix_(each.sites, each.sites)] + 99 * np.eye(len(each.sites))
+        assert apart.min() >= 2 * mine.electrodes.pitch_mm - 1e-9
+
+
+def test_a_hexagon_has_no_colors():
+    mine = load_profile("kajimoto-61")
+    operator = FrameOperator(FrameJudge(mine, Primary.RA, np.ones(61)))
+    with pytest.raises(DesignError, match="color classes are for grids"):
+        color_classes(operator, 2)
+    assert SharedKernels(operator, np.array([3, 40])).worst_other > 0
