@@ -1,6 +1,7 @@
 """Frame in, scan sequence out: pure, without I/O and without a clock."""
 
 import contextlib
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,6 +78,8 @@ class Pipeline:
         How ink becomes activation; as for frames of a sensor if not given.
     vibrated : bool
         Whether mechanical vibrators do what PC is to feel, and no current (paper, Section V).
+    frames : collection of Primary
+        Classes whose points share a slot where their currents leave one another alone.
     """
 
     def __init__(
@@ -90,9 +93,10 @@ class Pipeline:
         softness: float | None = None,
         tone: Tone | None = None,
         vibrated: bool = False,
+        frames: Collection[Primary] = (),
     ) -> None:
         self._settings = (
-            profile, bank, mode, rate_hz, light_on_dark, timing, softness, tone, vibrated,
+            profile, bank, mode, rate_hz, light_on_dark, timing, softness, tone, vibrated, frames,
         )  # fmt: skip
         self._profile = profile
         self._mapper = TactileMapper(profile, light_on_dark, tone)
@@ -132,7 +136,7 @@ class Pipeline:
 
     def _scan(self, mode: Mode) -> PointScan:
         if mode not in self._scans:
-            profile, bank, _, rate_hz, _, timing, softness, _, vibrated = self._settings
+            profile, bank, _, rate_hz, _, timing, softness, _, vibrated, frames = self._settings
             classes, vibrated = mode.primaries, vibrated and mode is Mode.COLOR
             if mode is Mode.COLOR:
                 made = {*bank.weights, *((Primary.PC,) if vibrated else ())}
@@ -147,6 +151,7 @@ class Pipeline:
                 timing,
                 profile.pulse.softness if softness is None else softness,
                 vibrated,
+                frames,
             )
         return self._scans[mode]
 

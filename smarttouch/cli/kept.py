@@ -142,6 +142,7 @@ def _settings(plan: Plan, source: Sensor, board: Board) -> dict[str, Any]:
         "softness": plan.softness,
         "tone": None if plan.tone is None else asdict(plan.tone),
         "vibrated": plan.vibrators_url is not None,
+        "frames": [each.name for each in plan.at_once],
         "hold": plan.hold,
         "balance": plan.balance,
         "timing": asdict(board.timing),

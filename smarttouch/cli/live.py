@@ -16,6 +16,7 @@ from smarttouch.cli.options import (
     QuietOption,
     RateOption,
     RecordOption,
+    ScanOption,
     SecondsOption,
 )
 
@@ -35,6 +36,7 @@ def live(
     ] = "emulator:",
     profile: ProfileOption = None,
     mode: ModeOption = "RA",
+    scan: ScanOption = "points",
     force: ForceOption = None,
     intensity: IntensityOption = None,
     softness: Annotated[
@@ -95,7 +97,7 @@ def live(
     import contextlib
 
     from smarttouch.boards.board import usual_profile
-    from smarttouch.cli.files import parse_mode, parse_size
+    from smarttouch.cli.files import parse_mode, parse_scan, parse_size
     from smarttouch.cli.plan import Plan
     from smarttouch.cli.session import play
     from smarttouch.profile import load_profile
@@ -103,10 +105,12 @@ def live(
     from smarttouch.sensing import open_sensor
     from smarttouch.sensing.forces.force import open_force
 
+    chosen = load_profile(profile or usual_profile(board))
     plan = Plan(
         sensor_url=sensor or f"page:{data_folder('sample_images') / 'page.png'}",
         board_url=board,
         mode=parse_mode(mode),
+        at_once=parse_scan(scan, chosen),
         rate_hz=rate,
         seconds=seconds,
         level=intensity,
@@ -125,7 +129,6 @@ def live(
         subject=subject,
         note=note,
     )
-    chosen = load_profile(profile or usual_profile(board))
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(
             open_sensor(

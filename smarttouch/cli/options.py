@@ -38,6 +38,15 @@ RateOption = Annotated[
 SecondsOption = Annotated[
     float | None, typer.Option("--seconds", metavar="S", help="Longest run, wall time.")
 ]
+ScanOption = Annotated[
+    str,
+    typer.Option(
+        "--scan",
+        metavar="points|frame|auto",
+        help="One point in each slot, as many as leave one another alone, or so where that is "
+        "planned in time.",
+    ),
+]
 FramesOption = Annotated[
     Path | None,
     typer.Option(

@@ -11,7 +11,7 @@ from smarttouch.controls import Controls, Wish
 from smarttouch.errors import SmartTouchError
 from smarttouch.imaging.mapping import Tone
 from smarttouch.live import Sent
-from smarttouch.primary import Mode
+from smarttouch.primary import Mode, Primary
 
 _TELL_ALL = ("emulator:", "simulated:")
 """Boards that report every pulse."""
@@ -35,6 +35,8 @@ class Plan:
     measure: bool = False
     hold: str | None = None
     balance: bool = False
+    at_once: tuple[Primary, ...] = ()
+    """Classes whose points share slots."""
     tone: Tone | None = None
     felt: Path | None = None
     frames: Path | None = None

@@ -21,6 +21,7 @@ from smarttouch.cli.options import (
     QuietOption,
     RateOption,
     RecordOption,
+    ScanOption,
     SecondsOption,
     StyleOption,
     TableOption,
@@ -83,6 +84,7 @@ def read(
     ] = None,
     profile: ProfileOption = None,
     mode: ModeOption = "RA",
+    scan: ScanOption = "points",
     force: ForceOption = None,
     intensity: IntensityOption = None,
     rate: RateOption = None,
@@ -102,7 +104,7 @@ def read(
     import contextlib
 
     from smarttouch.boards.board import usual_profile
-    from smarttouch.cli.files import parse_choice, parse_mode
+    from smarttouch.cli.files import parse_choice, parse_mode, parse_scan
     from smarttouch.cli.plan import Plan
     from smarttouch.cli.progress import first_line_awaited
     from smarttouch.cli.session import play
@@ -137,6 +139,7 @@ def read(
         sensor_url=source,
         board_url=board,
         mode=parse_mode(mode),
+        at_once=parse_scan(scan, chosen),
         rate_hz=rate,
         seconds=seconds,
         level=intensity,

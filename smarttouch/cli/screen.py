@@ -112,6 +112,7 @@ class Screen:
         charge_uc = peak_ma * float(sequence.width_us.max(initial=0)) / 1000
         pose, wish = frame.pose, self._controls.wish(frame.time_ns)
         dropped = self._source.dropped_frames + tally.seen - tally.felt
+        points = np.count_nonzero(sent.step.tactile.activation.any(axis=0))
         length = "" if self._source.duration_s is None else f" of {self._source.duration_s:.0f}"
         rows = (
             ("time", f"{frame.time_ns / 1e9:5.1f}{length} s"),
@@ -119,7 +120,7 @@ class Screen:
             ("pressure", f"{_bar(frame.force_n / force.full_n)} {frame.force_n:.2f} N"),
             ("asked for", f"{_bar(wish.level)} {wish.level:.2f}{' paused' * wish.paused}"),
             ("intensity", f"{_bar(sequence.intensity)} {sequence.intensity:.2f}"),
-            ("rate", f"{sequence.rate_hz:.0f} Hz, {sequence.slots} slots"),
+            ("rate", f"{sequence.rate_hz:.0f} Hz, {sequence.slots} slots of {points} points"),
             ("frames", f"{tally.felt} felt, {dropped} dropped of {self._source.frames}"),
             ("latency", f"{frame.age_ns / 1e6 + sent.latency_us / 1e3:.1f} ms, image to last byte"),
             ("own work", f"{sent.work_us:.0f} µs, {tally.work_share:.1%} of the scans"),

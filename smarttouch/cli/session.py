@@ -52,6 +52,7 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
             plan.softness,
             plan.tone,
             plan.vibrators_url is not None,
+            plan.at_once,
         )
         kept.prepare(source, profile, bank)
         wish = Wish(plan.mode, plan.first_level)

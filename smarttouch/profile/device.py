@@ -116,6 +116,18 @@ class Limits(Table):
     ramp_s: float = Field(ge=SHORTEST_RAMP_S, le=10)
 
 
+class Frames(Table):
+    """What a slot of many points may do, where a whole frame is shown at once."""
+
+    other: float = Field(default=0.3, gt=0, le=1)
+    """To any other class, of the weakest target. 0.30 is the paper's own single SAI point on its
+    line array (Fig. 8)."""
+    spill: float = Field(default=0.3, gt=0, le=1)
+    """To the own class more than a pitch from every target."""
+    uneven: float = Field(default=0.05, gt=0, le=0.5)
+    """How far targets may be from what was wished, of it."""
+
+
 class Perception(Table):
     """Current at which each electrode is first felt, and the strongest that is comfortable."""
 
@@ -151,6 +163,7 @@ class Profile(Table):
     pulse: Pulse
     limits: Limits
     perception: Perception
+    frames: Frames = Frames()
     calibrated: dict[str, Calibrated] = Field(default_factory=dict)
 
     @cached_property

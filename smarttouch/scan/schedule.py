@@ -1,6 +1,7 @@
 """Tactile image times kernels times intensity: the slots of one frame."""
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.modes.bank import KernelBank
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
+from smarttouch.scan.frames import FrameSlots
 from smarttouch.scan.points import PointSlots, Slots
 from smarttouch.scan.rates import PulseRates, rate_share
 from smarttouch.scan.sequence import ScanSequence
@@ -17,7 +19,7 @@ from smarttouch.scan.timing import ScanTiming
 
 
 class PointScan:
-    """Schedules one slot for each active point (paper, Section IV-A, Fig. 19).
+    """Schedules one slot for each active point (paper, Section IV-A, Fig. 19), or fewer.
 
     Parameters
     ----------
@@ -36,6 +38,8 @@ class PointScan:
         How little the rate of SAI pulses follows force.
     vibrated : bool
         Whether mechanical vibrators do what PC is to feel, and no current.
+    frames : collection of Primary
+        Classes whose points share a slot where their currents leave one another alone.
 
     Attributes
     ----------
@@ -58,6 +62,7 @@ class PointScan:
         timing: ScanTiming | None = None,
         softness: float = 1.0,
         vibrated: bool = False,
+        frames: Collection[Primary] = (),
     ) -> None:
         timing = ScanTiming() if timing is None else timing
         timing.check(profile)
@@ -86,7 +91,12 @@ class PointScan:
                 )
         self._vibrated = vibrated
         driven = [each for each in primaries if not (vibrated and each is Primary.PC)]
-        self._points = {each: PointSlots(profile, bank, each, timing) for each in driven}
+        self._points: dict[Primary, PointSlots | FrameSlots] = {
+            each: FrameSlots(profile, bank, each)
+            if each in frames
+            else PointSlots(profile, bank, each, timing)
+            for each in driven
+        }
         self.asked_us = 0
         self._first = driven[0]
         self._softness = softness

@@ -52,6 +52,8 @@ def folder(tmp_path):
         ("live --board emulator:7", "takes nothing after the colon"),
         ("live --mode XY", "--mode 'XY' is not offered"),
         ("live --board vibrators:x.wav", "vibrators make no current"),
+        ("live --scan all", "--scan 'all' is not offered"),
+        ("live --scan frame --profile kajimoto-61", "cannot be shown at once"),
         ("live --mode color", "--mode 'color' is not offered"),
         ("live --profile kajimoto-61 --mode SAI", "mode SAI is not possible"),
         ("live --rate 0", "a rate of 0 Hz"),

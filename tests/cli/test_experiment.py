@@ -4,6 +4,7 @@ import io
 import json
 import os
 import signal
+import threading
 import time
 from types import SimpleNamespace
 
@@ -124,13 +125,17 @@ def test_a_person_answers_by_key_and_ends_with_ctrl_c(start_at_a_terminal, tmp_p
     # A key of other runs: the class is the experiment's.
     os.write(keys, b"m")
     path = tmp_path / "frequency-RA.csv"
+    drawn = []
+    reader = threading.Thread(target=lambda: drawn.extend(iter(lambda: process.stdout.read(1), "")))
+    reader.start()
     while process.poll() is None and path.read_bytes().count(b"\n") < 2:
-        os.write(keys, b"1")
-        # The screen is drawn ten times a second.
-        time.sleep(0.3)
+        if "which was faster? 1 or 2" in "".join(drawn):
+            os.write(keys, b"1")
+        time.sleep(0.05)
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=30)
-    assert (process.returncode, err) == (0, "")
+    reader.join(30)
+    out = "".join(drawn)
+    assert (process.wait(30), process.stderr.read()) == (0, "")
     assert "(Ctrl-C): all electrodes off." in out
     # Whoever answers sees the question, and nothing that would tell the answer.
     assert "which was faster? 1 or 2" in out

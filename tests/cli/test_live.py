@@ -177,3 +177,15 @@ def test_light_touch_no_current(program, tmp_path):
     figures = figures_of(tmp_path / "run.json")
     assert figures["slots"] == 0
     assert figures["active_fraction"] > 0.05
+
+
+def test_many_points_in_a_slot(program_here, tmp_path):
+    page = ("live", "--sensor", "text:on", "--speed", 100, "--board", "simulated:", "--quiet")
+    for scan in ("points", "auto"):
+        kept = ("--json", f"{scan}.json", "--record", f"{scan}.mcap")
+        assert program_here(*page, "--scan", scan, *kept).returncode == 0
+    points, frames = (figures_of(tmp_path / f"{scan}.json") for scan in ("points", "auto"))
+    assert_safe(frames)
+    assert 2.5 * frames["slots"] < points["slots"]
+    done = program_here("replay", "auto.mcap", "--check")
+    assert "identical" in done.stdout, done.stdout

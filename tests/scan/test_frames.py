@@ -1,0 +1,125 @@
+"""Slots of many points: within every limit and bound, and every point gets what it would alone."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.errors import ScheduleError
+from smarttouch.imaging.tactile_image import TactileImage
+from smarttouch.modes.bank import load_bank
+from smarttouch.modes.problem import Problem
+from smarttouch.primary import Mode, Primary
+from smarttouch.profile import load_profile
+from smarttouch.scan import frames as module
+from smarttouch.scan.frames import FrameSlots, in_time
+from smarttouch.scan.safety import SafetyGate, SafetyLimits
+from smarttouch.scan.schedule import PointScan
+
+_DRAWN = np.zeros((8, 8), np.bool_)
+_DRAWN[1, 1:7] = _DRAWN[2:, 3] = True
+LETTER_T = np.flatnonzero(_DRAWN)
+
+
+@pytest.fixture(scope="module")
+def slots(profile, bank):
+    return FrameSlots(profile, bank, Primary.RA)
+
+
+@pytest.fixture(scope="module")
+def rows(profile):
+    return Problem(profile, Primary.RA).rows[0]
+
+
+def image(activation, primary=Primary.RA):
+    rows = np.zeros((3, len(activation)), np.float32)
+    rows[primary] = activation
+    return TactileImage(rows, 0, 1.0)
+
+
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 2**32 - 1), density=st.floats(0, 0.5), intensity=st.floats(0, 1))
+def test_every_slot_keeps_limits_and_bounds_and_every_point_its_activation(
+    profile, bank, slots, rows, seed, density, intensity
+):
+    random = np.random.default_rng(seed)
+    activation = random.random(64, np.float32) * (random.random(64) < density)
+    site, current_ua, _ = slots.slots(activation, intensity)
+    scan = PointScan(profile, bank, (Primary.RA,), 10.0, frames=(Primary.RA,))
+    sequence = scan.schedule(image(activation), intensity)
+    assert np.array_equal(sequence.current_ua, current_ua)
+    SafetyGate(SafetyLimits.of(profile)).prove_measurement(sequence)
+    assert not current_ua.sum(axis=1).any()
+    if intensity < 0.05 or not activation.any():
+        return
+    # By all the rows of the problem, not by what planned it.
+    current_ma = current_ua / 1000 / intensity
+    level = np.where(activation > 0, 0.5 + 0.5 * activation, 0)
+    kernels = bank.kernels(Primary.RA)
+    alone = (rows.target[0] * kernels).sum(axis=1) * profile.full_ma * level
+    reached = current_ma @ rows.target[0].T
+    others = current_ma @ rows.other.T
+    best = np.where(alone > 0, reached / np.where(alone > 0, alone, 1), 0).max(axis=0)
+    tolerance = 0.01 + 0.04 / intensity
+    assert (best[activation > 0] >= 0.95 - tolerance).all()
+    assert (best[activation > 0] <= 1.05 + tolerance).all()
+    for slot in range(len(site)):
+        mine = (alone > 0) & (reached[slot] > 0.9 * alone)
+        assert mine.any()
+        weakest = (reached[slot] / np.where(mine, level, np.inf))[mine].min()
+        assert others[slot].max() <= (0.30 + tolerance) * weakest
+
+
+def test_a_letter_takes_a_few_slots_and_an_empty_frame_none(slots, bank, profile):
+    activation = np.zeros(64, np.float32)
+    assert len(slots.slots(activation, 1.0)[0]) == 0
+    activation[LETTER_T] = 1
+    site, _, width_us = slots.slots(activation, 1.0)
+    assert len(site) == 3
+    assert set(site) <= set(LETTER_T)
+    assert (width_us == 200).all()
+    assert len(slots.slots(activation, 0.0)[0]) == 0
+
+
+def test_more_current_takes_fewer_slots(profile, bank, changed):
+    activation = np.zeros(64, np.float32)
+    activation[LETTER_T] = 1
+    strong = changed(profile, {"limits.total_ma": 50.0})
+    assert len(FrameSlots(strong, bank, Primary.RA).slots(activation, 1.0)[0]) == 1
+
+
+def test_a_bound_of_the_profile_counts(profile, bank, changed):
+    activation = np.zeros(64, np.float32)
+    activation[LETTER_T] = 1
+    strict = changed(profile, {"limits.total_ma": 50.0, "frames.other": 0.12})
+    assert len(FrameSlots(strict, bank, Primary.RA).slots(activation, 1.0)[0]) > 1
+
+
+def test_a_frame_that_comes_again_is_not_planned_again(profile, bank, monkeypatch):
+    slots = FrameSlots(profile, bank, Primary.RA)
+    activation = np.zeros(64, np.float32)
+    activation[LETTER_T] = 1
+    first = slots.slots(activation, 0.5)
+    monkeypatch.setattr(module, "plan_slots", None)
+    again = slots.slots(activation.copy(), 0.5)
+    assert all(np.array_equal(*pair) for pair in zip(first, again, strict=True))
+    assert np.abs(slots.slots(activation, 1.0)[1]).max() > 1.9 * np.abs(first[1]).max()
+
+
+def test_masked_electrodes_carry_nothing(profile, changed):
+    masked = changed(profile, {"output.masked": (27, 28)})
+    slots = FrameSlots(masked, load_bank(masked), Primary.RA)
+    site, current_ua, _ = slots.slots(np.ones(64, np.float32), 1.0)
+    assert not current_ua[:, [27, 28]].any()
+    assert not set(site) & {27, 28}
+
+
+def test_boards_that_cannot_are_refused(profile, bank, changed):
+    board = load_profile("kajimoto-61")
+    with pytest.raises(ScheduleError, match="one source for all electrodes: choose points"):
+        FrameSlots(board, load_bank(board), Primary.RA)
+    with pytest.raises(ScheduleError, match=r"pulse\.carrier"):
+        FrameSlots(changed(profile, {"pulse.carrier": "width"}), bank, Primary.RA)
+    assert in_time(board) == ()
+    assert in_time(profile) == (Primary.RA,)
+    assert Mode.RA.primaries == in_time(profile)
