@@ -13,6 +13,7 @@ from smarttouch.cli.options import (
     PagesOption,
     PasswordOption,
     QuietOption,
+    ScanOption,
     StyleOption,
     TableOption,
 )
@@ -49,10 +50,17 @@ def legibility(
         float | None, typer.Option(metavar="MM/S", help="Of the text under the finger.")
     ] = None,
     json_file: JsonOption = None,
+    scan: ScanOption = "points",
     quiet: QuietOption = False,
 ) -> None:
     """Measure it: the whole chain to a simulated board, and Tesseract on what the skin got."""
-    from smarttouch.cli.files import parse_choice, parse_mode, require_folder, write_json
+    from smarttouch.cli.files import (
+        parse_choice,
+        parse_mode,
+        parse_scan,
+        require_folder,
+        write_json,
+    )
     from smarttouch.cli.progress import bank_progress
     from smarttouch.modes.bank import load_bank
     from smarttouch.profile import load_profile
@@ -74,7 +82,8 @@ def legibility(
     motion = wanted.motion(chosen, speed)
     with bank_progress(quiet) as progress:
         bank = load_bank(chosen, progress)
-    reading = Reading(chosen, bank, wanted.tone, motion, parse_mode(mode))
+    at_once = parse_scan(scan, chosen)
+    reading = Reading(chosen, bank, wanted.tone, motion, parse_mode(mode), at_once)
     if as_shapes:
         figures = _of_shapes(text, shapes, reading, truth, quiet)
     else:

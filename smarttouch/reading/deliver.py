@@ -16,7 +16,7 @@ from smarttouch.live import Sent, run
 from smarttouch.modes.bank import KernelBank
 from smarttouch.perception import Perception
 from smarttouch.pipeline import Pipeline
-from smarttouch.primary import Mode
+from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
 from smarttouch.reading.cursor import Motion, SweepingCursor
 from smarttouch.reading.delivered import LinePicture
@@ -41,6 +41,8 @@ class Reading:
         How ink becomes activation.
     motion : Motion
     mode : Mode
+    frames : tuple of Primary
+        Classes whose points share slots.
     """
 
     profile: Profile
@@ -48,6 +50,7 @@ class Reading:
     tone: Tone
     motion: Motion
     mode: Mode = Mode.RA
+    frames: tuple[Primary, ...] = ()
 
 
 def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
@@ -66,7 +69,9 @@ def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
     cursor = SweepingCursor(feed, reading.motion, press_n(profile))
     sensor = ReadingSensor("a line", profile, feed, cursor)
     feed.wait_for_end()
-    pipeline = Pipeline(profile, reading.bank, reading.mode, tone=reading.tone)
+    pipeline = Pipeline(
+        profile, reading.bank, reading.mode, tone=reading.tone, frames=reading.frames
+    )
     places: dict[int, float] = {}
 
     def watch(sent: Sent) -> None:

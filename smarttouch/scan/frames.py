@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from smarttouch.errors import ScheduleError
 from smarttouch.modes.bank import KernelBank
 from smarttouch.modes.frames.judge import FrameBounds, FrameJudge, full_wish
-from smarttouch.modes.frames.operator import FrameOperator
+from smarttouch.modes.frames.operator import AIM, FrameOperator
 from smarttouch.modes.frames.slots import plan_slots
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
@@ -101,6 +101,8 @@ class FrameSlots:
             activation = np.append(activation, np.float32(0))[self._felt_at]
         active = (activation > 0) & self._driven
         level = np.where(active, self._faintest + (1 - self._faintest) * activation, 0.0)
+        # Plans aim a little low, which saves current; the faintest would not be felt then.
+        level = np.minimum(level / (1 - AIM * self._bounds.uneven), 1.0)
         slots = plan_slots(self._operator, level, self._bounds, None, self._points_ma)
         site = np.array([each.sites[level[each.sites].argmax()] for each in slots], np.uint16)
         current_ma = np.array([each.current for each in slots], np.float32)

@@ -1,10 +1,13 @@
 """What the skin got, put back together where the finger was."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from smarttouch.errors import SafetyError
 from smarttouch.imaging.mapping import Tone
+from smarttouch.primary import Primary
 from smarttouch.reading.cursor import Motion
 from smarttouch.reading.deliver import Reading, deliver_line, deliver_lines, ideal_picture
 from smarttouch.reading.delivered import PIXELS_PER_PITCH, LinePicture
@@ -31,6 +34,15 @@ def test_a_bar_is_felt_where_it_is(way, make_line):
     assert felt[(x_mm < 7) | (x_mm > 19)].max() < 0.1
     middle = (x_mm * felt).sum() / felt.sum()
     assert middle == pytest.approx(13.0, abs=0.2)
+
+
+def test_many_points_in_a_slot_are_felt_as_they_are_one_by_one(way, make_line):
+    line = make_line(20.0, (6.0, 9.0))
+    by_points = deliver_line(line, way).values()
+    at_once = deliver_line(line, replace(way, frames=(Primary.RA,))).values()
+    # Plans may fall short of the fullest activation by 4 %, which is 8 % above the threshold.
+    assert np.abs(at_once - by_points).max() < 0.12
+    assert not np.array_equal(at_once, by_points)
 
 
 def test_what_is_felt_is_close_to_the_ideal(way, make_line, reading):

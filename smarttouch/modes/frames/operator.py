@@ -43,7 +43,7 @@ _HOPELESS = 1.6
 _PROGRESS = 0.9
 """A round that leaves more than this of the excess, after the first few, is the last."""
 _PATIENT_ROUNDS = 3
-_AIM = 0.8
+AIM = 0.8
 """Part of the allowed unevenness by which all targets are wished weaker: it saves current."""
 _CELL = 3
 """Lattice steps within which one broken row stands for its neighbors."""
@@ -151,7 +151,7 @@ class FrameOperator:
         """
         judge, active = self.judge, self._active(level)
         limit = judge.profile.limits.total_ma if total_ma is None else total_ma
-        wish = (1 - _AIM * bounds.uneven) * level[active] * judge.wish_af[active]
+        wish = (1 - AIM * bounds.uneven) * level[active] * judge.wish_af[active]
         system = cho_factor(self._system(active))
         columns = self._columns[:, active]
         free = columns @ cho_solve(system, wish)
