@@ -2,9 +2,17 @@
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from smarttouch.profile import DEFAULT_PROFILE, load_profile
 from smarttouch.sensing.frame import Frame, Pose
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread():
+    """Tests run beside each other: threads of small matrix products would wait for one another."""
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -4,6 +4,7 @@ from collections import OrderedDict
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
 
 from smarttouch.errors import ScheduleError
 from smarttouch.modes.bank import KernelBank
@@ -51,6 +52,8 @@ class FrameSlots:
         reason = why_not(profile)
         if reason is not None:
             raise ScheduleError(f"a whole frame cannot be shown at once: {reason}: choose points")
+        # Matrices are small: with other work on the machine, a second thread costs a hundredfold.
+        self._blas = ThreadpoolController()
         kernels = np.asarray(bank.kernels(primary), np.float64)
         wish_af = full_wish(profile, primary, kernels, bank.receptor[primary])
         self._operator = FrameOperator(FrameJudge(profile, primary, wish_af))
@@ -103,7 +106,8 @@ class FrameSlots:
         level = np.where(active, self._faintest + (1 - self._faintest) * activation, 0.0)
         # Plans aim a little low, which saves current; the faintest would not be felt then.
         level = np.minimum(level / (1 - AIM * self._bounds.uneven), 1.0)
-        slots = plan_slots(self._operator, level, self._bounds, None, self._points_ma)
+        with self._blas.limit(limits=1, user_api="blas"):
+            slots = plan_slots(self._operator, level, self._bounds, None, self._points_ma)
         site = np.array([each.sites[level[each.sites].argmax()] for each in slots], np.uint16)
         current_ma = np.array([each.current for each in slots], np.float32)
         return site, current_ma.reshape(len(slots), len(level))

@@ -37,7 +37,7 @@ def image(activation, primary=Primary.RA):
     return TactileImage(rows, 0, 1.0)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), density=st.floats(0, 0.5), intensity=st.floats(0, 1))
 def test_every_slot_keeps_limits_and_bounds_and_every_point_its_activation(
     profile, bank, slots, rows, seed, density, intensity
@@ -123,3 +123,31 @@ def test_boards_that_cannot_are_refused(profile, bank, changed):
     assert in_time(board) == ()
     assert in_time(profile) == (Primary.RA,)
     assert Mode.RA.primaries == in_time(profile)
+
+
+def test_the_faintest_points_are_at_their_threshold(profile, bank, slots, rows):
+    activation = np.zeros(64, np.float32)
+    activation[LETTER_T] = 1e-6
+    _, current_ua, _ = slots.slots(activation, 1.0)
+    kernels = bank.kernels(Primary.RA)
+    threshold = (rows.target[0] * kernels).sum(axis=1) * profile.threshold_ma
+    reached = (current_ua / 1000 @ rows.target[0].T / threshold).max(axis=0)
+    assert reached[LETTER_T] == pytest.approx(1, abs=0.01)
+
+
+def test_points_that_go_with_no_other_are_rounded_within_their_limit(profile, bank, changed):
+    """Bounds that nothing keeps: every point alone, at a current that is just the limit."""
+    keys = {
+        "frames.other": 0.01,
+        "limits.current_ma": 2.5,
+        "limits.total_ma": 12.0,
+        "perception.comfort_ma": (2.5,) * 64,
+    }
+    alone = changed(profile, keys)
+    activation = np.zeros(64, np.float32)
+    activation[[0, 9, 20, 27, 38, 45]] = 1
+    scan = PointScan(alone, bank, (Primary.RA,), 10.0, frames=(Primary.RA,))
+    sequence = scan.schedule(image(activation), 1.0)
+    assert sequence.slots == 6
+    assert np.abs(sequence.current_ua).max() > 2460
+    SafetyGate(SafetyLimits.of(alone)).prove_measurement(sequence)
