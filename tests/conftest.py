@@ -11,7 +11,9 @@ from smarttouch.sensing.frame import Frame, Pose
 @pytest.fixture(scope="session", autouse=True)
 def one_thread():
     """Tests run beside each other: threads of small matrix products would wait for one another."""
-    with threadpool_limits(limits=1, user_api="blas"):
+    with threadpool_limits(limits=1, user_api="blas"), pytest.MonkeyPatch.context() as patch:
+        # For the programs that tests start.
+        patch.setenv("OPENBLAS_NUM_THREADS", "1")
         yield
 
 

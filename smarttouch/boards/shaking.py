@@ -170,7 +170,7 @@ class AudioShaking(Shaking):
         self._waveform, self._rate_hz = waveform, rate_hz
         self._rest = np.zeros(waveform.channels, np.float32)
         self._left = self._late = 0
-        self._over_s = 0.0
+        self._silenced, self._over_s = True, 0.0
         try:
             self._stream = self._sound.OutputStream(
                 samplerate=rate_hz,
@@ -196,13 +196,15 @@ class AudioShaking(Shaking):
             raise BoardError("the sound device of the vibrators is gone: connect it again")
         over_ns = times * period_ns
         with self._lock:
+            self._silenced = False
             self._waveform.glide_to(amplitude)
             self._left = round((over_ns + min(period_ns, GRACE_NS)) * self._rate_hz / 1e9)
             self._over_s = time.monotonic() + over_ns / 1e9
 
     def silence(self) -> None:
-        # Without the lock, which a signal's own thread may hold: one assignment is enough.
-        self._left, self._over_s = 0, 0.0
+        # Without the lock, which a signal's own thread may hold; and not by what is left, which
+        # the sound device's thread may be about to write.
+        self._silenced, self._over_s = True, 0.0
 
     def drain(self, timeout_s: float) -> None:
         time.sleep(min(timeout_s, max(0.0, self._over_s - time.monotonic())))
@@ -224,7 +226,7 @@ class AudioShaking(Shaking):
         """Render what the sound device asks for, on its own thread."""
         with self._lock:
             self._late += bool(status)
-            shaken = min(frames, self._left)
+            shaken = 0 if self._silenced else min(frames, self._left)
             out[:shaken] = self._waveform.render(shaken)
             if shaken < frames:
                 self._waveform.glide_to(self._rest)

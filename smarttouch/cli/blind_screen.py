@@ -5,7 +5,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from smarttouch.cli.screen import Screen
+from smarttouch.cli.screen import Screen, bar
 
 _TELLS = ("trial ", "response ")
 """How the account of an experiment begins, which is not for who sits it."""
@@ -30,8 +30,7 @@ class BlindScreen(Screen):
             ("amplitude", self._controls.wish(frame.time_ns).level),
             ("pressure", frame.force_n / self._profile.force.full_n),
         ):
-            filled = round(20 * min(1.0, max(0.0, part)))
-            table.add_row(Text(name, style="dim"), Text("█" * filled + "░" * (20 - filled)))
+            table.add_row(Text(name, style="dim"), Text(bar(part, 20)))
         where, _, now = self._source.title.partition(": ")
         return Group(
             Text(where, style="dim"),

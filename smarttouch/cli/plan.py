@@ -63,6 +63,11 @@ class Plan:
         for name, value in (("--intensity", self.level), ("--softness", self.softness)):
             if value is not None and not 0 <= value <= 1:
                 raise SmartTouchError(f"{name} {value:g} must be from 0 to 1")
+        if self.hold is not None and self.at_once:
+            raise SmartTouchError(
+                "--hold learns from the voltage of each point, and several share a slot: choose "
+                "--scan points"
+            )
         if self.seconds is not None and not self.seconds > 0:
             raise SmartTouchError(f"--seconds {self.seconds:g} must be above 0")
 

@@ -117,20 +117,20 @@ class Screen:
         rows = (
             ("time", f"{frame.time_ns / 1e9:5.1f}{length} s"),
             ("finger", f"x {pose.x_mm:5.1f}  y {pose.y_mm:5.1f} mm"),
-            ("pressure", f"{_bar(frame.force_n / force.full_n)} {frame.force_n:.2f} N"),
-            ("asked for", f"{_bar(wish.level)} {wish.level:.2f}{' paused' * wish.paused}"),
-            ("intensity", f"{_bar(sequence.intensity)} {sequence.intensity:.2f}"),
+            ("pressure", f"{bar(frame.force_n / force.full_n)} {frame.force_n:.2f} N"),
+            ("asked for", f"{bar(wish.level)} {wish.level:.2f}{' paused' * wish.paused}"),
+            ("intensity", f"{bar(sequence.intensity)} {sequence.intensity:.2f}"),
             ("rate", f"{sequence.rate_hz:.0f} Hz, {sequence.slots} slots of {points} points"),
             ("frames", f"{tally.felt} felt, {dropped} dropped of {self._source.frames}"),
             ("latency", f"{frame.age_ns / 1e6 + sent.latency_us / 1e3:.1f} ms, image to last byte"),
             ("own work", f"{sent.work_us:.0f} µs, {tally.work_share:.1%} of the scans"),
             (
                 "current",
-                f"{_bar(peak_ma / limits.current_ma)} {peak_ma:.2f}/{limits.current_ma} mA",
+                f"{bar(peak_ma / limits.current_ma)} {peak_ma:.2f}/{limits.current_ma} mA",
             ),
             (
                 "charge",
-                f"{_bar(charge_uc / limits.charge_uc)} {charge_uc:.2f}/{limits.charge_uc} µC",
+                f"{bar(charge_uc / limits.charge_uc)} {charge_uc:.2f}/{limits.charge_uc} µC",
             ),
             ("board", f"{self._board.acknowledged} of {tally.frames} acknowledged"),
         )
@@ -190,10 +190,14 @@ def _felt_ma(sent: Sent) -> NDArray[np.float32]:
     felt = np.zeros(sequence.electrodes, np.float32)
     strongest = np.abs(sequence.current_ua.astype(np.float32)).max(axis=1, initial=0)
     felt[sequence.site] = strongest / 1000
+    points = np.flatnonzero(sent.step.tactile.activation.any(axis=0))
+    if 0 < sequence.slots < len(points):
+        # Several share a slot.
+        felt[points] = np.abs(sequence.current_ua.astype(np.float32)).max(axis=0)[points] / 1000
     return felt
 
 
-def _bar(part: float, width: int = 10) -> str:
+def bar(part: float, width: int = 10) -> str:
     filled = round(max(0.0, min(1.0, part)) * width)
     return "█" * filled + "░" * (width - filled)
 

@@ -323,6 +323,22 @@ class TestTheSoundDevice:
         assert (np.abs(cycles).max(axis=1) > 0.79).all()
         assert sound.opened[0]["device"] == 3
 
+    def test_a_stop_while_a_piece_is_made_is_not_lost(self, sound, board):
+        """Whatever the sound device's thread does at that moment."""
+        with opened(board("audio")) as vibrators:
+            vibrators.send(shaken(1.0), times=1000)
+            sound.play(1000)
+
+            class Left(int):
+                def __sub__(self, shaken):
+                    vibrators.silence()
+                    return int(self) - shaken
+
+            vibrators._shaking._left = Left(vibrators._shaking._left)
+            sound.play(480)
+            sound.play(480)
+            assert not sound.play(480).any()
+
     def test_a_stop_ends_it_with_the_next_piece(self, sound, board):
         with opened(board("audio:USB Sound")) as vibrators:
             vibrators.send(shaken(1.0), times=1000)

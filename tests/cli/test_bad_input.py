@@ -52,6 +52,7 @@ def folder(tmp_path):
         ("live --board emulator:7", "takes nothing after the colon"),
         ("live --mode XY", "--mode 'XY' is not offered"),
         ("live --board vibrators:x.wav", "vibrators make no current"),
+        ("live --scan frame --hold charge", "choose --scan points"),
         ("live --scan all", "--scan 'all' is not offered"),
         ("live --scan frame --profile kajimoto-61", "cannot be shown at once"),
         ("live --mode color", "--mode 'color' is not offered"),

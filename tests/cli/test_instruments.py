@@ -8,8 +8,13 @@ import pytest
 from PIL import Image
 from scipy.io import wavfile
 
+from smarttouch.cli import screen
+from smarttouch.live import Sent
+from smarttouch.pipeline import Pipeline
+from smarttouch.primary import Mode, Primary
 from smarttouch.recording.check import check_recording
 from smarttouch.recording.reader import Recording
+from smarttouch.sensing.frame import Frame, Pose, PulseRequest
 
 from ..test_markers import FakeLsl
 
@@ -63,3 +68,17 @@ def test_markers_are_told_of_a_run(program_here, monkeypatch):
     assert sum(sample[1] for sample in pulses) > 100
     assert ["intensity 1.00"] in events
     assert any("all electrodes" in each or "are over" in each for (each,) in events)
+
+
+def test_the_screen_shows_every_point_of_a_slot(profile, bank):
+    pipeline = Pipeline(profile, bank, Mode.RA, frames=(Primary.RA,))
+    activation = np.zeros((3, 64), np.float32)
+    activation[Primary.RA, [9, 11, 13, 27, 29]] = 1
+    for time_ns in (0, 10**9, 2 * 10**9):
+        asked = PulseRequest(activation, 20_000)
+        blank = np.full((64, 64), 255, np.uint8)
+        step = pipeline.process(Frame(blank, time_ns, Pose(0, 0), 0.9, request=asked))
+    assert 0 < step.sequence.slots < 5
+    shown = screen._felt_ma(Sent(step, 1, 0.0))
+    assert np.flatnonzero(shown).tolist() == [9, 11, 13, 27, 29]
+    assert shown.max() > 2
