@@ -272,6 +272,7 @@ class _Loop:
         tally, sequence = self.inputs.tally, sent.step.sequence
         tally.feel(sent.step.frame)
         tally.slots += sequence.slots
+        tally.weigh(sequence.proof)
         tally.slowed += sequence.period_us > sent.step.asked_us
         tally.asked_us += sent.step.asked_us
         tally.lowest_rate_hz = min(tally.lowest_rate_hz, sequence.rate_hz)

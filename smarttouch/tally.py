@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from smarttouch.scan.sequence import Proof
 from smarttouch.sensing.frame import Frame
 
 _PER_E = 100
@@ -65,6 +66,10 @@ class Tally:
     blind: int = 0
     """Sequences without current because the force or the image was not known."""
     active: float = 0.0
+    worst_other: float = 0.0
+    """Largest of all proofs: what points that share slots did to other classes."""
+    worst_spill: float = 0.0
+    """And to their own class elsewhere."""
     seconds: float = 0.0
     scan_us: int = 0
     """Sum of the periods of all sequences sent."""
@@ -91,6 +96,13 @@ class Tally:
         self.frames += 1
         self.felt += frame.number != self._last_felt
         self._last_felt = frame.number
+
+    def weigh(self, proof: Proof | None) -> None:
+        """Keep the worst of what points that share slots do."""
+        if proof is not None and proof.shared is not None:
+            other, spill = proof.shared
+            self.worst_other = max(self.worst_other, other)
+            self.worst_spill = max(self.worst_spill, spill)
 
     @property
     def work_share(self) -> float:

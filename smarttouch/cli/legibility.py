@@ -50,7 +50,7 @@ def legibility(
         float | None, typer.Option(metavar="MM/S", help="Of the text under the finger.")
     ] = None,
     json_file: JsonOption = None,
-    scan: ScanOption = "points",
+    scan: ScanOption = "auto",
     quiet: QuietOption = False,
 ) -> None:
     """Measure it: the whole chain to a simulated board, and Tesseract on what the skin got."""

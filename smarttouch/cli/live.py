@@ -36,7 +36,7 @@ def live(
     ] = "emulator:",
     profile: ProfileOption = None,
     mode: ModeOption = "RA",
-    scan: ScanOption = "points",
+    scan: ScanOption = "auto",
     force: ForceOption = None,
     intensity: IntensityOption = None,
     softness: Annotated[
@@ -110,7 +110,7 @@ def live(
         sensor_url=sensor or f"page:{data_folder('sample_images') / 'page.png'}",
         board_url=board,
         mode=parse_mode(mode),
-        at_once=parse_scan(scan, chosen),
+        at_once=parse_scan(scan, chosen, hold),
         rate_hz=rate,
         seconds=seconds,
         level=intensity,

@@ -84,7 +84,7 @@ def read(
     ] = None,
     profile: ProfileOption = None,
     mode: ModeOption = "RA",
-    scan: ScanOption = "points",
+    scan: ScanOption = "auto",
     force: ForceOption = None,
     intensity: IntensityOption = None,
     rate: RateOption = None,

@@ -24,6 +24,8 @@ def run_figures(
         "dropped_frames": source.dropped_frames + tally.seen - tally.felt,
         "sequences": tally.frames,
         "slots": tally.slots,
+        "worst_other": tally.worst_other or None,
+        "worst_spill": tally.worst_spill or None,
         "pulses": report and report.pulses,
         "acknowledged": board.acknowledged,
         "refused": board.refused,

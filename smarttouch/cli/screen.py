@@ -19,6 +19,7 @@ from smarttouch.boards.board import Board
 from smarttouch.controls import Controls
 from smarttouch.live import Sent
 from smarttouch.profile import Profile
+from smarttouch.scan.sequence import ScanSequence
 from smarttouch.sensing.frame import Sensor
 from smarttouch.tally import Tally
 
@@ -121,6 +122,7 @@ class Screen:
             ("asked for", f"{bar(wish.level)} {wish.level:.2f}{' paused' * wish.paused}"),
             ("intensity", f"{bar(sequence.intensity)} {sequence.intensity:.2f}"),
             ("rate", f"{sequence.rate_hz:.0f} Hz, {sequence.slots} slots of {points} points"),
+            ("beside", _beside(sequence)),
             ("frames", f"{tally.felt} felt, {dropped} dropped of {self._source.frames}"),
             ("latency", f"{frame.age_ns / 1e6 + sent.latency_us / 1e3:.1f} ms, image to last byte"),
             ("own work", f"{sent.work_us:.0f} µs, {tally.work_share:.1%} of the scans"),
@@ -164,6 +166,11 @@ class Screen:
             if figures["reported_by"] == "host"
             else f"  {figures['emulator_violations']} violations by the board's own books",
         ]
+        if figures["worst_other"] is not None:
+            lines.append(
+                f"  points shared slots: other classes got {figures['worst_other']:.2f} of them at "
+                f"worst, their own elsewhere {figures['worst_spill']:.2f}"
+            )
         if figures["lifts"]:
             lines.append(f"  the finger was lifted {figures['lifts']} times")
         blind = figures["without_force_or_image"]
@@ -195,6 +202,14 @@ def _felt_ma(sent: Sent) -> NDArray[np.float32]:
         # Several share a slot.
         felt[points] = np.abs(sequence.current_ua.astype(np.float32)).max(axis=0)[points] / 1000
     return felt
+
+
+def _beside(sequence: ScanSequence) -> str:
+    """Return what points that share slots do beside what they are for."""
+    shared = sequence.proof and sequence.proof.shared
+    if not shared:
+        return "no points share a slot"
+    return f"other classes {shared[0]:.2f}, elsewhere {shared[1]:.2f} of the points"
 
 
 def bar(part: float, width: int = 10) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from smarttouch.errors import RecordingError
 from smarttouch.modes.bank import KernelBank, load_bank
 from smarttouch.pipeline import Measured, Pipeline
-from smarttouch.primary import Mode, Primary
+from smarttouch.primary import Mode
 from smarttouch.profile import Profile
 from smarttouch.recording.decoder import RecordedStep
 from smarttouch.recording.reader import Recording
@@ -179,7 +179,7 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
             settings["softness"],
             recording.tone,
             settings.get("vibrated", False),
-            tuple(Primary[each] for each in settings.get("frames", ())),
+            recording.frames,
         )
         adaptation = ledger = None
         if settings["hold"] is not None:

@@ -16,7 +16,7 @@ from smarttouch.pipeline import Measured, Step
 from smarttouch.primary import Mode, Primary
 from smarttouch.recording.encoder import Message, remember
 from smarttouch.recording.schemas import LAST
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.scan.sequence import Proof, ScanSequence
 from smarttouch.sensing.frame import Frame, Pose, PulseRequest
 
 _IMPOSSIBLE = (
@@ -146,7 +146,21 @@ def _sequence_of(message: Message) -> ScanSequence:
         intensity=float(message["intensity"]),
         time_ns=int(message["time_ns"]),
         vibration=None if vibration is None else np.array(vibration, np.float32),
+        proof=_proof_of(message, slots),
     )
+
+
+def _proof_of(message: Message, slots: int) -> Proof | None:
+    if message.get("points") is None:
+        return None
+    points = np.array(message["points"], np.uint16)
+    other, spill = (
+        np.array([_number(each) for each in message[key]], np.float32)
+        for key in ("worst_other", "worst_spill")
+    )
+    if not points.shape == other.shape == spill.shape == (slots,):
+        raise ValueError(f"not the proof of {slots} slots")
+    return Proof(points, other, spill)
 
 
 def _tactile_of(message: Message, electrodes: int, frame: Frame) -> TactileImage:

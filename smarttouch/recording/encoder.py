@@ -14,6 +14,7 @@ from smarttouch.live import Sent
 from smarttouch.pipeline import Step
 from smarttouch.primary import Primary
 from smarttouch.recording.schemas import INFO, LAST
+from smarttouch.scan.sequence import Proof
 from smarttouch.sensing.frame import Frame
 
 REMEMBERED = 512
@@ -164,7 +165,23 @@ def _sequence(sent: Sent) -> Message:
         "discharge_us": sequence.discharge_us.tolist(),
         "current_ua": _base64(sequence.current_ua.astype("<i2").tobytes()),
         "vibration": None if sequence.vibration is None else sequence.vibration.tolist(),
+        **_proof(sequence.proof),
     }
+
+
+def _proof(proof: Proof | None) -> Message:
+    if proof is None:
+        return dict.fromkeys(("points", "worst_other", "worst_spill"))
+    largest = float(np.finfo(np.float32).max)
+    return {
+        "points": proof.points.tolist(),
+        **{
+            key: [None if math.isnan(each) else min(each, largest) for each in values.tolist()]
+            for key, values in (
+                ("worst_other", proof.worst_other), ("worst_spill", proof.worst_spill),
+            )
+        },
+    }  # fmt: skip
 
 
 def _finite(value: float) -> float | None:

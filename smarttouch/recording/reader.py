@@ -19,6 +19,7 @@ from pydantic import ValidationError
 
 from smarttouch.errors import ProfileError, RecordingError
 from smarttouch.imaging.mapping import Tone
+from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.recording.decoder import RecordedStep, StepDecoder
 from smarttouch.recording.schemas import FORMAT, METADATA
@@ -132,6 +133,11 @@ class Recording:
         """How ink became activation; recordings from before there was a choice do not say."""
         told = self.settings.get("tone")
         return Tone(**told) if told else None
+
+    @property
+    def frames(self) -> tuple[Primary, ...]:
+        """Classes whose points shared slots."""
+        return tuple(Primary[each] for each in self.settings.get("frames", ()))
 
     @cached_property
     def versions(self) -> dict[str, Any]:

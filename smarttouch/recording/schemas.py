@@ -23,6 +23,7 @@ _PERHAPS = {"type": ["number", "null"]}
 _INTEGER = {"type": "integer"}
 _COUNTS = {"type": "array", "items": _INTEGER}
 _ROW = {"type": "array", "items": _NUMBER, "description": "of each electrode; [] is all zero"}
+_PROOF: dict[str, Any] = {"type": ["array", "null"], "items": _PERHAPS}
 _TIME = {
     "type": "object",
     "title": "time",
@@ -91,6 +92,9 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
             "discharge_us": _COUNTS,
             "current_ua": _base64("int16 little endian (slots, electrodes), positive cathodic"),
             "vibration": {"type": ["array", "null"], "items": _NUMBER},
+            "points": {**_PROOF, "description": "that share each slot; null if none do"},
+            "worst_other": {**_PROOF, "description": "of each slot, of its weakest target"},
+            "worst_spill": {**_PROOF, "description": "the same, of the own class elsewhere"},
         },
     ),
     "/volts": (

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import ScheduleError
 from smarttouch.profile import Profile
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.scan.sequence import ScanSequence, whole_ua
 from smarttouch.scan.timing import ScanTiming
 
 NEAR = 0.92
@@ -143,7 +143,9 @@ class Adaptation:
         if not len(changed):
             return sequence
         current_ua, width_us = sequence.current_ua.copy(), sequence.width_us.copy()
-        current_ua[changed] = _scaled(current_ua[changed], factor[changed])
+        current_ua[changed] = whole_ua(
+            current_ua[changed].astype(np.float64) * factor[changed, None]
+        )
         if self._hold == "charge":
             width_us[changed] = self._stretched(
                 width_us[changed], peak_ua[changed], _peak_ua(current_ua[changed])
@@ -153,6 +155,7 @@ class Adaptation:
             current_ua=current_ua,
             width_us=width_us,
             period_us=max(sequence.period_us, self._shortest_us(sequence, width_us)),
+            proof=None,
         )
 
     def _stretched(
@@ -181,13 +184,3 @@ def _least_that_switches(current_ua: NDArray[np.int16]) -> Array:
     """Return down to what factor a slot may be scaled before an electrode becomes insulated."""
     magnitude = np.abs(current_ua.astype(np.float64))
     return np.asarray(1 / np.where(magnitude > 0, magnitude, np.inf).min(axis=1))
-
-
-def _scaled(current_ua: NDArray[np.int16], factor: Array) -> NDArray[np.int16]:
-    """Return slots times their factors below 1, in whole µA that sum to zero.
-
-    What rounding leaves is carried on from electrode to electrode. Given to one
-    of them, it could raise that above what it had, and above its limit.
-    """
-    carried = np.cumsum(current_ua * factor[:, None], axis=1)
-    return np.diff(np.rint(carried), axis=1, prepend=0.0).astype(np.int16)

@@ -1,6 +1,7 @@
 """The slots of one afferent class with many points each: the same frame in fewer slots."""
 
 from collections import OrderedDict
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,23 +15,42 @@ from smarttouch.modes.frames.slots import plan_slots
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.scan.points import Slots, felt_at
+from smarttouch.scan.sequence import Proof, whole_ua
+
+Array = NDArray[np.float64]
 
 REMEMBERED = 256
 """Frames whose plan is kept: a finger that rests, or comes back, is not planned for anew."""
 
-MOST_IN_TIME = 150
-"""Electrodes: RA is planned in 1 to 20 ms there (``tests/benchmarks/test_frames.py``)."""
+MOST_IN_TIME = {Primary.RA: 150, Primary.SAI: 80}
+"""Electrodes on which frames are planned in 1 to 20 ms (``tests/benchmarks/test_frames.py``)."""
 
-Plan = tuple[NDArray[np.uint16], NDArray[np.float32]]
-"""The first site of each slot (S,), and its currents at full intensity (S, E) mA."""
+_ROUNDING = 0.99
+"""Part of a bound that plans keep, so that whole µA keep all of it down to a third of full
+intensity. Nothing is felt below, and what breaks a bound there is shown point by point."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Slots at full intensity.
+
+    Attributes
+    ----------
+    level : ndarray, (S, E)
+        What is wished at each point of a slot, 0 at all others.
+    current_ma : ndarray, (S, E) mA
+    """
+
+    level: Array
+    current_ma: Array
 
 
 class FrameSlots:
     """Makes the slots of one primary; points whose currents leave one another alone share one.
 
     Every slot keeps the profile's bounds on what it does to other classes, and to
-    its own class elsewhere, and its limits of current; a point that no other goes
-    with has a slot of its own.
+    its own class elsewhere, and its limits of current, by the finished currents; a
+    point that no other goes with has a slot of its own.
 
     Parameters
     ----------
@@ -57,9 +77,16 @@ class FrameSlots:
         kernels = np.asarray(bank.kernels(primary), np.float64)
         wish_af = full_wish(profile, primary, kernels, bank.receptor[primary])
         self._operator = FrameOperator(FrameJudge(profile, primary, wish_af))
-        self._points_ma = kernels * profile.full_ma[:, None]
+        full_ma = np.minimum(profile.full_ma, self._operator.judge.full_ma)
+        self._points_ma = kernels * full_ma[:, None]
         frames = profile.frames
         self._bounds = FrameBounds(frames.other, frames.spill, frames.uneven)
+        self._planned_bounds = FrameBounds(
+            _ROUNDING * frames.other, _ROUNDING * frames.spill, frames.uneven
+        )
+        total_ma = profile.limits.total_ma
+        # Half of the electrodes may be rounded up, by less than a µA each.
+        self._total_ma = None if total_ma is None else total_ma - len(kernels) / 2000
         self._felt_at = felt_at(profile, primary)
         self._faintest = profile.threshold_ma / profile.full_ma
         self._driven = np.isin(np.arange(len(kernels)), profile.driven)
@@ -67,14 +94,13 @@ class FrameSlots:
         self._plans: OrderedDict[bytes, Plan] = OrderedDict()
 
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
-        """Return the slots of one row of a tactile image.
+        """Return the slots of one row of a tactile image, with their proof.
 
         An active point is activated as its own kernel would, with its threshold
         current times intensity at the faintest activation and its strongest
         comfortable current times intensity at full activation, but for the
         unevenness that the profile allows. Currents are whole µA that sum to zero
-        in every slot: what rounding leaves over is taken off the strongest
-        electrode of its sign. A masked electrode has no slot.
+        in every slot. A masked electrode has no slot.
 
         Parameters
         ----------
@@ -83,12 +109,25 @@ class FrameSlots:
         intensity : float, in [0, 1]
             What all currents are scaled with.
         """
-        site, current_ma = self._planned(activation if intensity > 0 else 0 * activation)
-        current_ua = np.rint(current_ma * np.float32(1000 * intensity)).astype(np.int16)
-        surplus = current_ua.sum(axis=1, dtype=np.int16)
-        highest, lowest = current_ua.argmax(axis=1), current_ua.argmin(axis=1)
-        current_ua[np.arange(len(site)), np.where(surplus > 0, highest, lowest)] -= surplus
-        return site, current_ua, np.full(len(site), self._width_us, np.uint16)
+        with self._blas.limit(limits=1, user_api="blas"):
+            plan = self._planned(activation if intensity > 0 else 0 * activation)
+            current_ua, proof = self._finished(plan, intensity)
+            broken = (proof.worst_other > self._bounds.other) | (
+                proof.worst_spill > self._bounds.spill
+            )
+            broken &= proof.points > 1
+            if broken.any():
+                plan = self._one_by_one(plan, broken)
+                current_ua, proof = self._finished(plan, intensity)
+        site = plan.level.argmax(axis=1).astype(np.uint16)
+        return Slots(site, current_ua, np.full(len(site), self._width_us, np.uint16), proof)
+
+    def _finished(self, plan: Plan, intensity: float) -> tuple[NDArray[np.int16], Proof]:
+        """Return currents as they are sent, and what these do."""
+        current_ua = whole_ua(1000 * intensity * plan.current_ma)
+        other, spill = self._operator.judge.selectivity(current_ua / 1000, plan.level)
+        points = np.count_nonzero(plan.level, axis=1).astype(np.uint16)
+        return current_ua, Proof(points, other.astype(np.float32), spill.astype(np.float32))
 
     def _planned(self, activation: NDArray[np.float32]) -> Plan:
         key = activation.tobytes()
@@ -106,20 +145,34 @@ class FrameSlots:
         level = np.where(active, self._faintest + (1 - self._faintest) * activation, 0.0)
         # Plans aim a little low, which saves current; the faintest would not be felt then.
         level = np.minimum(level / (1 - AIM * self._bounds.uneven), 1.0)
-        with self._blas.limit(limits=1, user_api="blas"):
-            slots = plan_slots(self._operator, level, self._bounds, None, self._points_ma)
-        site = np.array([each.sites[level[each.sites].argmax()] for each in slots], np.uint16)
-        current_ma = np.array([each.current for each in slots], np.float32)
-        return site, current_ma.reshape(len(slots), len(level))
+        slots = plan_slots(
+            self._operator, level, self._planned_bounds, self._total_ma, self._points_ma
+        )
+        shape = len(slots), len(level)
+        levels, currents_ma = np.zeros(shape), np.zeros(shape)
+        for row, current_ma, slot in zip(levels, currents_ma, slots, strict=True):
+            row[slot.sites], current_ma[:] = level[slot.sites], slot.current
+        return Plan(levels, currents_ma)
+
+    def _one_by_one(self, plan: Plan, broken: NDArray[np.bool_]) -> Plan:
+        """Return a plan in which the points of some slots have slots of their own."""
+        level = plan.level[broken].sum(axis=0)
+        site = np.flatnonzero(level)
+        alone = np.zeros((len(site), len(level)))
+        alone[np.arange(len(site)), site] = level[site]
+        currents_ma = level[site, None] * self._points_ma[site]
+        return Plan(
+            np.concatenate([plan.level[~broken], alone]),
+            np.concatenate([plan.current_ma[~broken], currents_ma]),
+        )
 
 
 def in_time(profile: Profile) -> tuple[Primary, ...]:
-    """Return the classes that a profile's frames can be planned for between two pulses.
-
-    RA on arrays of up to `MOST_IN_TIME` electrodes; plans of SAI take up to some 100 ms.
-    """
-    fits = len(profile.electrodes) <= MOST_IN_TIME and why_not(profile) is None
-    return (Primary.RA,) if fits else ()
+    """Return the classes that a profile's frames can be planned for between two pulses."""
+    if why_not(profile) is not None:
+        return ()
+    count = len(profile.electrodes)
+    return tuple(each for each, most in MOST_IN_TIME.items() if count <= most)
 
 
 def why_not(profile: Profile) -> str | None:

@@ -42,14 +42,15 @@ class ChargeLedger:
         The one is taken that leaves the smaller sum of squares. The twin has
         the same sites and the opposite currents, so it keeps all limits that
         the sequence keeps; but it stimulates other afferents (Fig. 10), and
-        wants a board of both polarities. Nothing is entered.
+        wants a board of both polarities; what was proved of the sequence is not
+        said of it. Nothing is entered.
         """
         if self.charge_uc @ _charge_uc(sequence) <= 0:
             return sequence
         if sequence.current_ua.min() == _LOWEST:
             # It has no positive twin in 16 bits; no profile allows 32 mA anyway.
             return sequence
-        return replace(sequence, current_ua=-sequence.current_ua)
+        return replace(sequence, current_ua=-sequence.current_ua, proof=None)
 
 
 def _charge_uc(sequence: ScanSequence) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 import math
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +11,29 @@ from smarttouch.errors import ScheduleError
 from smarttouch.modes.bank import KernelBank
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
+from smarttouch.scan.sequence import Proof
 from smarttouch.scan.timing import ScanTiming
 
 SHORTEST_PULSE_US = 10
 """Where pulse width carries intensity, what would be shorter is not felt."""
 
-Slots = tuple[NDArray[np.uint16], NDArray[np.int16], NDArray[np.uint16]]
-"""Site, current and width: (S,), (S, E) µA, (S,) µs."""
+
+class Slots(NamedTuple):
+    """The slots of one class.
+
+    Attributes
+    ----------
+    site : ndarray, (S,) uint16
+    current_ua : ndarray, (S, E) int16, µA
+    width_us : ndarray, (S,) uint16, µs
+    proof : Proof, optional
+        Where points share slots.
+    """
+
+    site: NDArray[np.uint16]
+    current_ua: NDArray[np.int16]
+    width_us: NDArray[np.uint16]
+    proof: Proof | None = None
 
 
 class PointSlots:
@@ -130,7 +147,7 @@ class PointSlots:
             over = np.abs(current_ua[rows, electrode] - surplus) > self._most_ua[site]
             electrode = np.where(over, self._opposite[site], electrode)
         current_ua[rows, electrode] -= surplus
-        return site.astype(np.uint16), current_ua, width_us
+        return Slots(site.astype(np.uint16), current_ua, width_us)
 
     def _widths_us(self, level: NDArray[np.float32]) -> NDArray[np.uint16]:
         """Return how long the strongest current does what a part of it does for a whole pulse, µs.

@@ -14,7 +14,7 @@ from smarttouch.profile import Profile
 from smarttouch.scan.frames import FrameSlots
 from smarttouch.scan.points import PointSlots, Slots
 from smarttouch.scan.rates import PulseRates, rate_share
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.scan.sequence import Proof, ScanSequence
 from smarttouch.scan.timing import ScanTiming
 
 
@@ -151,7 +151,7 @@ class PointScan:
         if not parts:
             # The rate has fallen since this time was set.
             parts = [self._points[self._first].slots(image.activation[self._first], 0.0)]
-        site, current_ua, width_us = parts[0] if len(parts) == 1 else _joined(parts)
+        site, current_ua, width_us, proof = parts[0] if len(parts) == 1 else _joined(parts)
         return ScanSequence(
             current_ua=current_ua,
             width_us=width_us,
@@ -165,6 +165,7 @@ class PointScan:
             vibration=image.activation[Primary.PC] * np.float32(intensity)
             if self._vibrated
             else None,
+            proof=proof,
         )
 
     def _active(self, activation: NDArray[np.float32], period_us: int) -> tuple[Primary, ...]:
@@ -205,5 +206,15 @@ class PointScan:
 
 def _joined(parts: list[Slots]) -> Slots:
     """Return the slots of several classes one after another."""
-    site, current_ua, width_us = (np.concatenate(each) for each in zip(*parts, strict=True))
-    return site, current_ua, width_us
+    site = np.concatenate([each.site for each in parts])
+    current_ua = np.concatenate([each.current_ua for each in parts])
+    width_us = np.concatenate([each.width_us for each in parts])
+    proof = None
+    if any(each.proof is not None for each in parts):
+        proofs = [each.proof or Proof.of_nothing(len(each.site)) for each in parts]
+        proof = Proof(
+            np.concatenate([each.points for each in proofs]),
+            np.concatenate([each.worst_other for each in proofs]),
+            np.concatenate([each.worst_spill for each in proofs]),
+        )
+    return Slots(site, current_ua, width_us, proof)

@@ -7,6 +7,41 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, eq=False)
+class Proof:
+    """What the finished currents of each slot do beside what they are for.
+
+    Computed from the currents as they are sent, after all rounding; activation is
+    a ratio to that of the slot's weakest target, scaled to level 1.
+
+    Attributes
+    ----------
+    points : ndarray, (S,) uint16
+        How many points share each slot; 0 for slots of which nothing is proved.
+    worst_other : ndarray, (S,) float32
+        Largest activation of any other class; NaN where nothing is proved.
+    worst_spill : ndarray, (S,) float32
+        Largest activation of the own class more than a pitch from every target.
+    """
+
+    points: NDArray[np.uint16]
+    worst_other: NDArray[np.float32]
+    worst_spill: NDArray[np.float32]
+
+    @property
+    def shared(self) -> tuple[float, float] | None:
+        """Worst other and worst spill of slots of several points; None if there are none."""
+        several = self.points > 1
+        if not several.any():
+            return None
+        return float(self.worst_other[several].max()), float(self.worst_spill[several].max())
+
+    @classmethod
+    def of_nothing(cls, slots: int) -> "Proof":
+        unknown = np.full(slots, np.nan, np.float32)
+        return cls(np.zeros(slots, np.uint16), unknown, unknown)
+
+
+@dataclass(frozen=True, eq=False)
 class ScanSequence:
     """One pass over the active points of a tactile image.
 
@@ -35,6 +70,8 @@ class ScanSequence:
     vibration : ndarray, (E,) float32, in [0, 1], optional
         How strongly mechanical vibrators shake the skin under each site for the whole
         period; none if not given.
+    proof : Proof, optional
+        Where points share slots, what these do.
     """
 
     current_ua: NDArray[np.int16]
@@ -45,6 +82,7 @@ class ScanSequence:
     intensity: float
     time_ns: int
     vibration: NDArray[np.float32] | None = None
+    proof: Proof | None = None
 
     @property
     def slots(self) -> int:
@@ -65,5 +103,19 @@ class ScanSequence:
 
     @property
     def source_ua(self) -> NDArray[np.int32]:
-        """What the source delivers in each slot, (S,) µA."""
+        """What all cathodes together carry in each slot, (S,) µA: one source's current."""
         return np.asarray(np.abs(self.current_ua.astype(np.int32)).sum(axis=1) // 2)
+
+
+def whole_ua(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
+    """Return currents in whole µA that sum to zero in every slot, as the given ones do.
+
+    What rounding leaves is carried on from electrode to electrode, so that none is
+    off by a whole µA. Given to one of them, it could raise that above its limit.
+
+    Parameters
+    ----------
+    current_ua : ndarray, (S, E) µA
+    """
+    carried = np.cumsum(current_ua, axis=1)
+    return np.diff(np.rint(carried), axis=1, prepend=0.0).astype(np.int16)

@@ -12,12 +12,12 @@ from hypothesis.extra import numpy as arrays
 
 from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.live import Sent
-from smarttouch.pipeline import Step
-from smarttouch.primary import Mode
+from smarttouch.pipeline import Pipeline, Step
+from smarttouch.primary import Mode, Primary
 from smarttouch.recording.decoder import StepDecoder
 from smarttouch.recording.encoder import StepEncoder
 from smarttouch.recording.schemas import LAST, SCHEMAS
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.scan.sequence import Proof, ScanSequence
 from smarttouch.sensing.frame import Frame, Pose, PulseRequest
 
 numbers = st.floats(allow_infinity=False)
@@ -40,7 +40,14 @@ def sequences(draw, time_ns, electrodes):
         draw(st.floats(0, 1)),
         time_ns,
         draw(st.none() | arrays.arrays(np.float32, electrodes, elements=st.floats(0, 1, width=32))),
+        draw(st.none() | proofs(slots)),
     )
+
+
+def proofs(slots):
+    ratio = st.floats(0, width=32, allow_infinity=False) | st.just(math.nan)
+    ratios = arrays.arrays(np.float32, slots, elements=ratio)
+    return st.builds(Proof, arrays.arrays(np.uint16, slots, elements=whole_us), ratios, ratios)
 
 
 @st.composite
@@ -127,6 +134,22 @@ def test_a_step_comes_back_to_the_bit(steps):
         np.testing.assert_allclose(
             *tactile, atol=5.1e-5 * (one["step"]["frame"]["request"] is None)
         )
+
+
+def test_a_proof_of_other_slots_breaks_the_step(make_frame, profile, bank):
+    pipeline = Pipeline(profile, bank, frames=(Primary.RA,))
+    image = np.full((64, 64), 255, np.uint8)
+    image[20:44, 20:44] = 0
+    pipeline.process(make_frame(image, 10**9))
+    step = pipeline.process(make_frame(image, 2 * 10**9))
+    assert step.sequence.proof.points.max() > 1
+    for key in ("points", "worst_other", "worst_spill"):
+        decoder = StepDecoder()
+        for topic, message in StepEncoder(10**18).messages(Sent(step, 0, 0.0), 0, 0):
+            if topic == "/sequence":
+                message[key] = message[key][1:]
+            assert decoder.take(topic, 0, json.dumps(message).encode()) is None
+        assert decoder.broken == 1
 
 
 def test_an_image_is_written_once(steps):

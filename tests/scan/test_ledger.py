@@ -1,5 +1,7 @@
 """Net charge: what every electrode has passed, and how polarity keeps it down."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,7 +10,7 @@ from hypothesis import strategies as st
 from smarttouch.profile import load_profile
 from smarttouch.scan.ledger import ChargeLedger
 from smarttouch.scan.safety import SafetyGate, SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.scan.sequence import Proof, ScanSequence
 
 
 def sequence(currents, widths=200, time_ns=10**9, electrodes=16, intensity=1.0):
@@ -95,3 +97,11 @@ def test_what_has_no_twin_stays_as_it_is():
     assert ledger.balancing(extreme) is extreme
     turned = sequence([[-32767, 32767, 0, 0]], 10, electrodes=4)
     assert ledger.balancing(turned).current_ua.tolist() == [[32767, -32767, 0, 0]]
+
+
+def test_a_turned_scan_has_no_proof():
+    proved = replace(sequence([[100, -100] + [0] * 14]), proof=Proof.of_nothing(1))
+    ledger = ChargeLedger(16)
+    assert ledger.balancing(proved) is proved
+    ledger.add(proved)
+    assert ledger.balancing(proved).proof is None

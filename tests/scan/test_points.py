@@ -31,7 +31,7 @@ def test_width_carries_intensity_at_full_height(by_width, bank):
     slots = PointSlots(by_width, bank, Primary.RA, ScanTiming())
     activation = np.zeros(64, np.float32)
     activation[[9, 27]] = 1.0, 1e-6
-    site, current_ua, width_us = slots.slots(activation, 1.0)
+    site, current_ua, width_us, _ = slots.slots(activation, 1.0)
     weak, full = (site.tolist().index(each) for each in (27, 9))
     assert width_us[full] == 200
     # Threshold is half of the strongest: by Weiss, with c = w, in a third of the time.
@@ -42,9 +42,9 @@ def test_width_carries_intensity_at_full_height(by_width, bank):
 
 def test_what_would_be_too_short_is_not_felt(by_width, bank):
     slots = PointSlots(by_width, bank, Primary.RA, ScanTiming())
-    _, _, width_us = slots.slots(np.ones(64, np.float32), 0.09)
+    _, _, width_us, _ = slots.slots(np.ones(64, np.float32), 0.09)
     assert len(width_us) == 0
-    _, _, width_us = slots.slots(np.ones(64, np.float32), 0.11)
+    _, _, width_us, _ = slots.slots(np.ones(64, np.float32), 0.11)
     assert width_us.min() >= SHORTEST_PULSE_US
 
 
@@ -90,7 +90,7 @@ def test_measured_maxima_are_what_full_activation_gets(profile, changed, bank):
     slots = PointSlots(mine, bank, Primary.RA, ScanTiming())
     activation = np.zeros(64, np.float32)
     activation[[9, 10, 11]] = 1.0, 1.0, 1e-6
-    site, current_ua, _ = slots.slots(activation, 1.0)
+    site, current_ua, *_ = slots.slots(activation, 1.0)
     strongest = dict(zip(site.tolist(), np.abs(current_ua).max(axis=1).tolist(), strict=True))
     # What rounding leaves over is the strongest electrode's.
     assert strongest == pytest.approx({9: 1500, 10: 2000, 11: 1200}, abs=5)

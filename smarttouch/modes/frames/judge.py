@@ -1,13 +1,14 @@
 """What finished currents of one slot do: to the points they are for, and to all else."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import DesignError
-from smarttouch.modes.frames.fields import FieldMap
+from smarttouch.modes.frames.fields import FieldMap, Single
 from smarttouch.nerve.activation import af_matrix
 from smarttouch.nerve.afferents import Afferents, everywhere, targets
 from smarttouch.primary import Primary
@@ -126,13 +127,17 @@ class FrameJudge:
         self.own = FieldMap(profile, place)
         self._near = _near(place.position_mm, profile)
 
-    @property
+    @cached_property
     def full_ma(self) -> Array:
-        """The most that each electrode may carry at intensity 1, (E,) mA, 0 where masked."""
+        """The most that each electrode may carry at intensity 1, (E,) mA, 0 where masked.
+
+        Whole µA, as boards have them.
+        """
         limits = self.profile.limits
         most = np.minimum(np.asarray(self.profile.full_ma, np.float64), limits.current_ma)
         if limits.electrode_ma is not None:
             most = np.minimum(most, np.asarray(limits.electrode_ma))
+        most = np.floor(1000 * most + 1e-6) / 1000
         return np.where(np.isin(np.arange(len(most)), self.profile.driven), most, 0.0)
 
     def far(self, active: NDArray[np.intp]) -> NDArray[np.bool_]:
@@ -147,10 +152,22 @@ class FrameJudge:
         reached = self.target[active] @ current / level[active]
         return float(reached.min()), reached / self.wish_af[active]
 
-    def judge(self, current: Array, level: Array) -> FrameFigures:
+    def reached(self, current: Array) -> list[Single]:
+        """Return the activating function of currents (E,) mA: of each other class, then the own."""
+        frame = np.asarray(current)[None]
+        return [field(frame)[0] for field in (*self.others, self.own)]
+
+    def judge(
+        self, current: Array, level: Array, reached: Sequence[Single] | None = None
+    ) -> FrameFigures:
         """Return what currents (E,) mA do that are to activate sites with level (E,) > 0.
 
         Where a target is not activated at all the ratios are infinite.
+
+        Parameters
+        ----------
+        reached : list of ndarray, optional
+            What `reached` returned for the currents, where it is known.
 
         Raises
         ------
@@ -161,10 +178,9 @@ class FrameJudge:
         if not len(active):
             raise DesignError("a frame without an active site has no figures: leave its slot out")
         smallest, ratio = self.reference(current, level)
-        frame = np.asarray(current)[None]
-        other = max(float(field(frame).max()) for field in self.others)
-        own = self.own(frame)[0].reshape(self.own.directions_n, -1)
-        away = np.append(own.max(axis=0), -np.inf)
+        *others, own = self.reached(current) if reached is None else reached
+        other = max(float(field.max()) for field in others)
+        away = np.append(own.reshape(self.own.directions_n, -1).max(axis=0), -np.inf)
         away[self._near[active]] = -np.inf
         spill = max(float(away.max()), 0.0)
         total, most = float(np.abs(current).sum() / 2), float(np.abs(current).max())
@@ -173,6 +189,28 @@ class FrameJudge:
         return FrameFigures(
             other / smallest, spill / smallest, float(ratio.min()), float(ratio.max()), total, most
         )
+
+    def selectivity(self, current: Array, level: Array) -> tuple[Array, Array]:
+        """Return `FrameFigures.worst_other` and `worst_spill` of many slots, (S,) each.
+
+        Parameters
+        ----------
+        current, level : ndarray, (S, E)
+            Of each slot; at least one level of each is above 0.
+        """
+        if not len(current):
+            return np.zeros(0), np.zeros(0)
+        other = np.max([field(current).max(axis=1) for field in self.others], axis=0)
+        own = self.own(current).reshape(len(current), self.own.directions_n, -1).max(axis=1)
+        away = np.c_[own, np.full(len(own), -np.inf, own.dtype)]
+        smallest = np.empty(len(current))
+        for slot, (each_ma, each_level) in enumerate(zip(current, level, strict=True)):
+            smallest[slot], _ = self.reference(each_ma, each_level)
+            away[slot, self._near[np.flatnonzero(each_level)]] = -np.inf
+        spill = np.maximum(away.max(axis=1), 0)
+        hit = smallest > 0
+        smallest = np.where(hit, smallest, 1.0)
+        return np.where(hit, other / smallest, np.inf), np.where(hit, spill / smallest, np.inf)
 
 
 def full_wish(profile: Profile, primary: Primary, kernels: Array, receptor: Array) -> Array:

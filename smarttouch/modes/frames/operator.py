@@ -23,11 +23,10 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import nnls
 
 from smarttouch.errors import DesignError
-from smarttouch.modes.frames.fields import FieldMap
+from smarttouch.modes.frames.fields import FieldMap, Single
 from smarttouch.modes.frames.judge import FrameBounds, FrameFigures, FrameJudge
 
 Array = NDArray[np.float64]
@@ -93,6 +92,7 @@ class FrameOperator:
     def __init__(self, judge: FrameJudge, weights: Weights = CHOSEN) -> None:
         self.judge = judge
         driven = judge.profile.driven
+        self._masked = ~np.isin(np.arange(len(judge.profile.electrodes)), driven)
         count = len(judge.profile.electrodes)
         form = weights.current * np.eye(count)
         for factor, fields in ((weights.other, judge.others), (weights.own, [judge.own])):
@@ -122,14 +122,12 @@ class FrameOperator:
     def currents(self, level: Array) -> Array:
         """Return the currents (E,) mA that cause the least side effects for levels (E,)."""
         active = self._active(level)
-        system = cho_factor(self._system(active))
         wish = level[active] * self.judge.wish_af[active]
-        return np.asarray(self._columns[:, active] @ cho_solve(system, wish))
+        return np.asarray(self._columns[:, active] @ np.linalg.solve(self._system(active), wish))
 
     def independent(self, sites: NDArray[np.intp]) -> Array:
         """Return kernels (A, E) mA per V/mm² of a set of sites that leave one another alone."""
-        system = cho_factor(self._system(sites))
-        return np.asarray(cho_solve(system, self._columns[:, sites].T))
+        return np.asarray(np.linalg.solve(self._system(sites), self._columns[:, sites].T))
 
     def bounded(
         self,
@@ -152,15 +150,17 @@ class FrameOperator:
         judge, active = self.judge, self._active(level)
         limit = judge.profile.limits.total_ma if total_ma is None else total_ma
         wish = (1 - AIM * bounds.uneven) * level[active] * judge.wish_af[active]
-        system = cho_factor(self._system(active))
         columns = self._columns[:, active]
-        free = columns @ cho_solve(system, wish)
+        # As many as targets that are currents' own: what gives one of them 1 and the others 0.
+        each = np.linalg.solve(self._system(active), columns.T).T
+        free = each @ wish
         reference = float((wish / level[active]).min())
         broken = _Broken(judge, active, bounds, reference, limit)
         current, best = free, None
         rows, limits = np.zeros((0, len(free))), np.zeros(0)
         for done in range(rounds + 1):
-            figures = judge.judge(current, level)
+            reached = judge.reached(current)
+            figures = judge.judge(current, level, reached)
             excess = _excess(judge, figures, bounds, current, limit)
             stuck = best is not None and excess > _PROGRESS * best[0]
             if best is None or excess < best[0]:
@@ -169,13 +169,13 @@ class FrameOperator:
                 break
             if limit is not None and not done and figures.total_ma > _HOPELESS * limit:
                 break
-            more, at_most = broken.rows(current)
+            more, at_most = broken.rows(current, reached)
             if not len(more):
                 break
             rows, limits = np.concatenate([rows, more]), np.concatenate([limits, at_most])
             # Rows that end at a bound, in the currents that change no target.
             moved = self._inverse @ rows.T
-            moved -= columns @ cho_solve(system, columns.T @ rows.T)
+            moved -= each @ (columns.T @ rows.T)
             price = _prices(rows @ moved, rows @ free - limits)
             if price is None:
                 break
@@ -186,7 +186,7 @@ class FrameOperator:
 
     def _active(self, level: Array) -> NDArray[np.intp]:
         active = np.flatnonzero(level)
-        masked = np.isin(active, self.judge.profile.output.masked)
+        masked = self._masked[active]
         if masked.any():
             raise DesignError(
                 f"site {active[masked][0]} is masked: its electrode is not driven; leave it out"
@@ -214,11 +214,13 @@ class _Broken:
         ]
         self._fields.append((judge.own, _INSIDE * bounds.spill * reference, judge.far(active)))
 
-    def rows(self, current: Array) -> tuple[Array, Array]:
+    def rows(self, current: Array, reached: list[Single]) -> tuple[Array, Array]:
         """Return broken rows (K, E) and what each may reach (K,)."""
         rows, limits = [np.zeros((0, len(current)))], [np.zeros(0)]
-        for field, bound, where in self._fields:
-            chosen = _hills(field, field(current[None])[0] - bound, where)
+        for (field, bound, where), values in zip(self._fields, reached, strict=True):
+            chosen = _hills(field, values - bound, where)
+            if not len(chosen):
+                continue
             rows.append(field.rows(chosen))
             limits.append(np.full(len(chosen), bound))
         most = _INSIDE * self._judge.full_ma
@@ -232,10 +234,12 @@ class _Broken:
         return np.concatenate(rows), np.concatenate(limits)
 
 
-def _hills(field: FieldMap, excess: Array, where: NDArray[np.bool_] | None) -> NDArray[np.intp]:
+def _hills(field: FieldMap, excess: Single, where: NDArray[np.bool_] | None) -> NDArray[np.intp]:
     """Return the worst broken rows, one of each little cell of the lattice."""
     broken = excess > 0 if where is None else (excess > 0) & where
     index = np.flatnonzero(broken)
+    if not len(index):
+        return index
     index = index[np.argsort(-excess[index])]
     line, column = np.divmod(index, field.grid[1])
     cell = line // _CELL * (field.grid[1] // _CELL + 1) + column // _CELL
@@ -249,8 +253,8 @@ def _prices(form: Array, excess: Array) -> Array | None:
     None where that takes too long: only bounds that contradict one another do.
     """
     scale = float(np.trace(form)) / len(form)
-    root = cholesky(form + _SOFT_BOUND * scale * np.eye(len(form)), lower=True)
-    wanted = solve_triangular(root, excess, lower=True)
+    root = np.linalg.cholesky(form + _SOFT_BOUND * scale * np.eye(len(form)))
+    wanted = np.linalg.solve(root, excess)
     try:
         return np.asarray(nnls(root.T, wanted, maxiter=_STEPS * len(form))[0])
     except RuntimeError:

@@ -1,0 +1,65 @@
+"""Shared slots by the books of an emulated board: what flowed does what was planned."""
+
+import numpy as np
+import pytest
+
+from smarttouch.boards.emulator.simulated import SimulatedBoard
+from smarttouch.imaging.tactile_image import TactileImage
+from smarttouch.modes.problem import Problem
+from smarttouch.primary import Primary
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.scan.schedule import PointScan
+
+
+@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
+def test_delivered_currents_do_what_was_planned(profile, bank, primary):
+    rng = np.random.default_rng(8)
+    scan = PointScan(profile, bank, (primary,), frames=(primary,))
+    sent = {}
+    with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
+        for step in range(60):
+            activation = np.zeros((3, 64), np.float32)
+            sites = rng.choice(64, rng.integers(2, 30), replace=False)
+            activation[primary, sites] = rng.random(len(sites), np.float32)
+            # From zero to full in a second.
+            intensity = min(step / 50, 1.0)
+            image = TactileImage(activation, step * 20_000_000, 1.0)
+            sequence = scan.schedule(image, intensity)
+            sent[board.send(sequence)] = sequence, activation[primary], intensity
+        board.drain()
+        numbers, width_us, current_ua = board.take_pulses()
+        report = board.report()
+    limits = profile.limits
+    assert report.violations == 0
+    assert report.slots == len(numbers) == sum(each.slots for each, _, _ in sent.values())
+    assert not current_ua.sum(axis=1, dtype=int).any()
+    assert np.abs(current_ua).max() <= 1000 * limits.current_ma
+    assert np.abs(current_ua.astype(int)).sum(axis=1).max() <= 2 * 1000 * limits.total_ma
+    rows = Problem(profile, primary).rows[0]
+    alone_af = profile.full_ma * (rows.target[0] * bank.kernels(primary)).sum(axis=1)
+    faintest = profile.threshold_ma / profile.full_ma
+    shared = 0
+    for number, (sequence, activation, intensity) in sent.items():
+        mine = numbers == number
+        assert np.array_equal(current_ua[mine], sequence.current_ua)
+        assert (width_us[mine] == sequence.width_us).all()
+        if intensity < 0.2:
+            continue
+        delivered_ma = current_ua[mine] / 1000
+        reached_af = delivered_ma @ rows.target[0].T
+        level = np.where(activation > 0, faintest + (1 - faintest) * activation, np.inf)
+        part = reached_af / (intensity * level * alone_af)
+        # Each point once, as strongly as its own kernel would, but for the evenness allowed.
+        served = np.argsort(-part, axis=0)[0]
+        best = part.max(axis=0)[activation > 0]
+        assert best.min() > 1 - profile.frames.uneven - 0.01
+        assert best.max() < 1 + profile.frames.uneven + 0.01
+        others_af = (delivered_ma @ rows.other.T).max(axis=1)
+        for slot, points in enumerate(sequence.proof.points.tolist()):
+            sites = np.flatnonzero((served == slot) & (activation > 0))
+            assert len(sites) == points
+            if points > 1:
+                shared += 1
+                weakest_af = (reached_af[slot] / level)[sites].min()
+                assert others_af[slot] <= 1.03 * profile.frames.other * weakest_af
+    assert shared > 100
