@@ -1,4 +1,4 @@
-"""The slots of one afferent class with many points each: the same frame in fewer slots."""
+"""Slots with many points each, of one afferent class or two: the same frame in fewer slots."""
 
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -9,7 +9,14 @@ from threadpoolctl import ThreadpoolController
 
 from smarttouch.errors import ScheduleError
 from smarttouch.modes.bank import KernelBank
-from smarttouch.modes.frames.judge import FrameBounds, FrameJudge, full_wish
+from smarttouch.modes.frames.judge import (
+    FrameBounds,
+    FrameJudge,
+    SlotJudge,
+    full_wish,
+    judge_all,
+)
+from smarttouch.modes.frames.mixed import MixedJudge
 from smarttouch.modes.frames.operator import AIM, FrameOperator
 from smarttouch.modes.frames.slots import plan_slots
 from smarttouch.primary import Primary
@@ -36,7 +43,7 @@ class Plan:
 
     Attributes
     ----------
-    level : ndarray, (S, E)
+    level : ndarray, (S, K·E)
         What is wished at each point of a slot, 0 at all others.
     current_ma : ndarray, (S, E) mA
     """
@@ -46,7 +53,7 @@ class Plan:
 
 
 class FrameSlots:
-    """Makes the slots of one primary; points whose currents leave one another alone share one.
+    """Makes the slots of K classes; points whose currents leave one another alone share one.
 
     Every slot keeps the profile's bounds on what it does to other classes, and to
     its own class elsewhere, and its limits of current, by the finished currents; a
@@ -58,8 +65,8 @@ class FrameSlots:
         Skin, pulse, limits, bounds and thresholds.
     bank : KernelBank
         Kernels of single points.
-    primary : Primary
-        Which of them to use.
+    primaries : tuple of Primary
+        Which of them to use; points of several may share slots, too.
 
     Raises
     ------
@@ -68,17 +75,21 @@ class FrameSlots:
         carries intensity.
     """
 
-    def __init__(self, profile: Profile, bank: KernelBank, primary: Primary) -> None:
+    def __init__(self, profile: Profile, bank: KernelBank, primaries: tuple[Primary, ...]) -> None:
         reason = why_not(profile)
         if reason is not None:
             raise ScheduleError(f"a whole frame cannot be shown at once: {reason}: choose points")
         # Matrices are small: with other work on the machine, a second thread costs a hundredfold.
         self._blas = ThreadpoolController()
-        kernels = np.asarray(bank.kernels(primary), np.float64)
-        wish_af = full_wish(profile, primary, kernels, bank.receptor[primary])
-        self._operator = FrameOperator(FrameJudge(profile, primary, wish_af))
-        full_ma = np.minimum(profile.full_ma, self._operator.judge.full_ma)
-        self._points_ma = kernels * full_ma[:, None]
+        kernels = [np.asarray(bank.kernels(each), np.float64) for each in primaries]
+        judges = [
+            FrameJudge(profile, each, full_wish(profile, each, own, bank.receptor[each]))
+            for each, own in zip(primaries, kernels, strict=True)
+        ]
+        judge: SlotJudge = judges[0] if len(judges) == 1 else MixedJudge(judges)
+        self._operator = FrameOperator(judge)
+        full_ma = np.minimum(profile.full_ma, judge.full_ma)
+        self._points_ma = np.concatenate([own * full_ma[:, None] for own in kernels])
         frames = profile.frames
         self._bounds = FrameBounds(frames.other, frames.spill, frames.uneven)
         self._planned_bounds = FrameBounds(
@@ -86,15 +97,15 @@ class FrameSlots:
         )
         total_ma = profile.limits.total_ma
         # Half of the electrodes may be rounded up, by less than a µA each.
-        self._total_ma = None if total_ma is None else total_ma - len(kernels) / 2000
-        self._felt_at = felt_at(profile, primary)
+        self._total_ma = None if total_ma is None else total_ma - len(full_ma) / 2000
+        self._felt_at = [felt_at(profile, each) for each in primaries]
         self._faintest = profile.threshold_ma / profile.full_ma
-        self._driven = np.isin(np.arange(len(kernels)), profile.driven)
+        self._driven = np.isin(np.arange(len(full_ma)), profile.driven)
         self._width_us = profile.pulse.width_us
         self._plans: OrderedDict[bytes, Plan] = OrderedDict()
 
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
-        """Return the slots of one row of a tactile image, with their proof.
+        """Return the slots of the classes' rows of a tactile image, with their proof.
 
         An active point is activated as its own kernel would, with its threshold
         current times intensity at the faintest activation and its strongest
@@ -104,7 +115,7 @@ class FrameSlots:
 
         Parameters
         ----------
-        activation : ndarray, (E,) float32, in [0, 1]
+        activation : ndarray, (K, E) float32, in [0, 1]
             What should be felt at each electrode.
         intensity : float, in [0, 1]
             What all currents are scaled with.
@@ -119,15 +130,19 @@ class FrameSlots:
             if broken.any():
                 plan = self._one_by_one(plan, broken)
                 current_ua, proof = self._finished(plan, intensity)
-        site = plan.level.argmax(axis=1).astype(np.uint16)
+        site = (plan.level.argmax(axis=1) % activation.shape[1]).astype(np.uint16)
         return Slots(site, current_ua, np.full(len(site), self._width_us, np.uint16), proof)
 
     def _finished(self, plan: Plan, intensity: float) -> tuple[NDArray[np.int16], Proof]:
         """Return currents as they are sent, and what these do."""
         current_ua = whole_ua(1000 * intensity * plan.current_ma)
-        other, spill = self._operator.judge.selectivity(current_ua / 1000, plan.level)
-        points = np.count_nonzero(plan.level, axis=1).astype(np.uint16)
-        return current_ua, Proof(points, other.astype(np.float32), spill.astype(np.float32))
+        figures = judge_all(self._operator.judge, current_ua / 1000, plan.level)
+        proof = Proof(
+            np.count_nonzero(plan.level, axis=1).astype(np.uint16),
+            np.array([each.worst_other for each in figures], np.float32),
+            np.array([each.worst_spill for each in figures], np.float32),
+        )
+        return current_ua, proof
 
     def _planned(self, activation: NDArray[np.float32]) -> Plan:
         key = activation.tobytes()
@@ -139,17 +154,21 @@ class FrameSlots:
         return self._plans[key]
 
     def _plan(self, activation: NDArray[np.float32]) -> Plan:
-        if self._felt_at is not None:
-            activation = np.append(activation, np.float32(0))[self._felt_at]
-        active = (activation > 0) & self._driven
-        level = np.where(active, self._faintest + (1 - self._faintest) * activation, 0.0)
+        asked = np.array(
+            [
+                row if felt is None else np.append(row, np.float32(0))[felt]
+                for row, felt in zip(activation, self._felt_at, strict=True)
+            ]
+        )
+        active = (asked > 0) & self._driven
+        level = np.where(active, self._faintest + (1 - self._faintest) * asked, 0.0).ravel()
         # Plans aim a little low, which saves current; the faintest would not be felt then.
         level = np.minimum(level / (1 - AIM * self._bounds.uneven), 1.0)
         slots = plan_slots(
             self._operator, level, self._planned_bounds, self._total_ma, self._points_ma
         )
-        shape = len(slots), len(level)
-        levels, currents_ma = np.zeros(shape), np.zeros(shape)
+        levels = np.zeros((len(slots), len(level)))
+        currents_ma = np.zeros((len(slots), activation.shape[1]))
         for row, current_ma, slot in zip(levels, currents_ma, slots, strict=True):
             row[slot.sites], current_ma[:] = level[slot.sites], slot.current
         return Plan(levels, currents_ma)

@@ -17,6 +17,9 @@ from smarttouch.scan.rates import PulseRates, rate_share
 from smarttouch.scan.sequence import Proof, ScanSequence
 from smarttouch.scan.timing import ScanTiming
 
+_BOTH = (Primary.RA, Primary.SAI)
+"""Of opposite polarity: where both are due, a point of one is the return of one of the other."""
+
 
 class PointScan:
     """Schedules one slot for each active point (paper, Section IV-A, Fig. 19), or fewer.
@@ -91,12 +94,14 @@ class PointScan:
                 )
         self._vibrated = vibrated
         driven = [each for each in primaries if not (vibrated and each is Primary.PC)]
-        self._points: dict[Primary, PointSlots | FrameSlots] = {
-            each: FrameSlots(profile, bank, each)
-            if each in frames
-            else PointSlots(profile, bank, each, timing)
-            for each in driven
+        self._driven = tuple(driven)
+        self._points = {
+            each: PointSlots(profile, bank, each, timing) for each in driven if each not in frames
         }
+        shared: list[tuple[Primary, ...]] = [(each,) for each in driven if each in frames]
+        if {Primary.RA, Primary.SAI} <= set(driven) & set(frames):
+            shared.append(_BOTH)
+        self._frames = {classes: FrameSlots(profile, bank, classes) for classes in shared}
         self.asked_us = 0
         self._first = driven[0]
         self._softness = softness
@@ -147,10 +152,8 @@ class PointScan:
             due, self.asked_us = self._due(image.time_ns, pressure)
         else:
             due, self.asked_us = self._active(image.activation, period_us), period_us
-        parts = [self._points[each].slots(image.activation[each], intensity) for each in due]
-        if not parts:
-            # The rate has fallen since this time was set.
-            parts = [self._points[self._first].slots(image.activation[self._first], 0.0)]
+        # None is due where the rate has fallen since this time was set.
+        parts = self._parts(due or (self._first,), image, intensity if due else 0.0)
         site, current_ua, width_us, proof = parts[0] if len(parts) == 1 else _joined(parts)
         return ScanSequence(
             current_ua=current_ua,
@@ -168,6 +171,20 @@ class PointScan:
             proof=proof,
         )
 
+    def _parts(
+        self, classes: tuple[Primary, ...], image: TactileImage, intensity: float
+    ) -> list[Slots]:
+        """Return the slots of each class, or of two together."""
+        groups: list[tuple[Primary, ...]] = [(each,) for each in classes]
+        if _BOTH in self._frames and set(_BOTH) <= set(classes):
+            groups = [_BOTH, *(each for each in groups if each[0] not in _BOTH)]
+        return [
+            self._frames[group].slots(image.activation[list(group)], intensity)
+            if group in self._frames
+            else self._points[group[0]].slots(image.activation[group[0]], intensity)
+            for group in groups
+        ]
+
     def _active(self, activation: NDArray[np.float32], period_us: int) -> tuple[Primary, ...]:
         """Return the classes that a request lets pulse."""
         if period_us < self._least_us:
@@ -177,10 +194,10 @@ class PointScan:
             )
         driven = []
         for each in np.flatnonzero(activation.any(axis=1)).tolist():
-            if each in self._points:
+            if each in self._driven:
                 driven.append(Primary(each))
             elif not (self._vibrated and each == Primary.PC):
-                offered = ", ".join(point.name for point in self._points) or "none"
+                offered = ", ".join(primary.name for primary in self._driven) or "none"
                 raise ScheduleError(
                     f"{Primary(each).name} was asked for and cannot be driven here: choose of "
                     f"{offered}"

@@ -17,6 +17,7 @@ from smarttouch.modes.frames.slots import likely_slots, plan_slots
 from smarttouch.modes.frames.spread import Worst, spread_judges, uneven_levels, with_gain_error
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
+from smarttouch.scan.frames import FrameSlots
 
 LETTERS = {
     "A": "01110 10001 10001 11111 10001 10001 10001",
@@ -234,6 +235,36 @@ def test_what_color_classes_cannot_break(benchmark, capsys, profile, primary):
                 f"{max(each.worst_spill for each in classes):.2f}, total "
                 f"{max(each.total_ma for each in classes):.1f} mA, electrode "
                 f"{max(each.electrode_ma.max() for each in classes):.2f} mA",
+                end="",
+            )
+    benchmark.pedantic(lambda: None, rounds=1)
+
+
+def test_mixed_frames(benchmark, capsys, profile, bank):
+    """Points of RA and SAI, at different sites: slots of each class by itself, and of both."""
+    both = (Primary.RA, Primary.SAI)
+    mixed = FrameSlots(profile, bank, both)
+    apart = [FrameSlots(profile, bank, (each,)) for each in both]
+    for points in (2, 4, 8, 12, 16):
+        separate, together, worst, spent = 0, 0, [], []
+        for seed in range(40):
+            site = np.random.default_rng(seed).choice(64, 2 * points, replace=False)
+            rows = np.zeros((2, 64), np.float32)
+            rows[0, site[:points]] = rows[1, site[points:]] = 1
+            separate += sum(
+                len(one.slots(row[None], 1.0).site) for one, row in zip(apart, rows, strict=True)
+            )
+            start = time.perf_counter()
+            found = mixed.slots(rows, 1.0)
+            spent.append(time.perf_counter() - start)
+            together += len(found.site)
+            worst.append((found.proof.worst_other.max(), found.proof.worst_spill.max()))
+        with capsys.disabled():
+            print(
+                f"\n{points} RA and {points} SAI points: {separate / 40:.1f} slots apart, "
+                f"{together / 40:.1f} mixed; other {max(each for each, _ in worst):.2f}, spill "
+                f"{max(each for _, each in worst):.2f}; {1e3 * np.median(spent):.0f} ms, 99 % "
+                f"{1e3 * np.quantile(spent, 0.99):.0f}",
                 end="",
             )
     benchmark.pedantic(lambda: None, rounds=1)

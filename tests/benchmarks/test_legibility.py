@@ -5,8 +5,9 @@ Run with::
     pytest tests/benchmarks/test_legibility.py --benchmark-only -n0 -s
 
 Pages at 10, 12 and 14 points, clean, turned, unevenly lit and noisy, and the page of scikit-image,
-felt in 8, 12, 16 and 24 rows, plain, thinned and graded: character error rates, beside those of the
-page itself and of the ideal at the same pitch and sweep (see ``smarttouch legibility``).
+felt in 8, 12, 16 and 24 rows, plain, thinned and graded, and graded with shared slots: character
+error rates, beside those of the page itself and of the ideal at the same pitch and sweep (see
+``smarttouch legibility``).
 """
 
 import os
@@ -17,6 +18,7 @@ from PIL import Image
 from skimage import data
 
 from smarttouch.modes.bank import load_bank
+from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.profile.device import Profile
 from smarttouch.reading.deliver import Reading
@@ -82,13 +84,16 @@ def test_legibility(rows, tmp_path, benchmark):
     bank = load_bank(profile)
 
     def measure():
-        print(f"\n{rows} rows: page / limit" + "".join(f" / {style}" for style in Style))
+        ways = [(style, ()) for style in Style] + [(Style.GRADED, (Primary.RA,))]
+        titles = [f"{style}{', shared slots' * bool(shared)}" for style, shared in ways]
+        print(f"\n{rows} rows: " + " / ".join(["page", "limit", *titles]))
         for name in PAGES:
             path, truth = page_file(tmp_path, name)
             figures = []
-            for style in Style:
+            for style, shared in ways:
                 shapes = Shapes(style)
-                reading = Reading(profile, bank, shapes.tone, shapes.motion(profile))
+                motion = shapes.motion(profile)
+                reading = Reading(profile, bank, shapes.tone, motion, Mode.RA, shared)
                 found = legibility_of_shapes(Source(str(path)), reading, shapes, truth)
                 figures.append(found.character_error_rate)
             rates = [found.page_error_rate, found.sampling_limit, *figures]

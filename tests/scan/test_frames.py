@@ -23,7 +23,7 @@ LETTER_T = np.flatnonzero(_DRAWN)
 
 @pytest.fixture(scope="module")
 def made(profile, bank):
-    return {each: FrameSlots(profile, bank, each) for each in (Primary.RA, Primary.SAI)}
+    return {each: FrameSlots(profile, bank, (each,)) for each in (Primary.RA, Primary.SAI)}
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def test_every_slot_is_within_limits_and_bounds_and_its_proof_is_true(
 ):
     random = np.random.default_rng(seed)
     activation = random.random(64, np.float32) * (random.random(64) < density)
-    site, current_ua, _, proof = made[primary].slots(activation, intensity)
+    site, current_ua, _, proof = made[primary].slots(activation[None], intensity)
     scan = PointScan(profile, bank, (primary,), 10.0, frames=(primary,))
     sequence = scan.schedule(image(activation, primary), intensity)
     assert np.array_equal(sequence.current_ua, current_ua)
@@ -94,7 +94,7 @@ def test_every_slot_is_within_limits_and_bounds_and_its_proof_is_true(
 def test_what_rounding_breaks_is_shown_point_by_point(profile, made):
     activation = np.zeros(64, np.float32)
     activation[LETTER_T] = 1
-    loud, faint = (made[Primary.SAI].slots(activation, each) for each in (0.5, 0.01))
+    loud, faint = (made[Primary.SAI].slots(activation[None], each) for each in (0.5, 0.01))
     assert len(loud.site) < len(faint.site) <= len(LETTER_T)
     assert faint.proof.points.sum() == len(LETTER_T)
     kept = faint.proof.points > 1
@@ -121,46 +121,75 @@ def test_natural_mode_joins_what_is_proved_with_what_is_not(profile, bank):
     assert PointScan(profile, bank, both).schedule(TactileImage(rows, 0, 1.0), 1.0).proof is None
 
 
+def test_both_classes_share_slots_where_both_are_due(profile, bank, problems):
+    both = (Primary.RA, Primary.SAI)
+    rows = np.zeros((3, 64), np.float32)
+    rows[Primary.RA, :8], rows[Primary.SAI, 48:56] = 1, 0.5
+    scan = PointScan(profile, bank, both, frames=both)
+    sequence = scan.schedule(TactileImage(rows, 0, 1.0), 1.0)
+    SafetyGate(SafetyLimits.of(profile)).prove_measurement(sequence)
+    apart = sum(
+        PointScan(profile, bank, (each,), frames=both)
+        .schedule(TactileImage(rows, 0, 1.0), 1.0)
+        .slots
+        for each in both
+    )
+    assert sequence.slots < apart
+    assert sequence.proof.points.sum() == 16
+    assert sequence.proof.worst_other.max() <= profile.frames.other
+    current_ma = sequence.current_ua / 1000
+    for each, level in zip(both, (1.0, 0.75), strict=True):
+        target = problems[each].target[0]
+        alone = (target * bank.kernels(each)).sum(axis=1) * profile.full_ma * level
+        best = (current_ma @ target.T / alone).max(axis=0)
+        assert best[rows[each] > 0] == pytest.approx(1, abs=profile.frames.uneven + 0.01)
+    # SAI pulses more often than RA: alone, it is planned alone.
+    next_ns = 1000 * sequence.period_us
+    later = scan.schedule(TactileImage(rows, next_ns, 1.0), 1.0)
+    assert set(later.site) <= set(range(48, 56))
+    assert later.proof.points.sum() == 8
+
+
 def test_a_letter_takes_a_few_slots_and_an_empty_frame_none(slots, bank, profile):
     activation = np.zeros(64, np.float32)
-    assert len(slots.slots(activation, 1.0)[0]) == 0
+    assert len(slots.slots(activation[None], 1.0)[0]) == 0
     activation[LETTER_T] = 1
-    site, _, width_us, _ = slots.slots(activation, 1.0)
+    site, _, width_us, _ = slots.slots(activation[None], 1.0)
     assert len(site) == 3
     assert set(site) <= set(LETTER_T)
     assert (width_us == 200).all()
-    assert len(slots.slots(activation, 0.0)[0]) == 0
+    assert len(slots.slots(activation[None], 0.0)[0]) == 0
 
 
 def test_more_current_takes_fewer_slots(profile, bank, changed):
     activation = np.zeros(64, np.float32)
     activation[LETTER_T] = 1
     strong = changed(profile, {"limits.total_ma": 50.0})
-    assert len(FrameSlots(strong, bank, Primary.RA).slots(activation, 1.0)[0]) == 1
+    assert len(FrameSlots(strong, bank, (Primary.RA,)).slots(activation[None], 1.0)[0]) == 1
 
 
 def test_a_bound_of_the_profile_counts(profile, bank, changed):
     activation = np.zeros(64, np.float32)
     activation[LETTER_T] = 1
     strict = changed(profile, {"limits.total_ma": 50.0, "frames.other": 0.12})
-    assert len(FrameSlots(strict, bank, Primary.RA).slots(activation, 1.0)[0]) > 1
+    assert len(FrameSlots(strict, bank, (Primary.RA,)).slots(activation[None], 1.0)[0]) > 1
 
 
 def test_a_frame_that_comes_again_is_not_planned_again(profile, bank, monkeypatch):
-    slots = FrameSlots(profile, bank, Primary.RA)
+    slots = FrameSlots(profile, bank, (Primary.RA,))
     activation = np.zeros(64, np.float32)
     activation[LETTER_T] = 1
-    first = slots.slots(activation, 0.5)
+    first = slots.slots(activation[None], 0.5)
     monkeypatch.setattr(module, "plan_slots", None)
-    again = slots.slots(activation.copy(), 0.5)
+    again = slots.slots(activation.copy()[None], 0.5)
     assert all(np.array_equal(*pair) for pair in zip(first[:3], again[:3], strict=True))
-    assert np.abs(slots.slots(activation, 1.0)[1]).max() > 1.9 * np.abs(first[1]).max()
+    assert np.abs(slots.slots(activation[None], 1.0)[1]).max() > 1.9 * np.abs(first[1]).max()
 
 
 def test_masked_electrodes_carry_nothing(profile, changed):
     masked = changed(profile, {"output.masked": (27, 28)})
-    slots = FrameSlots(masked, load_bank(masked), Primary.RA)
-    site, current_ua, *_ = slots.slots(np.ones(64, np.float32), 1.0)
+    slots = FrameSlots(masked, load_bank(masked), (Primary.RA,))
+    site, current_ua, *_ = slots.slots(np.ones((1, 64), np.float32), 1.0)
     assert not current_ua[:, [27, 28]].any()
     assert not set(site) & {27, 28}
 
@@ -168,9 +197,9 @@ def test_masked_electrodes_carry_nothing(profile, changed):
 def test_boards_that_cannot_are_refused(profile, bank, changed):
     board = load_profile("kajimoto-61")
     with pytest.raises(ScheduleError, match="one source for all electrodes: choose points"):
-        FrameSlots(board, load_bank(board), Primary.RA)
+        FrameSlots(board, load_bank(board), (Primary.RA,))
     with pytest.raises(ScheduleError, match=r"pulse\.carrier"):
-        FrameSlots(changed(profile, {"pulse.carrier": "width"}), bank, Primary.RA)
+        FrameSlots(changed(profile, {"pulse.carrier": "width"}), bank, (Primary.RA,))
     assert in_time(board) == ()
     assert in_time(profile) == (Primary.RA, Primary.SAI)
 
@@ -178,7 +207,7 @@ def test_boards_that_cannot_are_refused(profile, bank, changed):
 def test_the_faintest_points_are_at_their_threshold(profile, bank, slots, rows):
     activation = np.zeros(64, np.float32)
     activation[LETTER_T] = 1e-6
-    _, current_ua, *_ = slots.slots(activation, 1.0)
+    _, current_ua, *_ = slots.slots(activation[None], 1.0)
     kernels = bank.kernels(Primary.RA)
     threshold = (rows.target[0] * kernels).sum(axis=1) * profile.threshold_ma
     reached = (current_ua / 1000 @ rows.target[0].T / threshold).max(axis=0)

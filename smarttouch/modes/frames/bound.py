@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import DesignError
+from smarttouch.modes.frames.judge import FrameJudge
 from smarttouch.modes.frames.operator import FrameOperator
 
 Array = NDArray[np.float64]
@@ -28,7 +29,7 @@ class SharedKernels:
         Row i gives site i its wish, and the others of the set nothing.
     """
 
-    operator: FrameOperator
+    operator: FrameOperator[FrameJudge]
     sites: NDArray[np.intp]
 
     @cached_property
@@ -91,7 +92,7 @@ class SharedKernels:
         return np.asarray(own + np.minimum(each - np.diag(own), 0).sum(axis=1))
 
 
-def color_classes(operator: FrameOperator, step: int) -> list[SharedKernels]:
+def color_classes(operator: FrameOperator[FrameJudge], step: int) -> list[SharedKernels]:
     """Return the sites of a grid in classes of every so many rows and columns.
 
     Raises

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,8 +80,44 @@ class FrameBounds:
                 )
 
 
+Bounded = tuple[FieldMap, float, NDArray[np.bool_] | None]
+"""A field, what it may reach in V/mm², and where; None is everywhere."""
+
+
+class SlotJudge(Protocol):
+    """Judges what currents of a slot do to its P points, and to all else."""
+
+    @property
+    def profile(self) -> Profile: ...
+    @property
+    def target(self) -> Array:
+        """Activating function of each point's target, (P, E) V/mm² per mA."""
+
+    @property
+    def wish_af(self) -> Array:
+        """Activation that a level of 1 wishes for at each point, (P,) V/mm²."""
+
+    @property
+    def full_ma(self) -> Array: ...
+    @property
+    def wanted(self) -> list[FieldMap]:
+        """The classes that are to fire somewhere."""
+
+    @property
+    def unwanted(self) -> list[FieldMap]:
+        """The classes that are not."""
+
+    def reached(self, current: Array) -> list[Single]: ...
+    def limits(
+        self, active: NDArray[np.intp], bounds: FrameBounds, aimed: float
+    ) -> list[Bounded]: ...
+    def judge(
+        self, current: Array, level: Array, reached: Sequence[Single] | None = None
+    ) -> FrameFigures: ...
+
+
 class FrameJudge:
-    """Judges currents on the nodes of one skin.
+    """Judges currents that are to fire one class, on the nodes of one skin.
 
     Parameters
     ----------
@@ -125,6 +162,7 @@ class FrameJudge:
         ]
         place = vary(everywhere(profile, primary))
         self.own = FieldMap(profile, place)
+        self.wanted, self.unwanted = [self.own], self.others
         self._near = _near(place.position_mm, profile)
 
     @cached_property
@@ -146,16 +184,52 @@ class FrameJudge:
         mask[self._near[active]] = False
         return np.tile(mask[:-1], self.own.directions_n)
 
+    def strongest_far(self, own: Single, active: NDArray[np.intp]) -> float:
+        """Return the largest of a field of the own class far from all active targets."""
+        away = np.append(own.reshape(self.own.directions_n, -1).max(axis=0), -np.inf)
+        away[self._near[active]] = -np.inf
+        return float(away.max())
+
     def reference(self, current: Array, level: Array) -> tuple[float, Array]:
         """Return the weakest target's activation scaled to level 1, and all of its wish, (A,)."""
         active = np.flatnonzero(level)
         reached = self.target[active] @ current / level[active]
         return float(reached.min()), reached / self.wish_af[active]
 
+    @property
+    def by_class(self) -> dict[Primary, FieldMap]:
+        """The fields of the other classes."""
+        names = (each for each in Primary if each is not self.primary)
+        return dict(zip(names, self.others, strict=True))
+
     def reached(self, current: Array) -> list[Single]:
-        """Return the activating function of currents (E,) mA: of each other class, then the own."""
-        frame = np.asarray(current)[None]
-        return [field(frame)[0] for field in (*self.others, self.own)]
+        """Return the activating function of currents: of each other class, then the own.
+
+        Parameters
+        ----------
+        current : ndarray, (E,) or (S, E) mA
+
+        Returns
+        -------
+        list of ndarray
+            Each (D·N,) or (S, D·N) V/mm².
+        """
+        return reached([*self.others, self.own], current)
+
+    def limits(self, active: NDArray[np.intp], bounds: FrameBounds, aimed: float) -> list[Bounded]:
+        """Return what each of the fields of `reached` may reach.
+
+        Parameters
+        ----------
+        active : ndarray, (A,)
+            Points of the slot.
+        bounds : FrameBounds
+        aimed : float
+            Part of the wish that targets will get.
+        """
+        smallest = aimed * float(self.wish_af[active].min())
+        others: list[Bounded] = [(field, bounds.other * smallest, None) for field in self.others]
+        return [*others, (self.own, bounds.spill * smallest, self.far(active))]
 
     def judge(
         self, current: Array, level: Array, reached: Sequence[Single] | None = None
@@ -180,9 +254,7 @@ class FrameJudge:
         smallest, ratio = self.reference(current, level)
         *others, own = self.reached(current) if reached is None else reached
         other = max(float(field.max()) for field in others)
-        away = np.append(own.reshape(self.own.directions_n, -1).max(axis=0), -np.inf)
-        away[self._near[active]] = -np.inf
-        spill = max(float(away.max()), 0.0)
+        spill = max(self.strongest_far(own, active), 0.0)
         total, most = float(np.abs(current).sum() / 2), float(np.abs(current).max())
         if smallest <= 0:
             return FrameFigures(np.inf, np.inf, ratio.min(), ratio.max(), total, most)
@@ -190,27 +262,29 @@ class FrameJudge:
             other / smallest, spill / smallest, float(ratio.min()), float(ratio.max()), total, most
         )
 
-    def selectivity(self, current: Array, level: Array) -> tuple[Array, Array]:
-        """Return `FrameFigures.worst_other` and `worst_spill` of many slots, (S,) each.
 
-        Parameters
-        ----------
-        current, level : ndarray, (S, E)
-            Of each slot; at least one level of each is above 0.
-        """
-        if not len(current):
-            return np.zeros(0), np.zeros(0)
-        other = np.max([field(current).max(axis=1) for field in self.others], axis=0)
-        own = self.own(current).reshape(len(current), self.own.directions_n, -1).max(axis=1)
-        away = np.c_[own, np.full(len(own), -np.inf, own.dtype)]
-        smallest = np.empty(len(current))
-        for slot, (each_ma, each_level) in enumerate(zip(current, level, strict=True)):
-            smallest[slot], _ = self.reference(each_ma, each_level)
-            away[slot, self._near[np.flatnonzero(each_level)]] = -np.inf
-        spill = np.maximum(away.max(axis=1), 0)
-        hit = smallest > 0
-        smallest = np.where(hit, smallest, 1.0)
-        return np.where(hit, other / smallest, np.inf), np.where(hit, spill / smallest, np.inf)
+def reached(fields: Sequence[FieldMap], current: Array) -> list[Single]:
+    """Return what fields make of currents (E,) or (S, E) mA."""
+    current = np.asarray(current)
+    many = np.atleast_2d(current)
+    return [field(many).reshape(*current.shape[:-1], -1) for field in fields]
+
+
+def judge_all(judge: SlotJudge, current: Array, level: Array) -> list[FrameFigures]:
+    """Return the figures of many slots, their fields found together.
+
+    Parameters
+    ----------
+    current : ndarray, (S, E) mA
+    level : ndarray, (S, P)
+    """
+    if not len(current):
+        return []
+    fields = judge.reached(current)
+    return [
+        judge.judge(current[slot], level[slot], [field[slot] for field in fields])
+        for slot in range(len(current))
+    ]
 
 
 def full_wish(profile: Profile, primary: Primary, kernels: Array, receptor: Array) -> Array:

@@ -20,6 +20,7 @@ part.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from scipy.optimize import nnls
 
 from smarttouch.errors import DesignError
 from smarttouch.modes.frames.fields import FieldMap, Single
-from smarttouch.modes.frames.judge import FrameBounds, FrameFigures, FrameJudge
+from smarttouch.modes.frames.judge import Bounded, FrameBounds, FrameFigures, SlotJudge
 
 Array = NDArray[np.float64]
 
@@ -78,24 +79,27 @@ that is pushed down harms nobody. Their positive sides are bounded in `FrameOper
 """
 
 
-class FrameOperator:
+AnyJudge = TypeVar("AnyJudge", bound=SlotJudge)
+
+
+class FrameOperator(Generic[AnyJudge]):
     """Finds the currents of one slot.
 
     Parameters
     ----------
-    judge : FrameJudge
-        Rows, wishes and limits.
+    judge : SlotJudge
+        Rows, wishes and limits; points P are the array's sites, of each class that is to fire.
     weights : Weights, optional
         Of the quadratic form.
     """
 
-    def __init__(self, judge: FrameJudge, weights: Weights = CHOSEN) -> None:
+    def __init__(self, judge: AnyJudge, weights: Weights = CHOSEN) -> None:
         self.judge = judge
         driven = judge.profile.driven
-        self._masked = ~np.isin(np.arange(len(judge.profile.electrodes)), driven)
         count = len(judge.profile.electrodes)
+        self._masked = ~np.isin(np.arange(len(judge.target)) % count, driven)
         form = weights.current * np.eye(count)
-        for factor, fields in ((weights.other, judge.others), (weights.own, [judge.own])):
+        for factor, fields in ((weights.other, judge.unwanted), (weights.own, judge.wanted)):
             for field in fields:
                 gram = field.gram()
                 form += factor * gram / np.trace(gram) * count
@@ -106,7 +110,7 @@ class FrameOperator:
         self._inverse[np.ix_(driven, driven)] = basis @ np.linalg.inv(inner) @ basis.T
         self._columns = self._inverse @ judge.target.T
         self._response = judge.target @ self._columns
-        self._soft = _SOFT * float(np.trace(self._response)) / count
+        self._soft = _SOFT * float(np.trace(self._response)) / len(self._response)
 
     @cached_property
     def matrix(self) -> Array:
@@ -154,8 +158,7 @@ class FrameOperator:
         # As many as targets that are currents' own: what gives one of them 1 and the others 0.
         each = np.linalg.solve(self._system(active), columns.T).T
         free = each @ wish
-        reference = float((wish / level[active]).min())
-        broken = _Broken(judge, active, bounds, reference, limit)
+        broken = _Broken(judge, judge.limits(active, bounds, 1 - AIM * bounds.uneven), limit)
         current, best = free, None
         rows, limits = np.zeros((0, len(free))), np.zeros(0)
         for done in range(rounds + 1):
@@ -202,31 +205,26 @@ class _Broken:
 
     def __init__(
         self,
-        judge: FrameJudge,
-        active: NDArray[np.intp],
-        bounds: FrameBounds,
-        reference: float,
+        judge: SlotJudge,
+        limits: list[Bounded],
         total_ma: float | None,
     ) -> None:
-        self._judge, self._total_ma = judge, total_ma
-        self._fields: list[tuple[FieldMap, float, NDArray[np.bool_] | None]] = [
-            (field, _INSIDE * bounds.other * reference, None) for field in judge.others
-        ]
-        self._fields.append((judge.own, _INSIDE * bounds.spill * reference, judge.far(active)))
+        self._judge, self._limits, self._total_ma = judge, limits, total_ma
 
     def rows(self, current: Array, reached: list[Single]) -> tuple[Array, Array]:
         """Return broken rows (K, E) and what each may reach (K,)."""
         rows, limits = [np.zeros((0, len(current)))], [np.zeros(0)]
-        for (field, bound, where), values in zip(self._fields, reached, strict=True):
+        for (field, most, where), values in zip(self._limits, reached, strict=True):
+            bound = _INSIDE * most
             chosen = _hills(field, values - bound, where)
             if not len(chosen):
                 continue
             rows.append(field.rows(chosen))
             limits.append(np.full(len(chosen), bound))
-        most = _INSIDE * self._judge.full_ma
-        over = np.flatnonzero(np.abs(current) > most)
+        full_ma = _INSIDE * self._judge.full_ma
+        over = np.flatnonzero(np.abs(current) > full_ma)
         rows.append(np.sign(current[over])[:, None] * np.eye(len(current))[over])
-        limits.append(most[over])
+        limits.append(full_ma[over])
         if self._total_ma is not None and np.abs(current).sum() > 2 * _INSIDE * self._total_ma:
             # Whatever the signs, their sum with the currents is no more than all magnitudes.
             rows.append(np.sign(current)[None] / 2)
@@ -262,7 +260,7 @@ def _prices(form: Array, excess: Array) -> Array | None:
 
 
 def keeps(
-    judge: FrameJudge,
+    judge: SlotJudge,
     figures: FrameFigures,
     bounds: FrameBounds,
     current: Array,
@@ -273,7 +271,7 @@ def keeps(
 
 
 def _excess(
-    judge: FrameJudge,
+    judge: SlotJudge,
     figures: FrameFigures,
     bounds: FrameBounds,
     current: Array,

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import DesignError
 from smarttouch.modes.frames.judge import FrameBounds, FrameFigures
-from smarttouch.modes.frames.operator import FrameOperator, keeps
+from smarttouch.modes.frames.operator import AnyJudge, FrameOperator, keeps
 
 Array = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ class FrameSlot:
     Attributes
     ----------
     sites : ndarray, (A,) intp
-        Points that it activates.
+        Points that it activates; of a `MixedJudge` sites of the second class come E later.
     current : ndarray, (E,) mA
         Finished currents at intensity 1, positive cathodic.
     figures : FrameFigures
@@ -36,7 +36,7 @@ class FrameSlot:
 
 
 def plan_slots(
-    operator: FrameOperator,
+    operator: FrameOperator[AnyJudge],
     level: Array,
     bounds: FrameBounds,
     total_ma: float | None = None,
@@ -52,13 +52,13 @@ def plan_slots(
     Parameters
     ----------
     operator : FrameOperator
-    level : ndarray, (E,) in [0, 1]
-        What is wished at each site.
+    level : ndarray, (P,) in [0, 1]
+        What is wished at each point: each site, of each class that the judge has.
     bounds : FrameBounds
     total_ma : float, optional
         What all cathodes may carry; by default the profile's limit.
-    points_ma : ndarray, (E, E), optional
-        Currents of each site alone at level 1 (rows), for points that break a
+    points_ma : ndarray, (P, E), optional
+        Currents of each point alone at level 1 (rows), for points that break a
         bound even so: the profile's own kernels at full current.
     """
     judge = operator.judge
@@ -80,7 +80,7 @@ def plan_slots(
 
 
 def likely_slots(
-    operator: FrameOperator, level: Array, bounds: FrameBounds, total_ma: float | None
+    operator: FrameOperator[AnyJudge], level: Array, bounds: FrameBounds, total_ma: float | None
 ) -> int:
     """Return how many slots total current asks for, about: where a plan begins.
 
@@ -90,13 +90,16 @@ def likely_slots(
     sites = np.flatnonzero(level)
     if not len(sites) or total_ma is None:
         return min(len(sites), 1)
-    own = np.abs(np.diag(operator.judge.target))[sites]
+    target = operator.judge.target
+    own = target[sites, sites % target.shape[1]]
     needed_ma = (1 - bounds.uneven) * level[sites] * operator.judge.wish_af[sites] / own
-    return max(1, int(np.ceil(needed_ma.sum() / total_ma - 1e-9)))
+    # Points of opposite polarity are each other's return.
+    pole_ma = max(needed_ma[needed_ma > 0].sum(), -needed_ma[needed_ma < 0].sum())
+    return max(1, int(np.ceil(pole_ma / total_ma - 1e-9)))
 
 
 def _slot(
-    operator: FrameOperator,
+    operator: FrameOperator[AnyJudge],
     level: Array,
     sites: NDArray[np.intp],
     bounds: FrameBounds,
@@ -120,18 +123,19 @@ def _slot(
 def _dealt(position_mm: Array, sites: NDArray[np.intp], many: int) -> list[NDArray[np.intp]]:
     """Deal sites out to so many groups, each group's sites far apart from one another."""
     many = min(many, len(sites))
-    place = position_mm[sites]
+    place, kind = position_mm[sites % len(position_mm)], sites // len(position_mm)
     apart = np.hypot(*(place[:, None] - place[None]).transpose(2, 0, 1))
-    size = int(np.ceil(len(sites) / many))
+    # Of each class about equally many: points of two classes may be each other's return.
+    size = np.ceil(np.bincount(kind) / many)
     # The most crowded first: they have the fewest choices.
     crowd = (1 / (1 + apart**2)).sum(axis=1)
     groups: list[list[int]] = [[] for _ in range(many)]
     push = np.zeros((many, len(sites)))
-    full = np.zeros(many)
+    count = np.zeros((many, len(size)))
     for each in np.argsort(-crowd, kind="stable"):
-        chosen = int((push[:, each] + full).argmin())
+        full = count[:, kind[each]] >= size[kind[each]]
+        chosen = int((push[:, each] + 1e9 * full).argmin())
         groups[chosen].append(int(each))
         push[chosen] += 1 / (1e-9 + apart[each] ** 3)
-        if len(groups[chosen]) >= size:
-            full[chosen] = 1e9
+        count[chosen, kind[each]] += 1
     return [np.sort(sites[group]) for group in groups if group]

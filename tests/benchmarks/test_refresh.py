@@ -1,0 +1,135 @@
+"""Refresh of shared slots against point scan, by the books of an emulated board.
+
+A table: run with ``--benchmark-only -n0 -s``.
+"""
+
+import time
+
+import numpy as np
+import pytest
+
+from smarttouch.boards.emulator.simulated import SimulatedBoard
+from smarttouch.imaging.mapping import TactileMapper
+from smarttouch.imaging.tactile_image import TactileImage
+from smarttouch.modes.bank import KernelBank, load_bank
+from smarttouch.modes.frames.judge import FrameBounds
+from smarttouch.modes.frames.operator import FrameOperator
+from smarttouch.primary import Mode, Primary
+from smarttouch.profile import load_profile
+from smarttouch.resources import data_folder
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.scan.schedule import PointScan
+from smarttouch.sensing import open_sensor
+
+from .test_frames import LETTERS, drawn, judge_of, scattered
+
+DENSITIES = (0.05, 0.10, 0.20, 0.40, 0.60)
+
+
+def bank_by_operator(profile, primary):
+    """Return kernels of single points for arrays whose linear programmes would take hours."""
+    judge = judge_of(profile, primary)
+    operator, count = FrameOperator(judge), len(profile.electrodes)
+    weights, other, spill = np.zeros((count, count)), np.zeros(count), np.zeros(count)
+    for site, level in enumerate(np.eye(count)):
+        current, figures = operator.bounded(level, FrameBounds())
+        weights[site] = current / (judge.target[site] @ current)
+        other[site], spill[site] = figures.worst_other, figures.worst_spill
+    nothing = np.zeros(count)
+    return KernelBank(
+        *({primary: each} for each in (weights, other, nothing, spill, nothing, nothing)),
+        receptor={primary: judge.target},
+    )
+
+
+def swept_page(profile, count):
+    """Return activations of frames with ink, evenly over the sample page."""
+    found, mapper = [], TactileMapper(profile)
+    with open_sensor(f"page:{data_folder('sample_images') / 'page.png'}", profile) as sensor:
+        for time_ns in range(10**9, 9 * 10**9, 40_000_000):
+            frame = sensor.read(time_ns)
+            if frame is None:
+                break
+            found.append(mapper.map(frame, Mode.RA).activation[Primary.RA].copy())
+    found = [each for each in found if np.count_nonzero(each) > 1]
+    return [found[index] for index in np.linspace(0, len(found) - 1, count).astype(int)]
+
+
+def delivered(profile, bank, primary, frames, activations):
+    """Return the board's slots, its own time in µs, proofs and the host's seconds a frame."""
+    scan = PointScan(profile, bank, (primary,), profile.limits.rate_hz, frames=frames)
+    proofs, spent, period_us = [], 0.0, 0
+    with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
+        for index, activation in enumerate(activations):
+            rows = np.zeros((3, len(activation)), np.float32)
+            rows[primary] = activation
+            # Seconds between them: the soft start is over before the first counts.
+            image = TactileImage(rows, (index + 1) * 10**9, 1.0)
+            if not index:
+                board.send(scan.schedule(TactileImage(0 * rows, 0, 1.0), 0.0))
+            start = time.perf_counter()
+            sequence = scan.schedule(image, 1.0)
+            spent += time.perf_counter() - start
+            board.send(sequence)
+            proofs.append(sequence.proof)
+            period_us += sequence.period_us
+        board.drain()
+        report = board.report()
+    assert report.violations == 0
+    pulse = profile.pulse
+    busy_us = report.slots * (pulse.width_us + pulse.discharge_us)
+    return report.slots, busy_us, period_us, proofs, spent / len(activations)
+
+
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
+@pytest.mark.parametrize("name", ["electric-mouse", "16x16", "optacon-24x6", "32x32"])
+def test_refresh_against_point_scan(benchmark, capsys, changed, name, primary):
+    if name[0].isdigit():
+        rows, columns = map(int, name.split("x"))
+        keys = {"array.rows": rows, "array.columns": columns, "name": name}
+        keys |= {"optics.sensor_rows": 8 * rows, "optics.sensor_columns": 8 * columns}
+        profile = changed(load_profile("electric-mouse"), keys)
+        bank = load_bank(profile) if rows < 32 else bank_by_operator(profile, primary)
+    else:
+        profile = load_profile(name)
+        rows, columns = profile.array.rows, profile.array.columns
+        bank = load_bank(profile)
+    sites = rows * columns
+    sets = {"letters": [drawn(each, rows, columns) for each in LETTERS]}
+    for density in DENSITIES:
+        points = round(density * sites)
+        sets[f"{density:.0%}"] = [scattered(points, sites, seed) for seed in range(16)]
+    sets["page"] = swept_page(profile, 60 if sites < 1000 else 16)
+    for kind, levels in sets.items():
+        activations = [level.astype(np.float32) for level in levels]
+        found = {
+            way: delivered(profile, bank, primary, frames, activations)
+            for way, frames in (("points", ()), ("frames", (primary,)))
+        }
+        count = len(activations)
+        (slots, busy_us, period_us, _, host_s), (few, short_us, least_us, proofs, spent_s) = (
+            found["points"],
+            found["frames"],
+        )
+        shared = [each.shared for each in proofs if each.shared]
+        each = [
+            np.count_nonzero(level) / len(proof.points)
+            for level, proof in zip(levels, proofs, strict=True)
+        ]
+        other, spill = (max(worst) for worst in zip(*shared, strict=True)) if shared else (0, 0)
+        lonely = sum(
+            int(((proof.points == 1) & (proof.worst_other > 0.3)).sum()) for proof in proofs
+        )
+        with capsys.disabled():
+            print(
+                f"\n{name} {primary.name} {kind} ({count}): {slots / count:.1f} points in "
+                f"{few / count:.1f} slots, {1e6 * count / busy_us:.0f} -> "
+                f"{1e6 * count / short_us:.0f} Hz ({slots / few:.1f} times, least "
+                f"{min(each):.1f}; within 200 Hz {1e6 * count / period_us:.0f} -> "
+                f"{1e6 * count / least_us:.0f}), other {other:.2f}, spill {spill:.2f}, "
+                f"{lonely} single points above .30; host {1e3 * host_s:.1f} -> "
+                f"{1e3 * spent_s:.1f} ms",
+                end="",
+            )
+    benchmark.pedantic(lambda: None, rounds=1)
