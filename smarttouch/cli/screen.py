@@ -113,7 +113,6 @@ class Screen:
         charge_uc = peak_ma * float(sequence.width_us.max(initial=0)) / 1000
         pose, wish = frame.pose, self._controls.wish(frame.time_ns)
         dropped = self._source.dropped_frames + tally.seen - tally.felt
-        points = np.count_nonzero(sent.step.tactile.activation.any(axis=0))
         length = "" if self._source.duration_s is None else f" of {self._source.duration_s:.0f}"
         rows = (
             ("time", f"{frame.time_ns / 1e9:5.1f}{length} s"),
@@ -121,7 +120,7 @@ class Screen:
             ("pressure", f"{bar(frame.force_n / force.full_n)} {frame.force_n:.2f} N"),
             ("asked for", f"{bar(wish.level)} {wish.level:.2f}{' paused' * wish.paused}"),
             ("intensity", f"{bar(sequence.intensity)} {sequence.intensity:.2f}"),
-            ("rate", f"{sequence.rate_hz:.0f} Hz, {sequence.slots} slots of {points} points"),
+            ("rate", f"{sequence.rate_hz:.0f} Hz, {sequence.slots} slots of {sequence.points} points"),
             ("beside", _beside(sequence)),
             ("frames", f"{tally.felt} felt, {dropped} dropped of {self._source.frames}"),
             ("latency", f"{frame.age_ns / 1e6 + sent.latency_us / 1e3:.1f} ms, image to last byte"),
@@ -198,7 +197,7 @@ def _felt_ma(sent: Sent) -> NDArray[np.float32]:
     strongest = np.abs(sequence.current_ua.astype(np.float32)).max(axis=1, initial=0)
     felt[sequence.site] = strongest / 1000
     points = np.flatnonzero(sent.step.tactile.activation.any(axis=0))
-    if 0 < sequence.slots < len(points):
+    if sequence.points > sequence.slots:
         # Several share a slot.
         felt[points] = np.abs(sequence.current_ua.astype(np.float32)).max(axis=0)[points] / 1000
     return felt

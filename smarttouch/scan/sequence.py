@@ -89,6 +89,13 @@ class ScanSequence:
         return len(self.width_us)
 
     @property
+    def points(self) -> int:
+        """How many points its slots stimulate."""
+        if self.proof is None:
+            return self.slots
+        return int(np.maximum(self.proof.points, 1).sum(dtype=np.int64))
+
+    @property
     def electrodes(self) -> int:
         return int(self.current_ua.shape[1])
 

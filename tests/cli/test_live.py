@@ -180,12 +180,40 @@ def test_light_touch_no_current(program, tmp_path):
 
 
 def test_many_points_in_a_slot(program_here, tmp_path):
-    page = ("live", "--sensor", "text:on", "--speed", 100, "--board", "simulated:", "--quiet")
+    page = ("live", "--sensor", "text:on", "--speed", 100, "--board", "simulated:")
+    told = {}
     for scan in ("points", "auto"):
         kept = ("--json", f"{scan}.json", "--record", f"{scan}.mcap")
-        assert program_here(*page, "--scan", scan, *kept).returncode == 0
+        # It is the default.
+        chosen = ("--scan", scan) if scan == "points" else ()
+        done = program_here(*page, *chosen, *kept)
+        assert done.returncode == 0, done.stderr
+        told[scan] = done.stdout
     points, frames = (figures_of(tmp_path / f"{scan}.json") for scan in ("points", "auto"))
     assert_safe(frames)
     assert 2.5 * frames["slots"] < points["slots"]
+    assert points["worst_other"] is points["worst_spill"] is None
+    assert "points shared slots" not in told["points"]
+    assert 0 < frames["worst_other"] <= 0.3
+    assert 0 < frames["worst_spill"] <= 0.3
+    assert f"other classes got {frames['worst_other']:.2f}" in told["auto"]
+    proved = [each for each in messages(tmp_path / "auto.mcap", "/sequence") if each["slots"]]
+    shared = [
+        other
+        for each in proved
+        for other, count in zip(each["worst_other"], each["points"], strict=True)
+        if count > 1
+    ]
+    assert max(shared) == pytest.approx(frames["worst_other"])
+    assert messages(tmp_path / "points.mcap", "/sequence")[-1]["worst_other"] is None
     done = program_here("replay", "auto.mcap", "--check")
     assert "identical" in done.stdout, done.stdout
+
+
+def test_points_one_by_one_where_each_is_measured(program_here, tmp_path):
+    options = ("--seconds", 1.5, "--speed", 100, "--quiet", "--json", "run.json")
+    done = program_here("live", "--sensor", "text:on", "--hold", "energy", *options)
+    assert done.returncode == 0, done.stderr
+    figures = figures_of(tmp_path / "run.json")
+    assert figures["slots"] > 0
+    assert figures["worst_other"] is None

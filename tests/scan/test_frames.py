@@ -110,6 +110,7 @@ def test_natural_mode_joins_what_is_proved_with_what_is_not(profile, bank):
         for frames in (both[:1], both)
     )
     count = only_ra.slots - 3
+    assert only_ra.points == each.points == len(LETTER_T) + 3
     proof = only_ra.proof
     assert (proof.points[:count] > 0).all()
     assert (proof.points[count:] == 0).all()
@@ -135,7 +136,7 @@ def test_both_classes_share_slots_where_both_are_due(profile, bank, problems):
         for each in both
     )
     assert sequence.slots < apart
-    assert sequence.proof.points.sum() == 16
+    assert sequence.points == sequence.proof.points.sum() == 16
     assert sequence.proof.worst_other.max() <= profile.frames.other
     current_ma = sequence.current_ua / 1000
     for each, level in zip(both, (1.0, 0.75), strict=True):
