@@ -1,5 +1,6 @@
 """Which points of a frame share a slot: few slots, every one within its bounds."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,11 @@ from smarttouch.modes.frames.judge import FrameBounds, FrameFigures
 from smarttouch.modes.frames.operator import AnyJudge, FrameOperator, keeps
 
 Array = NDArray[np.float64]
+
+_TRIES = 5
+"""Slots that a point tries to join."""
+_ROOM = 0.8
+"""Part of the total current above which a slot has no room for one more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +50,12 @@ def plan_slots(
 ) -> list[FrameSlot]:
     """Return few slots that together activate every site with a level above zero.
 
-    As many slots are tried first as total current asks for;
-    points are dealt out so that those of one slot lie far apart. Points of
-    slots that break a bound are dealt out anew to one slot more, down to single
-    points.
+    As many slots are tried first as total current asks for; points are dealt out
+    so that those of one slot lie far apart. Points of slots that break a bound are
+    dealt anew to one slot more, down to single points, as long as it is current
+    that is short, or no slot keeps its bounds. Where some do, and selectivity is
+    short, each of the others' points joins a slot that then still keeps them, the
+    farthest first, or has one of its own.
 
     Parameters
     ----------
@@ -63,20 +71,54 @@ def plan_slots(
     """
     judge = operator.judge
     limit = judge.profile.limits.total_ma if total_ma is None else total_ma
+
+    def slot_of(points: NDArray[np.intp]) -> FrameSlot:
+        return _slot(operator, level, points, bounds, limit, points_ma)
+
     waiting = np.flatnonzero(level)
     done: list[FrameSlot] = []
     many = likely_slots(operator, level, bounds, limit)
     while len(waiting):
-        failed = []
-        for sites in _dealt(judge.profile.electrodes.position_mm, waiting, many):
-            slot = _slot(operator, level, sites, bounds, limit, points_ma)
-            if slot.kept or len(sites) == 1:
-                done.append(slot)
-            else:
-                failed.append(sites)
-        waiting = np.concatenate(failed) if failed else waiting[:0]
+        failed: list[FrameSlot] = []
+        for points in _dealt(judge.profile.electrodes.position_mm, waiting, many):
+            slot = slot_of(points)
+            (done if slot.kept or len(points) == 1 else failed).append(slot)
+        waiting = np.concatenate([waiting[:0], *(slot.sites for slot in failed)])
+        too_strong = sum(limit is not None and slot.figures.total_ma > limit for slot in failed)
+        if 2 * too_strong <= len(failed) < many:
+            break
         many = len(failed) + 1 + len(failed) // 4
+    for point in waiting:
+        _join(point, done, judge.profile.electrodes.position_mm, limit, slot_of)
     return done
+
+
+def _join(
+    point: np.intp,
+    slots: list[FrameSlot],
+    position_mm: Array,
+    total_ma: float | None,
+    slot_of: Callable[[NDArray[np.intp]], FrameSlot],
+) -> None:
+    """Let a point join one of the slots, or add its own."""
+    count, tries = len(position_mm), 0
+    near = [
+        (_push(position_mm[slot.sites % count] - position_mm[point % count])).sum()
+        for slot in slots
+    ]
+    for index in np.argsort(near, kind="stable").tolist():
+        slot = slots[index]
+        full = total_ma is not None and slot.figures.total_ma > _ROOM * total_ma
+        if full or not slot.kept:
+            continue
+        joined = slot_of(np.sort(np.append(slot.sites, point)))
+        if joined.kept:
+            slots[index] = joined
+            return
+        tries += 1
+        if tries == _TRIES:
+            break
+    slots.append(slot_of(np.array([point])))
 
 
 def likely_slots(
@@ -130,12 +172,17 @@ def _dealt(position_mm: Array, sites: NDArray[np.intp], many: int) -> list[NDArr
     # The most crowded first: they have the fewest choices.
     crowd = (1 / (1 + apart**2)).sum(axis=1)
     groups: list[list[int]] = [[] for _ in range(many)]
-    push = np.zeros((many, len(sites)))
+    push, pushes = np.zeros((many, len(sites))), _push(place[:, None] - place[None])
     count = np.zeros((many, len(size)))
     for each in np.argsort(-crowd, kind="stable"):
         full = count[:, kind[each]] >= size[kind[each]]
         chosen = int((push[:, each] + 1e9 * full).argmin())
         groups[chosen].append(int(each))
-        push[chosen] += 1 / (1e-9 + apart[each] ** 3)
+        push[chosen] += pushes[each]
         count[chosen, kind[each]] += 1
     return [np.sort(sites[group]) for group in groups if group]
+
+
+def _push(between_mm: Array) -> Array:
+    """Return how much points disturb one another that are so far apart, (..., 2) mm."""
+    return np.asarray(1 / (1e-9 + np.hypot(between_mm[..., 0], between_mm[..., 1]) ** 3))

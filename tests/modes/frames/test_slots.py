@@ -5,10 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.modes.frames.judge import FrameBounds
-from smarttouch.modes.frames.operator import keeps
+from smarttouch.modes.bank import load_bank
+from smarttouch.modes.frames.judge import FrameBounds, FrameJudge, full_wish
+from smarttouch.modes.frames.operator import FrameOperator, keeps
 from smarttouch.modes.frames.slots import likely_slots, plan_slots
 from smarttouch.primary import Primary
+from smarttouch.profile import load_profile
 
 from .test_operator import LETTER_T, drawn, make_operator, scattered
 
@@ -66,3 +68,22 @@ def test_a_point_that_breaks_its_bound_stands_alone_and_says_so(make_operator, b
     for slot in plan_slots(operator, 0.6 * scattered(5, 4), strict, points_ma=kernels):
         assert slot.current == pytest.approx(0.6 * kernels[slot.sites[0]])
         assert slot.figures.weakest == pytest.approx(1, abs=1e-3)
+
+
+def test_points_join_slots_that_they_leave_within_bounds():
+    """SAI on points 1.1 mm apart, where selectivity is short; dealing anew alone took 25 slots."""
+    profile = load_profile("optacon-24x6")
+    bank, primary = load_bank(profile), Primary.SAI
+    kernels = bank.kernels(primary)
+    wish = full_wish(profile, primary, kernels, bank.receptor[primary])
+    operator = FrameOperator(FrameJudge(profile, primary, wish))
+    slots = 0
+    for seed in range(6):
+        level = np.zeros(144)
+        level[np.random.default_rng(seed).choice(144, 7, replace=False)] = 1.0
+        plan = plan_slots(operator, level, FrameBounds(), None, kernels * profile.full_ma[:, None])
+        sites = np.concatenate([slot.sites for slot in plan])
+        assert sorted(sites) == np.flatnonzero(level).tolist()
+        assert all(slot.kept or len(slot.sites) == 1 for slot in plan)
+        slots += len(plan)
+    assert slots <= 20
