@@ -120,7 +120,10 @@ class Screen:
             ("pressure", f"{bar(frame.force_n / force.full_n)} {frame.force_n:.2f} N"),
             ("asked for", f"{bar(wish.level)} {wish.level:.2f}{' paused' * wish.paused}"),
             ("intensity", f"{bar(sequence.intensity)} {sequence.intensity:.2f}"),
-            ("rate", f"{sequence.rate_hz:.0f} Hz, {sequence.slots} slots of {sequence.points} points"),
+            (
+                "rate",
+                f"{sequence.rate_hz:.0f} Hz, {sequence.slots} slots of {sequence.points} points",
+            ),
             ("beside", _beside(sequence)),
             ("frames", f"{tally.felt} felt, {dropped} dropped of {self._source.frames}"),
             ("latency", f"{frame.age_ns / 1e6 + sent.latency_us / 1e3:.1f} ms, image to last byte"),
