@@ -23,14 +23,14 @@ def figures(
     ] = None,
     kind: Annotated[str, typer.Option("--format", metavar="png|pdf|svg")] = "png",
 ) -> None:
-    """Redraw the paper's Fig. 2, 5, 8, 9 and 10, and draw kernels, activation and fibers."""
+    """Redraw the paper's Fig. 2, 5, 8, 9 and 10; draw kernels, activation, shared slots, fibers."""
     import numpy as np
     from rich.console import Console
 
     from smarttouch.cli.files import require_site
     from smarttouch.cli.progress import bank_progress
     from smarttouch.errors import SmartTouchError
-    from smarttouch.figures import colors, fibers, kernels, paper, style
+    from smarttouch.figures import colors, fibers, frames, kernels, paper, style
     from smarttouch.modes.bank import load_bank
     from smarttouch.modes.switching import kind_of
     from smarttouch.nerve.af_error import af_error_table
@@ -62,6 +62,8 @@ def figures(
         f"kernels-{chosen.name}": lambda: kernels.kernel_figure(chosen, own, site),
         f"strength-duration-{chosen.name}": lambda: fibers.strength_duration_figure(chosen),
     }
+    if frames.drawable(chosen):
+        drawings["frames"] = lambda: frames.frame_figure(chosen, bank)
     for name, draw in drawings.items():
         with console.status(f"drawing {name}"):
             style.save(draw(), folder / f"{name}.{kind}")

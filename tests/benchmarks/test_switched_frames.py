@@ -1,0 +1,221 @@
+"""Frames on boards with one source: which points share a slot, how many slots, what limits it.
+
+All are tables: run with ``--benchmark-only -n0 -s``. Impedances are equal, spread by ± 30 % and
+known to the designer, or spread and unknown: designed for equal ones, judged with the spread.
+"""
+
+import itertools
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from smarttouch.modes.bank import load_bank
+from smarttouch.modes.frames.judge import FrameBounds, FrameJudge, full_wish
+from smarttouch.modes.frames.operator import FrameOperator, keeps
+from smarttouch.modes.frames.slots import plan_slots
+from smarttouch.modes.frames.switched import SwitchedSearch, plan_switched_slots, pole_shares
+from smarttouch.primary import Primary
+from smarttouch.profile import load_profile
+
+from .test_frames import LETTERS, scattered
+
+BOTH = {"output.polarities": ("anodic", "cathodic"), "output.kind": "three-state"}
+BOARDS = {
+    "electric-mouse three-state": ("electric-mouse", BOTH),
+    "kajimoto-61 three-state": ("kajimoto-61", BOTH),
+    "kajimoto-61 several against all": ("kajimoto-61", {}),
+    "smarttouch-4x4": ("smarttouch-4x4", {}),
+}
+CASES = [
+    (name, primary)
+    for name in BOARDS
+    for primary in (Primary.RA, Primary.SAI)
+    if "against" not in name or primary is Primary.RA
+]
+FREE_MA = 1e3
+PAIRS = 40
+SPREADS = 3
+
+
+@dataclass(frozen=True)
+class Case:
+    """One board and class: judges of equal and of spread impedances, and what single points do."""
+
+    equal: FrameJudge
+    spread: list[FrameJudge]
+    points_ma: np.ndarray
+
+
+@pytest.fixture(params=CASES, ids=lambda each: f"{each[0]} {each[1].name}".replace(" ", "-"))
+def case(request, changed):
+    (board, keys), primary = BOARDS[request.param[0]], request.param[1]
+    profile = changed(load_profile(board), keys)
+    bank = load_bank(profile)
+    kernels = np.asarray(bank.kernels(primary), np.float64)
+    wish = full_wish(profile, primary, kernels, bank.receptor[primary])
+    judges = [FrameJudge(profile, primary, wish)]
+    for seed in range(SPREADS):
+        kohm = np.random.default_rng(seed).uniform(0.7, 1.3, len(profile.electrodes))
+        mine = changed(profile, {"output.impedance_kohm": kohm.tolist()})
+        judges.append(FrameJudge(mine, primary, wish, others=judges[0].others))
+    return Case(judges[0], judges[1:], kernels * profile.full_ma[:, None])
+
+
+def as_it_flows(slot, judge, level, bounds):
+    """Return figures, and whether bounds are kept, where impedances are the judge's."""
+    states = np.sign(slot.current)[None].astype(np.int8)
+    current = slot.figures.total_ma * pole_shares(states, judge.profile.admittance)[0]
+    figures = judge.judge(current, only(level, slot.sites))
+    return figures, keeps(judge, figures, bounds, current, FREE_MA)
+
+
+def only(level, sites):
+    return np.where(np.isin(np.arange(len(level)), sites), level, 0.0)
+
+
+def drawn_on(letter, electrodes):
+    """Return levels of a letter of 5 x 7, centered, on any array."""
+    picture = np.array([[int(each) for each in row] for row in LETTERS[letter].split()])
+    place = electrodes.position_mm - electrodes.position_mm.mean(axis=0)
+    steps = [np.diff(np.unique(each.round(6))).max() for each in place.T]
+    column, row = (np.rint(place / steps + [2, 3] - 1e-3)).astype(int).T
+    inside = (column >= 0) & (column < 5) & (row >= 0) & (row < 7)
+    return np.where(inside, picture[np.clip(row, 0, 6), np.clip(column, 0, 4)], 0).astype(float)
+
+
+def worst(figures):
+    return (
+        f"other {max(each.worst_other for each in figures):.2f}, "
+        f"spill {max(each.worst_spill for each in figures):.2f}, targets "
+        f"{min(each.weakest for each in figures):.2f} to "
+        f"{max(each.strongest for each in figures):.2f}, source "
+        f"{np.mean([each.total_ma for each in figures]):.1f} (most "
+        f"{max(each.total_ma for each in figures):.1f}) mA"
+    )
+
+
+@pytest.mark.timeout(900)
+def test_pairs(benchmark, capsys, request, case):
+    electrodes, bounds = case.equal.profile.electrodes, FrameBounds()
+    pitches = electrodes.distance_mm / electrodes.pitch_mm
+    for apart in (1, 2, 3, 4, 5, 6):
+        pairs = [
+            pair
+            for pair in itertools.combinations(range(len(electrodes)), 2)
+            if abs(pitches[pair] - apart) < 0.25
+        ]
+        if not pairs:
+            continue
+        chosen = np.random.default_rng(0).permutation(len(pairs))[:PAIRS]
+        table = {"equal": [], "known": [], "unknown": []}
+        for index in chosen:
+            level = only(np.ones(len(electrodes)), pairs[index])
+            slot = SwitchedSearch(case.equal, level, bounds, FREE_MA).best()
+            table["equal"].append((slot.figures, slot.kept))
+            for judge in case.spread:
+                known = SwitchedSearch(judge, level, bounds, FREE_MA).best()
+                table["known"].append((known.figures, known.kept))
+                table["unknown"].append(as_it_flows(slot, judge, level, bounds))
+        with capsys.disabled():
+            for way, found in table.items():
+                kept = np.mean([each for _, each in found])
+                shown = [figures for figures, each in found if each or way == "unknown"]
+                print(
+                    f"\n{request.node.callspec.id}, pairs {apart} pitches apart, {way}: "
+                    f"{kept:.0%} share; {worst(shown) if shown else ''}",
+                    end="",
+                )
+    benchmark.pedantic(lambda: None, rounds=1)
+
+
+@pytest.mark.timeout(900)
+def test_how_many_at_once(benchmark, capsys, request, case):
+    """Random points in one slot, current free: where selectivity and evenness end it."""
+    count = len(case.equal.profile.electrodes)
+    asked = {
+        "all bounds": FrameBounds(),
+        "± 15 %": FrameBounds(uneven=0.15),
+        "selectivity alone": FrameBounds(uneven=0.9),
+        "evenness alone": FrameBounds(other=100, spill=100),
+    }
+    for points in (2, 3, 4, 6, 8, 12, 16):
+        if points > count * 0.5:
+            break
+        levels = [scattered(points, count, seed) for seed in range(20)]
+        for way, judges in (("equal", [case.equal]), ("known", case.spread)):
+            says = []
+            for name, bounds in asked.items():
+                slots = [
+                    SwitchedSearch(judge, level, bounds, FREE_MA).best()
+                    for level in levels
+                    for judge in judges
+                ]
+                says.append(f"{name} {np.mean([each.kept for each in slots]):.0%}")
+            with capsys.disabled():
+                print(
+                    f"\n{request.node.callspec.id}, {points} random points, {way}, share by: "
+                    + ", ".join(says),
+                    end="",
+                )
+    benchmark.pedantic(lambda: None, rounds=1)
+
+
+@pytest.mark.timeout(1800)
+def test_slots_per_frame(benchmark, capsys, request, changed, case):
+    profile = case.equal.profile
+    count = len(profile.electrodes)
+    sets = {"letters": [drawn_on(each, profile.electrodes) for each in "AEHLSX"]}
+    if count < 35:
+        sets = {}
+    for density in (0.10, 0.25, 0.60):
+        points = round(density * count)
+        sets[f"{density:.0%}"] = [scattered(points, count, seed) for seed in range(3)]
+    free = changed(profile, {"output.kind": "weighted"})
+    weighted = FrameOperator(FrameJudge(free, case.equal.primary, case.equal.wish_af))
+    for (total_ma, uneven), (kind, levels) in itertools.product(
+        ((10.0, 0.05), (50.0, 0.05), (50.0, 0.15)), sets.items()
+    ):
+        bounds = FrameBounds(uneven=uneven)
+        points = np.mean([np.count_nonzero(level) for level in levels])
+        most = [len(plan_slots(weighted, level, bounds, total_ma)) for level in levels]
+        says = [f"{points:.0f} points, {np.mean(most):.1f} slots if weighted"]
+        for way, judge, steps in (
+            ("equal", case.equal, 40),
+            ("equal, no search", case.equal, 0),
+            ("known", case.spread[0], 40),
+        ):
+            start = time.perf_counter()
+            # The bank's kernels are for equal impedances.
+            alone = None if way == "known" else case.points_ma
+            plans = [
+                plan_switched_slots(judge, level, bounds, total_ma, alone, steps)
+                for level in levels
+            ]
+            spent = (time.perf_counter() - start) / len(levels)
+            slots = [slot for plan in plans for slot in plan]
+            says.append(
+                f"{way}: {np.mean([len(plan) for plan in plans]):.1f} slots, most "
+                f"{max(len(each.sites) for each in slots)} points in one, "
+                f"{sum(not each.kept for each in slots)} break a bound, {1e3 * spent:.0f} ms; "
+                + worst([each.figures for each in slots])
+            )
+            if way == "equal":
+                real = [
+                    as_it_flows(slot, spread, level, bounds)
+                    for level, plan in zip(levels, plans, strict=True)
+                    for slot in plan
+                    for spread in case.spread
+                ]
+                says.append(
+                    f"unknown: {np.mean([kept for _, kept in real]):.0%} of those slots hold; "
+                    + worst([figures for figures, _ in real])
+                )
+        with capsys.disabled():
+            for each in says:
+                print(
+                    f"\n{request.node.callspec.id}, {kind}, {total_ma:g} mA ± {uneven:.0%}: {each}",
+                    end="",
+                )
+    benchmark.pedantic(lambda: None, rounds=1)
