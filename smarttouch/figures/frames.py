@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from smarttouch.figures.style import GREY, SIGNED_MAP, new_figure, plain
 from smarttouch.modes.bank import KernelBank
 from smarttouch.modes.frames.fields import FieldMap
-from smarttouch.modes.frames.judge import FrameBounds, FrameJudge, full_wish
+from smarttouch.modes.frames.figures import FrameBounds
+from smarttouch.modes.frames.judge import FrameJudge, full_wish
 from smarttouch.modes.frames.mixed import MixedJudge
 from smarttouch.modes.frames.operator import FrameOperator
 from smarttouch.modes.frames.slots import FrameSlot, plan_slots

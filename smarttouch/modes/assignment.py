@@ -44,7 +44,7 @@ def best_assignment(problem: Problem, site: int) -> tuple[Array, float]:
     judge = _Judge(problem, site)
     states, gap = _best_states(judge, problem, site)
     pattern = np.zeros(problem.electrodes)
-    pattern[problem.driven] = judge.shares(states[None])[0]
+    pattern[problem.driven] = pole_shares(states[None], judge.admittance)[0]
     return pattern, gap
 
 
@@ -68,6 +68,24 @@ def _best_states(judge: "_Judge", problem: Problem, site: int) -> tuple[NDArray[
     return states, max(0.0, (reached - bound) / reached)
 
 
+def pole_shares(states: NDArray[np.int8], admittance: Array) -> Array:
+    """Return the currents of a source of 1 mA, (P, E) mA, positive cathodic.
+
+    Parameters
+    ----------
+    states : ndarray, (P, E) int8
+        1 for a cathode, −1 for an anode, 0 for insulated.
+    admittance : ndarray, (E,)
+        Relative: `Profile.admittance`.
+    """
+    total = np.zeros(states.shape)
+    for pole in (1, -1):
+        connected = (states == pole) * admittance
+        passed = connected.sum(axis=1, keepdims=True)
+        total += pole * np.divide(connected, passed, out=connected, where=passed > 0)
+    return total
+
+
 class _Judge:
     """What assignments reach: worst other, or own spill where it is above `SPILL`.
 
@@ -88,21 +106,12 @@ class _Judge:
         ]
         self._at_once = max(16, _AT_ONCE // sum(len(rows.other) for rows in problem.rows))
 
-    def shares(self, states: NDArray[np.int8]) -> Array:
-        """Return the patterns of assignments, (P, E) from (P, E) of 1, −1 and 0."""
-        total = np.zeros(states.shape)
-        for pole in (1, -1):
-            connected = (states == pole) * self.admittance
-            passed = connected.sum(axis=1, keepdims=True)
-            total += pole * np.divide(connected, passed, out=connected, where=passed > 0)
-        return total
-
     def reached(self, states: NDArray[np.int8]) -> Array:
         """Return the objective of each assignment, infinite if it fires not or passes a limit."""
         found = np.full(len(states), np.inf)
         both = np.flatnonzero((states == 1).any(axis=1) & (states == -1).any(axis=1))
         for chosen in self._split(both):
-            shares = self.shares(states[chosen])
+            shares = pole_shares(states[chosen], self.admittance)
             kept = self._within_limits(shares)
             chosen, shares = chosen[kept], shares[kept]
             worst, spill = np.full(len(chosen), -np.inf), np.zeros(len(chosen))
@@ -124,7 +133,7 @@ class _Judge:
         """
         times: Counter[tuple[int, int, int]] = Counter()
         for chosen in self._split(np.arange(len(states))):
-            shares = self.shares(states[chosen])
+            shares = pole_shares(states[chosen], self.admittance)
             found = []
             for aims, other, _ in self.skins:
                 fired, activation = shares @ aims.T, shares @ other.T

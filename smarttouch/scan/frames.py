@@ -9,13 +9,8 @@ from threadpoolctl import ThreadpoolController
 
 from smarttouch.errors import ScheduleError
 from smarttouch.modes.bank import KernelBank
-from smarttouch.modes.frames.judge import (
-    FrameBounds,
-    FrameJudge,
-    SlotJudge,
-    full_wish,
-    judge_all,
-)
+from smarttouch.modes.frames.figures import FrameBounds, SlotJudge, judge_all
+from smarttouch.modes.frames.judge import FrameJudge, full_wish
 from smarttouch.modes.frames.mixed import MixedJudge
 from smarttouch.modes.frames.operator import AIM, FrameOperator
 from smarttouch.modes.frames.slots import plan_slots

@@ -10,7 +10,8 @@ import pytest
 
 from smarttouch.modes.bank import load_bank
 from smarttouch.modes.frames.bound import color_classes
-from smarttouch.modes.frames.judge import FrameBounds, FrameJudge, full_wish
+from smarttouch.modes.frames.figures import FrameBounds
+from smarttouch.modes.frames.judge import FrameJudge, full_wish
 from smarttouch.modes.frames.operator import FrameOperator, Weights
 from smarttouch.modes.frames.programme import joint_programme
 from smarttouch.modes.frames.slots import likely_slots, plan_slots

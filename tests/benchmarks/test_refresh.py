@@ -12,7 +12,7 @@ from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.imaging.mapping import TactileMapper
 from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.modes.bank import KernelBank, load_bank
-from smarttouch.modes.frames.judge import FrameBounds
+from smarttouch.modes.frames.figures import FrameBounds
 from smarttouch.modes.frames.operator import FrameOperator
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile

@@ -12,13 +12,8 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import DesignError
 from smarttouch.modes.frames.fields import FieldMap, Single
-from smarttouch.modes.frames.judge import (
-    Bounded,
-    FrameBounds,
-    FrameFigures,
-    FrameJudge,
-    reached,
-)
+from smarttouch.modes.frames.figures import Bounded, FrameBounds, FrameFigures
+from smarttouch.modes.frames.judge import FrameJudge, reached
 from smarttouch.profile import Profile
 
 Array = NDArray[np.float64]

@@ -28,7 +28,7 @@ from scipy.optimize import nnls
 
 from smarttouch.errors import DesignError
 from smarttouch.modes.frames.fields import FieldMap, Single
-from smarttouch.modes.frames.judge import Bounded, FrameBounds, FrameFigures, SlotJudge
+from smarttouch.modes.frames.figures import Bounded, FrameBounds, FrameFigures, SlotJudge
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import DesignError
 from smarttouch.modes.frames.fields import FieldMap
-from smarttouch.modes.frames.judge import FrameBounds, FrameFigures, FrameJudge
+from smarttouch.modes.frames.figures import FrameBounds, FrameFigures
+from smarttouch.modes.frames.judge import FrameJudge
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import DesignError
-from smarttouch.modes.frames.judge import FrameBounds, FrameFigures
+from smarttouch.modes.frames.figures import FrameBounds, FrameFigures
 from smarttouch.modes.frames.operator import AnyJudge, FrameOperator, keeps
 
 Array = NDArray[np.float64]

@@ -7,7 +7,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.modes.frames.judge import FrameFigures, FrameJudge
+from smarttouch.modes.frames.figures import FrameFigures
+from smarttouch.modes.frames.judge import FrameJudge
 from smarttouch.nerve.afferents import Afferents, depth_mm, flat, tilted
 from smarttouch.nerve.afferents import variants as conductivities
 from smarttouch.primary import Primary

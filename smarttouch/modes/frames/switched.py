@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import DesignError
-from smarttouch.modes.frames.judge import FrameBounds, FrameJudge
+from smarttouch.modes.assignment import pole_shares
+from smarttouch.modes.frames.figures import FrameBounds
+from smarttouch.modes.frames.judge import FrameJudge
 from smarttouch.modes.frames.operator import keeps
 from smarttouch.modes.frames.slots import FrameSlot
 from smarttouch.modes.switching import polarity
@@ -36,24 +38,6 @@ _TRIES = 3
 """Slots that a point tries to join, the farthest first."""
 _SLACK = 1.05
 """What neighbors may make up for: by which part needs may lie above what they are allowed."""
-
-
-def pole_shares(states: States, admittance: Array) -> Array:
-    """Return the currents of a source of 1 mA, (P, E) mA, positive cathodic.
-
-    Parameters
-    ----------
-    states : ndarray, (P, E) int8
-        1 for a cathode, −1 for an anode, 0 for insulated.
-    admittance : ndarray, (E,)
-        Relative: `Profile.admittance`.
-    """
-    total = np.zeros(states.shape)
-    for pole in (1, -1):
-        connected = (states == pole) * admittance
-        passed = connected.sum(axis=1, keepdims=True)
-        total += pole * np.divide(connected, passed, out=connected, where=passed > 0)
-    return total
 
 
 class SwitchedSearch:

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.errors import DesignError
-from smarttouch.modes.frames.judge import FrameBounds, FrameJudge, full_wish
+from smarttouch.modes.frames.figures import FrameBounds
+from smarttouch.modes.frames.judge import FrameJudge, full_wish
 from smarttouch.modes.problem import Problem
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.errors import DesignError
-from smarttouch.modes.frames.judge import FrameBounds, FrameJudge, full_wish
+from smarttouch.modes.frames.figures import FrameBounds
+from smarttouch.modes.frames.judge import FrameJudge, full_wish
 from smarttouch.modes.frames.operator import FrameOperator, Weights, keeps
 from smarttouch.nerve.activation import af_matrix
 from smarttouch.nerve.afferents import everywhere

@@ -5,7 +5,8 @@ import pytest
 from scipy.optimize import linprog
 
 from smarttouch.errors import DesignError
-from smarttouch.modes.frames.judge import FrameBounds, FrameJudge
+from smarttouch.modes.frames.figures import FrameBounds
+from smarttouch.modes.frames.judge import FrameJudge
 from smarttouch.modes.frames.operator import FrameOperator
 from smarttouch.modes.frames.programme import joint_programme
 from smarttouch.modes.problem import Problem

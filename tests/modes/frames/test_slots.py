@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.modes.bank import load_bank
-from smarttouch.modes.frames.judge import FrameBounds, FrameJudge, full_wish
+from smarttouch.modes.frames.figures import FrameBounds
+from smarttouch.modes.frames.judge import FrameJudge, full_wish
 from smarttouch.modes.frames.operator import FrameOperator, keeps
 from smarttouch.modes.frames.slots import likely_slots, plan_slots
 from smarttouch.primary import Primary

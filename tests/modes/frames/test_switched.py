@@ -8,10 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.errors import DesignError
+from smarttouch.modes.assignment import pole_shares
 from smarttouch.modes.bank import load_bank
-from smarttouch.modes.frames.judge import FrameBounds, FrameJudge, full_wish
+from smarttouch.modes.frames.figures import FrameBounds
+from smarttouch.modes.frames.judge import FrameJudge, full_wish
 from smarttouch.modes.frames.operator import keeps
-from smarttouch.modes.frames.switched import SwitchedSearch, plan_switched_slots, pole_shares
+from smarttouch.modes.frames.switched import SwitchedSearch, plan_switched_slots
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
