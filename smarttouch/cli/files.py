@@ -31,16 +31,6 @@ def parse_choice(option: str, text: str, choices: Iterable[Choice]) -> Choice:
     return next(each for each in known if each == text.lower())
 
 
-def parse_scan(scan: str, profile: "Profile", hold: str | None = None) -> tuple[Primary, ...]:
-    """Return the classes that ``--scan`` lets share slots; of itself none where ``--hold`` is."""
-    from smarttouch.scan.frames import in_time
-
-    chosen = parse_choice("--scan", scan, ("points", "frame", "auto"))
-    if chosen == "auto":
-        return () if hold else in_time(profile)
-    return tuple(Primary) if chosen == "frame" else ()
-
-
 def parse_primary(mode: str) -> Primary:
     """Return the primary that ``--mode`` names."""
     if mode.upper() not in Primary.__members__:

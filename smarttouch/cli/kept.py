@@ -119,7 +119,7 @@ class Kept:
 
         markers = Markers(profile)
         self._stack.callback(markers.close)
-        self.notes = markers.notes
+        markers.notes = self.notes
         self.tells.append(markers.event)
         self.observers.append(markers.watch)
 

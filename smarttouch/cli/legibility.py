@@ -57,11 +57,11 @@ def legibility(
     from smarttouch.cli.files import (
         parse_choice,
         parse_mode,
-        parse_scan,
         require_folder,
         write_json,
     )
     from smarttouch.cli.progress import bank_progress
+    from smarttouch.cli.sharing import parse_scan
     from smarttouch.modes.bank import load_bank
     from smarttouch.profile import load_profile
     from smarttouch.reading.braille import Braille, Presentation

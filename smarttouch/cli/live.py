@@ -97,9 +97,10 @@ def live(
     import contextlib
 
     from smarttouch.boards.board import usual_profile
-    from smarttouch.cli.files import parse_mode, parse_scan, parse_size
+    from smarttouch.cli.files import parse_mode, parse_size
     from smarttouch.cli.plan import Plan
     from smarttouch.cli.session import play
+    from smarttouch.cli.sharing import parse_scan
     from smarttouch.profile import load_profile
     from smarttouch.resources import data_folder
     from smarttouch.sensing import open_sensor
@@ -111,6 +112,7 @@ def live(
         board_url=board,
         mode=parse_mode(mode),
         at_once=parse_scan(scan, chosen, hold),
+        in_time=scan == "auto",
         rate_hz=rate,
         seconds=seconds,
         level=intensity,

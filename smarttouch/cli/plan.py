@@ -37,6 +37,8 @@ class Plan:
     balance: bool = False
     at_once: tuple[Primary, ...] = ()
     """Classes whose points share slots."""
+    in_time: bool = False
+    """Whether they do so only where a frame is planned between two pulses."""
     tone: Tone | None = None
     felt: Path | None = None
     frames: Path | None = None

@@ -104,10 +104,11 @@ def read(
     import contextlib
 
     from smarttouch.boards.board import usual_profile
-    from smarttouch.cli.files import parse_choice, parse_mode, parse_scan
+    from smarttouch.cli.files import parse_choice, parse_mode
     from smarttouch.cli.plan import Plan
     from smarttouch.cli.progress import first_line_awaited
     from smarttouch.cli.session import play
+    from smarttouch.cli.sharing import parse_scan
     from smarttouch.profile import load_profile
     from smarttouch.reading.braille import Braille, Presentation
     from smarttouch.reading.cursor import Cursor, FollowingCursor, SweepingCursor
@@ -140,6 +141,7 @@ def read(
         board_url=board,
         mode=parse_mode(mode),
         at_once=parse_scan(scan, chosen),
+        in_time=scan == "auto",
         rate_hz=rate,
         seconds=seconds,
         level=intensity,

@@ -88,7 +88,9 @@ def test_refresh_against_point_scan(benchmark, capsys, changed, name, primary):
     if name[0].isdigit():
         rows, columns = map(int, name.split("x"))
         keys = {"array.rows": rows, "array.columns": columns, "name": name}
+        # A printed line fills the rows, as on 8 x 8.
         keys |= {"optics.sensor_rows": 8 * rows, "optics.sensor_columns": 8 * columns}
+        keys["optics.magnification"] = 0.4 * rows
         profile = changed(load_profile("electric-mouse"), keys)
         bank = load_bank(profile) if rows < 32 else bank_by_operator(profile, primary)
     else:
