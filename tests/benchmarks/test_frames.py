@@ -8,11 +8,12 @@ import time
 import numpy as np
 import pytest
 
+from smarttouch.errors import DesignError
 from smarttouch.modes.bank import load_bank
 from smarttouch.modes.frames.bound import color_classes
 from smarttouch.modes.frames.figures import FrameBounds
 from smarttouch.modes.frames.judge import FrameJudge, full_wish
-from smarttouch.modes.frames.operator import FrameOperator, Weights
+from smarttouch.modes.frames.operator import FrameOperator, Weights, keeps
 from smarttouch.modes.frames.programme import joint_programme
 from smarttouch.modes.frames.slots import likely_slots, plan_slots
 from smarttouch.modes.frames.spread import Worst, spread_judges, uneven_levels, with_gain_error
@@ -128,6 +129,44 @@ def test_gap_to_the_optimum(benchmark, capsys, profile, bank, primary):
                     f"{1e3 * np.median([spent for _, _, spent in each]):.2f} ms",
                     end="",
                 )
+    benchmark.pedantic(lambda: None, rounds=1)
+
+
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("primary", SHOWN)
+def test_gap_within_limits(benchmark, capsys, profile, primary):
+    """How near the operator comes to the joint optimum if that is what it is asked to keep."""
+    judge = judge_of(profile, primary)
+    operator, limits = FrameOperator(judge), FrameBounds()
+    for points, count in ((2, 25), (4, 75), (8, 50), (16, 50)):
+        gaps, slow, fast, none = [], [], [], 0
+        for seed in range(count):
+            level = scattered(points, 64, seed)
+            start = time.perf_counter()
+            try:
+                best = joint_programme(judge, level, limits, FREE_MA)
+            except DesignError:
+                none += 1
+                continue
+            slow.append(time.perf_counter() - start)
+            gap = np.inf
+            for part in (1.02, 1.05, 1.1, 1.2, 1.3, 1.5, 2.0, 3.0):
+                bounds = FrameBounds(other=part * best.optimum)
+                start = time.perf_counter()
+                current, figures = operator.bounded(level, bounds, FREE_MA)
+                fast.append(time.perf_counter() - start)
+                if keeps(judge, figures, bounds, current, FREE_MA):
+                    gap = part
+                    break
+            gaps.append(gap)
+        with capsys.disabled():
+            print(
+                f"\n{primary.name} {points} random ({count}, {none} of them impossible): the "
+                f"operator keeps {np.median(gaps):.2f} times the optimum (95 % "
+                f"{np.quantile(gaps, 0.95, method='higher'):.2f}, worst {max(gaps):.2f}); "
+                f"{1e3 * np.median(slow):.0f} ms to {1e3 * np.median(fast):.1f} ms",
+                end="",
+            )
     benchmark.pedantic(lambda: None, rounds=1)
 
 
