@@ -11,7 +11,7 @@ from smarttouch.errors import ScheduleError
 from smarttouch.modes.bank import KernelBank
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
-from smarttouch.scan.sequence import Proof
+from smarttouch.scan.sequence import Proof, whole_ua
 from smarttouch.scan.timing import ScanTiming
 
 SHORTEST_PULSE_US = 10
@@ -68,10 +68,9 @@ class PointSlots:
             )
         self._kernels_ua = weights * (profile.full_ma * 1000)[:, None]
         self._strongest = np.abs(weights).argmax(axis=1)
-        sign = np.sign(weights[np.arange(len(weights)), self._strongest])
-        self._opposite = (-sign[:, None] * weights).argmax(axis=1)
-        limits = profile.limits
-        most_ma = np.full(len(weights), limits.current_ma)
+        limits, pulse_us = profile.limits, profile.pulse.width_us
+        highest_ma = min(limits.current_ma, 1000 * limits.charge_uc / pulse_us)
+        most_ma = np.full(len(weights), highest_ma)
         if limits.electrode_ma is not None:
             most_ma = np.minimum(most_ma, limits.electrode_ma)
         self._most_ua = np.floor(1000 * most_ma[self._strongest] + 1e-6)
@@ -102,8 +101,8 @@ class PointSlots:
         intensity at full activation; where width is the carrier, the strongest
         current for as short as does the same. Currents are whole µA that sum to
         zero in every slot: what rounding leaves over goes to the strongest
-        electrode of the kernel, or off its strongest opposite where that would be
-        above its limit. A masked electrode has no slot.
+        electrode of the kernel, or is carried on from electrode to electrode where
+        that would be above its limit. A masked electrode has no slot.
 
         Parameters
         ----------
@@ -143,11 +142,19 @@ class PointSlots:
         current_ua = currents.astype(np.int16)
         surplus = current_ua.sum(axis=1, dtype=np.int16)
         rows, electrode = np.arange(slots), self._strongest[site]
-        if self._tight:
-            over = np.abs(current_ua[rows, electrode] - surplus) > self._most_ua[site]
-            electrode = np.where(over, self._opposite[site], electrode)
-        current_ua[rows, electrode] -= surplus
+        strongest_ua = current_ua[rows, electrode] - surplus
+        current_ua[rows, electrode] = strongest_ua
+        if self._tight and (over := np.abs(strongest_ua) > self._most_ua[site]).any():
+            current_ua[over] = self._carried(site[over], level[over])
         return Slots(site.astype(np.uint16), current_ua, width_us)
+
+    def _carried(self, site: NDArray[np.intp], level: NDArray[np.float32]) -> NDArray[np.int16]:
+        """Return slots in which no electrode is off by a µA, and none above its limit, (S, E)."""
+        exact_ua = self._kernels_ua[site].astype(np.float64) * level[:, None]
+        # A little below the limit, which is whole: what is carried cannot lift it above.
+        peak_ua = np.abs(exact_ua).max(axis=1)
+        exact_ua *= np.minimum(1, (self._most_ua[site] - 1e-3) / peak_ua)[:, None]
+        return whole_ua(exact_ua)
 
     def _widths_us(self, level: NDArray[np.float32]) -> NDArray[np.uint16]:
         """Return how long the strongest current does what a part of it does for a whole pulse, µs.

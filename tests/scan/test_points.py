@@ -1,5 +1,7 @@
 """The slots of one class: as strong as asked, by height or by width."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -152,3 +154,23 @@ def test_a_comfort_that_is_just_the_limit_stays_within_it(changed, keys):
         rows[primary] = 1
         for level in np.linspace(0.5, 1, 30):
             gate.prove_measurement(scan.schedule(TactileImage(rows, 0, 1.0), float(level)))
+
+
+def test_rounding_of_a_thousand_small_currents_is_no_charge_above_the_limit(profile, bank, changed):
+    """2.6 µA round to 3: what 923 electrodes leave over is 370 µA."""
+    wide = changed(profile, {"array.rows": 32, "array.columns": 32})
+    weights = np.zeros((1024, 1024))
+    for site in range(100):
+        weights[site, site] = 1
+        weights[site, 101:] = -1 / 923
+    scan = PointScan(wide, replace(bank, weights={Primary.SAI: weights}), (Primary.SAI,), 10.0)
+    rows = np.zeros((3, 1024), np.float32)
+    rows[Primary.SAI, :100] = np.linspace(0.1, 1, 100)
+    gate = SafetyGate(SafetyLimits.of(wide))
+    for intensity in np.linspace(0.1, 1, 10):
+        sequence = scan.schedule(TactileImage(rows, 0, 1.0), float(intensity))
+        gate.prove_measurement(sequence)
+        assert sequence.slots == 100
+        assert np.abs(sequence.current_ua).max() <= 2500
+    strongest = sequence.site.tolist().index(99)
+    assert np.abs(sequence.current_ua[strongest] - 2400 * weights[99]).max() < 1.01
