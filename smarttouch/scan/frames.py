@@ -66,8 +66,8 @@ class FrameSlots:
     Raises
     ------
     ScheduleError
-        If the board cannot give every electrode its own current, or pulse width
-        carries intensity.
+        If the board cannot give every electrode its own current, pulse width
+        carries intensity, or the profile does not limit total current.
     """
 
     def __init__(self, profile: Profile, bank: KernelBank, primaries: tuple[Primary, ...]) -> None:
@@ -90,9 +90,9 @@ class FrameSlots:
         self._planned_bounds = FrameBounds(
             _ROUNDING * frames.other, _ROUNDING * frames.spill, frames.uneven
         )
-        total_ma = profile.limits.total_ma
-        # Half of the electrodes may be rounded up, by less than a µA each.
-        self._total_ma = None if total_ma is None else total_ma - len(full_ma) / 2000
+        self._limit_ma = profile.limits.total_ma or 0.0
+        # Less what rounding hardly ever adds; where it does, a slot is shown point by point.
+        self._planned_ma = self._limit_ma - 0.002 * np.sqrt(len(full_ma))
         self._felt_at = [felt_at(profile, each) for each in primaries]
         self._faintest = profile.threshold_ma / profile.full_ma
         self._driven = np.isin(np.arange(len(full_ma)), profile.driven)
@@ -121,6 +121,7 @@ class FrameSlots:
             broken = (proof.worst_other > self._bounds.other) | (
                 proof.worst_spill > self._bounds.spill
             )
+            broken |= current_ua.sum(axis=1, where=current_ua > 0) > 1000 * self._limit_ma
             broken &= proof.points > 1
             if broken.any():
                 plan = self._one_by_one(plan, broken)
@@ -160,7 +161,7 @@ class FrameSlots:
         # Plans aim a little low, which saves current; the faintest would not be felt then.
         level = np.minimum(level / (1 - AIM * self._bounds.uneven), 1.0)
         slots = plan_slots(
-            self._operator, level, self._planned_bounds, self._total_ma, self._points_ma
+            self._operator, level, self._planned_bounds, self._planned_ma, self._points_ma
         )
         levels = np.zeros((len(slots), len(level)))
         currents_ma = np.zeros((len(slots), activation.shape[1]))
@@ -195,4 +196,6 @@ def why_not(profile: Profile) -> str | None:
         return f"the board is {profile.output.kind}, with one source for all electrodes"
     if profile.pulse.carrier == "width":
         return "pulse.carrier is 'width', one for all points of a slot"
+    if profile.limits.total_ma is None:
+        return "limits.total_ma is not set, and nothing else bounds what many points carry"
     return None

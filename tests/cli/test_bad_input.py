@@ -55,6 +55,7 @@ def folder(tmp_path):
         ("live --scan frame --hold charge", "choose --scan points"),
         ("live --scan all", "--scan 'all' is not offered"),
         ("live --scan frame --profile kajimoto-61", "cannot be shown at once"),
+        ("live --scan frame --profile line-7", "limits.total_ma is not set"),
         ("live --mode color", "--mode 'color' is not offered"),
         ("live --profile kajimoto-61 --mode SAI", "mode SAI is not possible"),
         ("live --rate 0", "a rate of 0 Hz"),

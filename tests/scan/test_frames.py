@@ -201,6 +201,10 @@ def test_boards_that_cannot_are_refused(profile, bank, changed):
         FrameSlots(board, load_bank(board), (Primary.RA,))
     with pytest.raises(ScheduleError, match=r"pulse\.carrier"):
         FrameSlots(changed(profile, {"pulse.carrier": "width"}), bank, (Primary.RA,))
+    # Electrodes are limited each by itself: 64 of them might carry 150 mA.
+    with pytest.raises(ScheduleError, match=r"limits\.total_ma is not set"):
+        FrameSlots(changed(profile, {"limits.total_ma": None}), bank, (Primary.RA,))
+    assert in_time(changed(profile, {"limits.total_ma": None})) == ()
     assert in_time(board) == ()
     assert in_time(profile) == (Primary.RA, Primary.SAI)
 
@@ -231,3 +235,20 @@ def test_points_that_go_with_no_other_are_rounded_within_their_limit(profile, ba
     assert sequence.slots == 6
     assert np.abs(sequence.current_ua).max() > 2460
     SafetyGate(SafetyLimits.of(alone)).prove_measurement(sequence)
+
+
+def test_a_slot_above_the_total_is_shown_point_by_point(profile, bank, monkeypatch):
+    slots = FrameSlots(profile, bank, (Primary.RA,))
+    # As if rounding added a tenth of a milliampere more than it does.
+    monkeypatch.setattr(slots, "_planned_ma", 10.4)
+    split = 0
+    for seed in range(40):
+        activation = np.zeros((1, 64), np.float32)
+        sites = np.random.default_rng(seed).choice(64, 12, replace=False)
+        activation[0, sites] = 1
+        found = slots.slots(activation, 1.0)
+        total_ua = found.current_ua.sum(axis=1, where=found.current_ua > 0)
+        assert total_ua.max() <= 1000 * profile.limits.total_ma
+        assert found.proof.points.sum() == 12
+        split += (found.proof.points == 1).sum() >= 4
+    assert split > 0
