@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from smarttouch.scan.sequence import Proof
 from smarttouch.sensing.frame import Frame, Pose
 from smarttouch.tally import Spread, Tally
 
@@ -50,3 +51,13 @@ def test_frames_are_counted_once(moments):
             tally.feel(frame)
             felt.add(number)
     assert (tally.seen, tally.felt) == (len(seen), len(felt))
+
+
+def test_the_worst_of_shared_slots_is_kept():
+    tally, points = Tally(), np.array([3, 1], np.uint16)
+    for other, spill in ((0.1, 0.2), (0.2, 0.1)):
+        ratio = np.array([other, 0.9], np.float32), np.array([spill, 0.9], np.float32)
+        tally.weigh(Proof(points, *ratio))
+    tally.weigh(None)
+    tally.weigh(Proof(np.ones(2, np.uint16), *ratio))
+    assert (tally.worst_other, tally.worst_spill) == pytest.approx((0.2, 0.2))

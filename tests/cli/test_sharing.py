@@ -1,8 +1,11 @@
 """Classes share slots as far as this computer plans them in time."""
 
+import contextlib
+
 import pytest
 
 from smarttouch.cli import sharing
+from smarttouch.cli.kept import Kept
 from smarttouch.cli.plan import Plan
 from smarttouch.cli.sharing import kept_up_with, parse_scan, planning_s
 from smarttouch.errors import SmartTouchError
@@ -66,3 +69,31 @@ def test_a_run_that_cannot_be_planned_in_time_says_so(program_here, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "SAI is shown point by point" in done.stdout
     assert "points shared slots" not in done.stdout
+
+
+def test_a_replay_shares_slots_only_where_the_board_can(program_here, tmp_path):
+    recorded = ("live", "--sensor", "text:on", "--speed", 200, "--board", "simulated:", "--quiet")
+    assert program_here(*recorded, "--record", "run.mcap").returncode == 0
+    other = ("--profile", "kajimoto-61", "--board", "simulated:", "--json", "run.json")
+    done = program_here("replay", "run.mcap", *other)
+    assert done.returncode == 0, done.stderr
+    assert "points shared slots" not in done.stdout
+
+
+def test_notes_of_markers_do_not_replace_others(profile, monkeypatch):
+    class Markers:
+        def __init__(self, profile):
+            self.notes = []
+
+        close = event = watch = staticmethod(lambda *_: None)
+
+    made = []
+    monkeypatch.setattr(
+        "smarttouch.markers.Markers", lambda profile: made.append(Markers(profile)) or made[-1]
+    )
+    with contextlib.ExitStack() as stack:
+        kept = Kept(Plan("", "simulated:", Mode.RA, markers=True), stack)
+        kept.notes.append("one")
+        kept._mark(profile)
+        made[-1].notes.append("two")
+    assert kept.notes == ["one", "two"]

@@ -152,6 +152,18 @@ def test_a_proof_of_other_slots_breaks_the_step(make_frame, profile, bank):
         assert decoder.broken == 1
 
 
+def test_an_endless_ratio_is_the_largest_there_is(steps):
+    sent, endless = steps[0], np.full(1, np.inf, np.float32)
+    sequence = replace(
+        sent.step.sequence,
+        **{key: np.ones(1, np.uint16) for key in ("width_us", "discharge_us", "site")},
+        current_ua=np.zeros((1, 64), np.int16),
+        proof=Proof(np.ones(1, np.uint16), endless, endless),
+    )
+    [found] = through([replace(sent, step=replace(sent.step, sequence=sequence))])
+    assert found.sent.step.sequence.proof.worst_other[0] == np.finfo(np.float32).max
+
+
 def test_an_image_is_written_once(steps):
     encoder = StepEncoder(0)
     topics = [topic for sent in steps[:6] for topic, _ in encoder.messages(sent, 0, 0)]

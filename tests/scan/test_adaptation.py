@@ -1,5 +1,7 @@
 """Charge and energy are held while impedance drifts, and nothing passes a limit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,7 +15,7 @@ from smarttouch.profile import Profile, load_profile
 from smarttouch.scan.adaptation import Adaptation
 from smarttouch.scan.safety import SafetyGate, SafetyLimits
 from smarttouch.scan.schedule import PointScan
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.scan.sequence import Proof, ScanSequence
 from smarttouch.scan.timing import ScanTiming
 
 COMPLIANCE_V = 300.0
@@ -231,6 +233,16 @@ SAFE = [
 
 
 SAFE_BANKS = {profile.name: load_bank(load_profile(profile.name)) for profile in SAFE}
+
+
+def test_a_changed_sequence_has_no_proof():
+    finger = Finger(MOUSE, "energy")
+    for kohm in (KOHM, 2 * KOHM, 2 * KOHM):
+        finger.kohm[:] = kohm
+        asked, sent, _, _ = finger.touch()
+    proved = replace(asked, proof=Proof.of_nothing(asked.slots))
+    assert sent is not asked
+    assert finger.adaptation.apply(proved).proof is None
 
 
 @pytest.mark.parametrize("profile", SAFE, ids=lambda profile: profile.name)

@@ -91,6 +91,38 @@ def test_every_slot_is_within_limits_and_bounds_and_its_proof_is_true(
         assert proof.worst_other[slot] == pytest.approx(others[slot] / weakest, rel=0.08, abs=0.01)
 
 
+def test_each_class_is_felt_where_its_own_shift_says(profile, bank, changed, problems):
+    """SAI one cell to the right of where it is stimulated, RA where it is."""
+    shifted = changed(profile, {"perception.sai_shift_mm": (2.0, 0.0)})
+    slots = FrameSlots(shifted, bank, (Primary.RA, Primary.SAI))
+    rows = np.zeros((2, 64), np.float32)
+    rows[0, 18] = rows[1, 45] = 1
+    current_ma = slots.slots(rows, 1.0).current_ua / 1000
+    for each, site in ((Primary.RA, 18), (Primary.SAI, 44)):
+        target = problems[each].target[0]
+        alone = (target * bank.kernels(each)).sum(axis=1) * profile.full_ma
+        assert (current_ma @ target.T / alone).max(axis=0).argmax() == site
+
+
+def test_limits_of_electrodes_that_are_no_whole_microamperes(profile, changed):
+    limited = changed(
+        profile,
+        {
+            "limits.electrode_ma": (1.23456,) * 64,
+            "perception.threshold_ma": 0.6,
+            "perception.comfort_ma": (1.2345,) * 64,
+        },
+    )
+    bank = load_bank(profile)
+    gate = SafetyGate(SafetyLimits.of(limited))
+    for primary in (Primary.RA, Primary.SAI):
+        scan = PointScan(limited, bank, (primary,), 10.0, frames=(primary,))
+        for seed in range(20):
+            activation = np.zeros(64, np.float32)
+            activation[np.random.default_rng(seed).choice(64, 20, replace=False)] = 1
+            gate.prove_measurement(scan.schedule(image(activation, primary), 1.0))
+
+
 def test_what_rounding_breaks_is_shown_point_by_point(profile, made):
     activation = np.zeros(64, np.float32)
     activation[LETTER_T] = 1
@@ -137,6 +169,7 @@ def test_both_classes_share_slots_where_both_are_due(profile, bank, problems):
     )
     assert sequence.slots < apart
     assert sequence.points == sequence.proof.points.sum() == 16
+    assert set(sequence.site) <= {*range(8), *range(48, 56)}
     assert sequence.proof.worst_other.max() <= profile.frames.other
     current_ma = sequence.current_ua / 1000
     for each, level in zip(both, (1.0, 0.75), strict=True):

@@ -127,14 +127,22 @@ def test_mixed_frames_take_fewer_slots(judges, operator):
     apart = [FrameOperator(judge) for judge in judges]
     mixed = separate = 0
     for seed in range(8):
-        level = wished(seed, 8, 8)
+        level = np.ceil(wished(seed, 16, 16))
         mixed += len(plan_slots(operator, level, FrameBounds()))
         separate += sum(
             len(plan_slots(one, mine, FrameBounds()))
             for one, mine in zip(apart, level.reshape(2, 64), strict=True)
         )
-        assert likely_slots(operator, level, FrameBounds(), 10.0) <= 2
-    assert mixed <= 0.8 * separate
+        assert likely_slots(operator, level, FrameBounds(), 10.0) <= 4
+    # As many of each class in every slot: dealt without that, .71.
+    assert mixed <= 0.66 * separate
+
+
+def test_targets_that_nothing_reaches_have_endless_ratios(operator):
+    level = wished(1, 2, 2)
+    for current in (np.zeros(64), -operator.currents(level)):
+        figures = operator.judge.judge(current, level)
+        assert figures.worst_other == figures.worst_spill == np.inf
 
 
 def test_a_class_cannot_be_mixed_with_itself(judges):
