@@ -96,8 +96,10 @@ def test_each_class_is_felt_where_its_own_shift_says(profile, bank, changed, pro
     shifted = changed(profile, {"perception.sai_shift_mm": (2.0, 0.0)})
     slots = FrameSlots(shifted, bank, (Primary.RA, Primary.SAI))
     rows = np.zeros((2, 64), np.float32)
-    rows[0, 18] = rows[1, 45] = 1
-    current_ma = slots.slots(rows, 1.0).current_ua / 1000
+    rows[0, 18], rows[1, 45] = 0.5, 1
+    found = slots.slots(rows, 1.0)
+    assert found.site.tolist() == [44], "the stronger of the two"
+    current_ma = found.current_ua / 1000
     for each, site in ((Primary.RA, 18), (Primary.SAI, 44)):
         target = problems[each].target[0]
         alone = (target * bank.kernels(each)).sum(axis=1) * profile.full_ma
@@ -108,6 +110,7 @@ def test_limits_of_electrodes_that_are_no_whole_microamperes(profile, changed):
     limited = changed(
         profile,
         {
+            "frames.other": 0.01,
             "limits.electrode_ma": (1.23456,) * 64,
             "perception.threshold_ma": 0.6,
             "perception.comfort_ma": (1.2345,) * 64,
