@@ -1,7 +1,6 @@
 """Frame in, scan sequence out: pure, without I/O and without a clock."""
 
 import contextlib
-from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +12,7 @@ from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.modes.bank import KernelBank
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
+from smarttouch.scan.frames import NO_SHARING, Sharing
 from smarttouch.scan.intensity import SoftStart, force_gate
 from smarttouch.scan.schedule import PointScan
 from smarttouch.scan.sequence import ScanSequence
@@ -78,7 +78,7 @@ class Pipeline:
         How ink becomes activation; as for frames of a sensor if not given.
     vibrated : bool
         Whether mechanical vibrators do what PC is to feel, and no current (paper, Section V).
-    frames : collection of Primary
+    sharing : Sharing
         Classes whose points share a slot where their currents leave one another alone.
     """
 
@@ -93,10 +93,10 @@ class Pipeline:
         softness: float | None = None,
         tone: Tone | None = None,
         vibrated: bool = False,
-        frames: Collection[Primary] = (),
+        sharing: Sharing = NO_SHARING,
     ) -> None:
         self._settings = (
-            profile, bank, mode, rate_hz, light_on_dark, timing, softness, tone, vibrated, frames,
+            profile, bank, mode, rate_hz, light_on_dark, timing, softness, tone, vibrated, sharing,
         )  # fmt: skip
         self._profile = profile
         self._mapper = TactileMapper(profile, light_on_dark, tone)
@@ -136,7 +136,7 @@ class Pipeline:
 
     def _scan(self, mode: Mode) -> PointScan:
         if mode not in self._scans:
-            profile, bank, _, rate_hz, _, timing, softness, _, vibrated, frames = self._settings
+            profile, bank, _, rate_hz, _, timing, softness, _, vibrated, sharing = self._settings
             classes, vibrated = mode.primaries, vibrated and mode is Mode.COLOR
             if mode is Mode.COLOR:
                 made = {*bank.weights, *((Primary.PC,) if vibrated else ())}
@@ -151,7 +151,7 @@ class Pipeline:
                 timing,
                 profile.pulse.softness if softness is None else softness,
                 vibrated,
-                frames,
+                sharing,
             )
         return self._scans[mode]
 

@@ -142,7 +142,10 @@ def _settings(plan: Plan, source: Sensor, board: Board) -> dict[str, Any]:
         "softness": plan.softness,
         "tone": None if plan.tone is None else asdict(plan.tone),
         "vibrated": plan.vibrators_url is not None,
-        "frames": [each.name for each in plan.at_once],
+        "sharing": {
+            "primaries": [each.name for each in plan.sharing.primaries],
+            "planned": plan.sharing.planned,
+        },
         "hold": plan.hold,
         "balance": plan.balance,
         "timing": asdict(board.timing),

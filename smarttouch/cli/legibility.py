@@ -82,8 +82,8 @@ def legibility(
     motion = wanted.motion(chosen, speed)
     with bank_progress(quiet) as progress:
         bank = load_bank(chosen, progress)
-    at_once = parse_scan(scan, chosen)
-    reading = Reading(chosen, bank, wanted.tone, motion, parse_mode(mode), at_once)
+    sharing = parse_scan(scan, chosen)
+    reading = Reading(chosen, bank, wanted.tone, motion, parse_mode(mode), sharing)
     if as_shapes:
         figures = _of_shapes(text, shapes, reading, truth, quiet)
     else:

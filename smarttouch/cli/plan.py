@@ -11,7 +11,8 @@ from smarttouch.controls import Controls, Wish
 from smarttouch.errors import SmartTouchError
 from smarttouch.imaging.mapping import Tone
 from smarttouch.live import Sent
-from smarttouch.primary import Mode, Primary
+from smarttouch.primary import Mode
+from smarttouch.scan.frames import NO_SHARING, Sharing
 
 _TELL_ALL = ("emulator:", "simulated:")
 """Boards that report every pulse."""
@@ -35,10 +36,8 @@ class Plan:
     measure: bool = False
     hold: str | None = None
     balance: bool = False
-    at_once: tuple[Primary, ...] = ()
+    sharing: Sharing = NO_SHARING
     """Classes whose points share slots."""
-    in_time: bool = False
-    """Whether they do so only where a frame is planned between two pulses."""
     tone: Tone | None = None
     felt: Path | None = None
     frames: Path | None = None
@@ -65,7 +64,7 @@ class Plan:
         for name, value in (("--intensity", self.level), ("--softness", self.softness)):
             if value is not None and not 0 <= value <= 1:
                 raise SmartTouchError(f"{name} {value:g} must be from 0 to 1")
-        if self.hold is not None and self.at_once:
+        if self.hold is not None and self.sharing.primaries:
             raise SmartTouchError(
                 "--hold learns from the voltage of each point, and several share a slot: choose "
                 "--scan points"

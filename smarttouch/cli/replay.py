@@ -60,7 +60,7 @@ def replay(
     from smarttouch.primary import Mode
     from smarttouch.recording.controls import RecordedControls
     from smarttouch.recording.sensor import RecordingSensor
-    from smarttouch.scan.frames import why_not
+    from smarttouch.scan.frames import NO_SHARING, why_not
     from smarttouch.sensing.forces.force import open_force
 
     recording = Recording(file)
@@ -74,7 +74,7 @@ def replay(
             rate_hz=settings["rate_hz"],
             light_on_dark=settings["light_on_dark"],
             softness=settings["softness"],
-            at_once=() if why_not(chosen) else recording.frames,
+            sharing=NO_SHARING if why_not(chosen) else recording.sharing,
             tone=recording.tone,
             level=intensity,
             seconds=seconds,

@@ -16,7 +16,6 @@ from smarttouch.cli.regulation import make_regulator, masked_where_broken
 from smarttouch.cli.run_figures import run_figures
 from smarttouch.cli.running import announced
 from smarttouch.cli.screen import Screen
-from smarttouch.cli.sharing import kept_up_with
 from smarttouch.clock import SimulatedClock
 from smarttouch.controls import STEP, Controls, StopRequest, Wish, stop_on_signals
 from smarttouch.errors import SensorError, SmartTouchError
@@ -41,9 +40,6 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
                 profile = masked_where_broken(display, profile, plan.quiet)
         with bank_progress(plan.quiet) as progress:
             bank = load_bank(profile, progress)
-        if plan.in_time and not display.waits_for_nothing:
-            notes, plan.at_once = kept_up_with(plan, profile, bank)
-            kept.notes += notes
         # Until here an interrupt may end the program at once: no board pulses.
         stack.enter_context(stop_on_signals(stop))
         pipeline = Pipeline(
@@ -56,7 +52,7 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
             plan.softness,
             plan.tone,
             plan.vibrators_url is not None,
-            plan.at_once,
+            plan.sharing,
         )
         kept.prepare(source, profile, bank)
         wish = Wish(plan.mode, plan.first_level)

@@ -1,61 +1,27 @@
-"""Whose points share slots: what ``--scan`` asks for, as far as this computer keeps up."""
+"""Whose points share slots: what ``--scan`` asks for."""
 
-import time
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from smarttouch.cli.files import parse_choice
 from smarttouch.primary import Primary
 
 if TYPE_CHECKING:
-    from smarttouch.cli.plan import Plan
-    from smarttouch.modes.bank import KernelBank
     from smarttouch.profile import Profile
-
-_ACTIVE = 0.4
-"""Of all points: much ink under the finger."""
-_TRIES = 4
-_SHARE = 0.5
-"""Part of a period that a plan may take; the rest is for all else."""
+    from smarttouch.scan.frames import Sharing
 
 
-def parse_scan(scan: str, profile: "Profile", hold: str | None = None) -> tuple[Primary, ...]:
-    """Return the classes that ``--scan`` lets share slots; of itself none where ``--hold`` is."""
-    from smarttouch.scan.frames import in_time
+def parse_scan(scan: str, profile: "Profile", hold: str | None = None) -> "Sharing":
+    """Return the classes that ``--scan`` lets share slots, and how.
+
+    By itself RA, by kernels that are proved for all frames and only added up: those
+    of SAI would have to be found anew for each frame, which takes longer than
+    there is between two pulses. None where ``--hold`` is, or the board cannot.
+    """
+    from smarttouch.scan.frames import NO_SHARING, Sharing, why_not
 
     chosen = parse_choice("--scan", scan, ("points", "frame", "auto"))
-    if chosen == "auto":
-        return () if hold else in_time(profile)
-    return tuple(Primary) if chosen == "frame" else ()
-
-
-def kept_up_with(
-    plan: "Plan", profile: "Profile", bank: "KernelBank"
-) -> tuple[list[str], tuple[Primary, ...]]:
-    """Return those classes of a plan that this computer plans frames of in time, and notes."""
-    allowed_s = _SHARE / (plan.rate_hz or profile.pulse.rate_hz)
-    notes, classes = [], []
-    for each in plan.at_once:
-        if each in bank.weights and (took_s := planning_s(profile, bank, each)) > allowed_s:
-            notes.append(
-                f"{each.name} is shown point by point: a frame takes this computer "
-                f"{1000 * took_s:.0f} ms to plan; --scan frame does so anyway"
-            )
-        else:
-            classes.append(each)
-    return notes, tuple(classes)
-
-
-def planning_s(profile: "Profile", bank: "KernelBank", primary: Primary) -> float:
-    """Return how long a frame with many points takes to plan, s; the shortest of a few."""
-    from smarttouch.scan.frames import FrameSlots
-
-    slots, count = FrameSlots(profile, bank, (primary,)), len(profile.electrodes)
-    random, spent = np.random.default_rng(1), []
-    for _ in range(_TRIES):
-        activation = random.random((1, count), np.float32) * (random.random((1, count)) < _ACTIVE)
-        start = time.perf_counter()
-        slots.slots(activation.astype(np.float32), 1.0)
-        spent.append(time.perf_counter() - start)
-    return min(spent)
+    if chosen == "frame":
+        return Sharing(tuple(Primary), planned=True)
+    if chosen == "points" or hold or why_not(profile) is not None:
+        return NO_SHARING
+    return Sharing((Primary.RA,), planned=False)

@@ -16,7 +16,7 @@ from smarttouch.live import Sent, run
 from smarttouch.modes.bank import KernelBank
 from smarttouch.perception import Perception
 from smarttouch.pipeline import Pipeline
-from smarttouch.primary import Mode, Primary
+from smarttouch.primary import Mode
 from smarttouch.profile import Profile
 from smarttouch.reading.cursor import Motion, SweepingCursor
 from smarttouch.reading.delivered import LinePicture
@@ -24,6 +24,7 @@ from smarttouch.reading.feed import LineFeed
 from smarttouch.reading.sensor import ReadingSensor
 from smarttouch.reading.touch_line import TouchLine
 from smarttouch.reading.window import pixel_of, press_n
+from smarttouch.scan.frames import NO_SHARING, Sharing
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.tally import Tally
 
@@ -41,7 +42,7 @@ class Reading:
         How ink becomes activation.
     motion : Motion
     mode : Mode
-    frames : tuple of Primary
+    sharing : Sharing
         Classes whose points share slots.
     """
 
@@ -50,7 +51,7 @@ class Reading:
     tone: Tone
     motion: Motion
     mode: Mode = Mode.RA
-    frames: tuple[Primary, ...] = ()
+    sharing: Sharing = NO_SHARING
 
 
 def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
@@ -70,7 +71,7 @@ def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
     sensor = ReadingSensor("a line", profile, feed, cursor)
     feed.wait_for_end()
     pipeline = Pipeline(
-        profile, reading.bank, reading.mode, tone=reading.tone, frames=reading.frames
+        profile, reading.bank, reading.mode, tone=reading.tone, sharing=reading.sharing
     )
     places: dict[int, float] = {}
 

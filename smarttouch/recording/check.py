@@ -179,7 +179,7 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
             settings["softness"],
             recording.tone,
             settings.get("vibrated", False),
-            recording.frames,
+            recording.sharing,
         )
         adaptation = ledger = None
         if settings["hold"] is not None:

@@ -23,6 +23,7 @@ from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.recording.decoder import RecordedStep, StepDecoder
 from smarttouch.recording.schemas import FORMAT, METADATA
+from smarttouch.scan.frames import Sharing
 
 _HEAD = struct.Struct("<BQ")
 _TIMES = struct.Struct("<QQ")
@@ -135,9 +136,10 @@ class Recording:
         return Tone(**told) if told else None
 
     @property
-    def frames(self) -> tuple[Primary, ...]:
+    def sharing(self) -> Sharing:
         """Classes whose points shared slots."""
-        return tuple(Primary[each] for each in self.settings.get("frames", ()))
+        told = self.settings.get("sharing") or {"primaries": (), "planned": True}
+        return Sharing(tuple(Primary[each] for each in told["primaries"]), told["planned"])
 
     @cached_property
     def versions(self) -> dict[str, Any]:

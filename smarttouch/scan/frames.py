@@ -2,6 +2,7 @@
 
 from collections import OrderedDict
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from threadpoolctl import ThreadpoolController
 
 from smarttouch.errors import ScheduleError
 from smarttouch.modes.bank import KernelBank
+from smarttouch.modes.frames.bound import proved_sets
 from smarttouch.modes.frames.figures import FrameBounds, SlotJudge, judge_all
 from smarttouch.modes.frames.judge import FrameJudge, full_wish
 from smarttouch.modes.frames.mixed import MixedJudge
@@ -21,11 +23,26 @@ from smarttouch.scan.sequence import Proof, whole_ua
 
 Array = NDArray[np.float64]
 
+
+class Sharing(NamedTuple):
+    """Whose points share slots.
+
+    Attributes
+    ----------
+    primaries : tuple of Primary
+    planned : bool
+        Whether each frame's currents are found anew, for as few slots as can be, which takes
+        milliseconds; else kernels are added up of which no subset breaks a bound.
+    """
+
+    primaries: tuple[Primary, ...] = ()
+    planned: bool = True
+
+
+NO_SHARING = Sharing()
+
 REMEMBERED = 256
 """Frames whose plan is kept: a finger that rests, or comes back, is not planned for anew."""
-
-MOST_IN_TIME = {Primary.RA: 150, Primary.SAI: 80}
-"""Electrodes on which frames are planned in 1 to 20 ms (``tests/benchmarks/test_frames.py``)."""
 
 _ROUNDING = 0.99
 """Part of a bound that plans keep, so that whole µA keep all of it down to a third of full
@@ -41,10 +58,14 @@ class Plan:
     level : ndarray, (S, K·E)
         What is wished at each point of a slot, 0 at all others.
     current_ma : ndarray, (S, E) mA
+    other, spill : ndarray, (S,)
+        What the currents do to other classes, and to their own elsewhere.
     """
 
     level: Array
     current_ma: Array
+    other: Array
+    spill: Array
 
 
 class FrameSlots:
@@ -62,6 +83,8 @@ class FrameSlots:
         Kernels of single points.
     primaries : tuple of Primary
         Which of them to use; points of several may share slots, too.
+    planned : bool
+        See `Sharing`. Points of a class of which nothing is proved are shown one by one.
 
     Raises
     ------
@@ -70,7 +93,13 @@ class FrameSlots:
         carries intensity, or the profile does not limit total current.
     """
 
-    def __init__(self, profile: Profile, bank: KernelBank, primaries: tuple[Primary, ...]) -> None:
+    def __init__(
+        self,
+        profile: Profile,
+        bank: KernelBank,
+        primaries: tuple[Primary, ...],
+        planned: bool = True,
+    ) -> None:
         reason = why_not(profile)
         if reason is not None:
             raise ScheduleError(f"a whole frame cannot be shown at once: {reason}: choose points")
@@ -85,6 +114,12 @@ class FrameSlots:
         self._operator = FrameOperator(judge)
         full_ma = np.minimum(profile.full_ma, judge.full_ma)
         self._points_ma = np.concatenate([own * full_ma[:, None] for own in kernels])
+        self._driven = np.isin(np.arange(len(full_ma)), profile.driven)
+        each = np.flatnonzero(np.tile(self._driven, len(primaries)))
+        self._points_do = np.full((2, len(self._points_ma)), np.nan)
+        self._points_do[:, each] = _selectivity(
+            judge, self._points_ma[each], np.eye(len(self._points_ma))[each]
+        )
         frames = profile.frames
         self._bounds = FrameBounds(frames.other, frames.spill, frames.uneven)
         self._planned_bounds = FrameBounds(
@@ -95,9 +130,13 @@ class FrameSlots:
         self._planned_ma = self._limit_ma - 0.002 * np.sqrt(len(full_ma))
         self._felt_at = [felt_at(profile, each) for each in primaries]
         self._faintest = profile.threshold_ma / profile.full_ma
-        self._driven = np.isin(np.arange(len(full_ma)), profile.driven)
         self._width_us = profile.pulse.width_us
         self._plans: OrderedDict[bytes, Plan] = OrderedDict()
+        self._sets = (
+            None
+            if planned
+            else [proved_sets(FrameOperator(each), self._planned_bounds) for each in judges]
+        )
 
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
         """Return the slots of the classes' rows of a tactile image, with their proof.
@@ -130,15 +169,14 @@ class FrameSlots:
         return Slots(site, current_ua, np.full(len(site), self._width_us, np.uint16), proof)
 
     def _finished(self, plan: Plan, intensity: float) -> tuple[NDArray[np.int16], Proof]:
-        """Return currents as they are sent, and what these do."""
+        """Return currents as they are sent, and what these do; of single points as designed."""
         current_ua = whole_ua(1000 * intensity * plan.current_ma)
-        figures = judge_all(self._operator.judge, current_ua / 1000, plan.level)
-        proof = Proof(
-            np.count_nonzero(plan.level, axis=1).astype(np.uint16),
-            np.array([each.worst_other for each in figures], np.float32),
-            np.array([each.worst_spill for each in figures], np.float32),
+        points = np.count_nonzero(plan.level, axis=1).astype(np.uint16)
+        do, shared = np.array([plan.other, plan.spill], np.float32), points > 1
+        do[:, shared] = _selectivity(
+            self._operator.judge, current_ua[shared] / 1000, plan.level[shared]
         )
-        return current_ua, proof
+        return current_ua, Proof(points, *do)
 
     def _planned(self, activation: NDArray[np.float32]) -> Plan:
         key = activation.tobytes()
@@ -158,36 +196,96 @@ class FrameSlots:
         )
         active = (asked > 0) & self._driven
         level = np.where(active, self._faintest + (1 - self._faintest) * asked, 0.0).ravel()
-        # Plans aim a little low, which saves current; the faintest would not be felt then.
+        # Slots aim a little low, which saves current; the faintest would not be felt then.
         level = np.minimum(level / (1 - AIM * self._bounds.uneven), 1.0)
+        plan = self._added_up(level) if self._sets is not None else self._found(level)
+        return self._with_points(plan, np.where(plan.level.any(axis=0), 0.0, level))
+
+    def _found(self, level: Array) -> Plan:
+        """Return a plan with currents of this frame's own."""
         slots = plan_slots(
             self._operator, level, self._planned_bounds, self._planned_ma, self._points_ma
         )
         levels = np.zeros((len(slots), len(level)))
-        currents_ma = np.zeros((len(slots), activation.shape[1]))
+        currents_ma = np.zeros((len(slots), self._points_ma.shape[1]))
         for row, current_ma, slot in zip(levels, currents_ma, slots, strict=True):
             row[slot.sites], current_ma[:] = level[slot.sites], slot.current
-        return Plan(levels, currents_ma)
+        other, spill = (
+            np.array([getattr(slot.figures, key) for slot in slots], np.float64)
+            for key in ("worst_other", "worst_spill")
+        )
+        return Plan(levels, currents_ma, other, spill)
+
+    def _added_up(self, level: Array) -> Plan:
+        """Return a plan with sums of kernels that are proved for all subsets of their sets."""
+        levels: list[Array] = []
+        currents_ma: list[Array] = []
+        aim = 1 - AIM * self._bounds.uneven
+        count = self._points_ma.shape[1]
+        for index, sets in enumerate(self._sets or ()):
+            for kernels in sets:
+                points = kernels.sites + index * count
+                wanted = level[points]
+                parts = _parts(wanted * aim * kernels.totals_ma, self._planned_ma)
+                for part in parts:
+                    row = np.zeros(len(level))
+                    row[points[part]] = wanted[part]
+                    levels.append(row)
+                    currents_ma.append(aim * wanted[part] @ kernels.kernels[part])
+        nothing = np.zeros(len(levels))
+        return Plan(
+            np.array(levels).reshape(-1, len(level)),
+            np.array(currents_ma).reshape(-1, count),
+            nothing,
+            nothing,
+        )
 
     def _one_by_one(self, plan: Plan, broken: NDArray[np.bool_]) -> Plan:
         """Return a plan in which the points of some slots have slots of their own."""
-        level = plan.level[broken].sum(axis=0)
-        site = np.flatnonzero(level)
-        alone = np.zeros((len(site), len(level)))
-        alone[np.arange(len(site)), site] = level[site]
-        currents_ma = level[site, None] * self._points_ma[site]
+        kept = Plan(
+            plan.level[~broken], plan.current_ma[~broken], plan.other[~broken], plan.spill[~broken]
+        )
+        return self._with_points(kept, plan.level[broken].sum(axis=0))
+
+    def _with_points(self, plan: Plan, level: Array) -> Plan:
+        """Return a plan with a slot more for each point that has a level, by its own kernel."""
+        point = np.flatnonzero(level)
+        alone = np.zeros((len(point), len(level)))
+        alone[np.arange(len(point)), point] = level[point]
+        other, spill = self._points_do[:, point]
         return Plan(
-            np.concatenate([plan.level[~broken], alone]),
-            np.concatenate([plan.current_ma[~broken], currents_ma]),
+            np.concatenate([plan.level, alone]),
+            np.concatenate([plan.current_ma, level[point, None] * self._points_ma[point]]),
+            np.concatenate([plan.other, other]),
+            np.concatenate([plan.spill, spill]),
         )
 
 
-def in_time(profile: Profile) -> tuple[Primary, ...]:
-    """Return the classes that a profile's frames can be planned for between two pulses."""
-    if why_not(profile) is not None:
-        return ()
-    count = len(profile.electrodes)
-    return tuple(each for each, most in MOST_IN_TIME.items() if count <= most)
+def _selectivity(judge: SlotJudge, current_ma: Array, level: Array) -> Array:
+    """Return worst other and worst spill of many slots, (2, S)."""
+    figures = judge_all(judge, current_ma, level)
+    found = [(each.worst_other, each.worst_spill) for each in figures]
+    return np.array(found, np.float64).reshape(len(found), 2).T
+
+
+def _parts(totals_ma: Array, most_ma: float) -> list[NDArray[np.intp]]:
+    """Cut those with a current into parts of several that stay below a total.
+
+    The strongest first, each into the first part that has room.
+    """
+    parts: list[list[int]] = []
+    sums_ma: list[float] = []
+    order = np.argsort(-totals_ma, kind="stable")
+    for index in order[: np.count_nonzero(totals_ma)].tolist():
+        total_ma = float(totals_ma[index])
+        room = (part for part, sum_ma in enumerate(sums_ma) if sum_ma + total_ma <= most_ma)
+        part = next(room, len(parts))
+        if part == len(parts):
+            parts.append([])
+            sums_ma.append(0.0)
+        parts[part].append(index)
+        sums_ma[part] += total_ma
+    return [np.array(part) for part in parts if len(part) > 1]
 
 
 def why_not(profile: Profile) -> str | None:

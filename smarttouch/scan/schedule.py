@@ -1,7 +1,6 @@
 """Tactile image times kernels times intensity: the slots of one frame."""
 
 import math
-from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,7 @@ from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.modes.bank import KernelBank
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
-from smarttouch.scan.frames import FrameSlots
+from smarttouch.scan.frames import NO_SHARING, FrameSlots, Sharing
 from smarttouch.scan.points import PointSlots, Slots
 from smarttouch.scan.rates import PulseRates, rate_share
 from smarttouch.scan.sequence import Proof, ScanSequence
@@ -41,7 +40,7 @@ class PointScan:
         How little the rate of SAI pulses follows force.
     vibrated : bool
         Whether mechanical vibrators do what PC is to feel, and no current.
-    frames : collection of Primary
+    sharing : Sharing
         Classes whose points share a slot where their currents leave one another alone.
 
     Attributes
@@ -65,7 +64,7 @@ class PointScan:
         timing: ScanTiming | None = None,
         softness: float = 1.0,
         vibrated: bool = False,
-        frames: Collection[Primary] = (),
+        sharing: Sharing = NO_SHARING,
     ) -> None:
         timing = ScanTiming() if timing is None else timing
         timing.check(profile)
@@ -96,12 +95,18 @@ class PointScan:
         driven = [each for each in primaries if not (vibrated and each is Primary.PC)]
         self._driven = tuple(driven)
         self._points = {
-            each: PointSlots(profile, bank, each, timing) for each in driven if each not in frames
+            each: PointSlots(profile, bank, each, timing)
+            for each in driven
+            if each not in sharing.primaries
         }
-        shared: list[tuple[Primary, ...]] = [(each,) for each in driven if each in frames]
-        if {Primary.RA, Primary.SAI} <= set(driven) & set(frames):
+        shared: list[tuple[Primary, ...]] = [
+            (each,) for each in driven if each in sharing.primaries
+        ]
+        if sharing.planned and {(each,) for each in _BOTH} <= set(shared):
             shared.append(_BOTH)
-        self._frames = {classes: FrameSlots(profile, bank, classes) for classes in shared}
+        self._frames = {
+            classes: FrameSlots(profile, bank, classes, sharing.planned) for classes in shared
+        }
         self.asked_us = 0
         self._first = driven[0]
         self._softness = softness

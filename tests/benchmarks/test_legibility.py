@@ -26,6 +26,7 @@ from smarttouch.reading.legibility import legibility_of_shapes
 from smarttouch.reading.shapes import Shapes, Style
 from smarttouch.reading.source import Source
 from smarttouch.reading.window import profile_for_reading
+from smarttouch.scan.frames import Sharing
 
 from ..pages.printed import degrade, print_page
 
@@ -93,7 +94,7 @@ def test_legibility(rows, tmp_path, benchmark):
             for style, shared in ways:
                 shapes = Shapes(style)
                 motion = shapes.motion(profile)
-                reading = Reading(profile, bank, shapes.tone, motion, Mode.RA, shared)
+                reading = Reading(profile, bank, shapes.tone, motion, Mode.RA, Sharing(shared))
                 found = legibility_of_shapes(Source(str(path)), reading, shapes, truth)
                 figures.append(found.character_error_rate)
             rates = [found.page_error_rate, found.sampling_limit, *figures]

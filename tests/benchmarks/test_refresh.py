@@ -17,6 +17,7 @@ from smarttouch.modes.frames.operator import FrameOperator
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.resources import data_folder
+from smarttouch.scan.frames import Sharing
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.schedule import PointScan
 from smarttouch.sensing import open_sensor
@@ -57,7 +58,7 @@ def swept_page(profile, count):
 
 def delivered(profile, bank, primary, frames, activations):
     """Return the board's slots, its own time in µs, proofs and the host's seconds a frame."""
-    scan = PointScan(profile, bank, (primary,), profile.limits.rate_hz, frames=frames)
+    scan = PointScan(profile, bank, (primary,), profile.limits.rate_hz, sharing=Sharing(frames))
     proofs, spent, period_us = [], 0.0, 0
     with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
         for index, activation in enumerate(activations):

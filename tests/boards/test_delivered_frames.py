@@ -7,6 +7,7 @@ from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.modes.problem import Problem
 from smarttouch.primary import Primary
+from smarttouch.scan.frames import Sharing
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.schedule import PointScan
 
@@ -14,7 +15,7 @@ from smarttouch.scan.schedule import PointScan
 @pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
 def test_delivered_currents_do_what_was_planned(profile, bank, primary):
     rng = np.random.default_rng(8)
-    scan = PointScan(profile, bank, (primary,), frames=(primary,))
+    scan = PointScan(profile, bank, (primary,), sharing=Sharing((primary,)))
     sent = {}
     with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
         for step in range(60):

@@ -14,6 +14,7 @@ from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode, Primary
 from smarttouch.recording.check import check_recording
 from smarttouch.recording.reader import Recording
+from smarttouch.scan.frames import Sharing
 from smarttouch.sensing.frame import Frame, Pose, PulseRequest
 
 from ..test_markers import FakeLsl
@@ -71,7 +72,7 @@ def test_markers_are_told_of_a_run(program_here, monkeypatch):
 
 
 def test_the_screen_shows_every_point_of_a_slot(profile, bank):
-    pipeline = Pipeline(profile, bank, Mode.RA, frames=(Primary.RA,))
+    pipeline = Pipeline(profile, bank, Mode.RA, sharing=Sharing((Primary.RA,)))
     activation = np.zeros((3, 64), np.float32)
     activation[Primary.RA, [9, 11, 13, 27, 29]] = 1
     for time_ns in (0, 10**9, 2 * 10**9):

@@ -1,74 +1,27 @@
-"""Classes share slots as far as this computer plans them in time."""
+"""What --scan asks for, and what becomes of it elsewhere."""
 
 import contextlib
 
 import pytest
 
-from smarttouch.cli import sharing
 from smarttouch.cli.kept import Kept
 from smarttouch.cli.plan import Plan
-from smarttouch.cli.sharing import kept_up_with, parse_scan, planning_s
+from smarttouch.cli.sharing import parse_scan
 from smarttouch.errors import SmartTouchError
-from smarttouch.modes.bank import load_bank
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
-
-BOTH = (Primary.RA, Primary.SAI)
+from smarttouch.scan.frames import NO_SHARING, Sharing
 
 
 def test_what_scan_asks_for(profile):
-    assert parse_scan("auto", profile) == BOTH
-    assert parse_scan("auto", profile, hold="charge") == ()
-    assert parse_scan("auto", load_profile("optacon-24x6")) == (Primary.RA,)
-    assert parse_scan("auto", load_profile("kajimoto-61")) == ()
-    assert parse_scan("points", profile) == ()
-    assert set(BOTH) <= set(parse_scan("frame", profile))
+    assert parse_scan("auto", profile) == Sharing((Primary.RA,), planned=False)
+    assert parse_scan("auto", profile, hold="charge") == NO_SHARING
+    assert parse_scan("auto", load_profile("kajimoto-61")) == NO_SHARING
+    assert parse_scan("auto", load_profile("line-7")) == NO_SHARING
+    assert parse_scan("points", profile) == NO_SHARING
+    assert parse_scan("frame", profile) == Sharing(tuple(Primary), planned=True)
     with pytest.raises(SmartTouchError, match="choose points or frame or auto"):
         parse_scan("all", profile)
-
-
-@pytest.mark.parametrize(
-    ("rate_hz", "ra_s", "sai_s", "left"),
-    [
-        (None, 0.009, 0.009, BOTH),
-        (None, 0.009, 0.011, (Primary.RA,)),
-        (100.0, 0.006, 0.004, (Primary.SAI,)),
-        (None, 1.0, 1.0, ()),
-    ],
-)
-def test_what_takes_longer_than_half_a_period_is_shown_point_by_point(
-    profile, bank, monkeypatch, rate_hz, ra_s, sai_s, left
-):
-    took_s = {Primary.RA: ra_s, Primary.SAI: sai_s}
-    monkeypatch.setattr(sharing, "planning_s", lambda _profile, _bank, each: took_s[each])
-    plan = Plan("", "simulated:", Mode.RA, rate_hz, at_once=BOTH)
-    notes, classes = kept_up_with(plan, profile, bank)
-    assert classes == left
-    assert [note.split()[0] for note in notes] == [
-        each.name for each in BOTH if each not in classes
-    ]
-
-
-def test_classes_that_the_board_does_not_have_are_not_tried(monkeypatch):
-    profile = load_profile("kajimoto-61")
-    bank = load_bank(profile)
-    assert Primary.SAI not in bank.weights
-    monkeypatch.setattr(sharing, "planning_s", lambda *_: 0.0)
-    plan = Plan("", "simulated:", Mode.RA, at_once=BOTH)
-    assert kept_up_with(plan, profile, bank) == ([], BOTH)
-
-
-def test_plans_are_timed(profile, bank):
-    assert 1e-4 < planning_s(profile, bank, Primary.RA) < 5
-
-
-def test_a_run_that_cannot_be_planned_in_time_says_so(program_here, tmp_path):
-    """No computer plans 26 SAI points in 2.5 ms."""
-    options = ("--rate", 200, "--seconds", 1, "--json", "run.json")
-    done = program_here("live", "--mode", "SAI", *options)
-    assert done.returncode == 0, done.stderr
-    assert "SAI is shown point by point" in done.stdout
-    assert "points shared slots" not in done.stdout
 
 
 def test_a_replay_shares_slots_only_where_the_board_can(program_here, tmp_path):

@@ -13,6 +13,7 @@ from smarttouch.reading.deliver import Reading, deliver_line, deliver_lines, ide
 from smarttouch.reading.delivered import PIXELS_PER_PITCH, LinePicture
 from smarttouch.reading.shapes import Shapes, Style
 from smarttouch.reading.window import usual_speed
+from smarttouch.scan.frames import Sharing
 
 GRADED = Tone(0.0, 1.0, prepared=True)
 
@@ -39,7 +40,7 @@ def test_a_bar_is_felt_where_it_is(way, make_line):
 def test_many_points_in_a_slot_are_felt_as_they_are_one_by_one(way, make_line):
     line = make_line(20.0, (6.0, 9.0))
     by_points = deliver_line(line, way).values()
-    at_once = deliver_line(line, replace(way, frames=(Primary.RA,))).values()
+    at_once = deliver_line(line, replace(way, sharing=Sharing((Primary.RA,)))).values()
     # Plans may fall short of the fullest activation by 4 %, which is 8 % above the threshold.
     assert np.abs(at_once - by_points).max() < 0.12
     assert not np.array_equal(at_once, by_points)

@@ -17,6 +17,7 @@ from smarttouch.primary import Mode, Primary
 from smarttouch.recording.decoder import StepDecoder
 from smarttouch.recording.encoder import StepEncoder
 from smarttouch.recording.schemas import LAST, SCHEMAS
+from smarttouch.scan.frames import Sharing
 from smarttouch.scan.sequence import Proof, ScanSequence
 from smarttouch.sensing.frame import Frame, Pose, PulseRequest
 
@@ -137,7 +138,7 @@ def test_a_step_comes_back_to_the_bit(steps):
 
 
 def test_a_proof_of_other_slots_breaks_the_step(make_frame, profile, bank):
-    pipeline = Pipeline(profile, bank, frames=(Primary.RA,))
+    pipeline = Pipeline(profile, bank, sharing=Sharing((Primary.RA,)))
     image = np.full((64, 64), 255, np.uint8)
     image[20:44, 20:44] = 0
     pipeline.process(make_frame(image, 10**9))

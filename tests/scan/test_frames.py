@@ -8,13 +8,16 @@ from hypothesis import strategies as st
 from smarttouch.errors import ScheduleError
 from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.modes.bank import load_bank
+from smarttouch.modes.frames.slots import plan_slots
 from smarttouch.modes.problem import Problem
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 from smarttouch.scan import frames as module
-from smarttouch.scan.frames import FrameSlots, in_time
+from smarttouch.scan.frames import FrameSlots, Sharing
+from smarttouch.scan.points import PointSlots
 from smarttouch.scan.safety import SafetyGate, SafetyLimits
 from smarttouch.scan.schedule import PointScan
+from smarttouch.scan.timing import ScanTiming
 
 _DRAWN = np.zeros((8, 8), np.bool_)
 _DRAWN[1, 1:7] = _DRAWN[2:, 3] = True
@@ -23,12 +26,16 @@ LETTER_T = np.flatnonzero(_DRAWN)
 
 @pytest.fixture(scope="module")
 def made(profile, bank):
-    return {each: FrameSlots(profile, bank, (each,)) for each in (Primary.RA, Primary.SAI)}
+    return {
+        (each, planned): FrameSlots(profile, bank, (each,), planned)
+        for each in (Primary.RA, Primary.SAI)
+        for planned in (True, False)
+    }
 
 
 @pytest.fixture(scope="module")
 def slots(made):
-    return made[Primary.RA]
+    return made[Primary.RA, True]
 
 
 @pytest.fixture(scope="module")
@@ -50,17 +57,18 @@ def image(activation, primary=Primary.RA):
 @settings(deadline=None, max_examples=25)
 @given(
     primary=st.sampled_from([Primary.RA, Primary.SAI]),
+    planned=st.booleans(),
     seed=st.integers(0, 2**32 - 1),
     density=st.floats(0, 0.5),
     intensity=st.floats(0, 1),
 )
 def test_every_slot_is_within_limits_and_bounds_and_its_proof_is_true(
-    profile, bank, made, problems, primary, seed, density, intensity
+    profile, bank, made, problems, primary, planned, seed, density, intensity
 ):
     random = np.random.default_rng(seed)
     activation = random.random(64, np.float32) * (random.random(64) < density)
-    site, current_ua, _, proof = made[primary].slots(activation[None], intensity)
-    scan = PointScan(profile, bank, (primary,), 10.0, frames=(primary,))
+    site, current_ua, _, proof = made[primary, planned].slots(activation[None], intensity)
+    scan = PointScan(profile, bank, (primary,), 10.0, sharing=Sharing((primary,), planned))
     sequence = scan.schedule(image(activation, primary), intensity)
     assert np.array_equal(sequence.current_ua, current_ua)
     SafetyGate(SafetyLimits.of(profile)).prove_measurement(sequence)
@@ -88,7 +96,10 @@ def test_every_slot_is_within_limits_and_bounds_and_its_proof_is_true(
         mine = np.argsort(-part[slot])[:points]
         weakest = (reached[slot] / np.where(level > 0, level, np.inf))[mine].min()
         assert site[slot] in mine
-        assert proof.worst_other[slot] == pytest.approx(others[slot] / weakest, rel=0.08, abs=0.01)
+        # Of a single point it is that of its kernel, whatever rounding makes of it.
+        rounding = 0.01 + (0.03 / intensity if points == 1 else 0)
+        true = others[slot] / weakest
+        assert proof.worst_other[slot] == pytest.approx(true, rel=0.08, abs=rounding)
 
 
 def test_each_class_is_felt_where_its_own_shift_says(profile, bank, changed, problems):
@@ -119,7 +130,7 @@ def test_limits_of_electrodes_that_are_no_whole_microamperes(profile, changed):
     bank = load_bank(profile)
     gate = SafetyGate(SafetyLimits.of(limited))
     for primary in (Primary.RA, Primary.SAI):
-        scan = PointScan(limited, bank, (primary,), 10.0, frames=(primary,))
+        scan = PointScan(limited, bank, (primary,), 10.0, sharing=Sharing((primary,)))
         for seed in range(20):
             activation = np.zeros(64, np.float32)
             activation[np.random.default_rng(seed).choice(64, 20, replace=False)] = 1
@@ -129,7 +140,7 @@ def test_limits_of_electrodes_that_are_no_whole_microamperes(profile, changed):
 def test_what_rounding_breaks_is_shown_point_by_point(profile, made):
     activation = np.zeros(64, np.float32)
     activation[LETTER_T] = 1
-    loud, faint = (made[Primary.SAI].slots(activation[None], each) for each in (0.5, 0.01))
+    loud, faint = (made[Primary.SAI, True].slots(activation[None], each) for each in (0.5, 0.01))
     assert len(loud.site) < len(faint.site) <= len(LETTER_T)
     assert faint.proof.points.sum() == len(LETTER_T)
     kept = faint.proof.points > 1
@@ -141,7 +152,9 @@ def test_natural_mode_joins_what_is_proved_with_what_is_not(profile, bank):
     rows[Primary.RA, LETTER_T] = rows[Primary.SAI, :3] = 1
     both = (Primary.RA, Primary.SAI)
     only_ra, each = (
-        PointScan(profile, bank, both, frames=frames).schedule(TactileImage(rows, 0, 1.0), 1.0)
+        PointScan(profile, bank, both, sharing=Sharing(frames)).schedule(
+            TactileImage(rows, 0, 1.0), 1.0
+        )
         for frames in (both[:1], both)
     )
     count = only_ra.slots - 3
@@ -161,11 +174,11 @@ def test_both_classes_share_slots_where_both_are_due(profile, bank, problems):
     both = (Primary.RA, Primary.SAI)
     rows = np.zeros((3, 64), np.float32)
     rows[Primary.RA, :8], rows[Primary.SAI, 48:56] = 1, 0.5
-    scan = PointScan(profile, bank, both, frames=both)
+    scan = PointScan(profile, bank, both, sharing=Sharing(both))
     sequence = scan.schedule(TactileImage(rows, 0, 1.0), 1.0)
     SafetyGate(SafetyLimits.of(profile)).prove_measurement(sequence)
     apart = sum(
-        PointScan(profile, bank, (each,), frames=both)
+        PointScan(profile, bank, (each,), sharing=Sharing(both))
         .schedule(TactileImage(rows, 0, 1.0), 1.0)
         .slots
         for each in both
@@ -185,6 +198,42 @@ def test_both_classes_share_slots_where_both_are_due(profile, bank, problems):
     later = scan.schedule(TactileImage(rows, next_ns, 1.0), 1.0)
     assert set(later.site) <= set(range(48, 56))
     assert later.proof.points.sum() == 8
+
+
+def test_kernels_that_are_added_up_need_hardly_more_slots_and_no_search(
+    profile, bank, made, monkeypatch
+):
+    fixed, planned = made[Primary.RA, False], made[Primary.RA, True]
+    monkeypatch.setattr(module, "plan_slots", lambda *given: few.append(1) or plan(*given))
+    plan, few = plan_slots, []
+    slots = {True: 0, False: 0}
+    for seed in range(12):
+        random = np.random.default_rng(seed)
+        activation = np.zeros((1, 64), np.float32)
+        activation[0, random.choice(64, 30, replace=False)] = random.uniform(0.1, 1, 30)
+        for way, each in ((False, fixed), (True, planned)):
+            found = each.slots(activation, 1.0)
+            slots[way] += len(found.site)
+            if way is False:
+                # Of all 2^16 subsets of a set, with any levels.
+                assert found.proof.worst_other[found.proof.points > 1].max() < 0.225
+                assert found.proof.worst_spill[found.proof.points > 1].max() < 0.06
+                assert not few
+        few.clear()
+    assert slots[False] < 1.25 * slots[True]
+
+
+def test_where_nothing_is_proved_points_are_shown_one_by_one(profile, bank, made):
+    """SAI: 16 of its kernels together reach RA twice as strongly as their targets."""
+    activation = np.zeros((1, 64), np.float32)
+    activation[0, :10] = 1
+    found = made[Primary.SAI, False].slots(activation, 1.0)
+    assert found.proof.points.tolist() == [1] * 10
+    alone = PointSlots(profile, bank, Primary.SAI, ScanTiming()).slots(activation[0], 1.0)
+    order = np.argsort(alone.site)
+    assert found.site.tolist() == alone.site[order].tolist()
+    assert found.current_ua == pytest.approx(alone.current_ua[order], abs=40)
+    assert found.proof.worst_other == pytest.approx(bank.worst_other[Primary.SAI][:10], rel=0.02)
 
 
 def test_a_letter_takes_a_few_slots_and_an_empty_frame_none(slots, bank, profile):
@@ -240,9 +289,6 @@ def test_boards_that_cannot_are_refused(profile, bank, changed):
     # Electrodes are limited each by itself: 64 of them might carry 150 mA.
     with pytest.raises(ScheduleError, match=r"limits\.total_ma is not set"):
         FrameSlots(changed(profile, {"limits.total_ma": None}), bank, (Primary.RA,))
-    assert in_time(changed(profile, {"limits.total_ma": None})) == ()
-    assert in_time(board) == ()
-    assert in_time(profile) == (Primary.RA, Primary.SAI)
 
 
 def test_the_faintest_points_are_at_their_threshold(profile, bank, slots, rows):
@@ -266,7 +312,7 @@ def test_points_that_go_with_no_other_are_rounded_within_their_limit(profile, ba
     alone = changed(profile, keys)
     activation = np.zeros(64, np.float32)
     activation[[0, 9, 20, 27, 38, 45]] = 1
-    scan = PointScan(alone, bank, (Primary.RA,), 10.0, frames=(Primary.RA,))
+    scan = PointScan(alone, bank, (Primary.RA,), 10.0, sharing=Sharing((Primary.RA,)))
     sequence = scan.schedule(image(activation), 1.0)
     assert sequence.slots == 6
     assert np.abs(sequence.current_ua).max() > 2460

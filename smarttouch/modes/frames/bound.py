@@ -12,10 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import DesignError
+from smarttouch.modes.frames.figures import FrameBounds
 from smarttouch.modes.frames.judge import FrameJudge
-from smarttouch.modes.frames.operator import FrameOperator
+from smarttouch.modes.frames.operator import AIM, FrameOperator
 
 Array = NDArray[np.float64]
+
+MOST_PROVED = 300
+"""Electrodes of arrays for which sets are proved in about a second."""
+_STEPS = (2, 3, 4)
+"""Rows and columns between the points of a set that are tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +67,14 @@ class SharedKernels:
         return self._against_targets(float(own.sum(axis=0).max()))
 
     @cached_property
+    def totals_ma(self) -> Array:
+        """What the kernel of each site carries in all, (A,)."""
+        return np.asarray(np.abs(self.kernels).sum(axis=1) / 2)
+
+    @cached_property
     def total_ma(self) -> float:
         """No subset has a larger total."""
-        return float(np.abs(self.kernels).sum() / 2)
+        return float(self.totals_ma.sum())
 
     @cached_property
     def electrode_ma(self) -> Array:
@@ -108,3 +119,25 @@ def color_classes(operator: FrameOperator[FrameJudge], step: int) -> list[Shared
     color = (row % step) * step + column % step
     sets = (driven[color[driven] == each] for each in range(step * step))
     return [SharedKernels(operator, sites) for sites in sets if len(sites)]
+
+
+def proved_sets(operator: FrameOperator[FrameJudge], bounds: FrameBounds) -> list[SharedKernels]:
+    """Return few sets of sites no subset of which breaks a bound where targets are aimed at `AIM`.
+
+    Limits of single electrodes are kept by any subset, too; what all carry together is not
+    looked at. There are none where the array is no grid or large, or nothing could be proved.
+    """
+    judge, aim = operator.judge, 1 - AIM * bounds.uneven
+    if judge.profile.array.layout != "grid" or len(judge.full_ma) > MOST_PROVED:
+        return []
+    for step in _STEPS:
+        sets = color_classes(operator, step)
+        if all(
+            each.worst_other <= bounds.other
+            and each.worst_spill <= bounds.spill
+            and aim * each.weakest >= 1 - bounds.uneven
+            and (aim * each.electrode_ma <= judge.full_ma).all()
+            for each in sets
+        ):
+            return sets
+    return []

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.errors import DesignError
-from smarttouch.modes.frames.bound import SharedKernels, color_classes
+from smarttouch.modes.frames.bound import SharedKernels, color_classes, proved_sets
+from smarttouch.modes.frames.figures import FrameBounds
 from smarttouch.modes.frames.judge import FrameJudge
 from smarttouch.modes.frames.operator import FrameOperator
 from smarttouch.primary import Primary
@@ -82,3 +83,28 @@ def test_a_hexagon_has_no_colors():
     with pytest.raises(DesignError, match="color classes are for grids"):
         color_classes(operator, 2)
     assert SharedKernels(operator, np.array([3, 40])).worst_other > 0
+
+
+def test_sets_are_as_large_as_can_be_proved(make_operator, profile, changed):
+    bounds = FrameBounds()
+    sets = proved_sets(make_operator(Primary.RA), bounds)
+    assert [len(each.sites) for each in sets] == [16] * 4
+    assert sorted(np.concatenate([each.sites for each in sets])) == list(range(64))
+    # Tighter bounds, sparser sets; and none at all.
+    assert len(proved_sets(make_operator(Primary.RA), FrameBounds(other=0.15))) == 9
+    assert proved_sets(make_operator(Primary.RA), FrameBounds(other=0.05)) == []
+    assert proved_sets(make_operator(Primary.SAI), bounds) == []
+    judge = sets[0].operator.judge
+    for one in sets:
+        assert one.worst_other <= 0.3
+        assert one.totals_ma.sum() == pytest.approx(one.total_ma)
+        assert (0.96 * one.electrode_ma <= judge.full_ma).all()
+
+
+def test_what_is_no_grid_or_large_has_no_sets(profile, bank, changed):
+    hexagon = load_profile("kajimoto-61")
+    wish = np.full(61, 2.0)
+    assert proved_sets(FrameOperator(FrameJudge(hexagon, Primary.RA, wish)), FrameBounds()) == []
+    wide = changed(profile, {"array.rows": 18, "array.columns": 18})
+    judge = FrameJudge(wide, Primary.RA, np.full(324, 2.2))
+    assert proved_sets(FrameOperator(judge), FrameBounds()) == []
