@@ -43,8 +43,8 @@ ScanOption = Annotated[
     typer.Option(
         "--scan",
         metavar="points|frame|auto",
-        help="One point in each slot, as many as leave one another alone, or so where that is "
-        "planned in time.",
+        help="One point in each slot, as many as leave one another alone, or so where that needs "
+        "no search: RA, on boards that give every electrode its own current.",
     ),
 ]
 FramesOption = Annotated[
