@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 class Proof:
     """What the finished currents of each slot do beside what they are for.
 
-    Computed from the currents as they are sent, after all rounding; activation is
-    a ratio to that of the slot's weakest target, scaled to level 1.
+    Of several points computed from the currents as they are sent, after all rounding;
+    of a single one that of its kernel. Activation is a ratio to that of the slot's
+    weakest target, scaled to level 1.
 
     Attributes
     ----------
