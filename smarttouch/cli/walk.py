@@ -42,12 +42,12 @@ def walk(board: Board, profile: Profile, current_ma: float, seconds: float | Non
             how = "any key: next, q: end" if seconds is None else f"{seconds:g} s"
             typer.echo(f"electrode {site}: up to {current_ma:g} mA ({how})")
             tried += 1
-            end = None if seconds is None else time.monotonic() + seconds
-            for _ in _pulses(board, profile, site, current_ma):
+            for step, _ in enumerate(_pulses(board, profile, site, current_ma)):
                 key = read_key()
                 if key in ("q", "\x03", "\x04"):
                     return tried
-                if key or (end is not None and time.monotonic() >= end):
+                # Steps that were sent, not time: a computer that stood still has tried nothing.
+                if key or (seconds is not None and step * _STEP_S >= seconds):
                     break
     return tried
 

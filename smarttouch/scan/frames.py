@@ -252,7 +252,8 @@ class FrameSlots:
         point = np.flatnonzero(level)
         alone = np.zeros((len(point), len(level)))
         alone[np.arange(len(point)), point] = level[point]
-        other, spill = self._points_do[:, point]
+        # A faint point does so much less: figures are scaled to level 1.
+        other, spill = self._points_do[:, point] * level[point]
         return Plan(
             np.concatenate([plan.level, alone]),
             np.concatenate([plan.current_ma, level[point, None] * self._points_ma[point]]),

@@ -130,7 +130,7 @@ def test_limits_of_electrodes_that_are_no_whole_microamperes(profile, changed):
     bank = load_bank(profile)
     gate = SafetyGate(SafetyLimits.of(limited))
     for primary in (Primary.RA, Primary.SAI):
-        scan = PointScan(limited, bank, (primary,), 10.0, sharing=Sharing((primary,)))
+        scan = PointScan(limited, bank, (primary,), 10.0, sharing=Sharing((primary,), False))
         for seed in range(20):
             activation = np.zeros(64, np.float32)
             activation[np.random.default_rng(seed).choice(64, 20, replace=False)] = 1
