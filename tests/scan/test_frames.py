@@ -234,6 +234,9 @@ def test_where_nothing_is_proved_points_are_shown_one_by_one(profile, bank, made
     assert found.site.tolist() == alone.site[order].tolist()
     assert found.current_ua == pytest.approx(alone.current_ua[order], abs=40)
     assert found.proof.worst_other == pytest.approx(bank.worst_other[Primary.SAI][:10], rel=0.02)
+    # A faint point does less; figures are scaled to level 1, .6 is aimed at to be within 5 %.
+    faint = made[Primary.SAI, False].slots(activation * np.float32(0.2), 1.0)
+    assert faint.proof.worst_other == pytest.approx(0.6 / 0.96 * found.proof.worst_other, rel=1e-3)
 
 
 def test_a_letter_takes_a_few_slots_and_an_empty_frame_none(slots, bank, profile):
