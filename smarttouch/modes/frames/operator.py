@@ -24,7 +24,6 @@ from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from smarttouch.errors import DesignError
 from smarttouch.modes.frames.fields import FieldMap, Single
@@ -250,6 +249,9 @@ def _prices(form: Array, excess: Array) -> Array | None:
 
     None where that takes too long: only bounds that contradict one another do.
     """
+    # Only plans need it, and every program would take a fifth of a second longer to begin.
+    from scipy.optimize import nnls
+
     scale = float(np.trace(form)) / len(form)
     root = np.linalg.cholesky(form + _SOFT_BOUND * scale * np.eye(len(form)))
     wanted = np.linalg.solve(root, excess)
