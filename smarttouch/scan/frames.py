@@ -111,7 +111,8 @@ class FrameSlots:
             for each, own in zip(primaries, kernels, strict=True)
         ]
         judge: SlotJudge = judges[0] if len(judges) == 1 else MixedJudge(judges)
-        self._operator = FrameOperator(judge)
+        self._judge = judge
+        self._operator = FrameOperator(judge) if planned else None
         full_ma = np.minimum(profile.full_ma, judge.full_ma)
         self._points_ma = np.concatenate([own * full_ma[:, None] for own in kernels])
         self._driven = np.isin(np.arange(len(full_ma)), profile.driven)
@@ -132,11 +133,9 @@ class FrameSlots:
         self._faintest = profile.threshold_ma / profile.full_ma
         self._width_us = profile.pulse.width_us
         self._plans: OrderedDict[bytes, Plan] = OrderedDict()
-        self._sets = (
-            None
-            if planned
-            else [proved_sets(FrameOperator(each), self._planned_bounds) for each in judges]
-        )
+        bounds = self._planned_bounds
+        proving = () if planned else judges
+        self._sets = [proved_sets(FrameOperator(each), bounds) for each in proving]
 
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
         """Return the slots of the classes' rows of a tactile image, with their proof.
@@ -173,9 +172,7 @@ class FrameSlots:
         current_ua = whole_ua(1000 * intensity * plan.current_ma)
         points = np.count_nonzero(plan.level, axis=1).astype(np.uint16)
         do, shared = np.array([plan.other, plan.spill], np.float32), points > 1
-        do[:, shared] = _selectivity(
-            self._operator.judge, current_ua[shared] / 1000, plan.level[shared]
-        )
+        do[:, shared] = _selectivity(self._judge, current_ua[shared] / 1000, plan.level[shared])
         return current_ua, Proof(points, *do)
 
     def _planned(self, activation: NDArray[np.float32]) -> Plan:
@@ -198,14 +195,12 @@ class FrameSlots:
         level = np.where(active, self._faintest + (1 - self._faintest) * asked, 0.0).ravel()
         # Slots aim a little low, which saves current; the faintest would not be felt then.
         level = np.minimum(level / (1 - AIM * self._bounds.uneven), 1.0)
-        plan = self._added_up(level) if self._sets is not None else self._found(level)
+        plan = self._found(self._operator, level) if self._operator else self._added_up(level)
         return self._with_points(plan, np.where(plan.level.any(axis=0), 0.0, level))
 
-    def _found(self, level: Array) -> Plan:
+    def _found(self, operator: FrameOperator[SlotJudge], level: Array) -> Plan:
         """Return a plan with currents of this frame's own."""
-        slots = plan_slots(
-            self._operator, level, self._planned_bounds, self._planned_ma, self._points_ma
-        )
+        slots = plan_slots(operator, level, self._planned_bounds, self._planned_ma, self._points_ma)
         levels = np.zeros((len(slots), len(level)))
         currents_ma = np.zeros((len(slots), self._points_ma.shape[1]))
         for row, current_ma, slot in zip(levels, currents_ma, slots, strict=True):
@@ -222,7 +217,7 @@ class FrameSlots:
         currents_ma: list[Array] = []
         aim = 1 - AIM * self._bounds.uneven
         count = self._points_ma.shape[1]
-        for index, sets in enumerate(self._sets or ()):
+        for index, sets in enumerate(self._sets):
             for kernels in sets:
                 points = kernels.sites + index * count
                 wanted = level[points]

@@ -1,0 +1,39 @@
+"""What the screen says of shared slots."""
+
+import numpy as np
+import pytest
+
+from smarttouch.cli.screen import _beside, _felt_ma
+from smarttouch.live import Sent
+from smarttouch.pipeline import Pipeline
+from smarttouch.primary import Primary
+from smarttouch.scan.frames import NO_SHARING, Sharing
+
+
+@pytest.fixture(params=[NO_SHARING, Sharing((Primary.RA,), planned=False)])
+def sent(request, make_frame, profile, bank):
+    image = np.full((64, 64), 255, np.uint8)
+    image[20:44, 20:44] = 0
+    pipeline = Pipeline(profile, bank, sharing=request.param)
+    pipeline.process(make_frame(image, 10**9))
+    return Sent(pipeline.process(make_frame(image, 2 * 10**9)), 1, 0.0)
+
+
+def test_every_point_that_is_stimulated_is_shown(sent):
+    points = np.flatnonzero(sent.step.tactile.activation.any(axis=0))
+    felt_ma = _felt_ma(sent)
+    assert len(points) >= 9
+    assert sent.step.sequence.points == len(points)
+    assert np.flatnonzero(felt_ma).tolist() == points.tolist()
+    assert felt_ma[points].min() > 1
+
+
+def test_what_shared_slots_do_is_told(sent):
+    sequence = sent.step.sequence
+    if sequence.proof is None:
+        assert sequence.slots == sequence.points
+        assert _beside(sequence) == "no points share a slot"
+        return
+    assert sequence.slots < sequence.points
+    other, spill = sequence.proof.shared
+    assert _beside(sequence) == f"other classes {other:.2f}, elsewhere {spill:.2f} of the points"
