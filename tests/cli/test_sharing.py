@@ -1,6 +1,8 @@
 """What --scan asks for, and what becomes of it elsewhere."""
 
 import contextlib
+import importlib
+import inspect
 
 import pytest
 
@@ -50,3 +52,9 @@ def test_notes_of_markers_do_not_replace_others(profile, monkeypatch):
         kept._mark(profile)
         made[-1].notes.append("two")
     assert kept.notes == ["one", "two"]
+
+
+@pytest.mark.parametrize("command", ["live", "read", "legibility"])
+def test_it_is_auto_if_nothing_is_asked_for(command):
+    module = importlib.import_module(f"smarttouch.cli.{command}")
+    assert inspect.signature(getattr(module, command)).parameters["scan"].default == "auto"
