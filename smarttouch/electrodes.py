@@ -76,6 +76,16 @@ class ElectrodeArray:
         return np.asarray(np.hypot(apart[..., 0], apart[..., 1]))
 
     @cached_property
+    def area_mm2(self) -> float:
+        """Area of each electrode, mm²; a point stands for a disc of 1 mm."""
+        first, second = self.size_mm
+        if self.shape == "rectangle":
+            return first * second
+        if self.shape == "point":
+            first, second = 1.0, 0.0
+        return float(np.pi / 4 * (first**2 - second**2))
+
+    @cached_property
     def extent_mm(self) -> tuple[float, float]:
         """Width and height of the array, cells included, mm."""
         span = np.ptp(self.position_mm, axis=0)

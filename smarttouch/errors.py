@@ -1,5 +1,7 @@
 """The errors a user can meet. Each message says what, which number, and the remedy."""
 
+import math
+
 
 class SmartTouchError(Exception):
     """Base of every error this package raises on purpose."""
@@ -46,7 +48,32 @@ class ScheduleError(SmartTouchError):
 
 
 class SafetyError(SmartTouchError):
-    """A scan sequence breaks a limit; nothing of it was sent."""
+    """A scan sequence breaks a limit; nothing of it was sent.
+
+    Attributes
+    ----------
+    limit : str
+        Name of the limit.
+    value, allowed : float
+        What was asked for and what it may be, in the limit's unit; NaN where neither is a
+        number.
+    slot, electrode : int or None
+        Where, if the limit is of one.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        limit: str = "",
+        value: float = math.nan,
+        allowed: float = math.nan,
+        slot: int | None = None,
+        electrode: int | None = None,
+    ) -> None:
+        super().__init__(message)
+        self.limit, self.value, self.allowed = limit, value, allowed
+        self.slot, self.electrode = slot, electrode
 
 
 class BoardError(SmartTouchError):

@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards.impedance import Impedance
+from smarttouch.clock import MonotonicClock
 from smarttouch.errors import BoardError, BoardRestartedError, LineLostError
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.profile.device import Output
 from smarttouch.registry import find_opener
-from smarttouch.scan.safety import SafetyGate, SafetyLimits
+from smarttouch.scan.exposure import Dose
+from smarttouch.scan.safety import Now, SafetyGate, SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
 from smarttouch.scan.timing import ScanTiming
 
@@ -101,7 +103,8 @@ class Board(ABC):
     """A display board.
 
     A driver implements the underscored methods. `send` cannot be reached
-    around: it proves every sequence safe before the driver sees it.
+    around: it proves every sequence safe, on the board's own clock, and the
+    driver sees nothing but the frozen copy that was proved.
 
     Parameters
     ----------
@@ -140,7 +143,7 @@ class Board(ABC):
             )
         self.notes: list[str] = []
         self._output = output
-        self._gate = SafetyGate(limits)
+        self._gate = SafetyGate(limits, self._time())
         self._stopped = threading.Event()
         self._opened = False
 
@@ -149,7 +152,7 @@ class Board(ABC):
         if self._opened:
             raise BoardError("the board is open already: close it first")
         # A new run starts from zero intensity, and its time may start anew.
-        self._gate = SafetyGate(self._gate.limits)
+        self._gate.begin_session()
         self._stopped.clear()
         self._open()
         self._opened = True
@@ -190,15 +193,28 @@ class Board(ABC):
             )
         if not 1 <= times <= LONGEST_REPEAT:
             raise BoardError(f"{times} repetitions are not possible: from 1 to {LONGEST_REPEAT}")
-        self._gate.prove(sequence)
+        proved = self._gate.prove(sequence, times)
         try:
-            return self._send(sequence, times)
+            return self._send(proved, times)
         except LineLostError as lost:
             self._recover(lost)
             # The skin has felt nothing for a while: what comes next begins at zero.
-            self._gate = SafetyGate(self._gate.limits)
+            self._gate.restart()
             self.notes.append(f"{lost}: started anew")
             raise BoardRestartedError(f"{lost}, and was started anew") from None
+
+    @property
+    def dose(self) -> Dose:
+        """Current that the skin has had since the board was opened."""
+        return self._gate.dose
+
+    def _time(self) -> Now | None:
+        """Return the clock that the gate goes by: the machine's.
+
+        Only a board that no finger can be on has another, or none: then time is what
+        sequences claim.
+        """
+        return MonotonicClock()
 
     def take_volts(self) -> list[tuple[ScanSequence, NDArray[np.float32]]]:
         """Return what was measured since the last call.
@@ -223,12 +239,12 @@ class Board(ABC):
         """
         if not self._opened:
             raise BoardError("the board is not open: open it before measuring")
-        self._gate = SafetyGate(self._gate.limits)
+        self._gate.restart()
         try:
             return self._measure()
         finally:
             # What comes next begins at zero, and its time may start anew.
-            self._gate = SafetyGate(self._gate.limits)
+            self._gate.restart()
 
     def _note_round_trip(self, ask: Callable[[], object]) -> None:
         """Time a question; note it if the line keeps answers back."""

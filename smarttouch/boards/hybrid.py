@@ -13,7 +13,7 @@ from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.impedance import Impedance
 from smarttouch.boards.vibrators import VibratorBoard
 from smarttouch.errors import BoardRestartedError
-from smarttouch.scan.safety import SafetyGate
+from smarttouch.scan.safety import Now
 from smarttouch.scan.sequence import ScanSequence
 from smarttouch.scan.timing import ScanTiming
 
@@ -60,12 +60,15 @@ class HybridBoard(Board):
     capabilities: Capabilities = _vibrating()
 
     def __init__(self, electric: Board, shaking: VibratorBoard) -> None:
-        super().__init__(electric._gate.limits)
         self.electric, self.shaking = electric, shaking
+        super().__init__(electric._gate.limits)
         # One list: whatever any of the three has to say is said once.
         self.notes = electric.notes
         self.notes += shaking.notes
         shaking.share_notes(self.notes)
+
+    def _time(self) -> Now | None:
+        return self.electric._time()
 
     def _open(self) -> None:
         self.electric.open()
@@ -81,7 +84,7 @@ class HybridBoard(Board):
             self.shaking.send(_only_vibration(sequence), times)
         except BoardRestartedError:
             self.shaking.silence()
-            self._gate = SafetyGate(self._gate.limits)
+            self._gate.restart()
             raise
         except BaseException:
             self.stop()

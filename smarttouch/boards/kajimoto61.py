@@ -83,7 +83,9 @@ class Kajimoto61Board(StreamedBoard):
         self.ua_per_count: float = measured or UA_PER_COUNT
         self._step_ua = COUNTS_PER_BYTE * self.ua_per_count
         self._largest = min(LARGEST, int(limits.current_ma * 1000 / self._step_ua))
-        self._clock = clock or MonotonicClock()
+        if clock is not None and type(clock) is not MonotonicClock:
+            raise BoardError(f"{self.kind}: a board on a port keeps the machine's own time")
+        self._clock: Clock = clock or MonotonicClock()
         self.capabilities = Capabilities(
             electrodes=ELECTRODES,
             output="one-against-all",

@@ -158,7 +158,9 @@ class LinkBoard(Board):
         """Deliver a scan and return its voltages."""
         self.send(probe)
         self.drain()
-        found = [volts for sequence, volts in self.take_volts() if sequence is probe]
+        found = [
+            volts for sequence, volts in self.take_volts() if sequence.time_ns == probe.time_ns
+        ]
         if probe.slots and not found:
             raise BoardError(
                 f"the board at {self._line.name} did not tell the voltages of its electrodes: "

@@ -35,6 +35,9 @@ class MemoryBoard(Board):
             firmware="memory",
         )
 
+    def _time(self) -> None:
+        """Time is what sequences claim: no finger is on this board."""
+
     def _open(self) -> None:
         self.sequences.clear()
         self._books = HostBooks(self.capabilities.electrodes)

@@ -47,6 +47,8 @@ def run_figures(
         "max_current_ma": report and report.max_current_ma,
         "max_charge_uc": report and report.max_charge_uc,
         "max_net_charge_uc": report and report.max_net_charge_uc,
+        "dose_s": board.dose.seconds,
+        "dose_mc": board.dose.most_mc,
         "emulator_violations": report.violations if report and report.by == "board" else None,
         "active_fraction": tally.active / tally.frames if tally.frames else 0.0,
     }

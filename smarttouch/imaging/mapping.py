@@ -44,7 +44,9 @@ class Tone:
         if self.fullest > self.faintest:
             ink -= self.faintest
             ink *= 1 / (self.fullest - self.faintest)
-            np.clip(ink, 0, 1, out=ink)
+            # On a few numbers, quicker than np.clip.
+            np.maximum(ink, 0, out=ink)
+            np.minimum(ink, 1, out=ink)
         else:
             # A cell that is just so full, but for what a sum of single precision leaves over.
             np.greater_equal(ink, self.faintest - 1e-4, out=ink, casting="unsafe")

@@ -122,8 +122,8 @@ def problem_hash(profile: Profile) -> str:
     }
     if profile.output.masked:
         problem["masked"] = sorted(profile.output.masked)
-    if limits.total_ma is not None or limits.electrode_ma is not None:
-        problem["limits"] = [limits.total_ma, limits.electrode_ma]
+    if profile.design_total_ma is not None or limits.electrode_ma is not None:
+        problem["limits"] = [profile.design_total_ma, limits.electrode_ma]
         problem["full_ma"] = profile.full_ma.tolist()
     return hashlib.sha256(json.dumps(problem, sort_keys=True).encode()).hexdigest()
 

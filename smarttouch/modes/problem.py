@@ -200,7 +200,7 @@ class Problem:
         # Sequences hold whole µA: leave every electrode room to be rounded up.
         room = self.electrodes / 1000
         electrode = np.array(limits.electrode_ma or np.full(self.electrodes, np.inf)) - room
-        return (limits.total_ma or np.inf) - room, electrode
+        return (self.profile.design_total_ma or np.inf) - room, electrode
 
     def axon(self, site: int) -> Array:
         """Return the rows of the target's own axon, the node under the electrode first."""

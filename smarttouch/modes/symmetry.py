@@ -61,7 +61,7 @@ def _own(profile: Profile) -> list[NDArray[np.float64]]:
         own.append(np.isin(np.arange(len(profile.electrodes)), profile.driven).astype(np.float64))
     if limits.electrode_ma is not None:
         own.append(np.array(limits.electrode_ma))
-    if limits.electrode_ma is not None or limits.total_ma is not None:
+    if limits.electrode_ma is not None or profile.design_total_ma is not None:
         # Limits are multiples of a site's full current.
         own.append(np.asarray(profile.threshold_ma, np.float64))
     return own

@@ -10,14 +10,21 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from smarttouch.electrodes import ElectrodeArray
 from smarttouch.profile.array import ArrayLayout
+from smarttouch.profile.ceilings import (
+    CEILING_CHARGE_UC,
+    CEILING_DENSITY_UC_CM2,
+    CEILING_DUTY,
+    CEILING_MA,
+    CEILING_PULSE_US,
+    CEILING_RATE_HZ,
+    CEILING_SESSION_MC,
+    CEILING_SESSION_S,
+    CEILING_TOTAL_MA,
+    LEAST_DISCHARGE_US,
+    SHORTEST_RAMP_S,
+)
 from smarttouch.profile.skin import Skin
 from smarttouch.profile.table import Positive, Table
-
-CEILING_MA = 5.0
-CEILING_PULSE_US = 200.0
-CEILING_CHARGE_UC = 0.5
-SHORTEST_RAMP_S = 0.5
-"""The project's ceilings: a profile may ask for less, never for more."""
 
 
 class Output(Table):
@@ -87,8 +94,8 @@ class Pulse(Table):
     """One slot of the scan."""
 
     width_us: int = Field(ge=10, le=int(CEILING_PULSE_US))
-    discharge_us: int = Field(ge=20, le=5000)
-    rate_hz: float = Field(ge=1, le=200)
+    discharge_us: int = Field(ge=LEAST_DISCHARGE_US, le=5000)
+    rate_hz: float = Field(ge=1, le=CEILING_RATE_HZ)
     carrier: Literal["height", "width"] = "height"
     """What grows with intensity: the current, or how long it flows."""
     chronaxie_us: Positive = 200.0
@@ -105,15 +112,21 @@ class Limits(Table):
     """What no sequence may exceed; the project's ceilings bound them."""
 
     current_ma: float = Field(gt=0, le=CEILING_MA)
-    total_ma: Positive | None = None
-    """Of all cathodes together in one slot; none if not given."""
+    total_ma: float | None = Field(default=None, gt=0, le=CEILING_TOTAL_MA)
+    """Of all cathodes together in one slot; the project's ceiling if not given."""
     electrode_ma: tuple[Positive, ...] | None = None
     """Of each electrode, where some must stay below ``current_ma``."""
     pulse_us: float = Field(gt=0, le=CEILING_PULSE_US)
     charge_uc: float = Field(gt=0, le=CEILING_CHARGE_UC)
-    rate_hz: float = Field(gt=0, le=200)
-    duty: float = Field(gt=0, le=0.8)
+    rate_hz: float = Field(gt=0, le=CEILING_RATE_HZ)
+    duty: float = Field(gt=0, le=CEILING_DUTY)
     ramp_s: float = Field(ge=SHORTEST_RAMP_S, le=10)
+    density_uc_cm2: float = Field(default=CEILING_DENSITY_UC_CM2, gt=0, le=CEILING_DENSITY_UC_CM2)
+    """Charge of a pulse over the area of its electrode."""
+    session_s: float = Field(default=CEILING_SESSION_S, gt=0, le=CEILING_SESSION_S)
+    """Of scans with current, from opening the board to closing it."""
+    session_mc: float = Field(default=CEILING_SESSION_MC, gt=0, le=CEILING_SESSION_MC)
+    """Charge through any one electrode in that time."""
 
 
 class Frames(Table):
@@ -126,6 +139,8 @@ class Frames(Table):
     """To the own class more than a pitch from every target."""
     uneven: float = Field(default=0.05, gt=0, le=0.5)
     """How far targets may be from what was wished, of it."""
+    share: bool | None = None
+    """Whether points may share a slot; if not given, where ``limits.total_ma`` is."""
 
 
 class Perception(Table):
@@ -183,6 +198,22 @@ class Profile(Table):
         if self.perception.comfort_ma is not None:
             return np.asarray(self.perception.comfort_ma, np.float32)
         return self.threshold_ma * self.perception.comfort_ratio
+
+    @property
+    def shares(self) -> bool:
+        """Whether points may share a slot, as far as the profile goes."""
+        given = self.limits.total_ma is not None
+        return given if self.frames.share is None else self.frames.share
+
+    @property
+    def design_total_ma(self) -> float | None:
+        """Total current that kernels are designed within; None where none needs to be.
+
+        A total at the project's ceiling, which holds for all, says nothing of the kernels
+        where points do not share slots.
+        """
+        total = self.limits.total_ma or CEILING_TOTAL_MA
+        return total if self.shares or total < CEILING_TOTAL_MA else None
 
     @cached_property
     def admittance(self) -> NDArray[np.float64]:

@@ -18,6 +18,7 @@ from smarttouch.modes.frames.operator import AIM, FrameOperator
 from smarttouch.modes.frames.slots import plan_slots
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
+from smarttouch.profile.ceilings import CEILING_TOTAL_MA
 from smarttouch.scan.points import Slots, felt_at
 from smarttouch.scan.sequence import Proof, whole_ua
 
@@ -126,7 +127,7 @@ class FrameSlots:
         self._planned_bounds = FrameBounds(
             _ROUNDING * frames.other, _ROUNDING * frames.spill, frames.uneven
         )
-        self._limit_ma = profile.limits.total_ma or 0.0
+        self._limit_ma = profile.limits.total_ma or CEILING_TOTAL_MA
         # Less what rounding hardly ever adds; where it does, a slot is shown point by point.
         self._planned_ma = self._limit_ma - 0.002 * np.sqrt(len(full_ma))
         self._felt_at = [felt_at(profile, each) for each in primaries]
@@ -290,6 +291,6 @@ def why_not(profile: Profile) -> str | None:
         return f"the board is {profile.output.kind}, with one source for all electrodes"
     if profile.pulse.carrier == "width":
         return "pulse.carrier is 'width', one for all points of a slot"
-    if profile.limits.total_ma is None:
-        return "limits.total_ma is not set, and nothing else bounds what many points carry"
+    if not profile.shares:
+        return "frames.share is not on, or limits.total_ma is not set, which bounds their current"
     return None

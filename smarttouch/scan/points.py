@@ -11,6 +11,7 @@ from smarttouch.errors import ScheduleError
 from smarttouch.modes.bank import KernelBank
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
+from smarttouch.profile.ceilings import CEILING_TOTAL_MA
 from smarttouch.scan.sequence import Proof, whole_ua
 from smarttouch.scan.timing import ScanTiming
 
@@ -74,6 +75,7 @@ class PointSlots:
         if limits.electrode_ma is not None:
             most_ma = np.minimum(most_ma, limits.electrode_ma)
         self._most_ua = np.floor(1000 * most_ma[self._strongest] + 1e-6)
+        self._prove_totals(profile)
         rounding_ua = len(weights) / 2
         self._tight = bool((1000 * profile.full_ma + rounding_ua > self._most_ua).any())
         self._faintest = np.asarray(profile.threshold_ma / profile.full_ma, np.float32)
@@ -81,10 +83,23 @@ class PointSlots:
         self._weakest_level = self._weakest_that_switches(profile.output.kind)
         self._weakest_level[masked] = np.inf
         self._currents = np.empty_like(weights)
+        self._ones = np.ones(len(weights), np.float32)
         self._felt_at = felt_at(profile, primary)
         self._pulse = profile.pulse
         self._by_width = profile.pulse.carrier == "width"
         self._in_index_order = timing.in_index_order
+
+    def _prove_totals(self, profile: Profile) -> None:
+        """Raise if a kernel at full strength carries more in all than any slot may."""
+        most_ma = profile.limits.total_ma or CEILING_TOTAL_MA
+        total_ma = np.abs(self._kernels_ua).sum(axis=1) / 2000
+        if total_ma.max() > most_ma:
+            site = int(total_ma.argmax())
+            raise ScheduleError(
+                f"the kernel of electrode {site} carries {total_ma[site]:.2f} mA in all at full "
+                f"strength, above the {most_ma:g} mA of a slot: lower perception.comfort_ratio, or "
+                "set limits.total_ma below it and kernels are designed within"
+            )
 
     def _weakest_that_switches(self, kind: str) -> NDArray[np.float32]:
         """Level per site below which a switched electrode would round to insulated."""
@@ -139,11 +154,12 @@ class PointSlots:
         np.take(self._kernels_ua, site, axis=0, out=currents)
         currents *= level[:, None]
         np.rint(currents, out=currents)
-        current_ua = currents.astype(np.int16)
-        surplus = current_ua.sum(axis=1, dtype=np.int16)
+        # Whole numbers far below 2^24: exact in single precision.
+        surplus = currents.dot(self._ones)
         rows, electrode = np.arange(slots), self._strongest[site]
-        strongest_ua = current_ua[rows, electrode] - surplus
-        current_ua[rows, electrode] = strongest_ua
+        strongest_ua = currents[rows, electrode] - surplus
+        currents[rows, electrode] = strongest_ua
+        current_ua = currents.astype(np.int16)
         if self._tight and (over := np.abs(strongest_ua) > self._most_ua[site]).any():
             current_ua[over] = self._carried(site[over], level[over])
         return Slots(site.astype(np.uint16), current_ua, width_us)

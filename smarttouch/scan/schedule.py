@@ -10,7 +10,9 @@ from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.modes.bank import KernelBank
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
+from smarttouch.scan.exposure import BURST_US, Load, load_of, shortest_period_us
 from smarttouch.scan.frames import NO_SHARING, FrameSlots, Sharing
+from smarttouch.scan.limits import SafetyLimits
 from smarttouch.scan.points import PointSlots, Slots
 from smarttouch.scan.rates import PulseRates, rate_share
 from smarttouch.scan.sequence import Proof, ScanSequence
@@ -117,8 +119,10 @@ class PointScan:
         self._duty = limits.duty
         self._timing = timing
         self._electrodes = len(profile.electrodes)
+        self._limits = SafetyLimits.of(profile)
         # Before anything is sent: the longest scan must be possible too.
         self._shortest_us(np.full(self._electrodes, pulse.width_us, np.uint16))
+        self._full_us = self._shortest_of_all()
 
     def restart(self) -> None:
         """Begin anew: all classes are due."""
@@ -160,14 +164,16 @@ class PointScan:
         # None is due where the rate has fallen since this time was set.
         parts = self._parts(due or (self._first,), image, intensity if due else 0.0)
         site, current_ua, width_us, proof = parts[0] if len(parts) == 1 else _joined(parts)
+        period_us = max(self._timing.possible_period_us(self.asked_us), self._shortest_us(width_us))
+        if period_us < self._full_us:
+            needed_us = self._exposed_us(current_ua, width_us)
+            period_us = max(period_us, self._timing.possible_period_us(needed_us))
         return ScanSequence(
             current_ua=current_ua,
             width_us=width_us,
             discharge_us=np.full(len(site), self._discharge_us, np.uint16),
             site=site,
-            period_us=max(
-                self._timing.possible_period_us(self.asked_us), self._shortest_us(width_us)
-            ),
+            period_us=period_us,
             intensity=float(intensity),
             time_ns=image.time_ns,
             vibration=image.activation[Primary.PC] * np.float32(intensity)
@@ -216,6 +222,43 @@ class PointScan:
             return self._rates.due(time_ns, {Primary.RA: 1.0, Primary.SAI: share})
         slowed_hz = self._one_rate_hz * (share if self._first is Primary.SAI else 1.0)
         return (self._first,), self._timing.possible_period_us(1e6 / slowed_hz)
+
+    def _shortest_of_all(self) -> float:
+        """Return a period that exposes no electrode too much, whatever is felt, µs.
+
+        Infinite where points share slots: what these carry is known when they are planned.
+
+        Raises
+        ------
+        ScheduleError
+            If a point alone, or all together, are too much for any period.
+        """
+        if self._frames:
+            return math.inf
+        load = np.zeros((2, self._electrodes))
+        everywhere = np.ones(self._electrodes, np.float32)
+        for points in self._points.values():
+            all_points = points.slots(everywhere, 1.0)
+            load += self._load(all_points.current_ua, all_points.width_us)
+        return self._checked_us(load)
+
+    def _exposed_us(self, current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> int:
+        """Return the shortest period in which slots expose no electrode too much, µs."""
+        return self._checked_us(self._load(current_ua, width_us))
+
+    def _load(self, current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> Load:
+        magnitude = np.abs(current_ua.astype(np.float64))
+        return load_of(magnitude, width_us, self._limits.felt_ua)
+
+    def _checked_us(self, load: Load) -> int:
+        needed_us = shortest_period_us(load)
+        if needed_us > BURST_US:
+            raise ScheduleError(
+                f"the points of one frame expose an electrode as much as {needed_us / 1000:.0f} ms "
+                f"allow, and one sequence may bring at most {BURST_US / 1000:.0f} ms of it: lower "
+                "perception.comfort_ratio or pulse.width_us, or choose another mode"
+            )
+        return needed_us
 
     def _shortest_us(self, width_us: NDArray[np.uint16]) -> int:
         """Return the shortest period that slots of these widths need, µs."""

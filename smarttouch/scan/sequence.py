@@ -1,9 +1,12 @@
 """The scan sequence: everything a board will do for one frame, as data."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from smarttouch.errors import SafetyError
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +116,63 @@ class ScanSequence:
     def source_ua(self) -> NDArray[np.int32]:
         """What all cathodes together carry in each slot, (S,) µA: one source's current."""
         return np.asarray(np.abs(self.current_ua.astype(np.int32)).sum(axis=1) // 2)
+
+
+def frozen(sequence: ScanSequence) -> ScanSequence:
+    """Return a copy that nothing can change: arrays backed by bytes, and plain whole numbers.
+
+    Raises
+    ------
+    SafetyError
+        If a field has another type or shape than it should.
+    """
+    current = _fixed("current_ua", sequence.current_ua, np.int16, 2)
+    slots = len(current)
+    vibration = sequence.vibration
+    return ScanSequence(
+        current_ua=current,
+        width_us=_fixed("width_us", sequence.width_us, np.uint16, 1, slots),
+        discharge_us=_fixed("discharge_us", sequence.discharge_us, np.uint16, 1, slots),
+        site=_fixed("site", sequence.site, np.uint16, 1, slots),
+        period_us=_whole("period_us", sequence.period_us),
+        intensity=_real("intensity", sequence.intensity),
+        time_ns=_whole("time_ns", sequence.time_ns),
+        vibration=None if vibration is None else _fixed("vibration", vibration, np.float32, 1),
+        proof=sequence.proof,
+    )
+
+
+def _fixed(
+    name: str, values: object, kind: type[np.generic], dimensions: int, length: int | None = None
+) -> Any:
+    """Return an array backed by bytes; raise a SafetyError if it is of another kind."""
+    # As a plain array: a class of somebody else's may answer for another array than it is.
+    plain = np.asarray(values)
+    wrong_length = length is not None and len(plain.shape) == 1 and len(plain) != length
+    if plain.dtype != np.dtype(kind) or plain.ndim != dimensions or wrong_length:
+        slots = "" if length is None else f" of {length} slots"
+        raise SafetyError(
+            f"{name} is {plain.dtype} of shape {plain.shape}, must be {np.dtype(kind)} in "
+            f"{dimensions} dimension{'s' * (dimensions > 1)}{slots}",
+            limit=name,
+        )
+    return np.frombuffer(plain.tobytes(), plain.dtype).reshape(plain.shape)
+
+
+def _whole(name: str, value: object) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise SafetyError(f"{name} is {value!r}, must be a whole number", limit=name)
+    return int(value)
+
+
+def _real(name: str, value: object) -> float:
+    # A bool of numpy is no np.integer.
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        raise SafetyError(f"{name} is {value!r}, must be a number", limit=name)
+    try:
+        return float(value)
+    except OverflowError:
+        raise SafetyError(f"{name} is beyond all numbers, must be one", limit=name) from None
 
 
 def whole_ua(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:

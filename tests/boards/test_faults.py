@@ -31,11 +31,12 @@ current = np.tile(np.array([700] + [-100] * 7, np.int16), (600, 1))
 board = EmulatorBoard("", limits, books=Path(sys.argv[1]))
 board.open()
 for step in range(10_000):
-    quiet = current * (step > 0)
-    board.send(ScanSequence(quiet, column, column // 2, column * 0, 200_000, float(step > 0),
-                            step * 10**9))
+    intensity = min(1.0, 0.3 * step)
+    slots = 50 if step else 0
+    board.send(ScanSequence(current[:slots], column[:slots], column[:slots] // 2,
+                            column[:slots] * 0, 200_000, intensity, step * 160_000_000))
     print(board.process_id, flush=True)
-    time.sleep(0.15)
+    time.sleep(0.16)
 """
 
 
@@ -199,7 +200,7 @@ def test_a_stop_overtakes_a_long_packet(make_limits, make_sequence, monkeypatch)
 
         def send():
             try:
-                board.send(make_sequence(1, slots=4000, period_us=3_000_000))
+                board.send(make_sequence(1, slots=4000, period_us=3_000_000, level_ua=70))
             except BoardError as error:
                 raised.append(str(error))
 
@@ -229,7 +230,7 @@ def test_a_signal_handler_may_stop_in_the_middle_of_a_send(make_limits, make_seq
 
         monkeypatch.setattr(board._line._port, "write", interrupted)
         with pytest.raises(BoardError, match="stopped"):
-            board.send(make_sequence(1, slots=4000, period_us=3_000_000))
+            board.send(make_sequence(1, slots=4000, period_us=3_000_000, level_ua=70))
         assert board.report().slots == 0
 
 

@@ -185,7 +185,9 @@ def test_packets_leave_on_a_grid_and_the_newest_wins(script):
     # A run of silent ones: bytes do not matter here, but when and how many.
     port = script(*OPEN, *[(packet(), b"")] * 4, *OPEN)
     clock = StillClock()
-    with Kajimoto61Board("x", LIMITS, clock=clock) as board:
+    board = Kajimoto61Board("x", LIMITS)
+    board._clock = clock
+    with board:
         for step in range(3):
             board.send(anodic({}, step))
         clock.gate.release()
@@ -217,7 +219,9 @@ def test_a_packet_that_left_late_is_not_made_up_for(script):
     sent = []
     script(*OPEN, *[(packet(), b"")] * 5, *OPEN)
     clock = Late()
-    with Kajimoto61Board("x", LIMITS, clock=clock) as board:
+    board = Kajimoto61Board("x", LIMITS)
+    board._clock = clock
+    with board:
         for _ in range(5):
             clock.gate.release()
         board.send(anodic({}, 0), times=5)

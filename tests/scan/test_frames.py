@@ -250,17 +250,18 @@ def test_a_letter_takes_a_few_slots_and_an_empty_frame_none(slots, bank, profile
     assert len(slots.slots(activation[None], 0.0)[0]) == 0
 
 
-def test_more_current_takes_fewer_slots(profile, bank, changed):
+def test_fainter_points_take_fewer_slots(profile, bank, changed):
     activation = np.zeros(64, np.float32)
     activation[LETTER_T] = 1
-    strong = changed(profile, {"limits.total_ma": 50.0})
-    assert len(FrameSlots(strong, bank, (Primary.RA,)).slots(activation[None], 1.0)[0]) == 1
+    # A sixth of the current leaves room for six times as many points.
+    faint = changed(profile, {"perception.threshold_ma": 0.2})
+    assert len(FrameSlots(faint, bank, (Primary.RA,)).slots(activation[None], 1.0)[0]) == 1
 
 
 def test_a_bound_of_the_profile_counts(profile, bank, changed):
     activation = np.zeros(64, np.float32)
     activation[LETTER_T] = 1
-    strict = changed(profile, {"limits.total_ma": 50.0, "frames.other": 0.12})
+    strict = changed(profile, {"perception.threshold_ma": 0.24, "frames.other": 0.12})
     assert len(FrameSlots(strict, bank, (Primary.RA,)).slots(activation[None], 1.0)[0]) > 1
 
 
@@ -289,9 +290,13 @@ def test_boards_that_cannot_are_refused(profile, bank, changed):
         FrameSlots(board, load_bank(board), (Primary.RA,))
     with pytest.raises(ScheduleError, match=r"pulse\.carrier"):
         FrameSlots(changed(profile, {"pulse.carrier": "width"}), bank, (Primary.RA,))
-    # Electrodes are limited each by itself: 64 of them might carry 150 mA.
-    with pytest.raises(ScheduleError, match=r"limits\.total_ma is not set"):
-        FrameSlots(changed(profile, {"limits.total_ma": None}), bank, (Primary.RA,))
+    with pytest.raises(ScheduleError, match=r"frames\.share"):
+        FrameSlots(changed(profile, {"frames.share": False}), bank, (Primary.RA,))
+    # As profiles were before they had that key.
+    with pytest.raises(ScheduleError, match=r"frames\.share"):
+        FrameSlots(
+            changed(profile, {"limits.total_ma": None, "frames.share": None}), bank, (Primary.RA,)
+        )
 
 
 def test_the_faintest_points_are_at_their_threshold(profile, bank, slots, rows):
@@ -308,9 +313,8 @@ def test_points_that_go_with_no_other_are_rounded_within_their_limit(profile, ba
     """Bounds that nothing keeps: every point alone, at a current that is just the limit."""
     keys = {
         "frames.other": 0.01,
-        "limits.current_ma": 2.5,
-        "limits.total_ma": 12.0,
-        "perception.comfort_ma": (2.5,) * 64,
+        "limits.current_ma": 2.35,
+        "perception.comfort_ma": (2.35,) * 64,
     }
     alone = changed(profile, keys)
     activation = np.zeros(64, np.float32)
@@ -318,7 +322,7 @@ def test_points_that_go_with_no_other_are_rounded_within_their_limit(profile, ba
     scan = PointScan(alone, bank, (Primary.RA,), 10.0, sharing=Sharing((Primary.RA,)))
     sequence = scan.schedule(image(activation), 1.0)
     assert sequence.slots == 6
-    assert np.abs(sequence.current_ua).max() > 2460
+    assert np.abs(sequence.current_ua).max() > 2310
     SafetyGate(SafetyLimits.of(alone)).prove_measurement(sequence)
 
 

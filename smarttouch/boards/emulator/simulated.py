@@ -79,6 +79,9 @@ class SimulatedBoard(Board):
             firmware="simulated",
         )
 
+    def _time(self) -> None:
+        """Time is what sequences claim: no finger is on this board."""
+
     def take_pulses(self) -> Pulses:
         """Return all that has flowed since the last call."""
         return self._books.take()

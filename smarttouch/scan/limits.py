@@ -1,0 +1,265 @@
+"""Limits that every scan sequence keeps, in whole microamperes, picocoulombs and nanoseconds."""
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import SafetyError
+from smarttouch.profile import Profile
+from smarttouch.profile.ceilings import (
+    CEILING_CHARGE_UC,
+    CEILING_DENSITY_UC_CM2,
+    CEILING_DUTY,
+    CEILING_MA,
+    CEILING_PULSE_US,
+    CEILING_RATE_HZ,
+    CEILING_SESSION_MC,
+    CEILING_SESSION_S,
+    CEILING_SHANNON_K,
+    CEILING_TOTAL_MA,
+    SHORTEST_RAMP_S,
+)
+
+PPB = 1_000_000_000
+"""Intensity is compared in parts per billion."""
+LONGEST_RAMP_S = 10.0
+_DISC_MM2 = math.pi / 4
+
+Each = float | tuple[float, ...]
+"""One value for all electrodes, or one for each."""
+
+
+@dataclass(frozen=True)
+class SafetyLimits:
+    """Limits of every sequence for one finger on one board.
+
+    Parameters
+    ----------
+    electrodes : int
+    current_ma, pulse_us, charge_uc : float
+        Of one pulse of one electrode.
+    rate_hz, duty : float
+        Sequences a second, and the share of the time in which current flows.
+    ramp_s : float
+        Shortest time from zero intensity to full.
+    full_ma : float
+        The strongest current at intensity 1; intensity bounds current in proportion.
+    total_ma : float
+        Of all cathodes together in one slot.
+    electrode_ma : tuple of float, optional
+        Of each electrode by itself.
+    full_us : float, optional
+        The longest pulse at intensity 1, where width carries intensity: it then bounds charge.
+    area_mm2 : float or tuple of float
+        Of the electrodes; a disc of 1 mm if not given.
+    threshold_ma : float or tuple of float, optional
+        Detection thresholds, half of which makes a pulse count as felt; half of ``full_ma`` if
+        not given.
+    density_uc_cm2 : float
+        Charge of a pulse over the electrode's area.
+    session_s, session_mc : float
+        Time with current and charge through an electrode, from opening a board to closing it.
+
+    Raises
+    ------
+    SafetyError
+        If one of them is no positive number, or above the project's own ceilings.
+    """
+
+    electrodes: int
+    current_ma: float
+    pulse_us: float
+    charge_uc: float
+    rate_hz: float
+    duty: float
+    ramp_s: float
+    full_ma: float
+    total_ma: float = CEILING_TOTAL_MA
+    electrode_ma: tuple[float, ...] | None = None
+    full_us: float | None = None
+    area_mm2: Each = _DISC_MM2
+    threshold_ma: Each | None = None
+    density_uc_cm2: float = CEILING_DENSITY_UC_CM2
+    session_s: float = CEILING_SESSION_S
+    session_mc: float = CEILING_SESSION_MC
+
+    def __post_init__(self) -> None:
+        for name, ceiling in (
+            ("current_ma", CEILING_MA),
+            ("pulse_us", CEILING_PULSE_US),
+            ("charge_uc", CEILING_CHARGE_UC),
+            ("rate_hz", CEILING_RATE_HZ),
+            ("duty", CEILING_DUTY),
+            ("full_ma", self.current_ma),
+            ("total_ma", CEILING_TOTAL_MA),
+            ("full_us", CEILING_PULSE_US),
+            ("density_uc_cm2", CEILING_DENSITY_UC_CM2),
+            ("session_s", CEILING_SESSION_S),
+            ("session_mc", CEILING_SESSION_MC),
+            ("electrode_ma", math.inf),
+            ("area_mm2", math.inf),
+            ("threshold_ma", math.inf),
+        ):
+            for value in self._values(name):
+                # Nothing is above NaN: such a limit would be none.
+                if not 0 < value <= ceiling or math.isinf(value):
+                    raise SafetyError(
+                        f"limit {name} = {value} must be above 0 and at most {ceiling:g}",
+                        limit=name,
+                        value=value,
+                        allowed=ceiling,
+                    )
+        if not SHORTEST_RAMP_S <= self.ramp_s <= LONGEST_RAMP_S:
+            raise SafetyError(
+                f"limit ramp_s = {self.ramp_s} must be from {SHORTEST_RAMP_S:g} to "
+                f"{LONGEST_RAMP_S:g}",
+                limit="ramp_s",
+                value=self.ramp_s,
+                allowed=SHORTEST_RAMP_S,
+            )
+
+    def _values(self, name: str) -> tuple[float, ...]:
+        """Return what a field holds, one or one for each electrode; nothing if not given."""
+        value = getattr(self, name)
+        if value is None:
+            return ()
+        if not isinstance(value, tuple):
+            return (value,)
+        if len(value) != self.electrodes:
+            raise SafetyError(
+                f"limit {name} lists {len(value)} of {self.electrodes} electrodes",
+                limit=name,
+                value=len(value),
+                allowed=self.electrodes,
+            )
+        return value
+
+    @classmethod
+    def of(cls, profile: Profile) -> "SafetyLimits":
+        """Return the limits of a profile."""
+        limits = profile.limits
+        return cls(
+            electrodes=len(profile.electrodes),
+            current_ma=limits.current_ma,
+            pulse_us=limits.pulse_us,
+            charge_uc=limits.charge_uc,
+            rate_hz=limits.rate_hz,
+            duty=limits.duty,
+            ramp_s=limits.ramp_s,
+            full_ma=float(profile.full_ma.max()),
+            total_ma=CEILING_TOTAL_MA if limits.total_ma is None else limits.total_ma,
+            electrode_ma=limits.electrode_ma,
+            full_us=profile.pulse.width_us if profile.pulse.carrier == "width" else None,
+            area_mm2=profile.electrodes.area_mm2,
+            threshold_ma=tuple(profile.threshold_ma.tolist()),
+            density_uc_cm2=limits.density_uc_cm2,
+            session_s=limits.session_s,
+            session_mc=limits.session_mc,
+        )
+
+    # -- in whole numbers --------------------------------------------------
+
+    @cached_property
+    def current_ua(self) -> NDArray[np.float64]:
+        """Most current of each electrode, (E,) µA."""
+        own = self.electrode_ma or (self.current_ma,) * self.electrodes
+        most = decimal(self.current_ma)
+        whole = [math.floor(1000 * min(most, decimal(each))) for each in own]
+        return np.array(whole, np.float64)
+
+    @cached_property
+    def least_current_ua(self) -> int:
+        """What all electrodes may carry."""
+        return int(self.current_ua.min())
+
+    @cached_property
+    def charge_pc(self) -> NDArray[np.float64]:
+        """Most charge of one pulse of each electrode, (E,) pC: by itself, by area, by Shannon."""
+        area = np.broadcast_to(np.asarray(self.area_mm2, np.float64), (self.electrodes,))
+        charge = float(decimal(self.charge_uc) * 10**6)
+        density = self.density_uc_cm2 * area * 1e4
+        shannon = np.sqrt(10**CEILING_SHANNON_K * area / 100) * 1e6
+        return np.floor(np.minimum(charge, np.minimum(density, shannon)))
+
+    @cached_property
+    def least_charge_pc(self) -> int:
+        """What a pulse of any electrode may carry."""
+        return int(self.charge_pc.min())
+
+    @cached_property
+    def total_ua(self) -> int:
+        return math.floor(1000 * decimal(self.total_ma))
+
+    @cached_property
+    def pulse_whole_us(self) -> int:
+        return math.floor(decimal(self.pulse_us))
+
+    @cached_property
+    def period_us(self) -> int:
+        """Shortest period, µs."""
+        return math.ceil(10**6 / decimal(self.rate_hz))
+
+    @cached_property
+    def duty_ratio(self) -> tuple[int, int]:
+        """Duty as a fraction of whole numbers."""
+        return decimal(self.duty).as_integer_ratio()
+
+    @cached_property
+    def ramp_ns(self) -> int:
+        return round(decimal(self.ramp_s) * 10**9)
+
+    @cached_property
+    def rounding_ua(self) -> Fraction:
+        """How far rounding to whole µA may shift the electrode that keeps the balance."""
+        return Fraction(self.electrodes, 2) + 1
+
+    @cached_property
+    def full_ua(self) -> Fraction:
+        return Fraction(self.full_ma) * 1000
+
+    def most_ua(self, ppb: int) -> int:
+        """Return the most current at an intensity in parts per billion, rounding included, µA."""
+        per_ppb, least, below = self._most_ua
+        return (per_ppb * ppb + least) // below
+
+    @cached_property
+    def _most_ua(self) -> tuple[int, int, int]:
+        # Whole numbers, as this is asked for each sequence.
+        full, rounding = self.full_ua / PPB, self.rounding_ua
+        below = full.denominator * rounding.denominator
+        return (
+            full.numerator * rounding.denominator,
+            rounding.numerator * full.denominator,
+            below,
+        )
+
+    @cached_property
+    def felt_ua(self) -> NDArray[np.float32]:
+        """Current from which a pulse of each electrode counts as felt, (E,) µA."""
+        whole = [math.ceil(Fraction(each) * 500) for each in self._thresholds]
+        return np.array(whole, np.float32)
+
+    @cached_property
+    def faint_ua(self) -> NDArray[np.int32]:
+        """A tenth of each electrode's threshold, (E,) µA: most of a recharge phase."""
+        return np.array([math.floor(Fraction(each) * 100) for each in self._thresholds], np.int32)
+
+    @property
+    def _thresholds(self) -> tuple[float, ...]:
+        given = self.full_ma / 2 if self.threshold_ma is None else self.threshold_ma
+        return given if isinstance(given, tuple) else (given,) * self.electrodes
+
+
+def decimal(value: float) -> Fraction:
+    """Return a number as the decimal that a person wrote: 2.4 is 12/5, not its nearest binary."""
+    return Fraction(repr(float(value)))
+
+
+def parts_per_billion(intensity: float) -> int:
+    """Return an intensity in parts per billion, rounded up."""
+    above, below = float(intensity).as_integer_ratio()
+    return -(-above * PPB // below)
