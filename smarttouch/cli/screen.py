@@ -136,6 +136,11 @@ class Screen:
                 "charge",
                 f"{bar(charge_uc / limits.charge_uc)} {charge_uc:.2f}/{limits.charge_uc} µC",
             ),
+            (
+                "session",
+                f"{self._board.dose.seconds:.0f}/{limits.session_s:.0f} s, "
+                f"{self._board.dose.most_mc:.1f}/{limits.session_mc:.0f} mC",
+            ),
             ("board", f"{self._board.acknowledged} of {tally.frames} acknowledged"),
         )
         table = Table.grid(padding=(0, 1))
@@ -164,6 +169,8 @@ class Screen:
             f"{latency['p99'] / 1000:.1f} ms p99; own work {figures['work_share']:.1%} of it",
             f"  strongest pulse {figures['max_current_ma']:.2f} mA, "
             f"{figures['max_charge_uc']:.3f} µC; {net}",
+            f"  dose of this session: {figures['dose_s']:.1f} s of current, "
+            f"{figures['dose_mc']:.2f} mC through one electrode at most",
             "  by the host's own account: this board keeps none"
             if figures["reported_by"] == "host"
             else f"  {figures['emulator_violations']} violations by the board's own books",

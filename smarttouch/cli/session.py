@@ -91,7 +91,7 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
                 report = display.report()
             display.notes += regulator.notes()
             ended = stop.reason or source.ended
-            for words in [_account(report), *_notes(source, force, display)]:
+            for words in [_account(report), _dose(display), *_notes(source, force, display)]:
                 tell(int(tally.seconds * 1e9), words)
         except SmartTouchError as error:
             tell(int(tally.seconds * 1e9), str(error))
@@ -158,6 +158,11 @@ def _account(report: BoardReport) -> str:
         f"by the {report.by}'s account {report.slots} slots, strongest {report.max_current_ma:.3f} "
         f"mA, {report.max_charge_uc:.3f} µC, {report.violations} violations"
     )
+
+
+def _dose(board: Board) -> str:
+    dose = board.dose
+    return f"dose {dose.seconds:.3f} s of current, {dose.most_mc:.4f} mC through one electrode"
 
 
 def _notes(source: Sensor, force: ForceSource | None, board: Board) -> list[str]:
