@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.errors import SafetyError
@@ -80,6 +80,7 @@ def situations(draw):
     return scan, carried, rules(most_ua, scan.electrodes, total_ua, timing)
 
 
+@settings(deadline=None)
 @given(situations())
 def test_whatever_comes_the_phase_keeps_its_limits(situation):
     scan, carried_pc, within = situation
@@ -109,6 +110,7 @@ def test_whatever_comes_the_phase_keeps_its_limits(situation):
     assert busy_us + int(scan.discharge_us.max()) <= planned.period_us, "and shorted after it"
 
 
+@settings(deadline=None)
 @given(scans(most_slots=10, strongest_ua=1000), st.integers(1, 500))
 def test_what_can_be_brought_back_is_but_for_less_than_a_microampere(scan, most_ua):
     within = rules(most_ua, scan.electrodes)
@@ -162,6 +164,7 @@ def test_without_slots_there_is_none():
     assert add_recharge(still, np.array([9000, -9000, 0, 0]), rules()) is still
 
 
+@settings(deadline=None, max_examples=10)
 @given(st.integers(0, 2**32 - 1))
 def test_over_a_thousand_scans_nothing_builds_up(seed):
     """Scans of the same sign all the time, as those of one class are."""
