@@ -66,10 +66,9 @@ def prove_recharge(sequence: ScanSequence, most_ua: NDArray[np.int64]) -> None:
         if width_us:
             raise SafetyError(f"a recharge phase of {width_us} µs has no currents: give both")
         return
-    if current_ua.dtype != np.int16 or current_ua.shape != most_ua.shape:
-        raise SafetyError(
-            f"recharge_ua is {current_ua.dtype} {current_ua.shape}, must be int16 {most_ua.shape}"
-        )
+    kind, shape = (getattr(current_ua, name, None) for name in ("dtype", "shape"))
+    if not isinstance(current_ua, np.ndarray) or kind != np.int16 or shape != most_ua.shape:
+        raise SafetyError(f"recharge_ua is {kind} {shape}, must be int16 {most_ua.shape}")
     if not sequence.slots:
         raise SafetyError("a recharge phase without slots has nothing to bring back: leave it out")
     if not 1 <= width_us <= MOST_US:

@@ -220,7 +220,10 @@ def test_a_good_phase_and_none_pass():
         (with_phase([-1, 1, 0]), r"int16 \(4,\)"),
         (with_phase([[-1, 1, 0, 0]]), r"int16 \(4,\)"),
         (replace(with_phase([-1, 1, 0, 0]), recharge_ua=np.array([-1.0, 1, 0, 0])), "int16"),
+        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=[-1, 1, 0, 0]), "int16"),
+        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=np.int16(0)), "int16"),
         (replace(with_phase([-1, 1, 0, 0]), recharge_ua=None), "no currents"),
+        (with_phase([-1, 1, 0, 0], 10**30), "must be from 1"),
         (replace(sequence([]), recharge_ua=np.zeros(4, np.int16), recharge_us=5), "without slots"),
     ],
 )
