@@ -6,6 +6,11 @@ from smarttouch.boards.board import Board
 from smarttouch.pipeline import Step
 from smarttouch.scan.adaptation import Adaptation
 from smarttouch.scan.ledger import ChargeLedger
+from smarttouch.scan.recharge import RechargeRules, add_recharge
+from smarttouch.scan.sequence import ScanSequence
+
+_WAITING_UC = 0.02
+"""What whole µA of the longest recharge phase may leave."""
 
 
 @dataclass
@@ -17,11 +22,19 @@ class Regulator:
     adaptation : Adaptation, optional
         Holds charge or energy against drifting impedance.
     ledger : ChargeLedger, optional
-        Turns the polarity of a sequence where that brings net charge to zero.
+        Net charge of every electrode, which sequences bring to zero.
+    recharge : RechargeRules, optional
+        By a recharge phase within these; by the polarity of whole scans if not given.
     """
 
     adaptation: Adaptation | None = None
     ledger: ChargeLedger | None = None
+    recharge: RechargeRules | None = None
+    _scans: int = 0
+    _reversed: int = 0
+    _longer: int = 0
+    _waited: int = 0
+    _longest_us: int = 0
 
     def regulate(self, step: Step, board: Board) -> Step:
         """Return the step with its sequence as it is to be sent."""
@@ -32,13 +45,45 @@ class Regulator:
                 self.adaptation.observe(sequence, volts)
             step = replace(step, sequence=self.adaptation.apply(step.sequence))
         if self.ledger is not None:
-            step = replace(step, sequence=self.ledger.balancing(step.sequence))
-            self.ledger.add(step.sequence)
+            step = replace(step, sequence=self._balanced(step.sequence, self.ledger))
         return step
+
+    def _balanced(self, sequence: ScanSequence, ledger: ChargeLedger) -> ScanSequence:
+        if self.recharge is None:
+            balanced = ledger.balancing(sequence)
+            self._reversed += balanced is not sequence
+        else:
+            balanced = add_recharge(sequence, ledger.charge_pc, self.recharge)
+            if balanced.period_us > sequence.period_us:
+                self._longer += 1
+                self._longest_us = max(self._longest_us, balanced.period_us)
+        ledger.add(balanced)
+        if balanced.slots:
+            self._scans += 1
+            self._waited += ledger.worst_uc > _WAITING_UC
+        return balanced
 
     def notes(self) -> list[str]:
         """Return what a user should know after the run."""
+        notes = []
         limited = () if self.adaptation is None else self.adaptation.limited
-        if not limited:
-            return []
-        return [f"charge could not be held at {len(limited)} sites: pulses are at their longest"]
+        if limited:
+            notes.append(
+                f"charge could not be held at {len(limited)} sites: pulses are at their longest"
+            )
+        if self._reversed:
+            notes.append(
+                f"{self._reversed} of {self._scans} scans were reversed for the balance of charge: "
+                "they drove the other class, SAI where RA was meant and RA where SAI was"
+            )
+        if self._longer:
+            notes.append(
+                f"the recharge phase made {self._longer} of {self._scans} scans longer than asked "
+                f"for, at most to {self._longest_us / 1000:.1f} ms"
+            )
+        if self.recharge is not None and self.ledger is not None and self._waited:
+            notes.append(
+                f"after {self._waited} of {self._scans} scans charge was left that no recharge "
+                f"phase may take back at once; {self.ledger.worst_uc:.2f} µC are left at the end"
+            )
+        return notes

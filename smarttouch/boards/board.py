@@ -5,6 +5,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import compress
 from types import TracebackType
 from typing import Any, ClassVar, Literal, Self
 
@@ -49,6 +50,8 @@ class Capabilities:
     """The most its source can give, if it is known."""
     vibrates: bool = False
     """Whether mechanical vibrators are part of it."""
+    recharges: bool = False
+    """Whether it can end a scan with a recharge phase."""
 
     def describe(self) -> list[tuple[str, str]]:
         """Return what there is to tell a user, as names and values."""
@@ -57,15 +60,8 @@ class Capabilities:
             if self.time_to_zero_ms is None
             else f"no current {self.time_to_zero_ms:g} ms after the host falls silent"
         )
-        told = [
-            name
-            for name, has in (
-                ("acknowledgments", self.acknowledges),
-                ("voltages", self.measures),
-                ("finger force", self.force),
-            )
-            if has
-        ]
+        can = self.acknowledges, self.measures, self.force
+        told = list(compress(("acknowledgments", "voltages", "finger force"), can))
         return [
             ("firmware", self.firmware),
             ("electrodes", f"{self.electrodes}, {self.output}, {' or '.join(self.polarities)}"),
@@ -190,6 +186,10 @@ class Board(ABC):
             raise BoardError(
                 "the sequence asks for mechanical vibration, and this board has no vibrators: "
                 "give --vibrators"
+            )
+        if sequence.recharge_ua is not None and not self.capabilities.recharges:
+            raise BoardError(
+                "the sequence ends with a recharge phase, and this board makes none: leave it out"
             )
         if not 1 <= times <= LONGEST_REPEAT:
             raise BoardError(f"{times} repetitions are not possible: from 1 to {LONGEST_REPEAT}")

@@ -124,4 +124,6 @@ def _only_vibration(sequence: ScanSequence) -> ScanSequence:
         width_us=sequence.width_us[:0],
         discharge_us=sequence.discharge_us[:0],
         site=sequence.site[:0],
+        recharge_ua=None,
+        recharge_us=0,
     )

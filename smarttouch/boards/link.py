@@ -88,6 +88,8 @@ class LinkBoard(Board):
             sequence.current_ua,
             times,
             self.capabilities.measures,
+            sequence.recharge_ua,
+            sequence.recharge_us,
         )
         self._wait_for_room()
         with self._line.news:
@@ -197,6 +199,7 @@ class LinkBoard(Board):
             measures=bool(features & Feature.VOLTAGE),
             force=bool(features & Feature.FORCE),
             compliance_v=float(volts) or None,
+            recharges=bool(features & Feature.RECHARGE),
         )
         wanted = self._gate.limits.electrodes
         if electrodes != wanted:

@@ -28,9 +28,9 @@ Board to host:
 ==== ============ ===========================================================
 0x81 CAPABILITIES u16 electrodes, u8 output (0 weighted, 1 three-state, 2 one
                   against all), u8 features (1 measures voltage, 2 measures
-                  finger force), u16 largest current µA, u16 most slots, u16
-                  time to zero ms, u16 compliance V, then the firmware's name
-                  in UTF-8
+                  finger force, 4 makes recharge phases), u16 largest current
+                  µA, u16 most slots, u16 time to zero ms, u16 compliance V,
+                  then the firmware's name in UTF-8
 0x82 ACK          none: the sequence has begun, the next one may be sent
 0x83 NAK          u8 reason, UTF-8: 1 busy, 2 malformed, 3 unsafe, 4 stopped,
                   5 the host had fallen silent, 6 something came garbled
@@ -53,12 +53,14 @@ SEQUENCE::
     kind 1, switched:  u16 source µA [S], then per slot ceil(E/4) bytes of
                        two-bit states, electrode 0 lowest:
                        0 insulated, 1 cathode, 2 anode
-    flags: 1 answer each scan with VOLTAGES
+    flags: 1 answer each scan with VOLTAGES, 2 a recharge phase follows (kind 0):
+    u16 recharge µs, i16 current µA [E], positive cathodic, sum zero
 
 What a board does:
 
 - It executes a sequence ``times`` times (at least once): slot after slot, each
-  a pulse and then all electrodes shorted, and shorted until the period is over.
+  a pulse and then all electrodes shorted; the recharge phase, if there is one;
+  and shorted until the period is over.
 - It holds one more while it executes one; that one begins when the scan at
   hand is over, so no scan is ever torn. A third is refused as busy. A host that
   waits for the ACK of each before it sends the next is paced by the board.
@@ -110,10 +112,11 @@ class Kind(IntEnum):
 
 
 class Feature(IntFlag):
-    """What a board can tell beyond acknowledgments."""
+    """Abilities that not every board has."""
 
     VOLTAGE = 1
     FORCE = 2
+    RECHARGE = 4
 
 
 class Refusal(IntEnum):

@@ -11,6 +11,7 @@ from smarttouch.boards.link_protocol import Kind, Output, encode
 from smarttouch.errors import BoardError
 
 _SEQUENCE = struct.Struct("<IHHBBH")
+_MEASURE, _RECHARGE = 1, 2
 _VOLT = 100
 _U16_MAX = 0xFFFF
 
@@ -21,7 +22,8 @@ class WireSequence:
 
     ``current_ua`` is (S, E) int16 for weighted boards; for switched ones
     ``state`` is (S, E) int8 (1 cathode, −1 anode, 0 insulated, 2 not a state)
-    and ``source_ua`` (S,) uint16. Positive is cathodic.
+    and ``source_ua`` (S,) uint16. Positive is cathodic. ``recharge_ua`` is (E,) int16,
+    None without a recharge phase.
     """
 
     period_us: int
@@ -34,6 +36,8 @@ class WireSequence:
     current_ua: NDArray[np.int16] | None
     source_ua: NDArray[np.uint16] | None
     state: NDArray[np.int8] | None
+    recharge_ua: NDArray[np.int16] | None = None
+    recharge_us: int = 0
 
 
 def encode_sequence(
@@ -46,20 +50,29 @@ def encode_sequence(
     current_ua: NDArray[np.int16],
     times: int = 1,
     measure: bool = False,
+    recharge_ua: NDArray[np.int16] | None = None,
+    recharge_us: int = 0,
 ) -> bytes:
     """Return a SEQUENCE packet; the columns are those of a scan sequence.
 
     Raises
     ------
     BoardError
-        If it is larger than a packet, or needs a stronger source than the wire can say.
+        If it is larger than a packet, needs a stronger source than the wire can say, or asks a
+        switched board for a recharge phase.
     """
     slots, electrodes = current_ua.shape
     if slots > _U16_MAX:
         raise BoardError(f"{slots} slots are above the limit of {_U16_MAX}: scan fewer points")
     switched = output != "weighted"
+    if switched and recharge_ua is not None:
+        raise BoardError(
+            f"a recharge phase needs a source for each electrode, and this board is {output}: "
+            "leave it out"
+        )
+    flags = _MEASURE * measure | _RECHARGE * (recharge_ua is not None)
     parts = [
-        _SEQUENCE.pack(period_us, slots, electrodes, switched, measure, times),
+        _SEQUENCE.pack(period_us, slots, electrodes, switched, flags, times),
         _u16(width_us),
         _u16(discharge_us),
         _u16(site),
@@ -75,6 +88,8 @@ def encode_sequence(
         parts += [_u16(source.astype(np.uint16)), _pack_states(np.sign(current_ua))]
     else:
         parts.append(current_ua.astype("<i2", copy=False).tobytes())
+    if recharge_ua is not None:
+        parts += [_u16(np.array([recharge_us])), recharge_ua.astype("<i2", copy=False).tobytes()]
     return encode(Kind.SEQUENCE, number, b"".join(parts))
 
 
@@ -91,14 +106,16 @@ def decode_sequence(payload: bytes) -> WireSequence:
     period_us, slots, electrodes, kind, flags, times = _SEQUENCE.unpack_from(payload)
     packed = -(-electrodes // 4)
     row = 6 + (2 * electrodes if kind == 0 else 2 + packed)
-    if not times or flags not in (0, 1) or kind not in (0, 1):
+    recharges = bool(flags & _RECHARGE)
+    if not times or flags > (_MEASURE | _RECHARGE) or kind > 1 or (kind == 1 and recharges):
         raise ValueError(f"{times} times, flags {flags}, kind {kind} are no sequence")
-    if len(payload) != _SEQUENCE.size + slots * row:
+    end = _SEQUENCE.size + slots * row
+    if len(payload) != end + recharges * 2 * (1 + electrodes):
         raise ValueError(
             f"{len(payload)} bytes are not {slots} slots of {electrodes} electrodes, kind {kind}"
         )
     columns = np.frombuffer(payload, "<u2", (4 if kind else 3) * slots, _SEQUENCE.size)
-    rest = payload[_SEQUENCE.size + columns.nbytes :]
+    rest = payload[_SEQUENCE.size + columns.nbytes : end]
     width, discharge, site = columns[: 3 * slots].reshape(3, slots)
     current = source = state = None
     if kind == 0:
@@ -106,9 +123,14 @@ def decode_sequence(payload: bytes) -> WireSequence:
     else:
         source = columns[3 * slots :]
         state = _unpack_states(np.frombuffer(rest, np.uint8).reshape(slots, packed), electrodes)
+    recharge_us, recharge = 0, None
+    if recharges:
+        recharge_us = int.from_bytes(payload[end : end + 2], "little")
+        recharge = np.frombuffer(payload, "<i2", electrodes, end + 2)
     return WireSequence(
-        period_us, times, bool(flags), electrodes, width, discharge, site, current, source, state
-    )
+        period_us, times, bool(flags & _MEASURE), electrodes, width, discharge, site, current,
+        source, state, recharge, recharge_us,
+    )  # fmt: skip
 
 
 def encode_volts(number: int, volts: NDArray[np.float64]) -> bytes:

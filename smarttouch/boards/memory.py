@@ -26,13 +26,15 @@ class MemoryBoard(Board):
         if rest:
             raise BoardError(f"memory: takes nothing after the colon, not {rest!r}")
         self.sequences: list[ScanSequence] = []
+        kind = "weighted" if output is None else output.kind
         self.capabilities = Capabilities(
             electrodes=limits.electrodes,
-            output="weighted" if output is None else output.kind,
+            output=kind,
             max_current_ma=limits.current_ma,
             max_slots=0xFFFF,
             time_to_zero_ms=0.0,
             firmware="memory",
+            recharges=kind == "weighted",
         )
 
     def _time(self) -> None:

@@ -148,6 +148,7 @@ def _settings(plan: Plan, source: Sensor, board: Board) -> dict[str, Any]:
         },
         "hold": plan.hold,
         "balance": plan.balance,
+        "recharge": plan.balance and board.capabilities.recharges,
         "timing": asdict(board.timing),
         "compliance_v": board.capabilities.compliance_v,
         "sensor": plan.sensor_url,

@@ -83,7 +83,11 @@ def live(
     ] = None,
     balance: Annotated[
         bool,
-        typer.Option("--balance", help="Turn the polarity of scans to keep net charge at zero."),
+        typer.Option(
+            "--balance",
+            help="Keep net charge at zero, by a weak recharge phase in each scan. Boards of one "
+            "source reverse scans instead, and those drive the other class (SAI for RA).",
+        ),
     ] = False,
     felt: FeltOption = None,
     record: RecordOption = None,

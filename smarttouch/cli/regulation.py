@@ -8,6 +8,7 @@ from smarttouch.profile import Profile
 from smarttouch.regulator import Regulator
 from smarttouch.scan.adaptation import Adaptation
 from smarttouch.scan.ledger import ChargeLedger
+from smarttouch.scan.recharge import RechargeRules
 
 
 def masked_where_broken(board: Board, profile: Profile, quiet: bool) -> Profile:
@@ -50,7 +51,7 @@ def make_regulator(
             "within reach.",
             err=True,
         )
-    adaptation = ledger = None
+    adaptation = ledger = recharge = None
     if hold is not None:
         if hold not in ("charge", "energy"):
             raise SmartTouchError(f"--hold {hold!r} is not offered: choose charge or energy")
@@ -67,9 +68,17 @@ def make_regulator(
             profile, "charge" if hold == "charge" else "energy", can.compliance_v, board.timing
         )
     if balance:
-        if len(can.polarities) < 2:
+        if can.recharges:
+            recharge = RechargeRules.of(profile, board.timing)
+        elif len(can.polarities) < 2:
             raise BoardError(
                 f"--balance needs both polarities, and this board is {can.polarities[0]} only"
             )
+        elif not quiet:
+            typer.echo(
+                "This board makes no recharge phase: --balance reverses whole scans, and those "
+                "drive the other class, SAI where RA is meant and RA where SAI is.",
+                err=True,
+            )
         ledger = ChargeLedger(can.electrodes)
-    return Regulator(adaptation, ledger)
+    return Regulator(adaptation, ledger, recharge)

@@ -17,13 +17,17 @@ from smarttouch.recording.reader import Recording
 from smarttouch.regulator import Regulator
 from smarttouch.scan.adaptation import Adaptation
 from smarttouch.scan.ledger import ChargeLedger
+from smarttouch.scan.recharge import RechargeRules
 from smarttouch.scan.sequence import ScanSequence
 from smarttouch.scan.timing import ScanTiming
 
 KEPT = 20
 """Differences that a report names; all are counted."""
 
-_SCALARS = (("slots", ""), ("period_us", "µs"), ("intensity", ""), ("time_ns", "ns"))
+_SCALARS = (
+    ("slots", ""), ("period_us", "µs"), ("intensity", ""), ("time_ns", "ns"), ("recharge_us", "µs"),
+)  # fmt: skip
+_ROWS = (("vibration", "vibration", ""), ("recharge current", "recharge_ua", "µA"))
 _COLUMNS = (("site", ""), ("width_us", "µs"), ("discharge_us", "µs"))
 
 
@@ -181,16 +185,18 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
             settings.get("vibrated", False),
             recording.sharing,
         )
-        adaptation = ledger = None
+        adaptation = ledger = recharge = None
         if settings["hold"] is not None:
             adaptation = Adaptation(profile, settings["hold"], settings["compliance_v"], timing)
         if settings["balance"]:
             ledger = ChargeLedger(len(profile.electrodes))
+            if settings.get("recharge", False):
+                recharge = RechargeRules.of(profile, timing)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RecordingError(
             f"the settings in {recording.path} do not say how it was made: {error!r}"
         ) from None
-    return pipeline, Regulator(adaptation, ledger)
+    return pipeline, Regulator(adaptation, ledger, recharge)
 
 
 class _Told:
@@ -227,13 +233,12 @@ def _differences(
         old, new = getattr(was, name), getattr(now, name)
         if old != new:
             yield difference(name, unit, old, new)
-    shaken = [
-        np.zeros(was.electrodes, np.float32) if each.vibration is None else each.vibration
-        for each in (was, now)
-    ]
-    for electrode in np.flatnonzero(shaken[0] != shaken[1]).tolist():
-        old, new = (float(each[electrode]) for each in shaken)
-        yield difference("vibration", "", old, new, electrode=electrode)
+    for what, name, unit in _ROWS:
+        rows = [getattr(each, name) for each in (was, now)]
+        old_row, new_row = (np.zeros(was.electrodes) if row is None else row for row in rows)
+        for electrode in np.flatnonzero(old_row != new_row).tolist():
+            old, new = old_row[electrode].item(), new_row[electrode].item()
+            yield difference(what, unit, old, new, electrode=electrode)
     if was.current_ua.shape != now.current_ua.shape:
         # Slots that moved would differ in everything.
         return

@@ -147,7 +147,16 @@ def _sequence_of(message: Message) -> ScanSequence:
         time_ns=int(message["time_ns"]),
         vibration=None if vibration is None else np.array(vibration, np.float32),
         proof=_proof_of(message, slots),
+        recharge_ua=_recharge_of(message, electrodes),
+        recharge_us=int(message.get("recharge_us", 0)),
     )
+
+
+def _recharge_of(message: Message, electrodes: int) -> NDArray[np.int16] | None:
+    if message.get("recharge_ua") is None:
+        return None
+    current_ua = np.frombuffer(base64.b64decode(message["recharge_ua"]), "<i2")
+    return current_ua.astype(np.int16).reshape(electrodes)
 
 
 def _proof_of(message: Message, slots: int) -> Proof | None:

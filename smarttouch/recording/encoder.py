@@ -166,6 +166,10 @@ def _sequence(sent: Sent) -> Message:
         "current_ua": _base64(sequence.current_ua.astype("<i2").tobytes()),
         "vibration": None if sequence.vibration is None else sequence.vibration.tolist(),
         **_proof(sequence.proof),
+        "recharge_us": int(sequence.recharge_us),
+        "recharge_ua": None
+        if sequence.recharge_ua is None
+        else _base64(sequence.recharge_ua.astype("<i2").tobytes()),
     }
 
 

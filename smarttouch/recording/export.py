@@ -31,7 +31,8 @@ def export(path: Path, folder: Path) -> list[Path]:
     which steps it was there. ``run.npz`` holds ``time_ns`` (N,), ``activation``
     (N, 3, E), and of all slots one after another ``current_ua`` (S, E),
     ``width_us``, ``discharge_us`` and ``site`` (S,); those of step n are
-    ``first_slot[n]`` to ``first_slot[n + 1]``. Measured voltages are ``volts``,
+    ``first_slot[n]`` to ``first_slot[n + 1]``. Recharge phases are ``recharge_us`` (N,) and
+    ``recharge_ua`` (N, E), zero where there is none. Measured voltages are ``volts``,
     one for each slot of the steps in ``volts_step``.
 
     Returns
@@ -125,7 +126,7 @@ class _Arrays:
             name: []
             for name in (
                 "step", "time_ns", "activation", "current_ua", "width_us", "discharge_us", "site",
-                "slots", "volts", "volts_step",
+                "slots", "volts", "volts_step", "recharge_us", "recharge_ua",
             )
         }  # fmt: skip
         self._step_at: dict[int, int] = {}
@@ -138,6 +139,11 @@ class _Arrays:
         columns["slots"].append(sequence.slots)
         for name in ("current_ua", "width_us", "discharge_us", "site"):
             columns[name].append(getattr(sequence, name))
+        none = np.zeros(sequence.electrodes, np.int16)
+        columns["recharge_us"].append(sequence.recharge_us)
+        columns["recharge_ua"].append(
+            none if sequence.recharge_ua is None else sequence.recharge_ua
+        )
         self._step_at[sequence.time_ns] = recorded.index
         for measured, volts in recorded.step.observed:
             columns["volts"].append(volts)
@@ -149,7 +155,7 @@ class _Arrays:
         arrays: dict[str, Any] = {
             name: np.concatenate(columns[name]) if columns[name] else np.empty(0) for name in joined
         }
-        for name in ("step", "time_ns", "activation", "volts_step"):
+        for name in ("step", "time_ns", "activation", "volts_step", "recharge_us", "recharge_ua"):
             arrays[name] = np.array(columns[name])
         arrays["first_slot"] = np.concatenate([[0], np.cumsum(columns["slots"], dtype=np.int64)])
         with path.open("xb") as file:

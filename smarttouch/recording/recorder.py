@@ -221,8 +221,8 @@ def about_run(profile: Profile, settings: dict[str, Any], started_unix_ns: int) 
         Device and finger.
     settings : dict
         What JSON can hold: ``mode``, ``rate_hz``, ``light_on_dark``, ``softness``, ``hold``,
-        ``balance``, ``timing`` (a `ScanTiming` as a dict) and ``compliance_v`` are what
-        sequences depend on; all else is for readers.
+        ``balance``, ``recharge``, ``timing`` (a `ScanTiming` as a dict) and ``compliance_v``
+        are what sequences depend on; all else is for readers.
     started_unix_ns : int
         When the run began.
     """

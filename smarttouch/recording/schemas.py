@@ -34,7 +34,7 @@ _TIME = {
 }
 
 
-def _base64(description: str) -> dict[str, str]:
+def _base64(description: str) -> dict[str, Any]:
     return {"type": "string", "contentEncoding": "base64", "description": description}
 
 
@@ -95,6 +95,11 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
             "points": {**_PROOF, "description": "that share each slot; null if none do"},
             "worst_other": {**_PROOF, "description": "of each slot, of its weakest target"},
             "worst_spill": {**_PROOF, "description": "the same, of the own class elsewhere"},
+            "recharge_us": {**_INTEGER, "description": "length of the recharge phase; 0 is none"},
+            "recharge_ua": {
+                **_base64("int16 little endian (electrodes,), positive cathodic; null is none"),
+                "type": ["string", "null"],
+            },
         },
     ),
     "/volts": (

@@ -50,8 +50,9 @@ class ScanSequence:
     """One pass over the active points of a tactile image.
 
     Slots follow one another without a gap; each is a pulse followed by a
-    short circuit of all electrodes. After the last slot the electrodes stay
-    shorted until ``period_us`` is over.
+    short circuit of all electrodes. After the last slot comes the recharge phase, if
+    there is one: a long weak pulse that brings charge back and that nobody feels.
+    Then the electrodes stay shorted until ``period_us`` is over.
 
     Attributes
     ----------
@@ -76,6 +77,11 @@ class ScanSequence:
         period; none if not given.
     proof : Proof, optional
         Where points share slots, what these do.
+    recharge_ua : ndarray, (E,) int16, µA, optional
+        Current of every electrode in the recharge phase, **positive cathodic**, sum zero;
+        none if not given.
+    recharge_us : int, µs
+        Length of the recharge phase; 0 without one.
     """
 
     current_ua: NDArray[np.int16]
@@ -87,6 +93,8 @@ class ScanSequence:
     time_ns: int
     vibration: NDArray[np.float32] | None = None
     proof: Proof | None = None
+    recharge_ua: NDArray[np.int16] | None = None
+    recharge_us: int = 0
 
     @property
     def slots(self) -> int:

@@ -53,6 +53,18 @@ class Vibrated(test_contract.Contract):
         loud = [np.abs(samples[step * rate_hz :][: rate_hz // 100]).max() for step in range(4)]
         assert loud == pytest.approx([0, 0.5, 0.5, 0.5], rel=0.01)
 
+    def test_a_recharge_phase_is_for_the_electrodes(self, make_board):
+        with make_board() as board:
+            board.send(self.sequence(0))
+            sent = replace(
+                self.sequence(1),
+                recharge_ua=np.array([-9, 9] + [0] * (self.electrodes - 2), np.int16),
+                recharge_us=100,
+            )
+            board.send(sent)
+            assert self.board.capabilities.recharges
+            assert board.report().slots == 4
+
     def test_it_says_that_it_vibrates_and_leaves_the_rest_to_the_electrodes(self, make_board):
         with make_board() as board:
             assert board.capabilities == replace(self.board.capabilities, vibrates=True)

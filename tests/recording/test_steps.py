@@ -32,6 +32,8 @@ def sequences(draw, time_ns, electrodes):
     def column():
         return draw(arrays.arrays(np.uint16, slots, elements=whole_us))
 
+    recharge_us = draw(st.integers(0, 20_000))
+    recharge = draw(arrays.arrays(np.int16, electrodes)) if recharge_us else None
     return ScanSequence(
         draw(arrays.arrays(np.int16, (slots, electrodes))),
         column(),
@@ -42,6 +44,8 @@ def sequences(draw, time_ns, electrodes):
         time_ns,
         draw(st.none() | arrays.arrays(np.float32, electrodes, elements=st.floats(0, 1, width=32))),
         draw(st.none() | proofs(slots)),
+        recharge,
+        recharge_us,
     )
 
 

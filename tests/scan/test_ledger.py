@@ -71,7 +71,7 @@ def test_the_choice_is_the_better_one(run):
         found = []
         for sign in (1, -1):
             tried = ChargeLedger(16)
-            tried.charge_uc = ledger.charge_uc.copy()
+            tried.charge_pc = ledger.charge_pc.copy()
             tried.add(sequence(sign * one.current_ua, one.width_us))
             found.append((tried.charge_uc**2).sum())
         ledger.add(chosen)

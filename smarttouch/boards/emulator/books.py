@@ -15,6 +15,10 @@ STATE_FILE = "state.json"
 DELIVERED_FILE = "delivered.bin"
 SAFE_CURRENT_UA, SAFE_WIDTH_US, SAFE_CHARGE_UC = 5000, 200, 0.5
 """What is more than this on any electrode makes a slot unsafe, whatever its firmware allows."""
+SAFE_RECHARGE_UA, SAFE_RECHARGE_US, SAFE_RECHARGE_UC = 500, 20_000, 2.0
+"""The same of a recharge phase."""
+_RECHARGE = 0xFFFF
+"""Slot and site of a recharge phase among the records: no slot, and for no point."""
 _ROUNDING = 1 + 1e-6
 _FLOWS_UA = 0.5
 
@@ -39,11 +43,19 @@ class Books:
     """Largest charge that was left on an electrode after a slot."""
     max_volts: float = 0.0
     """Most that a source had to supply between its poles."""
+    recharges: int = 0
+    """Recharge phases; neither slots nor pulses, and not in the largest current and charge."""
+    passed_uc: NDArray[np.float64] = field(init=False)
+    """Net charge that sources have driven through each electrode, (E,), positive cathodic:
+    pulses and recharge phases, without what flows back while all electrodes are shorted."""
     state: str = "shorted"
     reason: str = "start"
     zero_after_ms: float = 0.0
     """From the host's last byte to all electrodes shorted, the last time it was cut off."""
     _delivered: bytearray = field(default_factory=bytearray, repr=False)
+
+    def __post_init__(self) -> None:
+        self.passed_uc = np.zeros(self.electrodes)
 
     def enter(
         self,
@@ -85,11 +97,43 @@ class Books:
         )
         self.max_current_ma = max(self.max_current_ma, peak_ua / 1000)
         self.max_charge_uc = max(self.max_charge_uc, charge_uc)
+        self.max_volts = max(self.max_volts, delivered.source_v)
+        self.keep(number, width_us, delivered.current_ua)
+        self._write_down(number, slot, site, delivered, residual_uc, time_us, more)
+
+    def enter_recharge(
+        self,
+        number: int,
+        delivered: Delivered,
+        width_us: float,
+        residual_uc: NDArray[np.float64],
+        time_us: float,
+    ) -> None:
+        """Write down a recharge phase, or what flowed of it before it was cut off."""
+        peak_ua = float(np.abs(delivered.current_ua).max(initial=0))
+        self.recharges += 1
+        self.unsafe += (
+            peak_ua > SAFE_RECHARGE_UA * _ROUNDING
+            or width_us > SAFE_RECHARGE_US
+            or peak_ua * width_us * 1e-6 > SAFE_RECHARGE_UC * _ROUNDING
+        )
+        self._write_down(number, _RECHARGE, _RECHARGE, delivered, residual_uc, time_us)
+
+    def _write_down(
+        self,
+        number: int,
+        slot: int,
+        site: int,
+        delivered: Delivered,
+        residual_uc: NDArray[np.float64],
+        time_us: float,
+        more: bool = False,
+    ) -> None:
+        """Add up charge, and keep the record on disk."""
+        self.passed_uc += delivered.charge_pc * 1e-6
         if not more:
             left_uc = float(np.abs(residual_uc).max(initial=0))
             self.max_net_charge_uc = max(self.max_net_charge_uc, left_uc)
-        self.max_volts = max(self.max_volts, delivered.source_v)
-        self.keep(number, width_us, delivered.current_ua)
         if self.folder is not None:
             record = np.zeros((), _record(self.electrodes))
             record["number"], record["slot"], record["site"] = number, slot, site
@@ -110,7 +154,7 @@ class Books:
             file.write(self._delivered)
         self._delivered.clear()
         account = asdict(self)
-        account["folder"] = None
+        account["folder"], account["passed_uc"] = None, self.passed_uc.tolist()
         del account["_delivered"]
         temporary = self.folder / (STATE_FILE + ".new")
         temporary.write_text(json.dumps(account), encoding="utf-8")
@@ -124,7 +168,7 @@ def read_state(folder: Path) -> dict[str, object]:
 
 
 def read_slots(folder: Path) -> NDArray[Any]:
-    """Return every pulse an emulator delivered.
+    """Return every pulse of a slot that an emulator delivered.
 
     Returns
     -------
@@ -133,9 +177,19 @@ def read_slots(folder: Path) -> NDArray[Any]:
         (mean over the pulse), ``charge_uc`` of the pulse, ``volts`` (against the tissue at its
         end) and ``residual_uc`` (charge left after the discharge), all positive cathodic.
     """
+    return _records(folder, recharges=False)
+
+
+def read_recharges(folder: Path) -> NDArray[Any]:
+    """Return every recharge phase an emulator delivered, as `read_slots` does; (N,)."""
+    return _records(folder, recharges=True)
+
+
+def _records(folder: Path, recharges: bool) -> NDArray[Any]:
     kind = _record(int(str(read_state(folder)["electrodes"])))
     data = (folder / DELIVERED_FILE).read_bytes()
-    return np.frombuffer(data[: len(data) // kind.itemsize * kind.itemsize], kind)
+    records = np.frombuffer(data[: len(data) // kind.itemsize * kind.itemsize], kind)
+    return np.asarray(records[(records["slot"] == _RECHARGE) == recharges])
 
 
 def read_delivered(

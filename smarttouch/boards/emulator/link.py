@@ -34,6 +34,8 @@ class _Table:
     end_ns: int = 0
     done: int = 0
     volts: list[float] = field(default_factory=list)
+    recharge_ns: int | None = None
+    """When its recharge phase begins, as long as that is still to be written down."""
 
     def begin(self, start_ns: int) -> None:
         sequence = self.sequence
@@ -41,6 +43,8 @@ class _Table:
         self.start_ns, self.done = start_ns, 0
         self.starts_ns = start_ns + 1000 * (np.cumsum(lengths) - lengths)
         self.end_ns = start_ns + 1000 * sequence.period_us
+        recharges = sequence.recharge_ua is not None
+        self.recharge_ns = start_ns + 1000 * int(lengths.sum()) if recharges else None
         self.volts.clear()
 
 
@@ -74,6 +78,7 @@ class LinkFirmware:
         self._skin = Skin(electrodes, compliance_v=compliance_v)
         self._finger = finger or Finger(electrodes)
         self._compliance_v = compliance_v
+        self._recharging = Feature.RECHARGE if output == "weighted" else Feature(0)
         self._deframer = Deframer()
         self._running: _Table | None = None
         self._waiting: _Table | None = None
@@ -84,6 +89,7 @@ class LinkFirmware:
         self._alive_ns = 0
         self._greeted = False
         self._shorted_since_ns = 0
+        self._executed_ns = 0
         self._answers: list[bytes] = []
 
     @property
@@ -137,11 +143,14 @@ class LinkFirmware:
 
     def zero(self, reason: str, now_ns: int) -> None:
         """Drop everything that waits and short all electrodes."""
+        if self._running is not None:
+            self._recharge(self._running, self._executed_ns)
         self._running = self._waiting = None
         self.books.state, self.books.reason = "shorted", reason
         self.books.zero_after_ms = (now_ns - self._heard_ns) / 1e6
 
     def _execute(self, until_ns: int) -> None:
+        self._executed_ns = until_ns
         while (table := self._running) is not None:
             due = int(np.searchsorted(table.starts_ns, until_ns, side="right"))
             for slot in range(table.done, due):
@@ -149,6 +158,7 @@ class LinkFirmware:
             table.done = max(table.done, due)
             if until_ns < table.end_ns:
                 return
+            self._recharge(table, until_ns)
             self._end_scan(table)
 
     def _end_scan(self, table: _Table) -> None:
@@ -198,6 +208,21 @@ class LinkFirmware:
             self._skin.residual_uc,
             start_ns // 1000,
         )
+
+    def _recharge(self, table: _Table, until_ns: int) -> None:
+        """Do the recharge phase, or as much of it as there was until it was cut off."""
+        sequence, start_ns = table.sequence, table.recharge_ns
+        if sequence.recharge_ua is None or start_ns is None or until_ns <= start_ns:
+            return
+        table.recharge_ns = None
+        width_us = min(sequence.recharge_us, (until_ns - start_ns) / 1000)
+        self._skin.short(max(0, start_ns - self._shorted_since_ns) / 1000)
+        delivered = self._skin.pulse(sequence.recharge_ua.astype(np.float64), width_us)
+        # Nothing else comes before the end of the scan, also where it is cut off.
+        self._skin.short((table.end_ns - start_ns) / 1000 - width_us)
+        self._shorted_since_ns = table.end_ns
+        residual_uc, time_us = self._skin.residual_uc, start_ns // 1000
+        self.books.enter_recharge(table.number, delivered, width_us, residual_uc, time_us)
 
     def _answer(self, packet: Packet, now_ns: int) -> None:
         if packet.kind == Kind.HELLO:
@@ -250,7 +275,7 @@ class LinkFirmware:
         head = protocol.CAPABILITIES.pack(
             self._electrodes,
             protocol.OUTPUTS.index(self._output),
-            Feature.VOLTAGE | Feature.FORCE,
+            Feature.VOLTAGE | Feature.FORCE | self._recharging,
             MAX_CURRENT_UA,
             MAX_SLOTS,
             protocol.SILENCE_MS,

@@ -13,6 +13,10 @@ MAX_WIDTH_US = 200
 MAX_CHARGE_PC = 500_000
 MIN_PERIOD_US = 5000
 MAX_SLOTS = 4096
+MAX_RECHARGE_UA = 500
+"""A tenth of the strongest pulse: thresholds it does not know."""
+MAX_RECHARGE_US = 20_000
+MAX_RECHARGE_PC = 2_000_000
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,11 @@ class Rules:
             return f"charge {(peaks * width).max():.0f} pC"
         if sequence.state is not None and self._states_wrong(sequence.state):
             return "a slot without both poles, or with an unknown state"
+        if sequence.recharge_ua is not None:
+            slots_us = int((width + sequence.discharge_us).sum())
+            return _recharge_complaint(
+                sequence.recharge_ua, sequence.recharge_us, slots_us, sequence.period_us
+            )
         return ""
 
     def _states_wrong(self, state: NDArray[np.int8]) -> bool:
@@ -56,6 +65,27 @@ class Rules:
         if self.output == "one-against-all":
             wrong |= (state == 0).any(axis=1) | (np.minimum(cathodes, anodes) != 1)
         return bool(wrong.any())
+
+
+def _recharge_complaint(
+    current_ua: NDArray[np.int16], width_us: int, slots_us: int, period_us: int
+) -> str:
+    """Return what is wrong with a recharge phase after slots; empty if nothing."""
+    current = [int(each) for each in current_ua]
+    strongest = max(map(abs, current), default=0)
+    if not slots_us:
+        return "a recharge phase without slots"
+    if not 0 < width_us <= MAX_RECHARGE_US:
+        return f"recharge phase of {width_us} us"
+    if slots_us + width_us > period_us:
+        return "slots and recharge phase do not fit the period"
+    if sum(current):
+        return "the recharge phase is out of balance"
+    if strongest > MAX_RECHARGE_UA:
+        return f"recharge current {strongest} uA"
+    if strongest * width_us > MAX_RECHARGE_PC:
+        return f"recharge charge {strongest * width_us} pC"
+    return ""
 
 
 def _nominal(sequence: WireSequence) -> NDArray[np.float64]:

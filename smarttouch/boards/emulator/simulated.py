@@ -77,6 +77,7 @@ class SimulatedBoard(Board):
             max_slots=MAX_SLOTS,
             time_to_zero_ms=protocol.SILENCE_MS,
             firmware="simulated",
+            recharges=self._kind == "weighted",
         )
 
     def _time(self) -> None:
@@ -105,6 +106,8 @@ class SimulatedBoard(Board):
             sequence.current_ua,
             times,
             False,
+            sequence.recharge_ua,
+            sequence.recharge_us,
         )
         self._say(packet)
         self._wait(sequence.period_us * times * 1000)

@@ -1,0 +1,90 @@
+"""Net charge, class and rate without ``--balance`` and with each way of it, by an emulator's books.
+
+A table: run with ``--benchmark-only -n0 -s``.
+"""
+
+import numpy as np
+import pytest
+
+from smarttouch.boards.emulator.simulated import SimulatedBoard
+from smarttouch.clock import SimulatedClock
+from smarttouch.controls import StopRequest
+from smarttouch.live import run
+from smarttouch.modes.problem import Problem
+from smarttouch.pipeline import Pipeline
+from smarttouch.primary import Mode, Primary
+from smarttouch.regulator import Regulator
+from smarttouch.scan.frames import NO_SHARING, Sharing
+from smarttouch.scan.ledger import ChargeLedger
+from smarttouch.scan.recharge import RechargeRules
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.scan.timing import ScanTiming
+from smarttouch.sensing import open_sensor
+from smarttouch.tally import Tally
+
+TEXT = "text:the quick brown fox"
+WAYS = ("without", "reversing", "recharging")
+SHARED = Sharing((Primary.RA,), planned=False)
+
+
+def regulator_of(way, profile):
+    if way == "without":
+        return Regulator()
+    rules = RechargeRules.of(profile, ScanTiming()) if way == "recharging" else None
+    return Regulator(ledger=ChargeLedger(len(profile.electrodes)), recharge=rules)
+
+
+def answer_of_phase(sequence, profile, bank):
+    """Return what a recharge phase reaches of what the most sensitive afferent needs."""
+    pulse = profile.pulse
+    strength = (1 + pulse.chronaxie_us / pulse.width_us) / (
+        1 + pulse.chronaxie_us / sequence.recharge_us
+    )
+    found = []
+    for primary, receptor in bank.receptor.items():
+        full = 1000 * profile.full_ma * (receptor * bank.kernels(primary)).sum(axis=1)
+        found.append((receptor @ sequence.recharge_ua) / full)
+    threshold = profile.threshold_ma / profile.full_ma
+    return float(strength * np.max(np.stack(found) / threshold))
+
+
+@pytest.mark.parametrize("scan", ["points", "shared"])
+@pytest.mark.parametrize("mode", [Mode.RA, Mode.SAI])
+def test_letters(benchmark, capsys, profile, bank, mode, scan):
+    rows = Problem(profile, mode.primaries[0]).rows[0]
+    for way in WAYS:
+        regulator, tally, answers = regulator_of(way, profile), Tally(), [0.0]
+
+        def watch(sent, answers=answers):
+            if sent.step.sequence.recharge_us:
+                answers.append(answer_of_phase(sent.step.sequence, profile, bank))
+
+        pipeline = Pipeline(profile, bank, mode, sharing=SHARED if scan == "shared" else NO_SHARING)
+        board = SimulatedBoard("", SafetyLimits.of(profile), profile.output)
+        with board, open_sensor(TEXT, profile) as sensor:
+            run(
+                sensor, pipeline, board, stop=StopRequest(), tally=tally, regulator=regulator,
+                clock=SimulatedClock(), observers=[watch],
+            )  # fmt: skip
+            books, skin = board._firmware.books, board._firmware._skin
+            _, _, current_ua = board.take_pulses()
+        full = current_ua[np.abs(current_ua).max(axis=1) > 600].astype(np.float64)
+        own, other = ((full @ each.T).max(axis=1) for each in (rows.target[0], rows.other))
+        assert (books.violations, books.unsafe) == (0, 0)
+        assert ((own > other).all()) == (way != "reversing")
+        if way == "recharging":
+            assert np.abs(books.passed_uc).max() < 0.02
+            assert 0 < max(answers) < 0.5
+        with capsys.disabled():
+            print(
+                f"\n{mode.value} {scan} {way}: {tally.frames} scans, {books.slots} slots at "
+                f"{tally.frames / tally.seconds:.1f} Hz (lowest {tally.lowest_rate_hz:.1f}); net "
+                f"charge {np.abs(books.passed_uc).max():.4f} µC at worst, with what flows back in "
+                f"short circuits {np.abs(skin.charge_uc).max():.2f}; {np.mean(own > other):.0%} of "
+                f"slots drive {mode.value} more than any other class, other at worst "
+                f"{np.max(other / np.maximum(own, 1e-9)):.2f} of it, median "
+                f"{np.median(other / np.maximum(own, 1e-9)):.2f}; a recharge phase reaches "
+                f"{max(answers):.2f} of what an afferent needs",
+                end="",
+            )
+    benchmark.pedantic(lambda: None, rounds=1)

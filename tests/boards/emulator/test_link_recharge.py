@@ -1,0 +1,155 @@
+"""The emulated board's recharge phase: executed, counted, cut off, and refused."""
+
+import numpy as np
+import pytest
+
+from smarttouch.boards import link_protocol as protocol
+from smarttouch.boards.emulator.books import Books, read_delivered, read_recharges, read_slots
+from smarttouch.boards.emulator.link import LinkFirmware
+from smarttouch.boards.emulator.skin import Delivered
+from smarttouch.boards.link_protocol import Feature, Kind, Refusal
+from smarttouch.boards.link_sequence import decode_volts, encode_sequence
+from smarttouch.wire.framing import Deframer
+
+MS = 1_000_000
+SLOTS = [[300, -100, -100, -100], [-100, 300, -100, -100]]
+"""Two pulses of 100 µs, 50 µs apart: 20, 20, −20 and −20 nC."""
+BACK = [-20, -20, 20, 20]
+"""In 1,000 µs."""
+
+
+class Rig:
+    """A board that was said HELLO to, at time zero."""
+
+    def __init__(self, folder=None, output="weighted"):
+        self.books = Books(4, folder)
+        self.output = output
+        self.board = LinkFirmware(4, output, self.books)
+        self.can = self.say(0, Kind.HELLO)[0]
+
+    def say(self, now_ms, kind):
+        return self.packets(self.board.feed(protocol.encode(kind), int(now_ms * MS)))
+
+    def send(self, now_ms, recharge=BACK, recharge_us=1000, *, slots=SLOTS, period=10_000, **more):
+        current = np.asarray(slots, np.int16).reshape(-1, 4)
+        column = np.ones(len(current), np.uint16)
+        data = encode_sequence(
+            1, self.output, period, column * 100, column * 50, column, current,
+            more.get("times", 1), more.get("measure", False), np.asarray(recharge, np.int16),
+            recharge_us,
+        )  # fmt: skip
+        return self.packets(self.board.feed(data, int(now_ms * MS)))
+
+    def advance(self, now_ms):
+        return self.packets(self.board.advance(int(now_ms * MS)))
+
+    def packets(self, data):
+        return [each for each in Deframer().feed(data) if each.kind != Kind.ALIVE]
+
+
+@pytest.mark.parametrize("output", ["weighted", "three-state", "one-against-all"])
+def test_only_a_board_with_a_source_for_each_electrode_says_it_can(output):
+    features = protocol.CAPABILITIES.unpack_from(Rig(output=output).can.payload)[2]
+    assert bool(features & Feature.RECHARGE) == (output == "weighted")
+
+
+def test_it_takes_back_what_the_slots_have_passed(tmp_path):
+    rig = Rig(tmp_path)
+    assert rig.send(0)[0].kind == Kind.ACK
+    rig.advance(5)
+    np.testing.assert_allclose(rig.books.passed_uc, [0.02, 0.02, -0.02, -0.02])
+    rig.advance(10)
+    np.testing.assert_allclose(rig.books.passed_uc, 0, atol=1e-12)
+    assert (rig.books.slots, rig.books.pulses, rig.books.recharges) == (2, 8, 1)
+    assert (rig.books.violations, rig.books.unsafe) == (0, 0)
+    assert rig.books.max_charge_uc == pytest.approx(0.03)
+    assert rig.books.max_net_charge_uc < 1e-3
+    rig.books.write()
+    (phase,) = read_recharges(tmp_path)
+    assert (phase["number"], phase["time_us"]) == (1, 300)
+    assert phase["current_ua"].tolist() == BACK
+    # What is felt is made of slots alone.
+    assert read_slots(tmp_path)["slot"].tolist() == [0, 1]
+    assert read_delivered(tmp_path)[2].tolist() == SLOTS
+
+
+def test_it_comes_once_a_repetition_and_its_voltage_is_not_a_slots():
+    rig = Rig()
+    rig.send(0, times=3, measure=True)
+    volts = [each for each in rig.advance(30) if each.kind == Kind.VOLTAGES]
+    assert [len(decode_volts(each.payload)) for each in volts] == [2, 2, 2]
+    assert (rig.books.slots, rig.books.recharges) == (6, 3)
+    np.testing.assert_allclose(rig.books.passed_uc, 0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("at_ms", "share"), [(0.2, 0), (0.3, 0), (0.55, 0.25), (1.3, 1), (9, 1)])
+def test_a_stop_cuts_it_off(at_ms, share):
+    rig = Rig()
+    rig.send(0)
+    rig.say(at_ms, Kind.STOP)
+    rig.advance(50)
+    left_uc = 0.02 * (1 - share)
+    np.testing.assert_allclose(rig.books.passed_uc, np.multiply([1, 1, -1, -1], left_uc), atol=1e-9)
+    assert rig.books.recharges == (share > 0)
+    assert (rig.books.state, rig.books.reason) == ("shorted", "stop")
+
+
+def test_silence_cuts_it_off_at_its_own_time():
+    slow = [-2, -2, 2, 2]
+    rig = Rig()
+    rig.send(0, slow, 10_000, period=400_000, slots=SLOTS * 640)
+    rig.advance(150)
+    # 1,280 slots take 192 ms: the host was lost before.
+    assert (rig.books.recharges, rig.books.reason) == (0, "silence")
+    rig = Rig()
+    rig.send(0, slow, 20_000, period=400_000, slots=SLOTS * 300)
+    rig.advance(300)
+    # The phase began after 90 ms, and silence was noticed after 100.
+    assert (rig.books.recharges, rig.books.reason) == (1, "silence")
+    assert rig.books.passed_uc[0] == pytest.approx(300 * 0.02 - 2e-6 * 10_000)
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        ({"recharge": [-20, -20, 20, 19]}, "out of balance"),
+        ({"recharge": [-501, 501, 0, 0]}, "501 uA"),
+        ({"recharge": [-32768, 32767, 1, 0]}, "32768 uA"),
+        ({"recharge_us": 0}, "phase of 0 us"),
+        ({"recharge_us": 20_001, "period": 50_000}, "phase of 20001 us"),
+        ({"recharge": [-500, 500, 0, 0], "recharge_us": 4001}, "2000500 pC"),
+        ({"recharge_us": 9_701}, "do not fit"),
+        ({"slots": []}, "without slots"),
+        ({"recharge": [-20, 20, 0, 0, 0]}, "bytes are not"),
+    ],
+)
+def test_what_breaks_the_boards_own_limits_is_refused(bad, words):
+    rig = Rig()
+    (answer,) = rig.send(0, **bad)
+    refusal = Refusal.MALFORMED if "bytes" in words else Refusal.UNSAFE
+    assert (answer.kind, answer.payload[0]) == (Kind.NAK, refusal)
+    assert words in answer.payload[1:].decode()
+    rig.advance(50)
+    assert (rig.books.slots, rig.books.recharges, rig.books.violations) == (0, 0, 1)
+
+
+def test_what_is_just_within_them_is_not():
+    for good in (
+        {"recharge": [-500, 500, 0, 0], "recharge_us": 4000},
+        {"recharge": [-100, 100, 0, 0], "recharge_us": 20_000, "period": 20_300},
+    ):
+        rig = Rig()
+        assert rig.send(0, **good)[0].kind == Kind.ACK
+        rig.advance(30)
+        assert (rig.books.recharges, rig.books.unsafe) == (1, 0)
+
+
+@pytest.mark.parametrize(
+    ("current_ua", "width_us", "unsafe"),
+    [(500, 4000, 0), (501, 10, 1), (100, 20_001, 1), (500, 4001, 1)],
+)
+def test_the_books_look_for_themselves(current_ua, width_us, unsafe):
+    books, current = Books(2), np.array([current_ua, -current_ua], float)
+    books.enter_recharge(1, Delivered(current, current * width_us, current, 0.0), width_us,
+                         current * 0, 0.0)  # fmt: skip
+    assert books.unsafe == unsafe

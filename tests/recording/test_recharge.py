@@ -1,0 +1,93 @@
+"""Recharge phases in recordings: kept, computed again, and told where they differ."""
+
+import json
+
+import numpy as np
+import pytest
+
+from smarttouch.live import Sent
+from smarttouch.pipeline import Pipeline
+from smarttouch.recording.check import check_recording
+from smarttouch.recording.export import export
+from smarttouch.recording.reader import Recording
+from smarttouch.regulator import Regulator
+from smarttouch.scan.ledger import ChargeLedger
+from smarttouch.scan.recharge import RechargeRules
+from smarttouch.scan.timing import ScanTiming
+
+
+@pytest.fixture(scope="module")
+def balanced(profile, bank, make_steps):
+    """The usual steps, with charge balanced by recharge phases."""
+    pipeline = Pipeline(profile, bank)
+    regulator = Regulator(None, ChargeLedger(64), RechargeRules.of(profile, ScanTiming()))
+    made = []
+    for sent in make_steps(40):
+        step = pipeline.process(sent.step.frame)
+        made.append(Sent(regulator.regulate(step, _Mute()), sent.number, 99.5, 12.25))
+    return made
+
+
+class _Mute:
+    def take_volts(self):
+        return []
+
+
+@pytest.fixture
+def write(record, about, settings, balanced, tmp_path):
+    """Return a writer of the recording with other settings."""
+
+    def write(**other):
+        table = json.dumps({**settings, "balance": True, **other})
+        return record(tmp_path / "run.mcap", balanced, about={**about, "settings": table})
+
+    return write
+
+
+def test_they_are_kept_and_come_out_again(write, balanced):
+    path = write(recharge=True)
+    kept = [each.step.sequence for each in Recording(path).steps()]
+    for was, now in zip((each.step.sequence for each in balanced), kept, strict=True):
+        assert now.recharge_us == was.recharge_us
+        assert np.array_equal(now.recharge_ua, was.recharge_ua)
+    assert sum(each.recharge_us > 0 for each in kept) > 20
+    report = check_recording(path)
+    assert report.exact, report.describe()
+    assert report.sequences == 40
+
+
+def test_one_that_was_reversed_is_not_recharged(write):
+    """Recordings from before there was a recharge phase do not say a word of it."""
+    report = check_recording(write())
+    assert not report.exact
+    assert {each.what for each in report.differences} >= {"recharge_us", "recharge current"}
+
+
+def test_another_threshold_is_told_with_its_electrode(write, profile, changed):
+    path = write(recharge=True)
+    higher = changed(
+        profile, {"perception.threshold_ma": 1.21, "perception.comfort_ma": (2.4,) * 64}
+    )
+    report = check_recording(path, profile=higher)
+    found = {each.what: each for each in report.differences}
+    assert found["recharge_us"].new < found["recharge_us"].recorded
+    assert found["recharge current"].electrode is not None
+
+
+def test_they_are_exported(write, balanced, tmp_path):
+    export(write(recharge=True), tmp_path / "out")
+    with np.load(tmp_path / "out" / "run.npz") as arrays:
+        assert arrays["recharge_us"].tolist() == [
+            each.step.sequence.recharge_us for each in balanced
+        ]
+        for row, sent in zip(arrays["recharge_ua"], balanced, strict=True):
+            was = sent.step.sequence.recharge_ua
+            assert np.array_equal(row, np.zeros(64) if was is None else was)
+
+
+def test_those_of_before_have_none(goldens, tmp_path):
+    golden = next(path for path in goldens if path.stem == "regulated")
+    assert {each.step.sequence.recharge_us for each in Recording(golden).steps()} == {0}
+    export(golden, tmp_path / "out")
+    with np.load(tmp_path / "out" / "run.npz") as arrays:
+        assert not arrays["recharge_ua"].any()
