@@ -244,9 +244,9 @@ class SafetyLimits:
         return np.array(whole, np.float32)
 
     @cached_property
-    def faint_ua(self) -> NDArray[np.int32]:
+    def faint_ua(self) -> NDArray[np.int64]:
         """A tenth of each electrode's threshold, (E,) µA: most of a recharge phase."""
-        return np.array([math.floor(Fraction(each) * 100) for each in self._thresholds], np.int32)
+        return np.array([math.floor(Fraction(each) * 100) for each in self._thresholds], np.int64)
 
     @property
     def _thresholds(self) -> tuple[float, ...]:

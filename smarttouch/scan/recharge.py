@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import SafetyError
 from smarttouch.profile import Profile
+from smarttouch.profile.ceilings import CEILING_MEAN_MA, CEILING_TOTAL_MA
+from smarttouch.scan.exposure import BURST_US, PLANNED
 from smarttouch.scan.ledger import net_charge_pc
 from smarttouch.scan.sequence import ScanSequence
 from smarttouch.scan.timing import ScanTiming
@@ -23,12 +25,8 @@ MOST_US = 20_000
 """Longest recharge phase. Ours: one period of the usual 50 scans a second."""
 MOST_PC = 2_000_000
 """Most charge of it through an electrode. Ours: four of the strongest pulses."""
-_TOTAL_UA = 10_000
-"""Most of all cathodes together, whatever a profile allows."""
-_PLANNED_UA = 450
-"""Mean current up to which a recharge is planned; the project's ceiling is 500 µA."""
-_MEAN_OVER_US = 40_000
-"""Over what time that mean is taken at most."""
+_PLANNED_UA = round(1000 * PLANNED * CEILING_MEAN_MA)
+"""Mean current up to which a recharge is planned."""
 
 
 def recharge_most_ua(threshold_ma: NDArray[np.floating]) -> NDArray[np.int64]:
@@ -41,18 +39,20 @@ def recharge_most_ua(threshold_ma: NDArray[np.floating]) -> NDArray[np.int64]:
     return np.array([int(Fraction(float(each)) * 100) for each in threshold_ma], np.int64)
 
 
-def prove_recharge(sequence: ScanSequence, most_ua: NDArray[np.int64]) -> None:
+def prove_recharge(sequence: ScanSequence, most_ua: NDArray[np.int64], total_ua: int) -> None:
     """Raise unless a sequence has no recharge phase, or one that keeps its limits.
 
-    Checked: types and shape, that it follows slots, its width, that it sums to zero, the
-    current and charge of every electrode, and that it fits the period.
+    Checked: that it follows slots and fits the period, its width, that it sums to zero, its
+    total, and the current and charge of every electrode.
 
     Parameters
     ----------
     sequence : ScanSequence
-        Its slots are proved elsewhere.
+        Frozen; its slots are proved elsewhere.
     most_ua : ndarray, (E,) int64, µA
         Of each electrode, as of `recharge_most_ua`.
+    total_ua : int, µA
+        Of all cathodes together.
 
     Raises
     ------
@@ -60,38 +60,58 @@ def prove_recharge(sequence: ScanSequence, most_ua: NDArray[np.int64]) -> None:
         Naming the limit, the electrode, and by how much.
     """
     current_ua, width_us = sequence.recharge_ua, sequence.recharge_us
-    if isinstance(width_us, bool) or not isinstance(width_us, int | np.integer):
-        raise SafetyError(f"recharge_us is {width_us!r}, must be a whole number")
-    if current_ua is None:
-        if width_us:
-            raise SafetyError(f"a recharge phase of {width_us} µs has no currents: give both")
+    if current_ua is None and not width_us:
         return
-    kind, shape = (getattr(current_ua, name, None) for name in ("dtype", "shape"))
-    if not isinstance(current_ua, np.ndarray) or kind != np.int16 or shape != most_ua.shape:
-        raise SafetyError(f"recharge_ua is {kind} {shape}, must be int16 {most_ua.shape}")
-    if not sequence.slots:
-        raise SafetyError("a recharge phase without slots has nothing to bring back: leave it out")
-    if not 1 <= width_us <= MOST_US:
-        raise SafetyError(f"the recharge phase takes {width_us} µs, must be from 1 to {MOST_US}")
-    wide_ua = current_ua.astype(np.int64)
-    if total_ua := int(wide_ua.sum()):
+    if current_ua is None or current_ua.shape != most_ua.shape or not sequence.slots:
         raise SafetyError(
-            f"the recharge phase is out of balance by {total_ua} µA: currents must sum to zero"
+            f"a recharge phase of {width_us} µs needs the currents of {len(most_ua)} electrodes, "
+            "and slots whose charge it brings back: leave it out",
+            limit="recharge_ua",
+        )
+    if not 1 <= width_us <= MOST_US:
+        raise SafetyError(
+            f"the recharge phase takes {width_us} µs, must be from 1 to {MOST_US}",
+            limit="recharge_us",
+            value=width_us,
+            allowed=MOST_US,
+        )
+    wide_ua = current_ua.astype(np.int64)
+    if left_ua := int(wide_ua.sum()):
+        raise SafetyError(
+            f"the recharge phase is out of balance by {left_ua} µA: currents must sum to zero",
+            limit="balance",
+            value=left_ua,
+            allowed=0,
         )
     strongest_ua = np.abs(wide_ua)
-    over = np.minimum(most_ua, MOST_PC // int(width_us)) - strongest_ua
-    if (over < 0).any():
-        electrode = int(over.argmin())
+    room_ua = np.minimum(most_ua, MOST_PC // width_us) - strongest_ua
+    if (room_ua < 0).any():
+        electrode = int(room_ua.argmin())
         raise SafetyError(
             f"the recharge phase has {strongest_ua[electrode]} µA for {width_us} µs at electrode "
             f"{electrode}: at most {most_ua[electrode]} µA, a tenth of its threshold, and "
-            f"{MOST_PC / 1e6:g} µC are allowed"
+            f"{MOST_PC / 1e6:g} µC are allowed",
+            limit="recharge_ua",
+            value=int(strongest_ua[electrode]),
+            allowed=int(strongest_ua[electrode] + room_ua[electrode]),
+            electrode=electrode,
         )
-    busy_us = _slots_us(sequence) + int(width_us)
+    if (all_ua := int(strongest_ua.sum()) // 2) > total_ua:
+        raise SafetyError(
+            f"the recharge phase has {all_ua / 1000:.3f} mA in all, above the limit of "
+            f"{total_ua / 1000:g} mA",
+            limit="total_ma",
+            value=all_ua / 1000,
+            allowed=total_ua / 1000,
+        )
+    busy_us = _slots_us(sequence) + width_us
     if busy_us > sequence.period_us:
         raise SafetyError(
             f"{sequence.slots} slots and the recharge phase take {busy_us} µs, longer than the "
-            f"period of {sequence.period_us} µs: lower the rate"
+            f"period of {sequence.period_us} µs: lower the rate",
+            limit="period_us",
+            value=busy_us,
+            allowed=sequence.period_us,
         )
 
 
@@ -115,8 +135,7 @@ class RechargeRules:
 
     @classmethod
     def of(cls, profile: Profile, timing: ScanTiming) -> Self:
-        total_ma = profile.limits.total_ma
-        total_ua = _TOTAL_UA if total_ma is None else min(_TOTAL_UA, int(1000 * total_ma))
+        total_ua = int(1000 * (profile.limits.total_ma or CEILING_TOTAL_MA))
         return cls(recharge_most_ua(profile.threshold_ma), total_ua, timing)
 
 
@@ -154,7 +173,7 @@ def add_recharge(
         _fitting_us(sequence, width_us, rules.timing),
         _calm_us(passed_pc + np.minimum(asked_pc, most_ua * width_us), rules.timing),
     )
-    room_pc = np.maximum(_PLANNED_UA * min(period_us, _MEAN_OVER_US) - passed_pc, 0)
+    room_pc = np.maximum(_PLANNED_UA * min(period_us, BURST_US) - passed_pc, 0)
     most_ua = np.minimum(most_ua, room_pc // width_us)
     current_ua = _whole_ua(wanted_pc, most_ua, width_us, rules.total_ua)
     if not current_ua.any():
@@ -204,5 +223,5 @@ def _fitting_us(sequence: ScanSequence, width_us: int, timing: ScanTiming) -> in
 
 def _calm_us(passed_pc: NDArray[np.int64], timing: ScanTiming) -> int:
     """Return the period over which no electrode's mean current is above what is planned."""
-    longest_us = min(_MEAN_OVER_US, -(-int(passed_pc.max()) // _PLANNED_UA))
+    longest_us = min(BURST_US, -(-int(passed_pc.max()) // _PLANNED_UA))
     return timing.possible_period_us(longest_us)

@@ -136,7 +136,7 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
     """
     current = _fixed("current_ua", sequence.current_ua, np.int16, 2)
     slots = len(current)
-    vibration = sequence.vibration
+    vibration, recharge = sequence.vibration, sequence.recharge_ua
     return ScanSequence(
         current_ua=current,
         width_us=_fixed("width_us", sequence.width_us, np.uint16, 1, slots),
@@ -147,6 +147,8 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
         time_ns=_whole("time_ns", sequence.time_ns),
         vibration=None if vibration is None else _fixed("vibration", vibration, np.float32, 1),
         proof=sequence.proof,
+        recharge_ua=None if recharge is None else _fixed("recharge_ua", recharge, np.int16, 1),
+        recharge_us=_whole("recharge_us", sequence.recharge_us),
     )
 
 

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import SafetyError
 from smarttouch.profile.ceilings import LEAST_DISCHARGE_US
-from smarttouch.scan.exposure import Load, load_of
+from smarttouch.scan.exposure import PER_PC, Load, load_of
 from smarttouch.scan.limits import PPB, SafetyLimits
+from smarttouch.scan.recharge import prove_recharge
 from smarttouch.scan.sequence import ScanSequence
 
 LONGEST_PERIOD_US = 60_000_000
@@ -80,6 +81,7 @@ def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Load:
     """
     slots = sequence.slots
     longest_us, pulses_us = _prove_times(sequence, limits)
+    prove_recharge(sequence, limits.faint_ua, limits.total_ua)
     if not slots:
         return np.zeros((2, limits.electrodes))
     # Sums of fewer than 513 numbers of 15 bits are exact in single precision, all in double;
@@ -120,7 +122,11 @@ def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Load:
             raise _above("charge_uc", charge_pc, limits.charge_pc, 1_000_000, "µC")
         highest_pc = int(charge_pc.max())
     _prove_intensity(limits, ppb, highest_ua, highest_pc)
-    return load_of(magnitude, sequence.width_us, limits.felt_ua)
+    load = load_of(magnitude, sequence.width_us, limits.felt_ua)
+    if sequence.recharge_ua is not None:
+        passed_pc = np.abs(sequence.recharge_ua, dtype=np.float64) * sequence.recharge_us
+        load[1] += PER_PC * passed_pc
+    return load
 
 
 def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int]:

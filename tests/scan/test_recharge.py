@@ -18,7 +18,8 @@ from smarttouch.scan.recharge import (
     prove_recharge,
     recharge_most_ua,
 )
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.scan.safety import SafetyGate, SafetyLimits
+from smarttouch.scan.sequence import ScanSequence, frozen
 from smarttouch.scan.timing import ScanTiming
 
 
@@ -85,7 +86,7 @@ def situations(draw):
 def test_whatever_comes_the_phase_keeps_its_limits(situation):
     scan, carried_pc, within = situation
     planned = add_recharge(scan, carried_pc, within)
-    prove_recharge(planned, within.most_ua)
+    prove_recharge(frozen(planned), within.most_ua, within.total_ua)
     for name in ("current_ua", "width_us", "discharge_us", "site"):
         assert getattr(planned, name) is getattr(scan, name)
     assert planned.period_us >= scan.period_us
@@ -195,38 +196,71 @@ def test_a_tenth_of_threshold_is_never_rounded_up():
 MOST = np.array([120, 120, 120, 60])
 
 
+def prove(sequence):
+    prove_recharge(frozen(sequence), MOST, 10_000)
+
+
 def test_a_good_phase_and_none_pass():
-    prove_recharge(sequence(ONE), MOST)
-    prove_recharge(sequence([]), MOST)
-    prove_recharge(with_phase([-120, 60, 0, 60], np.uint16(16_666)), MOST)
-    prove_recharge(with_phase([-1, 1, 0, 0], 19_700), MOST)
+    prove(sequence(ONE))
+    prove(sequence([]))
+    prove(with_phase([-120, 60, 0, 60], np.uint16(16_666)))
+    prove(with_phase([-1, 1, 0, 0], 19_700))
 
 
 @pytest.mark.parametrize(
-    ("bad", "words"),
+    ("bad", "limit"),
     [
-        (with_phase([-121, 61, 0, 60]), "121 µA .* electrode 0"),
-        (with_phase([0, -1, -60, 61]), "61 µA .* electrode 3: at most 60 µA"),
-        (with_phase([-32768, 32767, 1, 0]), "32768 µA"),
-        (with_phase([-120, 60, 0, 60], 16_667), "2 µC"),
-        (with_phase([-100, 100, 0, 0], 20_001, period_us=50_000), "20001 µs"),
-        (with_phase([-1, 1, 0, 0], 0), "0 µs"),
-        (with_phase([-1, 1, 0, 0], -5), "-5 µs"),
-        (with_phase([-1, 1, 0, 0], 100.0), "whole number"),
-        (with_phase([-1, 1, 0, 0], True), "whole number"),
-        (with_phase([-1, 1, 0, 0], float("nan")), "whole number"),
-        (with_phase([-100, 60, 0, 39]), "by -1 µA"),
-        (with_phase([-1, 1, 0, 0], 19_701), "20001 µs, longer than"),
-        (with_phase([-1, 1, 0]), r"int16 \(4,\)"),
-        (with_phase([[-1, 1, 0, 0]]), r"int16 \(4,\)"),
-        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=np.array([-1.0, 1, 0, 0])), "int16"),
-        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=[-1, 1, 0, 0]), "int16"),
-        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=np.int16(0)), "int16"),
-        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=None), "no currents"),
-        (with_phase([-1, 1, 0, 0], 10**30), "must be from 1"),
-        (replace(sequence([]), recharge_ua=np.zeros(4, np.int16), recharge_us=5), "without slots"),
+        (with_phase([-121, 61, 0, 60]), "recharge_ua"),
+        (with_phase([0, -1, -60, 61]), "recharge_ua"),
+        (with_phase([-32768, 32767, 1, 0]), "recharge_ua"),
+        (with_phase([-120, 60, 0, 60], 16_667), "recharge_ua"),
+        (with_phase([-100, 100, 0, 0], 20_001, period_us=50_000), "recharge_us"),
+        (with_phase([-1, 1, 0, 0], 0), "recharge_us"),
+        (with_phase([-1, 1, 0, 0], -5), "recharge_us"),
+        (with_phase([-1, 1, 0, 0], 100.0), "recharge_us"),
+        (with_phase([-1, 1, 0, 0], True), "recharge_us"),
+        (with_phase([-1, 1, 0, 0], float("nan")), "recharge_us"),
+        (with_phase([-100, 60, 0, 39]), "balance"),
+        (with_phase([-1, 1, 0, 0], 19_701), "period_us"),
+        (with_phase([-1, 1, 0]), "recharge_ua"),
+        (with_phase([[-1, 1, 0, 0]]), "recharge_ua"),
+        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=np.array([-1.0, 1, 0, 0])), "recharge_ua"),
+        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=[-1, 1, 0, 0]), "recharge_ua"),
+        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=np.int16(0)), "recharge_ua"),
+        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=None), "recharge_ua"),
+        (with_phase([-1, 1, 0, 0], 10**30), "recharge_us"),
+        (
+            replace(sequence([]), recharge_ua=np.zeros(4, np.int16), recharge_us=5),
+            "recharge_ua",
+        ),
     ],
 )
-def test_a_bad_phase_is_refused(bad, words):
-    with pytest.raises(SafetyError, match=words):
-        prove_recharge(bad, MOST)
+def test_a_bad_phase_is_refused(bad, limit):
+    with pytest.raises(SafetyError) as error:
+        prove(bad)
+    assert error.value.limit == limit
+
+
+def test_all_electrodes_together_are_bounded():
+    phase = frozen(with_phase([-120, 60, 0, 60]))
+    with pytest.raises(SafetyError) as error:
+        prove_recharge(phase, MOST, 119)
+    assert error.value.limit == "total_ma"
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_the_gate_proves_the_phase_and_counts_its_charge(times):
+    limits = SafetyLimits(4, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4, threshold_ma=1.25)
+    gate = SafetyGate(limits)
+    gate.prove(replace(sequence([]), intensity=0.0, time_ns=0))
+    later = {"intensity": 1.0, "time_ns": 10**9}
+    with pytest.raises(SafetyError):
+        gate.prove(replace(with_phase([-126, 66, 0, 60]), **later))
+    without, phased = (
+        SafetyGate(limits).prove_measurement(replace(each, **later))
+        for each in (sequence(ONE), with_phase([-120, 60, 0, 60], 1000))
+    )
+    assert without.recharge_ua is None
+    gate.prove(phased, times)
+    own_pc = 1000 * 120 + np.abs(phased.current_ua[:, 0].astype(int)) @ phased.width_us
+    assert gate.dose.charge_mc[0] == pytest.approx(times * own_pc / 1e9)
