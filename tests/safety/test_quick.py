@@ -1,0 +1,40 @@
+"""The rules in whole arrays are the rules: two oracles beside each other, on every display."""
+
+import pytest
+
+from .agreement import Tally, stream
+from .displays import display, display_names
+from .gates import Answer
+from .oracle import Oracle
+from .quick import judge_alone_quickly
+from .rules import judge_alone
+
+STREAMS = 6
+
+
+class OtherForm:
+    """An oracle in the place of a gate, with the other form of the rules."""
+
+    def __init__(self, profile):
+        self._oracles = [Oracle(profile, judge) for judge in (judge_alone, judge_alone_quickly)]
+
+    def ask(self, sequence, clock_ns, times=1):
+        first, second = (oracle.judge(sequence, clock_ns, times) for oracle in self._oracles)
+        assert first == second
+        return Answer(not first, limit=",".join(first))
+
+
+@pytest.mark.parametrize("name", display_names())
+def test_both_forms_agree(name):
+    tally = Tally()
+    for seed in range(STREAMS):
+        stream(name, seed, tally, OtherForm)
+    assert tally.asked > 400
+    assert tally.disagreements == 0
+    assert min(tally.accepted, tally.refused) > 100
+
+
+def test_both_forms_bring_the_same():
+    profile = display("one finger")
+    plain, quick = Oracle(profile), Oracle(profile, judge_alone_quickly)
+    assert plain.bounds == quick.bounds
