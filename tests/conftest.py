@@ -30,8 +30,11 @@ def watch():
 
 @pytest.fixture
 def judged_books():
-    """Whether all books that a test leaves in its folder are those of safe runs."""
-    return True
+    """How the books are judged that a test leaves in its folder: see `Watch.judge_books`.
+
+    Not at all where it is None: where no gate has proved what they are of.
+    """
+    return {}
 
 
 @pytest.fixture(autouse=True)
@@ -40,8 +43,8 @@ def proved_twice(request, watch, judged_books):
     watch.on = "benchmark" not in request.fixturenames
     yield
     # Whoever has no folder leaves no books.
-    if judged_books and "tmp_path" in request.node.funcargs:
-        watch.judge_all_books(request.node.funcargs["tmp_path"])
+    if judged_books is not None and "tmp_path" in request.node.funcargs:
+        watch.judge_all_books(request.node.funcargs["tmp_path"], **judged_books)
     assert watch.take() == []
 
 

@@ -126,14 +126,15 @@ def _keeps_balance(pulses):
 def _keeps_strong(pulses, bounds):
     if bounds.strong_ua is None:
         return True
-    strong = np.abs(pulses.current_ua) >= np.array(bounds.strong_ua) * SHARED + ROUNDING_UA
+    least_ua = np.array(bounds.strong_ua) * _allowance(pulses) + ROUNDING_UA
+    strong = np.abs(pulses.current_ua) >= least_ua
     most = _most_in_a_second(pulses.time_us, strong.astype(np.float64))
     return most <= STRONG_A_SECOND * BURST
 
 
 def _keeps_mean(pulses):
-    most_pc = _most_in_a_second(pulses.time_us, np.abs(pulses.charge_pc))
-    return most_pc <= MEAN_UA * SECOND_US * BURST * SHARED
+    planned_pc = np.abs(pulses.charge_pc) / _allowance(pulses)
+    return _most_in_a_second(pulses.time_us, planned_pc) <= MEAN_UA * SECOND_US * BURST
 
 
 def _most_in_a_second(time_us, amounts):

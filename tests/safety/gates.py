@@ -65,8 +65,8 @@ def faults_of_copy(copy, sequence):
         for name, kind in (("period_us", int), ("time_ns", int), ("intensity", float))
         if type(getattr(copy, name)) is not kind
     ]
-    for name in ("period_us", "time_ns", "intensity"):
-        if getattr(copy, name) != getattr(sequence, name):
+    for name, kind in (("period_us", int), ("time_ns", int), ("intensity", float)):
+        if getattr(copy, name) != kind(getattr(sequence, name)):
             faults.append(f"{name} is another")
     for name in _FIELDS:
         ours, theirs = getattr(copy, name, None), getattr(sequence, name, None)

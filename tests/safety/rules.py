@@ -71,7 +71,7 @@ def wrong_types(sequence, bounds):
     in_range = (
         1 <= int(sequence.period_us) <= LONGEST_PERIOD_US
         and 0 <= int(sequence.time_ns) < LATEST_NS
-        and 0 <= sequence.intensity <= 1
+        and _is_share(sequence.intensity)
         and 0 <= int(getattr(sequence, "recharge_us", 0)) <= RECHARGE_US
         and all(site < bounds.electrodes for site in sequence.site.tolist())
     )
@@ -271,3 +271,11 @@ def _is_whole(value):
 
 def _is_real(value):
     return isinstance(value, int | float | np.floating) and not isinstance(value, bool)
+
+
+def _is_share(value):
+    """Return whether a number, read as a float, lies from 0 to 1."""
+    try:
+        return 0 <= float(value) <= 1
+    except OverflowError:
+        return False

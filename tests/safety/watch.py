@@ -98,8 +98,12 @@ class Watch:
         if broken:
             self.broken.append(f"a gate accepted what breaks {', '.join(broken)}: {sequence}")
 
+    def begin(self, board):
+        """Let a board's oracle forget everything: it was opened."""
+        self._oracles.pop(board._gate, None)
+
     def restart(self, board):
-        """Let a board's oracle begin anew, as its gate does."""
+        """Let a board's oracle begin anew at zero, as its gate does; the dose stays."""
         oracle, clock = self._oracles.get(board._gate), self._clocks.get(board._gate)
         if oracle is not None:
             oracle.restart(0 if clock is None else clock.heard_ns)
@@ -128,11 +132,11 @@ class Watch:
         if bounds is not None:
             self._delivered(pulses, bounds, str(folder), period_us)
 
-    def judge_all_books(self, root):
-        """Judge all books that lie somewhere in a folder."""
+    def judge_all_books(self, root, **judged):
+        """Judge all books that lie somewhere in a folder, as `judge_books` does."""
         for delivered in sorted(Path(root).rglob(DELIVERED_FILE)):
             if (delivered.parent / STATE_FILE).is_file():
-                self.judge_books(delivered.parent)
+                self.judge_books(delivered.parent, **judged)
 
     def _delivered(self, pulses, bounds, where, period_us=None):
         if broken := judge_pulses(pulses, bounds, period_us):
@@ -149,8 +153,8 @@ class Watch:
         patch.setattr(
             SafetyGate, "prove_measurement", self._proved(SafetyGate.prove_measurement, True)
         )
-        patch.setattr(Board, "open", self._opened(Board.open))
-        patch.setattr(Board, "measure", self._opened(Board.measure))
+        patch.setattr(Board, "open", self._ended(Board.open, self.begin))
+        patch.setattr(Board, "measure", self._ended(Board.measure, self.restart))
         patch.setattr(Board, "send", self._sent(Board.send))
         patch.setattr(SimulatedBoard, "take_pulses", self._taken(SimulatedBoard.take_pulses))
         return patch
@@ -173,8 +177,9 @@ class Watch:
             if "clock" in signature.parameters:
                 bound = signature.bind(gate, *given, **named)
                 bound.apply_defaults()
-                clock = self._clocks[gate] = HeardClock(bound.arguments["clock"])
-                bound.arguments["clock"] = clock
+                if bound.arguments["clock"] is not None:
+                    self._clocks[gate] = HeardClock(bound.arguments["clock"])
+                    bound.arguments["clock"] = self._clocks[gate]
                 given, named = bound.args[1:], bound.kwargs
             init(gate, *given, **named)
 
@@ -190,13 +195,13 @@ class Watch:
 
         return watched
 
-    def _opened(self, call):
+    def _ended(self, call, do):
         @functools.wraps(call)
         def watched(board):
             try:
                 return call(board)
             finally:
-                self.restart(board)
+                do(board)
 
         return watched
 

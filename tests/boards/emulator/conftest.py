@@ -6,4 +6,3 @@ import pytest
 @pytest.fixture
 def judged_books():
     """What real firmware lets flow, unasked by a gate, is not what the oracle judges."""
-    return False
