@@ -144,7 +144,7 @@ def _strong(draft, oracle, site, count, rng):
 
 def mean_current(draft, oracle, rng, beyond):
     bounds = oracle.bounds
-    period_us = math.ceil(10**6 / bounds.rate_hz) + rng.choice((0, 0, 1_000, 50_000))
+    period_us = math.ceil(10**6 / bounds.rate_hz) + rng.choice((0, 1_000, 50_000, 50_000))
     charge_pc = MEAN_UA * min(period_us, LONGEST_SHARE_US) + beyond
     _charged(draft, oracle, rng.randrange(bounds.electrodes), charge_pc, rng)
     draft.period_us = max(period_us, draft.period_us)
