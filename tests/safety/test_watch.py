@@ -82,13 +82,17 @@ def test_books_in_a_folder(blind, tmp_path):
         path.unlink()
 
 
-def test_a_simulated_board(blind, monkeypatch):
+@pytest.mark.parametrize("taken", [False, True])
+def test_a_simulated_board(blind, taken):
+    """What is taken is judged then, and what is left when the board is closed."""
     with SimulatedBoard("", LIMITS) as board:
         board.send(sequence([], intensity=0.0, time_ns=0))
         board.send(sequence(pair(3500)))
         blind.take()
-        assert len(board.take_pulses()[0]) == 1
-    assert ["current" in each for each in blind.take()] == [True]
+        assert not taken or len(board.take_pulses()[0]) == 1
+        assert len(blind.take()) == taken
+    assert ["current" in each for each in blind.take()] == [True] * (not taken)
+    assert len(board.take_pulses()[0]) == (not taken)
 
 
 def test_a_clock_is_heard():

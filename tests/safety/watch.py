@@ -2,6 +2,7 @@
 
 import functools
 import inspect
+from copy import copy
 from pathlib import Path
 from weakref import WeakKeyDictionary
 
@@ -157,6 +158,7 @@ class Watch:
         patch.setattr(Board, "measure", self._ended(Board.measure, self.restart))
         patch.setattr(Board, "send", self._sent(Board.send))
         patch.setattr(SimulatedBoard, "take_pulses", self._taken(SimulatedBoard.take_pulses))
+        patch.setattr(SimulatedBoard, "_close", self._closed(SimulatedBoard._close))
         return patch
 
     def _of(self, of):
@@ -188,10 +190,10 @@ class Watch:
     def _proved(self, prove, measuring=False):
         @functools.wraps(prove)
         def watched(gate, sequence, *times, **named):
-            copy = prove(gate, sequence, *times, **named)
+            proved = prove(gate, sequence, *times, **named)
             count = times[0] if times else named.get("times", 1)
-            self.judge(gate, sequence if copy is None else copy, count, measuring)
-            return copy
+            self.judge(gate, sequence if proved is None else proved, count, measuring)
+            return proved
 
         return watched
 
@@ -222,5 +224,14 @@ class Watch:
             pulses = take(board)
             self.judge_taken(board, pulses)
             return pulses
+
+        return watched
+
+    def _closed(self, close):
+        @functools.wraps(close)
+        def watched(board):
+            close(board)
+            # From a copy: they are still there for whoever takes them later.
+            self.judge_taken(board, copy(board._books).take())
 
         return watched
