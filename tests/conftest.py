@@ -7,6 +7,8 @@ from threadpoolctl import threadpool_limits
 from smarttouch.profile import DEFAULT_PROFILE, load_profile
 from smarttouch.sensing.frame import Frame, Pose
 
+from .safety.watch import Watch
+
 
 @pytest.fixture(scope="session", autouse=True)
 def one_thread():
@@ -15,6 +17,35 @@ def one_thread():
         # For the programs that tests start.
         patch.setenv("OPENBLAS_NUM_THREADS", "1")
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def watch():
+    """The oracle beside every gate of this process, and its judge of books."""
+    watch = Watch()
+    patch = watch.installed()
+    yield watch
+    patch.undo()
+
+
+@pytest.fixture
+def judged_books():
+    """How the books are judged that a test leaves in its folder: see `Watch.judge_books`.
+
+    Not at all where it is None: where no gate has proved what they are of.
+    """
+    return {}
+
+
+@pytest.fixture(autouse=True)
+def proved_twice(request, watch, judged_books):
+    """Fail a test if a gate accepts, or an emulator delivers, what the oracle would not."""
+    watch.on = "benchmark" not in request.fixturenames
+    yield
+    # Whoever has no folder leaves no books.
+    if judged_books is not None and "tmp_path" in request.node.funcargs:
+        watch.judge_all_books(request.node.funcargs["tmp_path"], **judged_books)
+    assert watch.take() == []
 
 
 @pytest.fixture(scope="session")

@@ -22,12 +22,12 @@ LEVEL_MA, WIDTH_US, PERIOD_S = 2.2, 100, 0.02
 
 
 @pytest.fixture(scope="module")
-def delivered(tmp_path_factory):
+def delivered(tmp_path_factory, watch):
     """Return what gives the slots of a run at full current, each run done once."""
-    return functools.lru_cache(functools.partial(_run, tmp_path_factory))
+    return functools.lru_cache(functools.partial(_run, tmp_path_factory, watch))
 
 
-def _run(tmp_path_factory, kind, hold):
+def _run(tmp_path_factory, watch, kind, hold):
     profile = load_profile("smarttouch-4x4")
     table = profile.model_dump()
     table["pulse"]["width_us"] = WIDTH_US
@@ -54,6 +54,7 @@ def _run(tmp_path_factory, kind, hold):
             board.send(sequence)
         board.drain()
         assert board.report().violations == 0
+    watch.judge_books(books, profile, period_us=int(PERIOD_S * 1e6))
     slots = read_slots(books)
     return slots[slots["number"] > slots["number"].min() + 42]
 

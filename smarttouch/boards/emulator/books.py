@@ -52,6 +52,8 @@ class Books:
     reason: str = "start"
     zero_after_ms: float = 0.0
     """From the host's last byte to all electrodes shorted, the last time it was cut off."""
+    stood_still_ms: float = 0.0
+    """How long the board's clock has stood still because its process did."""
     _delivered: bytearray = field(default_factory=bytearray, repr=False)
 
     def __post_init__(self) -> None:

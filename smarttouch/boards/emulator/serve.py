@@ -136,6 +136,7 @@ def serve(firmware: Firmware, line: Line, linger_s: float = 2.0) -> None:
     while not ended:
         data = line.read(0.001 if firmware.busy else 0.004)
         now = clock.now_ns()
+        firmware.books.stood_still_ms = clock.stood_still_ns / 1e6
         if data is None:
             if had_host:
                 had_host, alone_since = False, now
@@ -168,11 +169,11 @@ class BoardClock:
     """
 
     def __init__(self) -> None:
-        self._last = time.monotonic_ns()
-        self._lost = self._last
+        self._begun = self._last = time.monotonic_ns()
+        self.stood_still_ns = 0
 
     def now_ns(self) -> int:
         now = time.monotonic_ns()
-        self._lost += max(0, now - self._last - _LONGEST_STEP_NS)
+        self.stood_still_ns += max(0, now - self._last - _LONGEST_STEP_NS)
         self._last = now
-        return now - self._lost
+        return now - self._begun - self.stood_still_ns

@@ -1,0 +1,171 @@
+"""The limits of one profile as whole numbers, written from their definitions alone.
+
+Nothing here or in the other modules of the oracle may import `smarttouch.scan.safety`.
+"""
+
+import math
+from dataclasses import dataclass
+from decimal import Decimal, localcontext
+from fractions import Fraction
+
+import numpy as np
+
+NS = 10**9
+WHOLE = 10**9
+"""Intensity counts in parts per billion: this much is full."""
+FREE_RISE = 1_000
+"""Parts per billion by which intensity may always rise."""
+LATE_NS = 100_000_000
+"""What is later than this is dropped, so that a sequence may claim so much more of the ramp."""
+LONGEST_PERIOD_US = 60_000_000
+LATEST_NS = 2**62
+LEAST_DISCHARGE_US = 20
+STRONG_A_SECOND = 1_500
+MEAN_UA = 500
+LONGEST_SHARE_US = 40_000
+"""One sequence brings an electrode at most what the two above allow in this time."""
+TOTAL_MA = 10
+DENSITY_PC_MM2 = 10**6
+"""100 µC/cm²."""
+SHANNON_K = Decimal("1.75")
+SESSION_S = 3_600
+SESSION_MC = 1_800
+PC_IN_MC = 10**9
+RECHARGE_US = 20_000
+RECHARGE_PC = 4 * 500_000
+PI = Decimal("3.14159265358979323846264338327950288419716939937510")
+
+
+def dec(value):
+    """Return a float as the decimal that a person wrote."""
+    return Fraction(repr(float(value)))
+
+
+def exact(value):
+    """Return a float as the binary fraction that it is."""
+    return Fraction(float(value))
+
+
+def area_mm2(array):
+    """Return the area of one electrode, as a Decimal; a point counts as a disc of 1 mm."""
+    first, second = (Decimal(repr(float(size))) for size in array.size_mm)
+    if array.shape == "point":
+        return PI / 4
+    if array.shape == "rectangle":
+        return first * second
+    return PI / 4 * (first**2 - second**2)
+
+
+def charge_pc(charge_uc, area):
+    """Return the largest whole charge of a pulse: by itself, by density, by Shannon's rule."""
+    with localcontext(prec=60):
+        own = Decimal(repr(float(charge_uc))) * 10**6
+        if area is None:
+            return math.floor(own)
+        shannon = (10**SHANNON_K * area / 100).sqrt() * 10**6
+        return math.floor(min(own, area * DENSITY_PC_MM2, shannon))
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Whole numbers that no sequence of a display may exceed.
+
+    Attributes
+    ----------
+    electrode_ua, strong_ua, recharge_ua : tuple of int
+        Of each electrode: largest current, what counts as a strong pulse, and the largest
+        current of a recharge phase. The latter two are None where no threshold is known.
+    full_ua : Fraction
+        The strongest current at full intensity.
+    full_us : int or None
+        The longest pulse at full intensity where width carries it.
+    session_us, session_pc : int
+        Time with current, and charge through an electrode, of a whole session.
+    """
+
+    electrodes: int
+    rate_hz: Fraction
+    duty: Fraction
+    pulse_us: int
+    electrode_ua: tuple
+    total_ua: int
+    charge_pc: int
+    full_ua: Fraction
+    full_us: int | None
+    ramp_ns: int
+    strong_ua: tuple | None
+    recharge_ua: tuple | None
+    session_us: int
+    session_pc: int
+
+    @property
+    def rounding_ua(self):
+        """Whole µA that sum to zero may be off by this much."""
+        return Fraction(self.electrodes, 2) + 1
+
+    @property
+    def late_rise(self):
+        """Parts per billion that intensity may be ahead of the display's clock."""
+        return LATE_NS * WHOLE // self.ramp_ns
+
+    @classmethod
+    def of(cls, profile):
+        """Return those of a profile."""
+        return cls._made(
+            profile.limits,
+            len(profile.electrodes),
+            max(exact(each) for each in profile.full_ma),
+            profile.pulse.width_us if profile.pulse.carrier == "width" else None,
+            [exact(each) for each in profile.threshold_ma],
+            area_mm2(profile.electrodes),
+        )
+
+    @classmethod
+    def of_limits(cls, limits):
+        """Return those of limits made by hand, which know what they are given and no more."""
+        thresholds = getattr(limits, "threshold_ma", None)
+        if thresholds is not None:
+            thresholds = [exact(x) for x in np.broadcast_to(thresholds, (limits.electrodes,))]
+        area = getattr(limits, "area_mm2", None)
+        if area is not None:
+            area = Decimal(repr(float(np.min(area))))
+        return cls._made(
+            limits,
+            limits.electrodes,
+            exact(limits.full_ma),
+            None if limits.full_us is None else dec(limits.full_us),
+            thresholds,
+            area,
+        )
+
+    @classmethod
+    def _made(cls, limits, electrodes, full_ma, full_us, thresholds, area):
+        own = limits.electrode_ma or [limits.current_ma] * electrodes
+        total = TOTAL_MA if limits.total_ma is None else min(dec(limits.total_ma), TOTAL_MA)
+        known = thresholds is not None
+        return cls(
+            electrodes=electrodes,
+            rate_hz=dec(limits.rate_hz),
+            duty=dec(limits.duty),
+            pulse_us=math.floor(dec(limits.pulse_us)),
+            electrode_ua=tuple(
+                math.floor(1000 * min(dec(limits.current_ma), dec(each))) for each in own
+            ),
+            total_ua=math.floor(1000 * total),
+            charge_pc=charge_pc(limits.charge_uc, area),
+            full_ua=1000 * full_ma,
+            full_us=full_us,
+            ramp_ns=round(dec(limits.ramp_s) * NS),
+            strong_ua=tuple(math.ceil(500 * each) for each in thresholds) if known else None,
+            recharge_ua=tuple(math.floor(100 * each) for each in thresholds) if known else None,
+            session_us=math.floor(10**6 * min(SESSION_S, _session(limits, "session_s", SESSION_S))),
+            session_pc=math.floor(
+                PC_IN_MC * min(SESSION_MC, _session(limits, "session_mc", SESSION_MC))
+            ),
+        )
+
+
+def _session(limits, name, usual):
+    """Return a limit of the session; not every profile has one."""
+    value = getattr(limits, name, None)
+    return usual if value is None else dec(value)

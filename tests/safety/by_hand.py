@@ -1,0 +1,56 @@
+"""Small sequences and limits by hand, for four electrodes."""
+
+from fractions import Fraction
+
+import numpy as np
+
+from smarttouch.scan.sequence import ScanSequence
+
+from .bounds import NS, Bounds
+
+FULL = Bounds(
+    electrodes=4,
+    rate_hz=Fraction(100),
+    duty=Fraction(1, 2),
+    pulse_us=200,
+    electrode_ua=(3000, 3000, 3000, 700),
+    total_ua=3500,
+    charge_pc=400_000,
+    full_ua=Fraction(3000),
+    full_us=None,
+    ramp_ns=NS // 2,
+    strong_ua=(600, 600, 600, 300),
+    recharge_ua=(120, 120, 120, 60),
+    session_us=600 * 10**6,
+    session_pc=10**12,
+)
+
+
+class Recharged(ScanSequence):
+    """A sequence with a recharge phase, for as long as sequences have none of their own."""
+
+    recharge_ua = None
+    recharge_us = 0
+
+
+def sequence(rows, *, width=100, discharge=50, period=20_000, intensity=1.0, time_ns=NS, **other):
+    current = np.array(rows, np.int16).reshape(-1, 4)
+    slots = len(current)
+    made = Recharged(
+        current,
+        np.broadcast_to(np.array(width, np.uint16), (slots,)),
+        np.broadcast_to(np.array(discharge, np.uint16), (slots,)),
+        np.zeros(slots, np.uint16),
+        period,
+        intensity,
+        time_ns,
+        other.pop("vibration", None),
+    )
+    for name, value in other.items():
+        object.__setattr__(made, name, value)
+    return made
+
+
+def pair(first, count=1):
+    """Slots in which one electrode drives, and another returns."""
+    return [[first, -first, 0, 0]] * count

@@ -1,0 +1,160 @@
+"""The judge of what flowed: the pulses in an emulator's books, by the limits' definitions."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smarttouch.boards.emulator.books import read_slots, read_state
+from smarttouch.boards.emulator.skin import SPREAD
+
+from .bounds import LATE_NS, MEAN_UA, STRONG_A_SECOND
+
+SHARED = (1 + SPREAD) / (1 - SPREAD)
+"""How much more than planned an electrode may carry that shares its pole with others.
+
+One source's current divides by the impedances of a pole, which differ in the emulated skin by
+``SPREAD`` each way. The best of many carries at most this much more than the average of the
+others, 1.353; that of an electrode alone in its pole is the source's own.
+"""
+ROUNDING_UA = 0.5
+"""Books hold whole µA."""
+CLOSE = 1 + 1e-5
+"""Books hold charges in single precision."""
+BURST = 1 + 0.1 + 0.04
+"""Shares of a second that may crowd into one of the board's: what 100 ms of lateness moves, and
+one sequence, which brings at most what 40 ms allow."""
+SECOND_US = 10**6
+
+
+@dataclass(frozen=True)
+class Pulses:
+    """Pulses in the order of time, (N,) and (N, E).
+
+    ``time_us`` is None where no time is known, ``width_us`` where it follows from charge alone.
+    """
+
+    current_ua: np.ndarray
+    charge_pc: np.ndarray
+    width_us: np.ndarray | None = None
+    time_us: np.ndarray | None = None
+    stood_still_us: float = 0.0
+    """How long the emulator's clock stood still in all."""
+
+    @classmethod
+    def of_books(cls, folder):
+        """Return those in a folder that an emulator kept its books in."""
+        slots = read_slots(folder)
+        return cls(
+            slots["current_ua"].astype(np.float64),
+            slots["charge_uc"].astype(np.float64) * 1e6,
+            time_us=slots["time_us"],
+            stood_still_us=1000 * float(str(read_state(folder).get("stood_still_ms", 0))),
+        )
+
+    @classmethod
+    def taken(cls, numbers, width_us, current_ua):
+        """Return those that `SimulatedBoard.take_pulses` gave."""
+        current_ua = current_ua.astype(np.float64)
+        return cls(current_ua, current_ua * width_us[:, None], width_us)
+
+
+def judge_pulses(pulses, bounds, period_us=None):
+    """Return the names of all limits that pulses break.
+
+    Parameters
+    ----------
+    pulses : Pulses
+    bounds : Bounds
+    period_us : int, optional
+        Longest period of a scan. Where it is given the first pulses are held to the rise as
+        well: none may be stronger than a start from zero when the board was switched on allows.
+    """
+    if not len(pulses.current_ua):
+        return []
+    kept = {
+        "current": _keeps_current(pulses, bounds),
+        "total": _keeps_total(pulses, bounds),
+        "charge": _keeps_charge(pulses, bounds),
+        "width": _keeps_width(pulses, bounds),
+        "balance": _keeps_balance(pulses),
+    }
+    if pulses.time_us is not None:
+        kept["strong in a second"] = _keeps_strong(pulses, bounds)
+        kept["mean in a second"] = _keeps_mean(pulses)
+        if period_us is not None:
+            kept["rise"] = _keeps_rise(pulses, bounds, period_us)
+    return [name for name, keeps in kept.items() if not keeps]
+
+
+def _allowance(pulses):
+    """Return how much more than planned each electrode may carry in each pulse, (N, E)."""
+    current = pulses.current_ua
+    poles = [(current > 0).sum(axis=1), (current < 0).sum(axis=1)]
+    shares = np.where(current > 0, poles[0][:, None], poles[1][:, None]) > 1
+    return np.where(shares, SHARED, CLOSE)
+
+
+def _keeps_current(pulses, bounds):
+    most = np.array(bounds.electrode_ua) * _allowance(pulses) + ROUNDING_UA
+    return bool((np.abs(pulses.current_ua) <= most).all())
+
+
+def _keeps_total(pulses, bounds):
+    totals = np.maximum(pulses.current_ua, 0).sum(axis=1)
+    return bool((totals <= bounds.total_ua * CLOSE + bounds.electrodes * ROUNDING_UA).all())
+
+
+def _keeps_charge(pulses, bounds):
+    rounding = 0 if pulses.width_us is None else ROUNDING_UA * pulses.width_us[:, None]
+    most = bounds.charge_pc * _allowance(pulses) + rounding
+    return bool((np.abs(pulses.charge_pc) <= most).all())
+
+
+def _keeps_width(pulses, bounds):
+    if pulses.width_us is not None:
+        return bool((pulses.width_us <= bounds.pulse_us * CLOSE).all())
+    # A mean current and its charge tell the width, as closely as whole µA do.
+    longest_pc = (np.abs(pulses.current_ua) + ROUNDING_UA) * bounds.pulse_us * CLOSE
+    return bool((np.abs(pulses.charge_pc) <= longest_pc).all())
+
+
+def _keeps_balance(pulses):
+    electrodes = pulses.current_ua.shape[1]
+    return bool((np.abs(pulses.current_ua.sum(axis=1)) <= electrodes * ROUNDING_UA).all())
+
+
+def _keeps_strong(pulses, bounds):
+    if bounds.strong_ua is None:
+        return True
+    least_ua = np.array(bounds.strong_ua) * _allowance(pulses) + ROUNDING_UA
+    strong = np.abs(pulses.current_ua) >= least_ua
+    most = _most_in_a_second(pulses.time_us, strong.astype(np.float64))
+    return most <= STRONG_A_SECOND * BURST
+
+
+def _keeps_mean(pulses):
+    planned_pc = np.abs(pulses.charge_pc) / _allowance(pulses)
+    return _most_in_a_second(pulses.time_us, planned_pc) <= MEAN_UA * SECOND_US * BURST
+
+
+def _most_in_a_second(time_us, amounts):
+    """Return the largest sum of any electrode's amounts (N, E) over any second."""
+    sums = np.vstack([np.zeros(amounts.shape[1]), np.cumsum(amounts, axis=0)])
+    first = np.searchsorted(time_us, time_us - SECOND_US, side="right")
+    return float((sums[1:] - sums[first]).max())
+
+
+def _keeps_rise(pulses, bounds, period_us):
+    """Return whether no pulse is stronger than a rise from zero, begun with the board, allows.
+
+    A sequence may be as late as `LATE_NS`, lasts a period, and the emulator's clock stands
+    still while its process does.
+    """
+    passed_us = pulses.time_us + LATE_NS / 1000 + period_us + pulses.stood_still_us
+    share = np.minimum(1, passed_us * 1000 / bounds.ramp_ns)[:, None]
+    full_ua = float(bounds.full_ua)
+    most_ua = (share * full_ua + float(bounds.rounding_ua)) * _allowance(pulses) + ROUNDING_UA
+    if bounds.full_us is None:
+        return bool((np.abs(pulses.current_ua) <= most_ua).all())
+    most_pc = share * (full_ua + float(bounds.rounding_ua)) * float(bounds.full_us) * 1.001
+    return bool((np.abs(pulses.charge_pc) <= most_pc * _allowance(pulses)).all())

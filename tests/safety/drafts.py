@@ -1,0 +1,146 @@
+"""Ordinary sequences, drawn quickly: what an attack starts from."""
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from smarttouch.scan.sequence import ScanSequence
+
+from .bounds import NS, WHOLE, exact
+
+RECHARGES = "recharge_ua" in {each.name for each in fields(ScanSequence)}
+"""Whether sequences have a recharge phase."""
+
+
+@dataclass
+class Draft:
+    """A sequence that can still be changed, and when it is to be sent.
+
+    Arrays are wider than a sequence's, so that a change may leave the range; it then wraps.
+    """
+
+    current_ua: np.ndarray
+    width_us: np.ndarray
+    discharge_us: np.ndarray
+    site: np.ndarray
+    period_us: int
+    intensity: float
+    time_ns: int
+    clock_ns: int
+    times: int = 1
+    vibration: np.ndarray | None = None
+    recharge_ua: np.ndarray | None = None
+    recharge_us: int = 0
+
+    @property
+    def slots(self):
+        return len(self.width_us)
+
+    @property
+    def busy_us(self):
+        return int(self.width_us.sum() + self.discharge_us.sum()) + self.recharge_us
+
+    def made(self, **other):
+        """Return the sequence, some of its fields replaced."""
+        values = {
+            "current_ua": self.current_ua.astype(np.int16),
+            "width_us": self.width_us.astype(np.uint16),
+            "discharge_us": self.discharge_us.astype(np.uint16),
+            "site": self.site.astype(np.uint16),
+            "period_us": self.period_us,
+            "intensity": self.intensity,
+            "time_ns": self.time_ns,
+            "vibration": self.vibration,
+        }
+        if RECHARGES:
+            values |= {"recharge_ua": self.recharge_ua, "recharge_us": self.recharge_us}
+        return ScanSequence(**values | other)
+
+    def resize(self, slots):
+        """Give it so many silent slots, as long as its longest ones are short."""
+        self.current_ua = np.zeros((slots, self.current_ua.shape[1]), np.int64)
+        self.width_us = np.full(slots, 50)
+        self.discharge_us = np.full(slots, 20)
+        self.site = np.zeros(slots, np.int64)
+
+    def drive(self, slots, site, level_ua, rng):
+        """Let one electrode be driven in some slots, all others its return."""
+        others = self.current_ua.shape[1] - 1
+        row = np.full(others + 1, -(level_ua // others))
+        row[np.delete(np.arange(others + 1), site)[: level_ua % others]] -= 1
+        row[site] = level_ua
+        self.site[slots] = site
+        self.current_ua[slots] = row if rng.random() < 0.5 else -row
+
+    def fit(self, bounds, spare_us=0):
+        """Give it the shortest period that its slots, the rate and the duty allow, and more."""
+        self.period_us = spare_us + max(
+            math.ceil(10**6 / bounds.rate_hz),
+            math.ceil(int(self.width_us.sum()) / bounds.duty),
+            self.busy_us,
+        )
+
+
+def intensity_of(ppb):
+    """Return a float of so many parts per billion, rounded up."""
+    value = max(0, min(ppb, WHOLE)) / WHOLE
+    while value and math.ceil(exact(value) * WHOLE) > ppb:
+        value = math.nextafter(value, 0)
+    return value
+
+
+def level_at(bounds, intensity):
+    """Return the largest current that an intensity allows, without what rounding may add."""
+    share = 1 if bounds.full_us is not None else exact(intensity)
+    return math.floor(share * bounds.full_ua)
+
+
+def ordinary(oracle, rng, clock_ns, time_ns, full=False):
+    """Draw a sequence that keeps most limits, for some time of clock and claim.
+
+    It is as intense as it may be most of the time, and always if ``full``.
+    """
+    bounds = oracle.bounds
+    most = min(oracle.most_as_claimed(time_ns), oracle.most_by_clock(clock_ns), WHOLE)
+    ppb = max(most, 0) if full or rng.random() < 0.8 else rng.randint(0, max(most, 0))
+    intensity = 1.0 if ppb == WHOLE else intensity_of(ppb)
+    slots = rng.choice((0, 1, 1, 1, 2, 2, 3, 4, 6))
+    count = bounds.electrodes
+    draft = Draft(
+        np.zeros((slots, count), np.int64),
+        np.zeros(slots, np.int64),
+        np.zeros(slots, np.int64),
+        np.zeros(slots, np.int64),
+        0,
+        intensity,
+        time_ns,
+        clock_ns,
+    )
+    level = level_at(bounds, intensity)
+    for slot in range(slots):
+        site = rng.randrange(count)
+        width = rng.randint(1, bounds.pulse_us)
+        if bounds.full_us is not None:
+            width = max(1, min(width, int(exact(intensity) * bounds.full_us)))
+        draft.width_us[slot] = width
+        draft.discharge_us[slot] = rng.randint(20, 150)
+        top = min(level, bounds.electrode_ua[site], bounds.charge_pc // width, bounds.total_ua)
+        draft.drive(slot, site, rng.randint(0, top), rng)
+    draft.fit(bounds, rng.choice((0, 0, 100, 3_000, 20_000)))
+    if rng.random() < 0.1:
+        draft.vibration = np.full(count, intensity * rng.random(), np.float32)
+    return draft
+
+
+def later(oracle, rng):
+    """Return by how much clock and claimed time move on: mostly alike, and sometimes far."""
+    if oracle.most_by_clock(oracle.clock_ns or 0) < WHOLE and rng.random() < 0.5:
+        return oracle.bounds.ramp_ns, oracle.bounds.ramp_ns
+    step = rng.choice((0, 1, 1_000, 10**6, 5 * 10**6, 20 * 10**6, 20 * 10**6, 10**8, NS, 9 * NS))
+    chance = rng.random()
+    if chance < 0.8:
+        return step, max(step, 1)
+    if chance < 0.9:
+        return rng.choice((-NS, -1, 0, step)), rng.randint(1, NS)
+    return step, rng.choice((1, step + 10**8, NS))

@@ -1,0 +1,101 @@
+"""Fields of wrong types, sizes and ranges, and right ones that look odd."""
+
+import math
+from decimal import Decimal
+from fractions import Fraction
+
+import numpy as np
+
+NUMBERS = (
+    math.nan, math.inf, -math.inf, -0.0, 0, 1, -1, 0.5, 1.5, 20_000.0, 1e300, 5e-324, True, False,
+    None, "20000", b"1", 1j, Fraction(1, 2), Decimal(1), [20_000], (), 2**31, 2**32, 2**61,
+    2**62 - 1, 2**62, 2**63 - 1, 2**63, -(2**63), 2**64, 10**30, -(10**30), 10**400, 60_000_000,
+    60_000_001, 59_999_999,
+    np.int8(100), np.uint8(200), np.int16(20_000), np.uint16(20_000), np.int32(20_000),
+    np.uint32(2**32 - 1), np.int64(2**63 - 1), np.int64(-(2**63)), np.uint64(2**64 - 1),
+    np.uint64(20_000), np.bool_(True), np.float16(0.5), np.float32(0.1), np.float64(20_000.0),
+    np.float64(math.nan), np.float32(math.inf), np.float16(math.nan), np.longdouble(1.0),
+    np.longdouble(1) + np.finfo(np.longdouble).eps, np.float32(1) + np.finfo(np.float32).eps,
+    1 + 2**-52, np.array(20_000), np.array([20_000]), np.array(0.5), np.datetime64(1, "ns"),
+)  # fmt: skip
+"""What a number may be replaced with."""
+
+
+def _shapes(array, rng):
+    """Return an array of another shape."""
+    change = rng.randrange(6)
+    if change == 0:
+        return array[:-1]
+    if change == 1:
+        return np.concatenate([array, array[:1]]) if len(array) else np.zeros(1, array.dtype)
+    if change == 2:
+        return array[None]
+    if change == 3:
+        return array.ravel() if array.ndim > 1 else array.reshape(-1, 1)
+    if change == 4:
+        return array.T[..., :-1]
+    return np.zeros((0,) * array.ndim, array.dtype)
+
+
+def _kinds(array, rng):
+    """Return an array of another type, or what is none."""
+    kinds = (
+        "int8", "uint8", "int16", "uint16", "int32", "int64", "uint64", "float16", "float32",
+        "float64", "bool", "complex128", "object", "S4", ">i2", ">u2", ">f4", "V2",
+    )  # fmt: skip
+    if rng.random() < 0.2:
+        return rng.choice(
+            (None, 0, "array", array.tolist(), tuple(array.tolist()), b"", array.data)
+        )
+    kind = rng.choice(kinds)
+    return np.zeros(array.shape, kind) if kind == "V2" else array.astype(kind)
+
+
+def _ends(array, rng):
+    """Return an array with one number at an end of its type."""
+    array = array.copy()
+    if array.size:
+        kind = array.dtype
+        ends = (
+            (math.nan, math.inf, -math.inf, 1.0, -1e-30, 1e-45)
+            if kind.kind == "f"
+            else (np.iinfo(kind).min, np.iinfo(kind).max, 0, 1)
+        )
+        array.flat[rng.randrange(array.size)] = rng.choice(ends)
+    return array
+
+
+def _layouts(array, rng):
+    """Return an array of the same numbers that lies otherwise in memory."""
+    change = rng.randrange(4)
+    if change == 0:
+        return np.asfortranarray(array)
+    if change == 1:
+        return np.repeat(array, 2, axis=0)[::2]
+    if change == 2:
+        return np.flip(np.flip(array, 0).copy(), 0)
+    array = array.copy()
+    array.flags.writeable = False
+    return array
+
+
+def garbled(draft, rng):
+    """Return a sequence with one or two fields replaced."""
+    sequence = draft.made()
+    changes = {}
+    for _ in range(rng.choice((1, 1, 2))):
+        name = rng.choice(
+            ("period_us", "intensity", "time_ns", "current_ua", "width_us", "discharge_us", "site",
+             "vibration", "recharge_us", "recharge_ua")
+        )  # fmt: skip
+        if not hasattr(sequence, name):
+            continue
+        if name in ("period_us", "intensity", "time_ns", "recharge_us"):
+            changes[name] = rng.choice(NUMBERS)
+            continue
+        array = getattr(sequence, name)
+        if array is None:
+            kind = np.float32 if name == "vibration" else np.int16
+            array = np.zeros(sequence.current_ua.shape[1], kind)
+        changes[name] = rng.choice((_shapes, _kinds, _ends, _ends, _layouts))(array, rng)
+    return draft.made(**changes)

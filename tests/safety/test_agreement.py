@@ -1,0 +1,134 @@
+"""The attack itself: it reaches every limit, finds every gap, and comes out the same again."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from smarttouch.scan.sequence import ScanSequence
+
+from .agreement import Tally, attack, stream
+from .displays import display
+from .drafts import intensity_of
+from .gates import Answer, faults_of_copy
+from .oracle import Oracle
+from .quick import judge_alone_quickly
+
+
+class Careless:
+    """A gate that overlooks one rule, and by default none; it counts what it overlooked as sent."""
+
+    overlooks = None
+
+    def __init__(self, profile):
+        self._oracle = Oracle(profile, judge_alone_quickly)
+
+    def ask(self, sequence, clock_ns, times=1):
+        broken = self._oracle.judge(sequence, clock_ns, times)
+        return Answer(set(broken) <= {self.overlooks}, limit=",".join(broken))
+
+
+class Strict(Careless):
+    """A gate that refuses what is full."""
+
+    def ask(self, sequence, clock_ns, times=1):
+        answer = super().ask(sequence, clock_ns, times)
+        full = answer.accepted and sequence.intensity == 1
+        return Answer(False, limit="full") if full else answer
+
+
+class Crashing(Careless):
+    """A gate that falls over what it refuses."""
+
+    def ask(self, sequence, clock_ns, times=1):
+        answer = super().ask(sequence, clock_ns, times)
+        return answer if answer.accepted else Answer(False, crash="TypeError")
+
+
+@pytest.fixture(scope="module")
+def tally():
+    return attack(0, 6000, Careless)
+
+
+def test_it_reaches_every_limit(tally):
+    assert tally.disagreements == 0
+    assert tally.missing() == []
+    assert min(tally.accepted, tally.refused) > 1500
+
+
+def test_it_is_the_same_every_time(tally):
+    again = attack(0, 1000, Careless)
+    assert again == attack(0, 1000, Careless)
+    assert again.only != tally.only
+
+
+@pytest.mark.parametrize("rule", ["discharge", "time", "strong in a second", "session time"])
+def test_it_finds_what_a_gate_overlooks(rule):
+    careless = type("Overlooks", (Careless,), {"overlooks": rule})
+    assert set(attack(0, 2500, careless).unsafe) == {(rule,)}
+
+
+def test_it_finds_what_a_gate_refuses_without_need():
+    assert set(attack(0, 1000, Strict).strict) == {"full"}
+
+
+def test_it_finds_what_breaks_a_gate():
+    assert set(attack(0, 500, Crashing).crashes) == {"TypeError"}
+
+
+def test_tallies_add_up():
+    total = Tally()
+    for seed in (0, 1):
+        total.add(attack(seed * 100, 300, Careless))
+    assert total.asked == total.accepted + total.refused >= 600
+    assert sum(total.only.values()) <= total.refused
+    assert f"{total.asked} asked" in total.table()
+
+
+@pytest.mark.parametrize("ppb", [0, 1, 999, 333_333_333, 10**9 - 1, 10**9])
+def test_an_intensity_of_so_many_parts(ppb):
+    oracle = Oracle(display("line-7"))
+    empty = ScanSequence(
+        np.zeros((0, 7), np.int16), *(np.zeros(0, np.uint16),) * 3, 20_000, intensity_of(ppb), 0
+    )
+    assert oracle._alone(empty, oracle.bounds).intensity_ppb == ppb
+
+
+def frozen(array):
+    return np.frombuffer(array.tobytes(), array.dtype).reshape(array.shape)
+
+
+@pytest.fixture
+def pulse():
+    row = np.array([[500, -500, 0, 0]], np.int16)
+    one = np.ones(1, np.uint16)
+    return ScanSequence(row, one * 100, one * 50, one, 20_000, 0.5, 7)
+
+
+def test_a_copy_for_good_has_no_fault(pulse):
+    arrays = ("current_ua", "width_us", "discharge_us", "site")
+    copy = dataclasses.replace(pulse, **{name: frozen(getattr(pulse, name)) for name in arrays})
+    assert faults_of_copy(copy, pulse) == []
+    # A flag alone can be set again.
+    for change in (
+        {"current_ua": pulse.current_ua},
+        {"width_us": np.full(1, 100, np.uint16)},
+        {"current_ua": frozen(pulse.current_ua * 2)},
+        {"site": frozen(pulse.site.astype(np.int64))},
+        {"period_us": np.int64(20_000)},
+        {"intensity": 0.25},
+        {"time_ns": 8},
+        {"discharge_us": [50]},
+    ):
+        assert len(faults_of_copy(dataclasses.replace(copy, **change), pulse)) == 1
+    locked = pulse.width_us.copy()
+    locked.flags.writeable = False
+    assert faults_of_copy(dataclasses.replace(copy, width_us=locked), pulse) != []
+    assert faults_of_copy(None, pulse) == ["a NoneType"]
+
+
+def test_a_stream_ends_where_they_disagree():
+    """From there on they would speak of different pasts."""
+    tally = Tally()
+    stream("line-7", 0, tally, Strict)
+    assert tally.disagreements == 1

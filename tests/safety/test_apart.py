@@ -1,0 +1,53 @@
+"""The oracle shares no code with what proves sequences safe."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+ORACLE = ("bounds", "rules", "quick", "oracle", "deliveries")
+"""The modules that judge; the others ask them, and the gate."""
+MAY = (
+    "smarttouch.profile",
+    "smarttouch.electrodes",
+    "smarttouch.boards.emulator.books",
+    "smarttouch.boards.emulator.skin",
+)
+"""What they may know of the package: data, geometry, and what an emulator wrote down."""
+
+
+def imports_of(path):
+    """Return the absolute names of everything a module imports, relative ones from `tests`."""
+    names = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names += [each.name for each in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names.append("." * node.level + (node.module or ""))
+    return names
+
+
+@pytest.mark.parametrize("name", ORACLE)
+def test_the_oracle_imports_nothing_of_the_gate(name):
+    for imported in imports_of(HERE / f"{name}.py"):
+        if imported.startswith("smarttouch"):
+            assert imported in MAY
+        elif imported.startswith("."):
+            assert imported.lstrip(".") in ORACLE
+            assert not imported.startswith("..")
+        else:
+            assert imported.split(".")[0] in {*sys.stdlib_module_names, "numpy"}
+            assert imported != "importlib"
+
+
+def test_with_the_oracle_nothing_of_the_gate_is_loaded():
+    modules = ", ".join(f"tests.safety.{name}" for name in ORACLE)
+    code = f"import sys, {modules}\nprint([m for m in sys.modules if 'smarttouch.scan' in m])"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=HERE.parents[1], capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,122 @@
+"""What flowed is judged pulse by pulse, second by second, and from the start."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
+from smarttouch.boards.emulator.skin import Delivered
+
+from .bounds import Bounds
+from .by_hand import FULL
+from .deliveries import Pulses, judge_pulses
+from .displays import display
+
+MS = 1000
+
+
+@pytest.fixture
+def judged_books():
+    """These books are of what no gate has proved."""
+
+
+def pulses(rows, *, width=100, every_us=10 * MS, first_us=10**6, **other):
+    """So many pulses, one after another."""
+    current = np.array(rows, np.float64).reshape(-1, 4)
+    time_us = first_us + every_us * np.arange(len(current))
+    return Pulses(current, current * width, time_us=time_us, **other)
+
+
+ALIKE = replace(FULL, electrode_ua=(3000,) * 4)
+INSIDE_AND_OUTSIDE = [
+    ("current", pulses([3000, -3000, 0, 0]), pulses([3001, -3001, 0, 0])),
+    ("total", pulses([1750, 1750, -1750, -1750]), pulses([1760, 1760, -1760, -1760])),
+    ("charge", pulses([2000, -2000, 0, 0], width=200), pulses([2001, -2001, 0, 0], width=200)),
+    ("width", pulses([90, -90, 0, 0], width=200), pulses([90, -90, 0, 0], width=202)),
+    ("balance", pulses([90, -89, 0, 0]), pulses([90, -87, 0, 0])),
+    ("strong in a second", pulses([[900, -900, 0, 0]] * 1709, every_us=500, width=9), pulses(
+        [[900, -900, 0, 0]] * 1711, every_us=500, width=9)),
+    ("mean in a second", pulses([[2000, -2000, 0, 0]] * 1499, every_us=500, width=190), pulses(
+        [[2000, -2000, 0, 0]] * 1501, every_us=500, width=190)),
+]  # fmt: skip
+"""Each rule, what just keeps it, and what just does not."""
+
+
+@pytest.mark.parametrize(("rule", "inside", "outside"), INSIDE_AND_OUTSIDE)
+def test_pulses(rule, inside, outside):
+    assert judge_pulses(inside, ALIKE) == []
+    assert judge_pulses(outside, ALIKE) == [rule]
+
+
+def test_every_electrode_has_its_own_limit():
+    assert judge_pulses(pulses([0, -700, 0, 700]), FULL) == []
+    assert judge_pulses(pulses([0, -701, 0, 701]), FULL) == ["current"]
+
+
+def test_an_electrode_that_shares_its_pole_may_carry_more():
+    bounds = replace(FULL, electrode_ua=(1000,) * 4)
+    assert judge_pulses(pulses([1300, -1000, 300 - 600, 0]), bounds) == ["current"]
+    assert judge_pulses(pulses([-1000, 1300, -600, 300]), bounds) == []
+    assert judge_pulses(pulses([-1000, 1400, -700, 300]), bounds) == ["current"]
+
+
+def test_nothing_breaks_nothing():
+    assert judge_pulses(pulses([]), FULL, period_us=20 * MS) == []
+
+
+def ramp(start_us, rise_us, count=100, **other):
+    """Pulses every 10 ms that rise from zero to the strongest."""
+    time_us = 10 * MS * np.arange(count)
+    level = np.clip((time_us - start_us) / rise_us, 0, 1) * 3000
+    return pulses(np.outer(level, [1, -1, 0, 0]), first_us=0, **other)
+
+
+def test_strength_rises_no_faster_than_from_zero_when_the_board_began():
+    assert judge_pulses(ramp(0, 500 * MS), FULL, 20 * MS) == []
+    # A tenth of a second and a period are what a sequence may be late by.
+    assert judge_pulses(ramp(0, 390 * MS), FULL, 20 * MS) == []
+    assert judge_pulses(ramp(0, 370 * MS), FULL, 20 * MS) == ["rise"]
+    assert judge_pulses(ramp(0, 370 * MS), FULL) == []
+    assert judge_pulses(ramp(0, 370 * MS, stood_still_us=30 * MS), FULL, 20 * MS) == []
+    by_width = replace(FULL, full_us=100)
+    assert judge_pulses(ramp(0, 390 * MS), by_width, 20 * MS) == []
+    assert judge_pulses(ramp(0, 350 * MS), by_width, 20 * MS) == ["rise"]
+
+
+def test_books_of_a_kit(tmp_path):
+    """The firmware by itself: what is within the profile's limits, and what is not."""
+    books = Books(61, tmp_path)
+    board = Kajimoto61Firmware(books)
+    bounds = Bounds.of(display("kajimoto-61"))
+    board.feed(bytes([0xFF]) + bytes(61), 0)
+    for index, steps in enumerate((100, 128, 129)):
+        board.feed(bytes([0xFF]) + bytes(30) + bytes([steps]) + bytes(30), (1 + index) * 10**9)
+        board.advance((1 + index) * 10**9 + 10**8)
+        books.write()
+        found = judge_pulses(Pulses.of_books(tmp_path), bounds)
+        assert found == ([] if steps < 129 else ["current"])
+    # Three pulses far apart; the first is as strong as a start from zero allows after a second.
+    assert judge_pulses(Pulses.of_books(tmp_path), bounds, 20 * MS) == ["current", "rise"]
+
+
+def test_pulses_that_were_taken():
+    numbers = np.array([1, 1], np.uint32)
+    current = np.array([[2000, -2000, 0, 0], [0, 2000, -2000, 0]], np.int16)
+    taken = Pulses.taken(numbers, np.array([200, 200], np.float32), current)
+    assert judge_pulses(taken, FULL) == []
+    assert judge_pulses(replace(taken, width_us=np.array([200, 201.0])), FULL) == ["width"]
+    assert judge_pulses(Pulses.taken(numbers, np.array([200, 200]), current + 2), FULL) != []
+
+
+def test_books_keep_every_pulse_with_its_time(tmp_path):
+    books = Books(4, tmp_path)
+    current = np.array([100.4, -100.4, 0, 0])
+    for time_us in (7, 2**40):
+        delivered = Delivered(current, current * 50, np.zeros(4), 1.0)
+        books.enter(1, 0, 0, delivered, 50, np.zeros(4), time_us)
+    books.write()
+    kept = Pulses.of_books(tmp_path)
+    assert kept.time_us.tolist() == [7, 2**40]
+    np.testing.assert_allclose(kept.charge_pc[0], current * 50, rtol=1e-6)

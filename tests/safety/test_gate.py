@@ -1,0 +1,26 @@
+"""Gate and oracle agree on every sequence, and what was proved stays as it was.
+
+``SMARTTOUCH_SAFETY_SEQUENCES`` says how many are asked about; for a million of them
+``python -m tests.safety.agreement 1000000 --jobs 2`` prints the table as well.
+"""
+
+import os
+
+import pytest
+
+from .agreement import attack
+from .gates import TAKES_CLOCK
+
+SEQUENCES = int(os.environ.get("SMARTTOUCH_SAFETY_SEQUENCES", "6000"))
+
+pytestmark = pytest.mark.skipif(not TAKES_CLOCK, reason="gates do not read a clock yet")
+
+
+@pytest.mark.timeout(60 + SEQUENCES / 100)
+@pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")
+def test_gate_and_oracle_agree():
+    tally = attack(0, SEQUENCES)
+    print(tally.table())
+    assert tally.disagreements == 0, tally.table()
+    assert min(tally.accepted, tally.refused) > SEQUENCES / 5
+    assert tally.missing() == []

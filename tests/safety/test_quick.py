@@ -1,0 +1,53 @@
+"""The rules in whole arrays are the rules: two oracles beside each other, on every display."""
+
+import random
+
+import pytest
+
+from .agreement import Tally, stream
+from .bounds import NS
+from .displays import display, display_names
+from .drafts import ordinary
+from .gates import Answer
+from .oracle import Oracle
+from .quick import judge_alone_quickly
+from .rules import judge_alone
+
+STREAMS = 6
+
+
+class OtherForm:
+    """An oracle in the place of a gate, with the other form of the rules."""
+
+    def __init__(self, profile):
+        self._oracles = [Oracle(profile, judge) for judge in (judge_alone, judge_alone_quickly)]
+
+    def ask(self, sequence, clock_ns, times=1):
+        first, second = (oracle.judge(sequence, clock_ns, times) for oracle in self._oracles)
+        assert first == second
+        return Answer(not first, limit=",".join(first))
+
+
+@pytest.mark.parametrize("name", display_names())
+def test_both_forms_agree(name):
+    tally = Tally()
+    for seed in range(STREAMS):
+        stream(name, seed, tally, OtherForm)
+    assert tally.asked > 400
+    assert tally.disagreements == 0
+    assert min(tally.accepted, tally.refused) > 100
+
+
+@pytest.mark.parametrize("name", ["line-7", "one finger", "by width"])
+def test_both_forms_bring_the_same(name):
+    oracle, rng = Oracle(display(name)), random.Random(1)
+    silent = ordinary(oracle, rng, 0, 0)
+    silent.resize(0)
+    assert oracle.judge(silent.made(), 0) == []
+    for _ in range(50):
+        made = ordinary(oracle, rng, NS, NS).made()
+        plain, quick = (judge(made, oracle.bounds) for judge in (judge_alone, judge_alone_quickly))
+        assert list(quick.strong) == plain.strong
+        assert list(quick.charge_pc) == plain.charge_pc
+        assert quick.intensity_ppb == plain.intensity_ppb
+        assert (quick.time_ns, quick.period_us, quick.slots) == (NS, made.period_us, made.slots)

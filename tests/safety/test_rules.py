@@ -1,0 +1,126 @@
+"""Every rule of a single sequence by hand: just inside it holds, just outside it alone breaks."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from .by_hand import FULL, pair, sequence
+from .quick import judge_alone_quickly
+from .rules import judge_alone
+
+BY_WIDTH = replace(FULL, full_us=100)
+
+
+def shaken(*strengths):
+    return np.array(strengths, np.float32)
+
+
+def recharged(*phase, us=1000):
+    return {"recharge_ua": np.array(phase, np.int16), "recharge_us": us}
+
+
+R_UA = 3000 + 4 // 2 + 1
+WIDE = [[-9, 9, 0, 0], [1750, 1750, -2800, -700]]
+EDGES = [
+    ("rate", sequence([], period=10_000), sequence([], period=9_999)),
+    ("range", sequence([], period=60_000_000), sequence([], period=60_000_001)),
+    ("range", sequence([], time_ns=2**62 - 1), sequence([], time_ns=2**62)),
+    ("range", sequence([], time_ns=0), sequence([], time_ns=-1)),
+    ("range", sequence([], intensity=0), sequence([], intensity=-1e-300)),
+    ("range", sequence([], intensity=1), sequence([], intensity=math.nextafter(1, 2))),
+    ("types", sequence([], period=np.uint16(20_000)), sequence([], period=20_000.0)),
+    ("types", sequence([], time_ns=np.int64(5)), sequence([], time_ns=True)),
+    ("types", sequence([], intensity=np.float32(1)), sequence([], intensity=True)),
+    ("types", sequence([]), sequence([], vibration=np.zeros(4))),
+    ("types", sequence([]), sequence([], vibration=shaken(0, 0, 0))),
+    ("period", sequence(pair(1, 2), discharge=9_900), sequence(pair(1, 2), discharge=(9900, 9901))),
+    ("duty", sequence(pair(0, 50), width=200), sequence(pair(0, 51), width=[200] * 50 + [1])),
+    ("balance", sequence([[3, -1, -1, -1]]), sequence([[3, -1, -1, 0]])),
+    ("width", sequence(pair(1), width=200), sequence(pair(1), width=201)),
+    ("width", sequence(pair(1), width=1), sequence(pair(1), width=0)),
+    ("current", sequence([[-700, 0, 0, 700]]), sequence([[-701, 0, 0, 701]])),
+    ("total", sequence(WIDE), sequence([*WIDE, [1751, 1750, -2801, -700]])),
+    ("charge", sequence(pair(2000), width=200), sequence(pair(2001), width=200)),
+    ("discharge", sequence(pair(1), discharge=20), sequence(pair(1), discharge=19)),
+    ("intensity", sequence(pair(1503), intensity=0.5), sequence(pair(1504), intensity=0.5)),
+    ("strong pulses", sequence(pair(600, 30)), sequence(pair(600, 31))),
+    ("strong pulses", sequence(pair(600, 60), period=10**6), sequence(pair(600, 61), period=10**6)),
+    ("strong pulses", sequence([*pair(600, 30), *pair(599, 5)]), sequence(pair(-600, 31))),
+    ("mean current", sequence(pair(2000, 25), width=200), sequence(
+        [*pair(2000, 25), [1, -1, 0, 0]], width=[200] * 25 + [1])),
+    ("vibration", sequence([], vibration=shaken(0, 1, 0, 0)), sequence(
+        [], vibration=shaken(0, 1.000002, 0, 0))),
+    ("vibration", sequence([], vibration=shaken(-0.0, 0, 0, 0)), sequence(
+        [], vibration=shaken(-1e-30, 0, 0, 0))),
+    ("vibration", sequence([]), sequence([], vibration=shaken(0, np.nan, 0, 0))),
+    ("recharge", sequence(pair(9), **recharged(60, 0, 0, -60)), sequence(
+        pair(9), **recharged(61, 0, 0, -61))),
+    ("recharge", sequence(pair(9), **recharged(100, -100, 0, 0, us=19_850), period=50_000),
+     sequence(pair(9), **recharged(101, -101, 0, 0, us=19_850), period=50_000)),
+    ("recharge", sequence(pair(9), **recharged(1, -1, 0, 0, us=1)), sequence(
+        pair(9), **recharged(1, -1, 0, 0, us=0))),
+    ("recharge", sequence(pair(9), **recharged(1, -1, 0, 0)), sequence(
+        pair(9), **recharged(1, -2, 0, 0))),
+    ("recharge", sequence(pair(9), **recharged(1, -1, 0, 0)), sequence(
+        [], **recharged(1, -1, 0, 0))),
+    ("recharge", sequence(pair(9)), sequence(pair(9), recharge_us=1)),
+    ("range", sequence(pair(9), **recharged(1, -1, 0, 0, us=19_850)), sequence(
+        pair(9), **recharged(1, -1, 0, 0, us=20_001), period=60_000)),
+    ("period", sequence(pair(9), **recharged(1, -1, 0, 0, us=19_850)), sequence(
+        pair(9), **recharged(1, -1, 0, 0, us=19_851))),
+    ("mean current", sequence(pair(2000, 24), width=200, **recharged(1, -1, 0, 0)), sequence(
+        pair(2000, 25), width=200, **recharged(1, -1, 0, 0))),
+]  # fmt: skip
+"""Each rule, what just keeps it, and what just does not and breaks nothing else."""
+
+
+@pytest.mark.parametrize("judge", [judge_alone, judge_alone_quickly])
+@pytest.mark.parametrize(("rule", "inside", "outside"), EDGES)
+def test_a_single_sequence(judge, rule, inside, outside):
+    assert judge(inside, FULL).broken == []
+    assert judge(outside, FULL).broken == [rule]
+
+
+@pytest.mark.parametrize("judge", [judge_alone, judge_alone_quickly])
+def test_width_carries_intensity(judge):
+    weak = {"intensity": 0.5, "width": 50}
+    assert judge(sequence(pair(3000), **weak), BY_WIDTH).broken == []
+    # A thousandth more charge than in proportion is what rounding of widths may make.
+    assert judge(sequence(pair(3000), **weak | {"width": 51}), BY_WIDTH).broken == ["intensity"]
+    roomy = replace(BY_WIDTH, electrode_ua=(4000,) * 4)
+    assert judge(sequence(pair(R_UA), width=1), roomy).broken == []
+    assert judge(sequence(pair(R_UA + 1), width=1), roomy).broken == ["intensity"]
+
+
+@pytest.mark.parametrize("judge", [judge_alone, judge_alone_quickly])
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("current_ua", np.zeros((1, 4), np.int32)),
+        ("current_ua", np.zeros((1, 4), ">i2")),
+        ("current_ua", np.zeros((1, 5), np.int16)),
+        ("current_ua", np.zeros((2, 4), np.int16)),
+        ("current_ua", [[0, 0, 0, 0]]),
+        ("width_us", np.zeros(1, np.int16)),
+        ("width_us", np.array(9, np.uint16)),
+        ("discharge_us", np.full(1, 50.0)),
+        ("site", np.zeros((1, 1), np.uint16)),
+        ("site", None),
+        ("period_us", math.nan),
+        ("intensity", "1"),
+        ("intensity", np.int64(1)),
+        ("recharge_us", 1.0),
+    ],
+)
+def test_wrong_types_end_it(judge, name, wrong):
+    good = sequence(pair(9))
+    assert judge(good, FULL).broken == []
+    object.__setattr__(good, name, wrong)
+    assert judge(good, FULL).broken == ["types"]
+
+
+def test_a_site_beyond_the_array_is_out_of_range():
+    beyond = replace(sequence(pair(9)), site=np.array([4], np.uint16))
+    assert judge_alone(beyond, FULL).broken == ["range"]

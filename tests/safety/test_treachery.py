@@ -1,0 +1,229 @@
+"""Sequences that are not what they seem: what a gate lets through is safe, plain and for good."""
+
+import dataclasses
+import threading
+
+import numpy as np
+import pytest
+
+from smarttouch.scan.sequence import ScanSequence
+
+from .displays import display
+from .gates import TAKES_CLOCK, GateUnderTest, faults_of_copy
+from .oracle import Oracle
+
+pytestmark = pytest.mark.skipif(not TAKES_CLOCK, reason="gates return no copies yet")
+
+RACES = 200
+NS = 10**9
+PROFILE = display("line-7")
+
+
+def sequence(level_ua=300, kind=ScanSequence, **other):
+    row = np.array([[level_ua, -level_ua, 0, 0, 0, 0, 0]], np.int16)
+    one = np.ones(1, np.uint16)
+    fields = {
+        "current_ua": row, "width_us": one * 100, "discharge_us": one * 50, "site": one,
+        "period_us": 20_000, "intensity": 1.0, "time_ns": NS,
+    }  # fmt: skip
+    return kind(**fields | other)
+
+
+def silent():
+    return sequence(0, intensity=0.0, time_ns=0)
+
+
+def asked(made):
+    """Return what a gate says of a sequence, a second after a silent one; judge its copy."""
+    gate, oracle = GateUnderTest(PROFILE), Oracle(PROFILE)
+    assert gate.ask(silent(), 0).accepted
+    assert oracle.judge(silent(), 0) == []
+    answer = gate.ask(made, NS)
+    if answer.accepted:
+        # Whatever was asked about: what is sent is this copy.
+        assert faults_of_copy(answer.copy, answer.copy) == []
+        assert oracle.judge(answer.copy, NS) == []
+    return answer
+
+
+class TwoFaced(ScanSequence):
+    """Shows another level each time it is looked at."""
+
+    looks = 0
+
+    def __getattribute__(self, name):
+        value = super().__getattribute__(name)
+        if name != "current_ua":
+            return value
+        object.__setattr__(self, "looks", super().__getattribute__("looks") + 1)
+        return value * np.int16(1 + 9 * (self.looks % 2 == type(self).odd))
+
+
+class FirstGood(TwoFaced):
+    odd = 0
+
+
+class FirstBad(TwoFaced):
+    odd = 1
+
+
+class Modest(ScanSequence):
+    """Says that it has no slots, and another rate."""
+
+    slots = 0
+    points = 0
+    rate_hz = 1.0
+    electrodes = 7
+    state = source_ua = None
+
+
+class Meek(np.ndarray):
+    """An array that says of itself that it is small."""
+
+    def max(self, *_, **__):
+        return 0
+
+    min = sum = any = max
+
+    def all(self, *_, **__):
+        return True
+
+    def tolist(self):
+        return [0] * len(self)
+
+    def astype(self, kind, *_, **__):
+        return np.zeros(self.shape, kind)
+
+    def copy(self, *_):
+        return np.zeros(self.shape, self.dtype)
+
+    def tobytes(self, *_):
+        return bytes(self.nbytes)
+
+    def __array_ufunc__(self, ufunc, method, *inputs, **named):
+        plain = [np.zeros(x.shape, x.dtype) if isinstance(x, Meek) else x for x in inputs]
+        named.pop("out", None)
+        return getattr(ufunc, method)(*plain, **named)
+
+    def __array_function__(self, function, types, given, named):
+        return np.zeros(self.shape, self.dtype)
+
+
+class Agreeable(int):
+    """A number that is never too large nor too small."""
+
+    def __lt__(self, other):
+        return True
+
+    __le__ = __gt__ = __ge__ = __eq__ = __lt__
+
+    def __hash__(self):
+        return 0
+
+    def __int__(self):
+        return 20_000
+
+    __index__ = __int__
+
+
+class AgreeableFloat(float):
+    def __lt__(self, other):
+        return True
+
+    __le__ = __gt__ = __ge__ = __eq__ = __lt__
+
+    def __hash__(self):
+        return 0
+
+    def __float__(self):
+        return 1.0
+
+
+@pytest.mark.parametrize("level_ua", [300, 3000])
+@pytest.mark.parametrize("kind", [FirstGood, FirstBad, Modest])
+def test_a_sequence_that_lies(kind, level_ua):
+    answer = asked(sequence(level_ua, kind))
+    assert answer.accepted in (True, False)
+    if kind is Modest:
+        assert not (answer.accepted and level_ua == 3000)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("current_ua", 3000), ("width_us", 60_000), ("discharge_us", 3), ("site", 60_000)],
+)
+def test_an_array_that_lies(name, value):
+    made = sequence()
+    array = getattr(made, name)
+    lying = (array // array.max() * value).astype(array.dtype).view(Meek)
+    answer = asked(dataclasses.replace(made, **{name: lying}))
+    if answer.accepted:
+        assert value not in getattr(answer.copy, name)
+
+
+@pytest.mark.parametrize("name", ["period_us", "time_ns"])
+@pytest.mark.parametrize("value", [1, -5, 2**63, 10**30])
+def test_a_number_that_lies(name, value):
+    asked(sequence(**{name: Agreeable(value)}))
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 7.0, -1.0])
+def test_an_intensity_that_lies(value):
+    asked(sequence(intensity=AgreeableFloat(value)))
+
+
+@pytest.mark.parametrize("name", ["current_ua", "width_us", "discharge_us", "site"])
+def test_what_is_changed_after_the_proof_changes_nothing(name):
+    made = sequence()
+    answer = asked(made)
+    assert answer.accepted
+    before = getattr(answer.copy, name).tolist()
+    getattr(made, name)[:] = 30_000
+    assert getattr(answer.copy, name).tolist() == before
+    assert not np.shares_memory(getattr(answer.copy, name), getattr(made, name))
+
+
+def test_a_base_that_is_changed_after_the_proof_changes_nothing():
+    """The view is locked, what it looks at is not."""
+    base = np.array([[300, -300, 0, 0, 0, 0, 0]], np.int16)
+    view = base.view()
+    view.flags.writeable = False
+    answer = asked(sequence(current_ua=view))
+    base[:] *= 10
+    if answer.accepted:
+        assert int(answer.copy.current_ua.max()) == 300
+
+
+def test_a_copy_cannot_be_written():
+    copy = asked(sequence()).copy
+    for name in ("current_ua", "width_us", "discharge_us", "site"):
+        array = getattr(copy, name)
+        with pytest.raises(ValueError):
+            array[:] = 0
+        with pytest.raises(ValueError):
+            array.setflags(write=True)
+        with pytest.raises(ValueError):
+            array.view().setflags(write=True)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        copy.period_us = 1
+
+
+def test_another_thread_that_writes_while_it_is_proved():
+    """Whether it is let through depends on the instant; what is let through is safe."""
+    made = sequence()
+    ended, seen = threading.Event(), []
+
+    def write():
+        while not ended.is_set():
+            for level in (300, 3000):
+                made.current_ua[0, :2] = level, -level
+                made.width_us[0] = level // 3
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        seen = [asked(made).accepted for _ in range(RACES)]
+    finally:
+        ended.set()
+        writer.join()
+    assert len(seen) == RACES

@@ -1,0 +1,103 @@
+"""The oracle beside the gates of a process: it judges what they accept, and what is delivered."""
+
+import numpy as np
+import pytest
+
+from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.simulated import SimulatedBoard
+from smarttouch.boards.emulator.skin import Delivered
+from smarttouch.profile import load_profile
+from smarttouch.scan.safety import SafetyGate, SafetyLimits
+
+from .bounds import Bounds
+from .by_hand import pair, sequence
+from .gates import TAKES_CLOCK, ToldClock
+from .watch import HeardClock, Watch
+
+LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
+
+
+def gate(limits=LIMITS):
+    return SafetyGate(limits, ToldClock()) if TAKES_CLOCK else SafetyGate(limits)
+
+
+@pytest.fixture
+def blind(watch):
+    """A watch in whose time gates accept everything, and the usual one looks away."""
+    watch.on = False
+    watch = Watch()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SafetyGate, "prove", lambda *_: None)
+        inner = watch.installed()
+        yield watch
+        inner.undo()
+
+
+def test_what_a_gate_should_not_have_accepted(blind):
+    proving = gate()
+    proving.prove(sequence([], intensity=0.0, time_ns=0))
+    assert blind.take() == []
+    proving.prove(sequence(pair(3001)))
+    (broken,) = blind.take()
+    assert "current" in broken
+    proving.prove(sequence([], intensity=0.0, time_ns=-1))
+    assert bool(blind.take()) == TAKES_CLOCK
+
+
+def test_limits_of_a_profile_are_read_from_the_profile(blind):
+    profile = load_profile("line-7")
+    made = SafetyLimits.of(profile)
+    assert blind.bounds_of(made) == Bounds.of(profile)
+    assert blind.bounds_of_size(7) == Bounds.of(profile)
+    assert blind.bounds_of(LIMITS) == Bounds.of_limits(LIMITS)
+    assert blind.bounds_of_size(4) == Bounds.of_limits(LIMITS)
+    blind.take()
+    assert blind.bounds_of_size(4) is None
+    assert blind.bounds_of_size(61) == Bounds.of(load_profile("kajimoto-61"))
+
+
+def test_it_can_look_away(blind):
+    blind.on = False
+    gate().prove(sequence(pair(3001)))
+    assert blind.take() == []
+
+
+def test_books_in_a_folder(blind, tmp_path):
+    folder = tmp_path / "books"
+    folder.mkdir()
+    books = Books(4, folder)
+    for level in (3000, 3100):
+        current = np.array([level, -level, 0.0, 0.0])
+        delivered = Delivered(current, current * 100, current, 1.0)
+        books.enter(1, 0, 0, delivered, 100, np.zeros(4), level)
+        books.write()
+        blind.bounds_of(LIMITS)
+        blind.judge_all_books(tmp_path)
+        broken = blind.take()
+        assert len(broken) == (level > 3000)
+        assert all(str(folder) in each and "current" in each for each in broken)
+    blind.judge_books(folder, Bounds.of_limits(LIMITS))
+    assert len(blind.take()) == 1
+    for path in folder.iterdir():
+        path.unlink()
+
+
+@pytest.mark.parametrize("taken", [False, True])
+def test_a_simulated_board(blind, taken):
+    """What is taken is judged then, and what is left when the board is closed."""
+    with SimulatedBoard("", LIMITS) as board:
+        board.send(sequence([], intensity=0.0, time_ns=0))
+        board.send(sequence(pair(3500)))
+        blind.take()
+        assert not taken or len(board.take_pulses()[0]) == 1
+        assert len(blind.take()) == taken
+    assert ["current" in each for each in blind.take()] == [True] * (not taken)
+    assert len(board.take_pulses()[0]) == (not taken)
+
+
+def test_a_clock_is_heard():
+    class Clock(ToldClock):
+        spin_ns = 5
+
+    heard = HeardClock(Clock(7))
+    assert (heard.heard_ns, heard.now_ns(), heard.heard_ns, heard.spin_ns) == (0, 7, 7, 5)

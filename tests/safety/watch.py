@@ -1,0 +1,237 @@
+"""The oracle beside every gate of this process: what a gate accepts, it judges too."""
+
+import functools
+import inspect
+from copy import copy
+from pathlib import Path
+from weakref import WeakKeyDictionary
+
+import pytest
+
+from smarttouch.boards.board import Board
+from smarttouch.boards.emulator.books import DELIVERED_FILE, STATE_FILE
+from smarttouch.boards.emulator.simulated import SimulatedBoard
+from smarttouch.errors import BoardRestartedError
+from smarttouch.profile import load_profile, profile_names
+from smarttouch.scan.safety import SafetyGate, SafetyLimits
+
+from .bounds import Bounds
+from .deliveries import Pulses, judge_pulses
+from .gates import TAKES_CLOCK
+from .oracle import Oracle
+from .quick import judge_alone_quickly
+
+OLDER = frozenset(
+    {"rate", "period", "duty", "balance", "width", "current", "intensity", "vibration", "time"}
+)
+"""What gates without a clock prove as it is defined today."""
+_OF_PROFILE = "bounds of its profile"
+"""Under this name limits carry what the oracle reads of the profile that they were made of."""
+
+
+class HeardClock:
+    """A clock that remembers what it last said."""
+
+    def __init__(self, clock):
+        self._clock, self.heard_ns = clock, 0
+
+    def now_ns(self):
+        self.heard_ns = self._clock.now_ns()
+        return self.heard_ns
+
+    def __getattr__(self, name):
+        return getattr(self._clock, name)
+
+
+class Watch:
+    """Judges what the gates of this process accept, and what its simulated boards deliver.
+
+    Attributes
+    ----------
+    broken : list of str
+        What was broken since it was last taken.
+    on : bool
+        Off, it looks away, as where time is measured.
+    """
+
+    def __init__(self):
+        self.broken, self.on = [], True
+        self._seen = {}
+        self._oracles, self._clocks = WeakKeyDictionary(), WeakKeyDictionary()
+
+    def bounds_of(self, limits):
+        """Return the bounds of limits: those of their profile where they were made of one."""
+        bounds = vars(limits).get(_OF_PROFILE) or Bounds.of_limits(limits)
+        self._seen[bounds.electrodes] = bounds
+        return bounds
+
+    def bounds_of_size(self, electrodes):
+        """Return the bounds of this test's last display of so many electrodes.
+
+        If there was none, those of a shipped profile; None if there is none of that size.
+        """
+        if electrodes in self._seen:
+            return self._seen[electrodes]
+        for name in profile_names():
+            if len(load_profile(name).electrodes) == electrodes:
+                return Bounds.of(load_profile(name))
+        return None
+
+    def take(self):
+        """Return what was broken, and forget this test."""
+        self._seen.clear()
+        taken, self.broken = self.broken, []
+        return taken
+
+    def judge(self, gate, sequence, times=1, measuring=False):
+        """Judge what a gate has accepted."""
+        if not self.on:
+            return
+        oracle = self._oracles.get(gate)
+        if oracle is None or measuring:
+            oracle = Oracle(self.bounds_of(gate.limits), judge_alone_quickly)
+        if not measuring:
+            self._oracles[gate] = oracle
+        clock = self._clocks.get(gate)
+        broken = oracle.judge(sequence, 0 if clock is None else clock.heard_ns, times, measuring)
+        if not TAKES_CLOCK:
+            broken = [name for name in broken if name in OLDER]
+        if broken:
+            self.broken.append(f"a gate accepted what breaks {', '.join(broken)}: {sequence}")
+
+    def begin(self, board):
+        """Let a board's oracle forget everything: it was opened."""
+        self._oracles.pop(board._gate, None)
+
+    def restart(self, board):
+        """Let a board's oracle begin anew at zero, as its gate does; the dose stays."""
+        oracle, clock = self._oracles.get(board._gate), self._clocks.get(board._gate)
+        if oracle is not None:
+            oracle.restart(0 if clock is None else clock.heard_ns)
+
+    def judge_taken(self, board, pulses):
+        """Judge what a simulated board has delivered."""
+        if self.on:
+            self._delivered(Pulses.taken(*pulses), self.bounds_of(board._gate.limits), "simulated:")
+
+    def judge_books(self, folder, bounds=None, period_us=None):
+        """Judge what an emulator's books in a folder say.
+
+        Parameters
+        ----------
+        folder : Path
+        bounds : Bounds or Profile, optional
+            By default of the last display of this test with as many electrodes.
+        period_us : int, optional
+            See `judge_pulses`.
+        """
+        pulses = Pulses.of_books(folder)
+        if bounds is None:
+            bounds = self.bounds_of_size(pulses.current_ua.shape[1])
+        elif not isinstance(bounds, Bounds):
+            bounds = Bounds.of(bounds)
+        if bounds is not None:
+            self._delivered(pulses, bounds, str(folder), period_us)
+
+    def judge_all_books(self, root, **judged):
+        """Judge all books that lie somewhere in a folder, as `judge_books` does."""
+        for delivered in sorted(Path(root).rglob(DELIVERED_FILE)):
+            if (delivered.parent / STATE_FILE).is_file():
+                self.judge_books(delivered.parent, **judged)
+
+    def _delivered(self, pulses, bounds, where, period_us=None):
+        if broken := judge_pulses(pulses, bounds, period_us):
+            self.broken.append(f"{where} delivered what breaks {', '.join(broken)}")
+
+    # -- in the place of what is watched -------------------------------------
+
+    def installed(self):
+        """Return a context in which it watches."""
+        patch = pytest.MonkeyPatch()
+        patch.setattr(SafetyLimits, "of", classmethod(self._of(SafetyLimits.of.__func__)))
+        patch.setattr(SafetyGate, "__init__", self._made(SafetyGate.__init__))
+        patch.setattr(SafetyGate, "prove", self._proved(SafetyGate.prove))
+        patch.setattr(
+            SafetyGate, "prove_measurement", self._proved(SafetyGate.prove_measurement, True)
+        )
+        patch.setattr(Board, "open", self._ended(Board.open, self.begin))
+        patch.setattr(Board, "measure", self._ended(Board.measure, self.restart))
+        patch.setattr(Board, "send", self._sent(Board.send))
+        patch.setattr(SimulatedBoard, "take_pulses", self._taken(SimulatedBoard.take_pulses))
+        patch.setattr(SimulatedBoard, "_close", self._closed(SimulatedBoard._close))
+        return patch
+
+    def _of(self, of):
+        @functools.wraps(of)
+        def watched(kind, profile):
+            limits = of(kind, profile)
+            bounds = vars(limits)[_OF_PROFILE] = Bounds.of(profile)
+            self._seen[bounds.electrodes] = bounds
+            return limits
+
+        return watched
+
+    def _made(self, init):
+        signature = inspect.signature(init)
+
+        @functools.wraps(init)
+        def watched(gate, *given, **named):
+            if "clock" in signature.parameters:
+                bound = signature.bind(gate, *given, **named)
+                bound.apply_defaults()
+                if bound.arguments["clock"] is not None:
+                    self._clocks[gate] = HeardClock(bound.arguments["clock"])
+                    bound.arguments["clock"] = self._clocks[gate]
+                given, named = bound.args[1:], bound.kwargs
+            init(gate, *given, **named)
+
+        return watched
+
+    def _proved(self, prove, measuring=False):
+        @functools.wraps(prove)
+        def watched(gate, sequence, *times, **named):
+            proved = prove(gate, sequence, *times, **named)
+            count = times[0] if times else named.get("times", 1)
+            self.judge(gate, sequence if proved is None else proved, count, measuring)
+            return proved
+
+        return watched
+
+    def _ended(self, call, do):
+        @functools.wraps(call)
+        def watched(board):
+            try:
+                return call(board)
+            finally:
+                do(board)
+
+        return watched
+
+    def _sent(self, send):
+        @functools.wraps(send)
+        def watched(board, *given, **named):
+            try:
+                return send(board, *given, **named)
+            except BoardRestartedError:
+                self.restart(board)
+                raise
+
+        return watched
+
+    def _taken(self, take):
+        @functools.wraps(take)
+        def watched(board):
+            pulses = take(board)
+            self.judge_taken(board, pulses)
+            return pulses
+
+        return watched
+
+    def _closed(self, close):
+        @functools.wraps(close)
+        def watched(board):
+            close(board)
+            # From a copy: they are still there for whoever takes them later.
+            self.judge_taken(board, copy(board._books).take())
+
+        return watched
