@@ -2,12 +2,17 @@
 
 import numpy as np
 import pytest
+from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
 from smarttouch.profile import DEFAULT_PROFILE, load_profile
 from smarttouch.sensing.frame import Frame, Pose
 
 from .safety.watch import Watch
+
+# How long an example takes says how busy the machine is, and nothing of the code.
+settings.register_profile("no deadline", deadline=None)
+settings.load_profile("no deadline")
 
 
 @pytest.fixture(scope="session", autouse=True)

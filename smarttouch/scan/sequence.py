@@ -157,13 +157,18 @@ def _fixed(
 ) -> Any:
     """Return an array backed by bytes; raise a SafetyError if it is of another kind."""
     # As a plain array: a class of somebody else's may answer for another array than it is.
-    plain = np.asarray(values)
-    wrong_length = length is not None and len(plain.shape) == 1 and len(plain) != length
-    if plain.dtype != np.dtype(kind) or plain.ndim != dimensions or wrong_length:
+    plain = np.asarray(values) if isinstance(values, np.ndarray) else None
+    if (
+        plain is None
+        or plain.dtype != np.dtype(kind)
+        or plain.ndim != dimensions
+        or (length is not None and len(plain) != length)
+    ):
         slots = "" if length is None else f" of {length} slots"
+        found = type(values).__name__ if plain is None else f"{plain.dtype} of shape {plain.shape}"
         raise SafetyError(
-            f"{name} is {plain.dtype} of shape {plain.shape}, must be {np.dtype(kind)} in "
-            f"{dimensions} dimension{'s' * (dimensions > 1)}{slots}",
+            f"{name} is {found}, must be {np.dtype(kind)} in {dimensions} "
+            f"dimension{'s' * (dimensions > 1)}{slots}",
             limit=name,
         )
     return np.frombuffer(plain.tobytes(), plain.dtype).reshape(plain.shape)
@@ -176,8 +181,7 @@ def _whole(name: str, value: object) -> int:
 
 
 def _real(name: str, value: object) -> float:
-    # A bool of numpy is no np.integer.
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+    if isinstance(value, bool) or not isinstance(value, int | float | np.floating):
         raise SafetyError(f"{name} is {value!r}, must be a number", limit=name)
     try:
         return float(value)

@@ -52,8 +52,9 @@ def prove_fields(sequence: ScanSequence, limits: SafetyLimits) -> None:
             value=len(vibration),
             allowed=electrodes,
         )
-    # Not "any above": nothing is above NaN.
-    if not ((vibration >= 0) & (vibration <= sequence.intensity + 1e-6)).all():
+    # Not "any above": nothing is above NaN. In double precision, as the intensity is.
+    wide = vibration.astype(np.float64)
+    if not ((wide >= 0) & (wide <= sequence.intensity + 1e-6)).all():
         raise SafetyError(
             f"vibration from {vibration.min():g} to {vibration.max():g} is not between 0 and "
             f"the intensity {sequence.intensity:.3f} that was stated",

@@ -206,9 +206,11 @@ def test_text_does_not_overlap_and_the_file_is_written(figure, tmp_path):
         assert 0 <= box.x0 < box.x1 <= figure.bbox.x1
 
 
-@pytest.mark.parametrize(("total_ma", "slots"), [(5.0, 7), (50.0, 1)])
-def test_as_many_slots_as_total_current_asks_for(profile, bank, changed, total_ma, slots):
-    other = changed(profile, {"limits.total_ma": total_ma})
+@pytest.mark.parametrize(
+    ("key", "value", "slots"), [("limits.total_ma", 5.0, 7), ("perception.threshold_ma", 0.2, 1)]
+)
+def test_as_many_slots_as_total_current_asks_for(profile, bank, changed, key, value, slots):
+    other = changed(profile, {key: value})
     panels = np.array(frame_figure(other, bank).axes[:12]).reshape(3, 4)
     many = len(share_letter(other, bank).slots)
     assert many == pytest.approx(slots, abs=1)

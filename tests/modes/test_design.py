@@ -22,7 +22,10 @@ def line():
 @pytest.fixture(scope="module")
 def three_by_three(changed):
     profile = load_profile("electric-mouse")
-    return changed(profile, {"array.rows": 3, "array.columns": 3, "limits.total_ma": None})
+    return changed(
+        profile,
+        {"array.rows": 3, "array.columns": 3, "limits.total_ma": None, "frames.share": False},
+    )
 
 
 @pytest.mark.parametrize("spill", [None, 0.2])
@@ -142,7 +145,9 @@ def test_brute_force_over_the_node(line, changed, primary):
 
 
 def test_confined_kernels_do_not_spill(profile, changed):
-    problem = Problem(changed(profile, {"limits.total_ma": None}), Primary.RA)
+    problem = Problem(
+        changed(profile, {"limits.total_ma": None, "frames.share": False}), Primary.RA
+    )
     free, confined = (design_kernel(problem, 27, spill) for spill in (None, 0.2))
     assert free.own_spill > 0.5
     assert confined.own_spill <= 0.2 + 1e-6

@@ -25,8 +25,9 @@ MEAN_UA = 500
 LONGEST_SHARE_US = 40_000
 """One sequence brings an electrode at most what the two above allow in this time."""
 TOTAL_MA = 10
-DENSITY_PC_MM2 = 10**6
-"""100 µC/cm²."""
+DENSITY_UC_CM2 = 100
+PC_MM2 = 10**4
+"""1 µC/cm²."""
 SHANNON_K = Decimal("1.75")
 SESSION_S = 3_600
 SESSION_MC = 1_800
@@ -56,14 +57,15 @@ def area_mm2(array):
     return PI / 4 * (first**2 - second**2)
 
 
-def charge_pc(charge_uc, area):
+def charge_pc(charge_uc, area, density_uc_cm2):
     """Return the largest whole charge of a pulse: by itself, by density, by Shannon's rule."""
     with localcontext(prec=60):
         own = Decimal(repr(float(charge_uc))) * 10**6
         if area is None:
             return math.floor(own)
+        density = min(Decimal(repr(float(density_uc_cm2))), DENSITY_UC_CM2)
         shannon = (10**SHANNON_K * area / 100).sqrt() * 10**6
-        return math.floor(min(own, area * DENSITY_PC_MM2, shannon))
+        return math.floor(min(own, area * density * PC_MM2, shannon))
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,7 @@ class Bounds:
                 math.floor(1000 * min(dec(limits.current_ma), dec(each))) for each in own
             ),
             total_ua=math.floor(1000 * total),
-            charge_pc=charge_pc(limits.charge_uc, area),
+            charge_pc=charge_pc(limits.charge_uc, area, limits.density_uc_cm2),
             full_ua=1000 * full_ma,
             full_us=full_us,
             ramp_ns=round(dec(limits.ramp_s) * NS),

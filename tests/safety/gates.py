@@ -1,6 +1,5 @@
 """The gate under test, and the oracle beside it."""
 
-import inspect
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,8 +8,6 @@ from smarttouch.errors import SafetyError
 from smarttouch.scan.safety import SafetyGate, SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
 
-TAKES_CLOCK = "clock" in inspect.signature(SafetyGate).parameters
-"""Whether gates read their display's clock; those that do not know only the older limits."""
 _FIELDS = ("current_ua", "width_us", "discharge_us", "site", "vibration", "recharge_ua")
 
 
@@ -40,17 +37,15 @@ class GateUnderTest:
     def __init__(self, profile):
         self.clock = ToldClock()
         limits = SafetyLimits.of(profile)
-        self._gate = SafetyGate(limits, self.clock) if TAKES_CLOCK else SafetyGate(limits)
+        self._gate = SafetyGate(limits, self.clock)
 
     def ask(self, sequence, clock_ns, times=1):
         """Return what the gate says of a sequence at a time of its clock."""
         self.clock.ns = clock_ns
         try:
-            if TAKES_CLOCK:
-                return Answer(True, self._gate.prove(sequence, times))
-            return Answer(True, self._gate.prove(sequence))
+            return Answer(True, self._gate.prove(sequence, times))
         except SafetyError as error:
-            return Answer(False, limit=str(getattr(error, "limit", "") or "refused"))
+            return Answer(False, limit=error.limit)
         except Exception as error:
             # A gate that breaks lets nothing through, yet owes one clear sentence.
             return Answer(False, crash=f"{type(error).__name__}: {error}"[:80])

@@ -54,6 +54,7 @@ def judge_alone_quickly(sequence, bounds):
             len(width) > 0
             and recharge_us >= 1
             and int(recharge.sum(dtype=np.int64)) == 0
+            and int(weak.sum()) <= 2 * bounds.total_ua
             and bool((weak <= recharge_most_ua).all())
             and int(weak.max()) * recharge_us <= RECHARGE_PC
         )

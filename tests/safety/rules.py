@@ -206,6 +206,7 @@ def keeps_recharge(scan, bounds):
         weak
         and len(scan.width_us) > 0
         and sum(scan.recharge_ua) == 0
+        and sum(magnitudes) <= 2 * bounds.total_ua
         and scan.recharge_us >= 1
         and all(each * scan.recharge_us <= RECHARGE_PC for each in magnitudes)
     )

@@ -9,11 +9,8 @@ import os
 import pytest
 
 from .agreement import attack
-from .gates import TAKES_CLOCK
 
 SEQUENCES = int(os.environ.get("SMARTTOUCH_SAFETY_SEQUENCES", "6000"))
-
-pytestmark = pytest.mark.skipif(not TAKES_CLOCK, reason="gates do not read a clock yet")
 
 
 @pytest.mark.timeout(60 + SEQUENCES / 100)

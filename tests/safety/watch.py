@@ -8,23 +8,16 @@ from weakref import WeakKeyDictionary
 
 import pytest
 
-from smarttouch.boards.board import Board
 from smarttouch.boards.emulator.books import DELIVERED_FILE, STATE_FILE
 from smarttouch.boards.emulator.simulated import SimulatedBoard
-from smarttouch.errors import BoardRestartedError
 from smarttouch.profile import load_profile, profile_names
 from smarttouch.scan.safety import SafetyGate, SafetyLimits
 
 from .bounds import Bounds
 from .deliveries import Pulses, judge_pulses
-from .gates import TAKES_CLOCK
 from .oracle import Oracle
 from .quick import judge_alone_quickly
 
-OLDER = frozenset(
-    {"rate", "period", "duty", "balance", "width", "current", "intensity", "vibration", "time"}
-)
-"""What gates without a clock prove as it is defined today."""
 _OF_PROFILE = "bounds of its profile"
 """Under this name limits carry what the oracle reads of the profile that they were made of."""
 
@@ -93,21 +86,23 @@ class Watch:
         if not measuring:
             self._oracles[gate] = oracle
         clock = self._clocks.get(gate)
-        broken = oracle.judge(sequence, 0 if clock is None else clock.heard_ns, times, measuring)
-        if not TAKES_CLOCK:
-            broken = [name for name in broken if name in OLDER]
+        # A gate without a clock takes time as each sequence claims it.
+        now_ns = sequence.time_ns if clock is None else clock.heard_ns
+        broken = oracle.judge(sequence, now_ns, times, measuring)
         if broken:
             self.broken.append(f"a gate accepted what breaks {', '.join(broken)}: {sequence}")
 
-    def begin(self, board):
-        """Let a board's oracle forget everything: it was opened."""
-        self._oracles.pop(board._gate, None)
+    def begin(self, gate):
+        """Let a gate's oracle forget everything: its board was opened."""
+        self._oracles.pop(gate, None)
 
-    def restart(self, board):
-        """Let a board's oracle begin anew at zero, as its gate does; the dose stays."""
-        oracle, clock = self._oracles.get(board._gate), self._clocks.get(board._gate)
-        if oracle is not None:
-            oracle.restart(0 if clock is None else clock.heard_ns)
+    def restart(self, gate):
+        """Let a gate's oracle begin anew at zero, as the gate does; the dose stays."""
+        oracle, clock = self._oracles.get(gate), self._clocks.get(gate)
+        if oracle is not None and clock is None:
+            oracle.restart(oracle.clock_ns or 0)
+        elif oracle is not None:
+            oracle.restart(clock.heard_ns)
 
     def judge_taken(self, board, pulses):
         """Judge what a simulated board has delivered."""
@@ -154,9 +149,9 @@ class Watch:
         patch.setattr(
             SafetyGate, "prove_measurement", self._proved(SafetyGate.prove_measurement, True)
         )
-        patch.setattr(Board, "open", self._ended(Board.open, self.begin))
-        patch.setattr(Board, "measure", self._ended(Board.measure, self.restart))
-        patch.setattr(Board, "send", self._sent(Board.send))
+        patch.setattr(SafetyGate, "restart", self._ended(SafetyGate.restart, self.restart))
+        begin = self._ended(SafetyGate.begin_session, self.begin)
+        patch.setattr(SafetyGate, "begin_session", begin)
         patch.setattr(SimulatedBoard, "take_pulses", self._taken(SimulatedBoard.take_pulses))
         patch.setattr(SimulatedBoard, "_close", self._closed(SimulatedBoard._close))
         return patch
@@ -199,22 +194,9 @@ class Watch:
 
     def _ended(self, call, do):
         @functools.wraps(call)
-        def watched(board):
-            try:
-                return call(board)
-            finally:
-                do(board)
-
-        return watched
-
-    def _sent(self, send):
-        @functools.wraps(send)
-        def watched(board, *given, **named):
-            try:
-                return send(board, *given, **named)
-            except BoardRestartedError:
-                self.restart(board)
-                raise
+        def watched(gate):
+            call(gate)
+            do(gate)
 
         return watched
 

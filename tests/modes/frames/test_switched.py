@@ -190,7 +190,8 @@ def test_only_points_that_need_the_same_voltage_share(make_judge, by, ratio):
     joined = SwitchedSearch(judge, level, FrameBounds()).best()
     assert joined.kept == (ratio > 0.9)
     if not joined.kept:
-        assert joined.figures.error > 0.15
+        # Twice what may be uneven, however near the search comes on a processor's arithmetic.
+        assert joined.figures.error > 2 * FrameBounds().uneven
 
 
 @pytest.mark.parametrize("impedance_kohm", [1.0, spread_kohm(8)], ids=["equal", "measured"])
