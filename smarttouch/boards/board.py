@@ -47,14 +47,18 @@ class Capabilities:
     """The most its source can give, if it is known."""
     vibrates: bool = False
     """Whether mechanical vibrators are part of it."""
+    kept_ms: float | None = None
+    """Longest time from the end of this program to zero, where a process beside it sees to that."""
 
     def describe(self) -> list[tuple[str, str]]:
         """Return what there is to tell a user, as names and values."""
-        silence = (
-            "goes on with its last pattern for ever: lift the finger before you unplug the host"
-            if self.time_to_zero_ms is None
-            else f"no current {self.time_to_zero_ms:g} ms after the host falls silent"
-        )
+        silence = "goes on with its last pattern for ever: lift the finger before you unplug it"
+        if self.time_to_zero_ms is not None:
+            silence = f"no current {self.time_to_zero_ms:g} ms after the host falls silent"
+        if self.kept_ms is not None:
+            silence = (
+                f"zero {self.kept_ms:g} ms after the program ends or hangs; by itself {silence}"
+            )
         told = [
             name
             for name, has in (
@@ -86,8 +90,7 @@ class BoardReport:
     max_current_ma: float
     max_charge_uc: float
     max_net_charge_uc: float
-    """Worst electrode's charge left: after a slot's discharge by the board's books, by the
-    host's the sum of all pulses."""
+    """Worst electrode's charge left: after a slot by the board's books, of all by the host's."""
     by: Literal["board", "host"] = "board"
     """Whose account it is; a host's is of what it sent."""
 
@@ -157,8 +160,7 @@ class Board(ABC):
     def send(self, sequence: ScanSequence, times: int = 1) -> int:
         """Prove a sequence safe, then send it.
 
-        It is delivered ``times`` times, one period after another, unless a
-        newer one comes before that.
+        It is delivered ``times`` times, one period after another, unless a newer one comes.
 
         Returns
         -------
@@ -195,7 +197,6 @@ class Board(ABC):
             return self._send(sequence, times)
         except LineLostError as lost:
             self._recover(lost)
-            # The skin has felt nothing for a while: what comes next begins at zero.
             self._gate = SafetyGate(self._gate.limits)
             self.notes.append(f"{lost}: started anew")
             raise BoardRestartedError(f"{lost}, and was started anew") from None
@@ -227,7 +228,6 @@ class Board(ABC):
         try:
             return self._measure()
         finally:
-            # What comes next begins at zero, and its time may start anew.
             self._gate = SafetyGate(self._gate.limits)
 
     def _note_round_trip(self, ask: Callable[[], object]) -> None:

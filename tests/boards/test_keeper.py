@@ -1,0 +1,281 @@
+"""The process that holds a line: it passes bytes, and puts the board at zero when its host is gone.
+
+Real processes are asked for order and outcome, never for durations.
+"""
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+import tty
+from pathlib import Path
+
+import pytest
+import serial
+from serial import rfc2217
+
+from smarttouch.boards import keeper
+from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
+from smarttouch.boards.etactilekit_wire import ON, Settings, pattern, zero_anywhere
+from smarttouch.boards.kept_line import KeptLine
+from smarttouch.errors import BoardError
+from smarttouch.wire.port import open_port
+
+ZERO = b"these bytes mean zero"
+TWICE = ZERO + ZERO
+
+
+class Board:
+    """The far end of a serial port."""
+
+    def __init__(self):
+        self.end, slave = os.openpty()
+        tty.setraw(slave)
+        self.name = os.ttyname(slave)
+        os.close(slave)
+
+    def read(self, count=None):
+        """Return so many bytes, or all until the port is closed at its other end."""
+        heard = b""
+        while count is None or len(heard) < count:
+            assert select.select([self.end], [], [], 20)[0], f"nothing comes after {heard!r}"
+            try:
+                heard += os.read(self.end, 65536 if count is None else count - len(heard))
+            except OSError:
+                break
+        return heard
+
+
+@pytest.fixture
+def board():
+    board = Board()
+    yield board
+    os.close(board.end)
+
+
+@pytest.fixture
+def line(board):
+    line = KeptLine(open_port(board.name))
+    yield line
+    line.close()
+
+
+def exit_code(line):
+    return line._process.wait(20)
+
+
+def test_bytes_pass_both_ways(board, line):
+    line.timeout = 20
+    line.write(b"a question")
+    assert board.read(10) == b"a question"
+    os.write(board.end, b"an answer, and more")
+    assert line.read(9) == b"an answer"
+    assert line.read(10) == b", and more"
+
+
+def test_more_than_any_buffer_holds_passes_whole(board, line):
+    data = os.urandom(100_000)
+    line.timeout = 20
+    for start in range(0, len(data), 10_000):
+        line.write(data[start : start + 10_000])
+        assert board.read(10_000) == data[start : start + 10_000]
+    for start in range(0, len(data), 2000):
+        os.write(board.end, data[start : start + 2000])
+        assert line.read(2000) == data[start : start + 2000]
+
+
+def test_what_has_come_is_dropped_on_its_way_too(board, line):
+    line.timeout = 20
+    for number in range(50):
+        os.write(board.end, b"late")
+        line.reset_input_buffer()
+        os.write(board.end, bytes([number]))
+        assert line.read(1) == bytes([number])
+
+
+def test_closing_ends_at_zero_and_lets_go_of_the_port(board, line):
+    line.promise_zero(ZERO)
+    line.write(b"pattern")
+    assert board.read(7) == b"pattern"
+    line.close()
+    assert board.read() == TWICE
+    assert exit_code(line) == keeper.GONE
+    open_port(board.name).close()
+
+
+HOST = """
+import sys, time
+from smarttouch.boards.kept_line import KeptLine
+from smarttouch.wire.port import open_port
+line = KeptLine(open_port(sys.argv[1]))
+line.promise_zero(bytes.fromhex(sys.argv[2]))
+line.write(b"pattern")
+print(line.process_id, flush=True)
+while True:
+    time.sleep(1)
+"""
+
+
+@pytest.fixture
+def host(board):
+    with subprocess.Popen(
+        [sys.executable, "-c", HOST, board.name, ZERO.hex()],
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as host:
+        yield host, int(host.stdout.readline())
+        host.kill()
+
+
+def runs(process_id):
+    try:
+        stat = Path(f"/proc/{process_id}/stat").read_text()
+    except FileNotFoundError:
+        return False
+    # Where nobody reaps orphans, a dead one stays listed.
+    return stat.rpartition(")")[2].split()[0] != "Z"
+
+
+@pytest.mark.parametrize("whom", ["it", "its group"])
+def test_a_host_that_is_killed_leaves_zero_and_no_process(board, host, whom):
+    process, kept_by = host
+    assert board.read(7) == b"pattern"
+    kill = os.kill if whom == "it" else os.killpg
+    kill(process.pid, signal.SIGKILL)
+    assert board.read() == TWICE
+    deadline = time.monotonic() + 20
+    while runs(kept_by):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    open_port(board.name).close()
+
+
+def test_a_host_that_is_stopped_is_taken_for_gone(board, host):
+    process, _ = host
+    assert board.read(7) == b"pattern"
+    process.send_signal(signal.SIGSTOP)
+    try:
+        # The host still has the port, so it does not close.
+        assert board.read(len(TWICE)) == TWICE
+    finally:
+        process.send_signal(signal.SIGCONT)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_what_a_terminal_sends_does_not_end_it(board, line, number):
+    line.promise_zero(ZERO)
+    line.timeout = 20
+    # Its handlers are in place when it has answered.
+    line.reset_input_buffer()
+    os.kill(line.process_id, number)
+    for _ in range(3):
+        line.write(b"x")
+        assert board.read(1) == b"x"
+    assert os.getsid(line.process_id) == line.process_id
+
+
+def test_sigterm_ends_it_at_zero(board, line):
+    line.promise_zero(ZERO)
+    line.reset_input_buffer()
+    os.kill(line.process_id, signal.SIGTERM)
+    assert board.read(len(TWICE)) == TWICE
+    assert exit_code(line) == keeper.ENDED
+    assert line.at_zero
+    line.timeout = 20
+    with pytest.raises(serial.SerialException, match="put the board at zero"):
+        line.read(1)
+
+
+def test_where_it_is_killed_this_program_writes_zero(board, line):
+    line.promise_zero(ZERO)
+    line.reset_input_buffer()
+    os.kill(line.process_id, signal.SIGKILL)
+    # Without a call: the heartbeat finds out.
+    assert board.read(len(ZERO)) == ZERO
+    assert not line.at_zero
+    line.timeout = 20
+    with pytest.raises(serial.SerialException, match="killed"):
+        line.read(1)
+
+
+def test_a_line_that_breaks_is_told_of(board, line):
+    line.promise_zero(ZERO)
+    line.reset_input_buffer()
+    end = board.end
+    board.end = os.open("/dev/null", os.O_RDONLY)
+    os.close(end)
+    assert exit_code(line) == keeper.LINE_LOST
+    assert not line.at_zero
+    line.timeout = 20
+    with pytest.raises(serial.SerialException, match="the line broke"):
+        line.read(1)
+
+
+def test_a_board_that_takes_no_bytes_does_not_keep_it(board, line, monkeypatch):
+    monkeypatch.setattr("smarttouch.boards.kept_line.WRITE_S", 0.1)
+    line.promise_zero(ZERO)
+    for _ in range(1000):
+        try:
+            line.write(bytes(100_000))
+        except serial.SerialException:
+            break
+    else:
+        pytest.fail("a pseudo-terminal took everything")
+    line.close()
+    assert exit_code(line) == keeper.BLOCKED
+
+
+@pytest.mark.parametrize("url", ["loop://", "rfc2217"])
+def test_a_line_that_cannot_be_handed_on_is_refused(url):
+    port = rfc2217.Serial() if url == "rfc2217" else open_port(url)
+    with pytest.raises(BoardError, match="tcp://HOST:PORT only") as error:
+        KeptLine(port)
+    assert "\n" not in str(error.value)
+
+
+# -- what means zero on an eTactileKit ------------------------------------------
+
+OUTPUTS = 4
+RUNNING = (
+    bytes([0xFC, OUTPUTS])
+    + Settings(100, 50, 100, anodic=True).commands()
+    + pattern(bytes([200, 0] * OUTPUTS))
+    + ON
+)
+
+
+def drives_after(data):
+    """Return whether an eTactileKit pulses a second after these bytes."""
+    books = Books(OUTPUTS)
+    firmware = ETactileKitFirmware(books)
+    firmware.feed(data, 0)
+    # A scan that has begun may end as it was.
+    firmware.advance(10**8)
+    before = books.slots
+    firmware.advance(10**9)
+    return books.slots > before
+
+
+def test_zero_ends_every_half_command():
+    assert drives_after(RUNNING)
+    zero = zero_anywhere(OUTPUTS)
+    another = RUNNING[2:].replace(b"\xc8\0", b"\x64\0")
+    for cut in range(len(another) + 1):
+        assert not drives_after(RUNNING + another[:cut] + zero)
+
+
+@pytest.mark.parametrize("run", [1, 2, 3])
+def test_zero_written_twice_survives_a_loss_anywhere(run):
+    zero = zero_anywhere(OUTPUTS)
+    for first in range(len(zero)):
+        assert not drives_after(RUNNING + zero[:first] + zero[first + run :] + zero)
+
+
+def test_one_byte_lost_of_a_single_zero_is_survived():
+    zero = zero_anywhere(OUTPUTS)
+    for lost in range(len(zero)):
+        assert not drives_after(RUNNING + zero[:lost] + zero[lost + 1 :])
