@@ -26,8 +26,8 @@ import signal
 import sys
 import time
 
-SILENCE_S = 0.1
-"""Longest time without a byte from the host."""
+SILENCE_S = 0.09
+"""Longest time without a byte from the host: with what it takes to wake up and write, .1 s."""
 STUCK_S = 0.4
 """A board that takes no byte for so long while zero is written takes none at all."""
 PIECE, PAUSE_S = 8, 0.003

@@ -2,13 +2,12 @@
 
 import time
 
-from smarttouch.boards.keeper import SILENCE_S
 from smarttouch.boards.kept_line import KeptLine
 from smarttouch.boards.streamed import StreamedBoard
 from smarttouch.errors import OtherDeviceError
 from smarttouch.wire.port import LINE_ERRORS, Port, reason
 
-KEPT_MS = 1000 * SILENCE_S
+KEPT_MS = 100.0
 """From the end of this program, or from when it hangs, to the first byte that means zero."""
 
 
