@@ -17,7 +17,8 @@ the board's bytes both ways) and ``control`` (a socket with messages of the host
     b"F"                         drop what has come from the board; answered by b"F"
     b"Z" u8 slow u16 N, N bytes  what means zero, and whether the board loses bytes written fast
 
-Silence counts from the first ``Z`` on: before it, nothing was sent that could be a current.
+Silence counts from the first ``Z`` on: before it, nothing was sent that could be a current. A
+computer that was suspended counts as a host that was silent, though no clock of theirs ran.
 """
 
 import os
@@ -78,7 +79,7 @@ class Keeper:
         return code
 
     def _pass_bytes(self) -> int:
-        heard = time.monotonic()
+        heard, slept = time.monotonic(), _slept_s()
         while not self._ended:
             # Of a direction that is full nothing more is read; control is read always.
             reading = [self._control]
@@ -88,6 +89,8 @@ class Keeper:
             writing += [self._data] if self._to_host else []
             left = heard + SILENCE_S - time.monotonic()
             ready, room, _ = select.select(reading, writing, [], max(0.0, left))
+            if self._zero and _slept_s() > slept + SILENCE_S:
+                return SILENT
             if self._control in ready or self._data in ready:
                 heard = time.monotonic()
             elif self._zero and (left <= 0 or not (ready or room)):
@@ -165,6 +168,12 @@ class Keeper:
                 if slow:
                     time.sleep(PAUSE_S)
         return True
+
+
+def _slept_s() -> float:
+    """Return how long the computer has been suspended, s, but for a constant."""
+    clock = getattr(time, "CLOCK_BOOTTIME", None)
+    return 0.0 if clock is None else time.clock_gettime(clock) - time.monotonic()
 
 
 def _read(end: int) -> bytes:

@@ -36,7 +36,8 @@ class KeptLine:
     """An open port behind a `keeper`: what drivers use of a port, and `promise_zero`.
 
     The port is opened here, with all that may be said about that, and handed on. This program
-    keeps its own end of it, unused: were the keeper killed, zero is written from here.
+    keeps its own end of it, unused: were the keeper killed, zero is written from here. POSIX
+    only, as descriptors are handed on (tried on Linux).
 
     Parameters
     ----------
@@ -54,33 +55,37 @@ class KeptLine:
         self._port, self._zero = port, b""
         self._closing = threading.Event()
         try:
-            number = _descriptor(port)
-            data, there = socket.socketpair()
-            control, controlled = socket.socketpair()
-            with there, controlled:
-                ends = (number, there.fileno(), controlled.fileno())
-                self._process = subprocess.Popen(
-                    # Nothing that a user has set or installed can keep it from starting.
-                    [sys.executable, "-I", "-S", keeper.__file__, *map(str, ends)],
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.DEVNULL,
-                    stderr=subprocess.DEVNULL,
-                    cwd="/",
-                    pass_fds=ends,
-                    start_new_session=True,
-                )
-        except BaseException as error:
-            with contextlib.suppress(*LINE_ERRORS):
-                port.close()
-            if isinstance(error, OSError):
-                raise BoardError(
-                    f"the process that keeps the board's line cannot be started ({reason(error)}): "
-                    "close other programs and try again"
-                ) from None
-            raise
-        self._data, self._control = data, control
-        data.settimeout(WRITE_S)
-        control.setblocking(False)
+            self._start()
+        except OSError as error:
+            raise BoardError(
+                f"the process that keeps the board's line cannot be started ({reason(error)}): "
+                "close other programs and try again"
+            ) from None
+
+    def _start(self) -> None:
+        with contextlib.ExitStack() as ours, contextlib.ExitStack() as its:
+            ours.callback(self._let_go)
+            self._data, there = socket.socketpair()
+            ours.enter_context(self._data)
+            its.enter_context(there)
+            self._control, controlled = socket.socketpair()
+            ours.enter_context(self._control)
+            its.enter_context(controlled)
+            ends = (_descriptor(self._port), there.fileno(), controlled.fileno())
+            self._process = subprocess.Popen(
+                # Nothing that a user has set or installed can keep it from starting.
+                [sys.executable, "-I", "-S", keeper.__file__, *map(str, ends)],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                cwd="/",
+                pass_fds=ends,
+                start_new_session=True,
+            )
+            # From here on `close` ends what has begun.
+            ours.pop_all()
+        self._data.settimeout(WRITE_S)
+        self._control.setblocking(False)
         self._beating = threading.Thread(target=self._beat, name="keeper heartbeat", daemon=True)
         self._beating.start()
 
@@ -164,6 +169,9 @@ class KeptLine:
             self._process.kill()
             self._process.wait()
         self._put_at_zero()
+        self._let_go()
+
+    def _let_go(self) -> None:
         with contextlib.suppress(*LINE_ERRORS):
             self._port.close()
 

@@ -6,8 +6,10 @@ Real processes are asked for order and outcome, never for durations.
 import os
 import select
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 import tty
 from pathlib import Path
@@ -213,6 +215,48 @@ def test_a_line_that_breaks_is_told_of(board, line):
     line.timeout = 20
     with pytest.raises(serial.SerialException, match="the line broke"):
         line.read(1)
+
+
+def test_no_process_to_be_had_is_one_sentence_and_the_port_is_free(board, monkeypatch):
+    def refuse(*_, **__):
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr("smarttouch.boards.kept_line.subprocess.Popen", refuse)
+    with pytest.raises(BoardError, match="cannot be started") as error:
+        KeptLine(open_port(board.name))
+    assert "\n" not in str(error.value)
+    open_port(board.name).close()
+
+
+def test_a_computer_that_was_suspended_is_a_host_that_was_silent(monkeypatch):
+    port, board = socket.socketpair()
+    data, host = socket.socketpair()
+    control, controls = socket.socketpair()
+    slept_s = [5.0]
+    monkeypatch.setattr(keeper, "_slept_s", lambda: slept_s[0])
+    with port, board, data, host, control, controls:
+        kept = keeper.Keeper(port.fileno(), data.fileno(), control.fileno())
+        # No clock that runs during suspend says so here; heartbeats are there without end.
+        controls.sendall(keeper.ZERO + bytes([0]) + len(ZERO).to_bytes(2, "little") + ZERO)
+        host.sendall(b"pattern")
+        codes = []
+        keeping = threading.Thread(target=lambda: codes.append(kept.run()))
+        keeping.start()
+        beating = threading.Event()
+        beats = threading.Thread(target=beat_until, args=(controls, beating))
+        beats.start()
+        assert board.recv(7) == b"pattern"
+        slept_s[0] = 6.0
+        keeping.join(20)
+        beating.set()
+        beats.join()
+        assert codes == [keeper.SILENT]
+        assert board.recv(1000) == TWICE
+
+
+def beat_until(controls, end):
+    while not end.wait(0.01):
+        controls.send(keeper.HEARTBEAT)
 
 
 def test_a_board_that_takes_no_bytes_does_not_keep_it(board, line, monkeypatch):
