@@ -38,6 +38,7 @@ GONE, SILENT, LINE_LOST, BLOCKED, ENDED = 0, 3, 4, 5, 6
 HEARTBEAT, FLUSH, ZERO = b".", b"F", b"Z"
 ZERO_HEAD = 4
 _MOST = 65536
+_MOST_READS = 100
 
 
 class Keeper:
@@ -131,8 +132,10 @@ class Keeper:
             self._told = self._told[1:]
             if kind == FLUSH:
                 self._to_host = b""
-                while select.select([self._port], [], [], 0)[0]:
-                    self._hear()
+                # A device that never ends is not waited for.
+                for _ in range(_MOST_READS):
+                    if not self._hear():
+                        break
                 try:
                     os.write(self._control, FLUSH)
                 except OSError:

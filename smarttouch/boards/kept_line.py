@@ -205,8 +205,8 @@ class KeptLine:
         return serial.SerialException(why)
 
     def _put_at_zero(self) -> None:
-        """Write zero from here where the keeper was killed."""
-        if (self._process.poll() or 0) < 0 and self._port.is_open:
+        """Write zero from here where the keeper was killed, or failed."""
+        if self._process.poll() not in (None, keeper.GONE, *_WHY) and self._port.is_open:
             with contextlib.suppress(*LINE_ERRORS):
                 self._port.write(self._zero)
 

@@ -135,6 +135,9 @@ def one_run(kind, how, option, at_s):
             gone_ns = clock.now_ns()
             os.kill(host, signal.SIGKILL if how == "kill" else signal.SIGSTOP)
             drove = books.ended_us > gone_ns / 1e3 - 50_000
+            # What it had written before has arrived, however late this process comes to read it.
+            while data := line.read(0):
+                pending += firmware.feed(data, gone_ns)
     os.kill(host, signal.SIGKILL)
     left = reap(time.monotonic() + LEAVES_WITHIN_S)
     while line.read(0) == b"":

@@ -18,6 +18,8 @@ WITHIN_MS = 100
 SLOW_WIRE_MS = 54
 """What means zero for 32 outputs are 143 bytes: 18 pieces of 8, each with a pause of 3 ms."""
 WATCHED_MS = 600
+STEP_MS = 10
+"""By so much the clock of an emulated board may run on while its process is kept from running."""
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="it collects orphans as only Linux lets it")
@@ -46,4 +48,4 @@ def test_a_board_whose_host_is_gone_is_at_zero(kind, how, option):
     assert found["worst_ms"] < 0.8 * WATCHED_MS
     if LONG:
         assert found["driving"] > KILLS / 4
-        assert found["worst_ms"] <= WITHIN_MS + (SLOW_WIRE_MS if option else 0)
+        assert found["worst_ms"] <= WITHIN_MS + STEP_MS + (SLOW_WIRE_MS if option else 0)
