@@ -84,6 +84,10 @@ class LineLostError(BoardError):
     """The line to a board broke, or it fell silent; starting anew may help."""
 
 
+class OtherDeviceError(BoardError):
+    """Another device is where a board was; nothing but a question was sent to it."""
+
+
 class BoardRestartedError(BoardError):
     """A board was lost and is back, at zero: begin again at intensity 0."""
 

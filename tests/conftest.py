@@ -1,5 +1,7 @@
 """What many tests start from."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import settings
@@ -155,6 +157,21 @@ def whole_programme():
         return best
 
     return solve
+
+
+@pytest.fixture
+def usb_ports(monkeypatch):
+    """Return a setter of what USB tells of a device, as pyserial lists it."""
+    listed = []
+
+    def tell(device, *, vid, pid, serial_number, location="1-1"):
+        told = SimpleNamespace(
+            device=device, vid=vid, pid=pid, serial_number=serial_number, location=location
+        )
+        listed.append(told)
+
+    monkeypatch.setattr("smarttouch.wire.port.list_ports.comports", lambda: list(listed))
+    return tell
 
 
 @pytest.fixture

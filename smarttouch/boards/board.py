@@ -52,14 +52,18 @@ class Capabilities:
     """Whether mechanical vibrators are part of it."""
     recharges: bool = False
     """Whether it can end a scan with a recharge phase."""
+    kept_ms: float | None = None
+    """Longest time from the end of this program to zero, where a process beside it sees to that."""
 
     def describe(self) -> list[tuple[str, str]]:
         """Return what there is to tell a user, as names and values."""
-        silence = (
-            "goes on with its last pattern for ever: lift the finger before you unplug the host"
-            if self.time_to_zero_ms is None
-            else f"no current {self.time_to_zero_ms:g} ms after the host falls silent"
-        )
+        silence = "goes on with its last pattern for ever: lift the finger before you unplug it"
+        if self.time_to_zero_ms is not None:
+            silence = f"no current {self.time_to_zero_ms:g} ms after the host falls silent"
+        if self.kept_ms is not None:
+            silence = (
+                f"zero {self.kept_ms:g} ms after the program ends or hangs; by itself {silence}"
+            )
         can = self.acknowledges, self.measures, self.force
         told = list(compress(("acknowledgments", "voltages", "finger force"), can))
         return [
@@ -84,8 +88,7 @@ class BoardReport:
     max_current_ma: float
     max_charge_uc: float
     max_net_charge_uc: float
-    """Worst electrode's charge left: after a slot's discharge by the board's books, by the
-    host's the sum of all pulses."""
+    """Worst electrode's charge left: after a slot by the board's books, of all by the host's."""
     by: Literal["board", "host"] = "board"
     """Whose account it is; a host's is of what it sent."""
 
@@ -156,8 +159,7 @@ class Board(ABC):
     def send(self, sequence: ScanSequence, times: int = 1) -> int:
         """Prove a sequence safe, then send it.
 
-        It is delivered ``times`` times, one period after another, unless a
-        newer one comes before that.
+        It is delivered ``times`` times, one period after another, unless a newer one comes.
 
         Returns
         -------

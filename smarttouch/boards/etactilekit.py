@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from smarttouch.boards.board import BOTH, Capabilities
 from smarttouch.boards.etactilekit_wire import (
     CHIPS,
+    COMPLIANCE_V,
+    DUMMY_KOHM,
     LARGEST,
     NO_SENSE,
     ON,
@@ -21,28 +23,26 @@ from smarttouch.boards.etactilekit_wire import (
     SENSE,
     SENSE_COUNTS,
     SENSE_US,
+    VOLTS_PER_COUNT,
     ZEROS,
     Settings,
     heights_of,
     pattern,
     settings_of,
+    zero_anywhere,
 )
 from smarttouch.boards.impedance import Impedance, judge
+from smarttouch.boards.keeper import PAUSE_S, PIECE
+from smarttouch.boards.kept_board import KEPT_MS, KeptBoard
 from smarttouch.boards.probe import one_each
-from smarttouch.boards.streamed import Job, StreamedBoard, one_against_all
+from smarttouch.boards.scale import scale_of
+from smarttouch.boards.streamed import Job, one_against_all
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
 from smarttouch.scan.timing import ScanTiming
 
-UA_PER_COUNT = 9.99
-"""Nominal; its firmware does not cap 4095 counts, which are 41 mA."""
-VOLTS_PER_COUNT = 0.0893
-DUMMY_KOHM = 66.0
-"""A load fitted beside the skin; it takes V / 66 kΩ of the current."""
-COMPLIANCE_V = 300.0
-"""Of its switches (HV513), the most a reading can be worth."""
 ECHO_S = 0.1
 CHIPS_S = 0.5
 """The longest that it takes to answer anything."""
@@ -50,14 +50,12 @@ FORGETS_S = 2.15
 """After such a silence it has dropped whatever half command it had."""
 GRACE_S = 0.1
 """How much longer than its time a sequence may loop before it is taken away."""
-PIECE, PAUSE_S = 8, 0.003
-"""What USB of older firmware takes without losing bytes."""
 LOSSES_UNTIL_SLOW = 2
 OPEN_SHARE = 0.95
 """Of the voltage without a finger: where every slot needs that much, there is none."""
 
 
-class ETactileKitBoard(StreamedBoard):
+class ETactileKitBoard(KeptBoard):
     """An eTactileKit: ``etactilekit:PORT`` or ``etactilekit:tcp://HOST:8080``.
 
     ``?slow`` after the port writes 8 bytes every 3 ms from the start, for USB of
@@ -67,6 +65,7 @@ class ETactileKitBoard(StreamedBoard):
     kind = "etactilekit"
     usual_profile: ClassVar[str] = "etactilekit-32"
     takes_wiring: ClassVar[bool] = True
+    can_be_asked: ClassVar[bool] = True
     timing = ScanTiming(
         slot_extra_us=10, every_electrode=True, own_widths=False, whole_hz=True, load=0.9
     )
@@ -83,9 +82,8 @@ class ETactileKitBoard(StreamedBoard):
             raise BoardError(
                 f"output {self._outputs - 1} is out of reach: an eTactileKit counts to 253 outputs"
             )
-        measured = None if output is None else output.ua_per_count
-        self.ua_per_count: float = measured or UA_PER_COUNT
-        self._largest = min(LARGEST, int(limits.current_ma * 1000 / self.ua_per_count))
+        self._scale = scale_of(self.kind, None if output is None else output.ua_per_count)
+        self.ua_per_count = self._scale.measured_ua
         self._nothing = bytes(2 * self._outputs)
         self._slow = option == "slow"
         self._lost_frames = 0
@@ -113,7 +111,7 @@ class ETactileKitBoard(StreamedBoard):
                 f"the board at {self._port_name} does not answer as an eTactileKit v2 does: check "
                 "that it is on and its firmware is v2 (v1 cannot be told from other boards)"
             )
-        capacity = 8 * answer[0]
+        self._chips, capacity = answer, 8 * answer[0]
         if self._outputs > capacity:
             raise BoardError(
                 f"the eTactileKit at {self._port_name} has {capacity} outputs, the profile needs "
@@ -126,21 +124,26 @@ class ETactileKitBoard(StreamedBoard):
                 f"the board at {self._port_name} does not echo its number of electrodes: its "
                 "firmware is not eTactileKit v2; update it"
             )
+        self._promise_zero(zero_anywhere(self._outputs), self._slow)
         if not self._transmit(self._nothing, None):
             raise self._lost("does not answer to a pattern of zeros")
         self._note_round_trip(self._ping)
         self.capabilities = Capabilities(
             electrodes=self._gate.limits.electrodes,
             output="one-against-all",
-            max_current_ma=LARGEST * self.ua_per_count / 1000,
+            max_current_ma=LARGEST * self._scale.measured_ua / 1000,
             max_slots=self._gate.limits.electrodes,
             time_to_zero_ms=None,
+            kept_ms=KEPT_MS,
             firmware=f"eTactileKit v2, {capacity} outputs",
             polarities=BOTH,
             acknowledges=True,
             measures=True,
             compliance_v=COMPLIANCE_V,
         )
+
+    def _recognize(self) -> None:
+        self._ask_again(CHIPS, self._chips, CHIPS_S, FORGETS_S)
 
     def _ping(self) -> bytes:
         self._write(PING)
@@ -150,15 +153,11 @@ class ETactileKitBoard(StreamedBoard):
         if not (self._transmit(self._nothing, None) or self._transmit(self._nothing, None)):
             raise self._lost("does not confirm a pattern of zeros")
 
-    def _aftermath(self) -> str:
-        return "; an eTactileKit goes on with its last pattern: lift the finger, then switch it off"
-
     # -- sequences ---------------------------------------------------------
 
     def _encode(self, sequence: ScanSequence) -> bytes:
         settings_of(sequence)
-        assert self.ua_per_count is not None
-        return heights_of(sequence, self._wiring, self.ua_per_count, self._largest)
+        return heights_of(sequence, self._wiring, self._scale, self._gate.limits)
 
     def _serve(self) -> None:
         until_s: float | None = None
@@ -274,6 +273,7 @@ class ETactileKitBoard(StreamedBoard):
             return
         if self._lost_frames >= LOSSES_UNTIL_SLOW:
             self._slow = True
+            self._promise_zero(zero_anywhere(self._outputs), True)
             self.notes.append(
                 f"{self._lost_frames} patterns were lost on the way to the board: from then on "
                 f"{PIECE} bytes went every {1000 * PAUSE_S:g} ms (?slow)"
@@ -293,11 +293,11 @@ class ETactileKitBoard(StreamedBoard):
     # -- measuring ---------------------------------------------------------
 
     def _measure(self) -> Impedance:
-        assert self.ua_per_count is not None
-        level_ua = int(SENSE_COUNTS * self.ua_per_count)
+        level_ua = int(SENSE_COUNTS * self._scale.measured_ua)
+        most_ua = int(SENSE_COUNTS * self._scale.largest_ua)
         self._gate.prove_measurement(
             one_each(
-                self._gate.limits, level_ua, SENSE_US, 1.0, time.monotonic_ns(), cathodic=False,
+                self._gate.limits, most_ua, SENSE_US, 1.0, time.monotonic_ns(), cathodic=False,
                 period_us=100_000,
             )
         )  # fmt: skip

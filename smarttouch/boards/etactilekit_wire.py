@@ -23,12 +23,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.boards.scale import Scale
 from smarttouch.boards.streamed import one_against_all
 from smarttouch.errors import BoardError
+from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
 
 LARGEST = 1000
-"""Counts, about 10 mA: nothing above leaves this host, whatever the limits."""
+"""Counts, about 10 mA: nothing above leaves this host, whatever the limits. Its firmware does not
+cap 4095 counts, which are 41 mA."""
+VOLTS_PER_COUNT = 0.0893
+DUMMY_KOHM = 66.0
+"""A load fitted beside the skin; it takes V / 66 kΩ of the current."""
+COMPLIANCE_V = 300.0
+"""Of its switches (HV513), the most a reading can be worth."""
 FIRST_COMMAND = 0xF4
 SENSE_COUNTS, SENSE_US = 100, 50
 ZEROS = bytes(2 * 255 + 4)
@@ -96,7 +104,7 @@ def settings_of(sequence: ScanSequence) -> Settings:
 
 
 def heights_of(
-    sequence: ScanSequence, wiring: NDArray[np.intp], ua_per_count: float, most: int
+    sequence: ScanSequence, wiring: NDArray[np.intp], scale: Scale, limits: SafetyLimits
 ) -> bytes:
     """Return the payload of a pattern: a height in counts for each output, little endian.
 
@@ -104,17 +112,30 @@ def heights_of(
     ----------
     wiring : ndarray, (E,)
         The output of each electrode.
-    most : int
-        Counts that rounding must not pass.
+    limits : SafetyLimits
+        That neither rounding nor a scale that is wrong may pass.
     """
     electrode, current_ua = one_against_all(sequence)
-    counts = np.minimum(np.rint(np.abs(current_ua) / ua_per_count), min(most, LARGEST))
+    most = scale.most_counts(limits, sequence.width_us.max(initial=0))
+    counts = np.rint(np.abs(current_ua) / scale.measured_ua)
+    counts = np.minimum(np.minimum(counts, most[electrode]), LARGEST)
     heights = np.zeros(int(wiring.max()) + 1, np.uint16)
     heights[wiring[electrode]] = counts.astype(np.uint16)
     # A byte that looks like a command would be one, if the FE before it were lost.
     low = heights & 0xFF
     heights -= np.where(low >= FIRST_COMMAND, low - (FIRST_COMMAND - 1), 0).astype(np.uint16)
     return heights.astype("<u2").tobytes()
+
+
+def zero_anywhere(outputs: int) -> bytes:
+    """Return what puts the board at zero, wherever its parser stands.
+
+    Zeros first: they end any half command as a smaller one, and no pulse flows while a pattern is
+    half written (`pattern`). Then no sense pulses, no pulses at all, and a pattern of zeros. A
+    byte that is lost eats a spare one after it, never the next command.
+    """
+    end = bytes(2 * outputs + 4)
+    return end + NO_SENSE + QUIET + 2 * QUIET[1:] + b"\xfe" + bytes(2 * outputs)
 
 
 def pattern(heights: bytes) -> bytes:

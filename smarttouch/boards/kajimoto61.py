@@ -22,6 +22,7 @@ import numpy as np
 from smarttouch.boards.board import Capabilities
 from smarttouch.boards.impedance import Impedance, judge
 from smarttouch.boards.probe import one_each
+from smarttouch.boards.scale import scale_of
 from smarttouch.boards.streamed import Job, StreamedBoard, one_against_all
 from smarttouch.clock import Clock, MonotonicClock
 from smarttouch.errors import BoardError
@@ -36,8 +37,6 @@ ZERO = bytes([STIMULATE]) + bytes(ELECTRODES)
 WIDTH_US, REST_US = 50, 150
 LARGEST = 200
 COUNTS_PER_BYTE = 16
-UA_PER_COUNT = 10_000 / 4096
-"""Nominal scale of its DAC: 4095 counts are 10 mA."""
 MEASURE_MA, MEASURE_US = 2.5, 25
 """What a MEASURE sends through every electrode, fixed by the firmware (over 20 µs)."""
 READING_V = 4 * 0.0893
@@ -79,10 +78,11 @@ class Kajimoto61Board(StreamedBoard):
                 f"a kajimoto61 board has {ELECTRODES} electrodes, the profile "
                 f"{limits.electrodes}: use --profile {self.usual_profile}"
             )
-        measured = None if output is None else output.ua_per_count
-        self.ua_per_count: float = measured or UA_PER_COUNT
+        self._scale = scale_of(self.kind, None if output is None else output.ua_per_count)
+        self.ua_per_count = self._scale.measured_ua
         self._step_ua = COUNTS_PER_BYTE * self.ua_per_count
-        self._largest = min(LARGEST, int(limits.current_ma * 1000 / self._step_ua))
+        most = self._scale.most_counts(limits, WIDTH_US, COUNTS_PER_BYTE)
+        self._largest = np.minimum(LARGEST, most)
         if clock is not None and type(clock) is not MonotonicClock:
             raise BoardError(f"{self.kind}: a board on a port keeps the machine's own time")
         self._clock: Clock = clock or MonotonicClock()
@@ -136,8 +136,8 @@ class Kajimoto61Board(StreamedBoard):
             )
         packet = np.zeros(1 + ELECTRODES, np.uint8)
         packet[0] = STIMULATE
-        # Rounding up must not pass the limit that the current was proved against.
-        steps = np.minimum(np.rint(-current_ua / self._step_ua), self._largest)
+        # Neither rounding up nor a scale that is wrong may pass the limit that was proved.
+        steps = np.minimum(np.rint(-current_ua / self._step_ua), self._largest[electrode])
         packet[1 + electrode] = steps.astype(np.uint8)
         return packet.tobytes()
 
@@ -183,7 +183,7 @@ class Kajimoto61Board(StreamedBoard):
         self._gate.prove_measurement(
             one_each(
                 self._gate.limits,
-                int(MEASURE_MA * 1000),
+                int(MEASURE_MA * 1000 * self._scale.largest_ua / self._scale.nominal_ua),
                 MEASURE_US,
                 1.0,
                 time.monotonic_ns(),

@@ -15,12 +15,12 @@ from smarttouch.boards.link_protocol import Feature, Kind, Refusal
 from smarttouch.boards.link_sequence import decode_volts, encode_sequence
 from smarttouch.boards.pairs import measure_in_pairs
 from smarttouch.boards.probe import probe_sequences
-from smarttouch.errors import BoardError, LineLostError
+from smarttouch.errors import BoardError, LineLostError, OtherDeviceError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
 from smarttouch.wire.framing import Packet
-from smarttouch.wire.port import Port, open_port, reopen_port
+from smarttouch.wire.port import Port, UsbIdentity, identity_of, open_port, reopen_port
 
 RECOVER_S = 3.0
 """How long a port that is gone is waited for."""
@@ -58,13 +58,15 @@ class LinkBoard(Board):
     def _open(self) -> None:
         if not self._line.name:
             raise BoardError("link: needs a port, for example link:/dev/ttyACM0")
-        self._start(open_port(self._line.name))
+        port = open_port(self._line.name)
+        self._identity: UsbIdentity | None = identity_of(port)
+        self._start(port)
 
-    def _start(self, port: Port) -> None:
+    def _start(self, port: Port, known: Capabilities | None = None) -> None:
         self._in_flight.clear()
         self._line.open(port)
         try:
-            self._shake_hands()
+            self._shake_hands(known)
         except BaseException:
             self._line.close()
             raise
@@ -72,7 +74,10 @@ class LinkBoard(Board):
     def _recover(self, lost: LineLostError) -> None:
         self._line.close()
         try:
-            self._start(reopen_port(self._line.name, RECOVER_S))
+            port = reopen_port(self._line.name, RECOVER_S, self._identity)
+            self._start(port, self.capabilities)
+        except OtherDeviceError as other:
+            raise BoardError(f"{lost}; {other}") from None
         except BoardError:
             raise lost from None
 
@@ -172,7 +177,7 @@ class LinkBoard(Board):
 
     # -- what the board says -----------------------------------------------
 
-    def _shake_hands(self) -> None:
+    def _shake_hands(self, known: Capabilities | None) -> None:
         answer = self._line.ask(Kind.HELLO, Kind.CAPABILITIES)
         name = self._line.name
         if answer.version != protocol.VERSION:
@@ -201,6 +206,8 @@ class LinkBoard(Board):
             compliance_v=float(volts) or None,
             recharges=bool(features & Feature.RECHARGE),
         )
+        if known not in (None, self.capabilities):
+            raise OtherDeviceError(f"the board at {name} now is another: only HELLO was sent to it")
         wanted = self._gate.limits.electrodes
         if electrodes != wanted:
             raise BoardError(
@@ -212,6 +219,7 @@ class LinkBoard(Board):
                 f"the board at {name} is {self.capabilities.output}, the profile needs "
                 f"{self._output.kind}: use the profile of this board"
             )
+        self._line.greeted = True
         self._note_round_trip(self._status)
 
     def _status(self) -> tuple[Any, ...]:

@@ -45,6 +45,8 @@ class LinkLine:
         self.fault: BoardError | None = None
         self.overtaken = False
         """Set by a stop: no heartbeats from then on, so the board ends by itself if need be."""
+        self.greeted = False
+        """Set by the handshake: no heartbeats before, as another device may be there."""
         self._hear, self._aftermath = hear, aftermath
         self._closing = threading.Event()
         # Reentrant: a signal handler may call stop while its own thread is writing.
@@ -61,7 +63,7 @@ class LinkLine:
         """Begin to listen."""
         self._port = port
         self._closing.clear()
-        self.fault, self.overtaken = None, False
+        self.fault, self.overtaken, self.greeted = None, False, False
         self._answers.clear()
         self._last_written = time.monotonic()
         self._threads = [
@@ -177,7 +179,7 @@ class LinkLine:
         while not self._closing.wait(HEARTBEAT_S / 4):
             if self.fault is not None or self.overtaken:
                 return
-            if time.monotonic() - self._last_written > HEARTBEAT_S:
+            if self.greeted and time.monotonic() - self._last_written > HEARTBEAT_S:
                 try:
                     self.write(beat)
                 except BoardError:

@@ -5,17 +5,26 @@ import threading
 import time
 from abc import abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards.board import Board, BoardReport
 from smarttouch.boards.books import HostBooks
-from smarttouch.errors import BoardError, LineLostError
+from smarttouch.errors import BoardError, LineLostError, OtherDeviceError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
-from smarttouch.wire.port import LINE_ERRORS, Port, open_port, reason, reopen_port
+from smarttouch.wire.port import (
+    LINE_ERRORS,
+    Port,
+    UsbIdentity,
+    identity_of,
+    open_port,
+    reason,
+    reopen_port,
+)
 
 BOOT_S = 1.0
 """Opening the port may reset the board: it needs about this long to boot."""
@@ -52,6 +61,8 @@ class StreamedBoard(Board):
 
     kind: str
     """Name of the driver, for messages."""
+    can_be_asked: ClassVar[bool] = False
+    """Whether a question that does nothing tells such a board from other devices."""
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         super().__init__(limits, output)
@@ -74,20 +85,25 @@ class StreamedBoard(Board):
         # Reentrant: a signal handler may call stop while its own thread is writing.
         self._line = threading.RLock()
         self._serial: Port | None = None
+        self._identity: UsbIdentity | None = None
         self._thread: threading.Thread | None = None
 
     # -- the contract ------------------------------------------------------
 
     def _open(self) -> None:
         self._books = HostBooks(self._gate.limits.electrodes)
-        self._start(open_port(self._port_name))
+        port = open_port(self._port_name)
+        self._identity = identity_of(port)
+        self._start(port)
 
-    def _start(self, port: Port) -> None:
-        self._serial = port
+    def _start(self, port: Port, *, again: bool = False) -> None:
+        self._serial = self._hold(port)
         self._fault, self._waiting, self._busy = None, None, False
         self._closing.clear()
         try:
             time.sleep(BOOT_S)
+            if again and self._identity is None:
+                self._recognize()
             self._greet()
         except BaseException:
             self._close()
@@ -97,8 +113,15 @@ class StreamedBoard(Board):
 
     def _recover(self, lost: LineLostError) -> None:
         self._close()
+        if self._identity is None and not self.can_be_asked:
+            raise BoardError(
+                f"{lost}; USB tells no serial number of it and it cannot be asked who it is, so "
+                "nothing is sent to what comes back: check the cable, then start again"
+            )
         try:
-            self._start(reopen_port(self._port_name, RECOVER_S))
+            self._start(reopen_port(self._port_name, RECOVER_S, self._identity), again=True)
+        except OtherDeviceError as other:
+            raise BoardError(f"{lost}; {other}") from None
         except BoardError:
             raise lost from None
 
@@ -124,6 +147,8 @@ class StreamedBoard(Board):
             try:
                 self._zero()
             except LineLostError:
+                if self._at_zero():
+                    return
                 # Where silence is zero, what went wrong before is all that need be told.
                 if self._fault is None or self.capabilities.time_to_zero_ms is None:
                     raise
@@ -152,6 +177,25 @@ class StreamedBoard(Board):
         return self._books.report()
 
     # -- what a driver adds ------------------------------------------------
+
+    def _hold(self, port: Port) -> Port:
+        """Return what stands for an open port."""
+        return port
+
+    def _at_zero(self) -> bool:
+        """Whether another process has put the board at zero."""
+        return False
+
+    def _recognize(self) -> None:
+        """Ask a line that is back, with a question that does nothing, whether it is the same board.
+
+        Only where USB does not tell.
+
+        Raises
+        ------
+        OtherDeviceError
+            If it is not.
+        """
 
     @abstractmethod
     def _greet(self) -> None:

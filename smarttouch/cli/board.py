@@ -112,12 +112,13 @@ def calibrate_scale(
     profile: _ProfileName = None,
 ) -> None:
     """Check the scale of a board's current with a resistor in place of the finger."""
+    from smarttouch.boards.scale import NOMINAL_UA, check_reading, scale_of
     from smarttouch.cli.files import require_site
     from smarttouch.cli.walk import pulse_until_line
-    from smarttouch.errors import BoardError, SmartTouchError
+    from smarttouch.errors import SmartTouchError
 
-    if not ohm > 0:
-        raise SmartTouchError(f"--ohm {ohm:g} must be above 0")
+    # Before anything pulses; the voltage is not known yet.
+    check_reading(current_ma * ohm / 1000 if volts is None else volts, ohm, current_ma)
     chosen, display = _driver(url, profile)
     require_site(chosen, electrode)
     if volts is None:
@@ -133,14 +134,18 @@ def calibrate_scale(
             volts = float(answer)
         except ValueError:
             raise SmartTouchError(f"{answer!r} is no voltage: give a number of volts") from None
-    if not volts > 0:
-        raise BoardError(f"{volts:g} V across {ohm:g} ohm means no current: check the connections")
-    actual_ma = 1000 * volts / ohm
-    ratio = actual_ma / current_ma
-    typer.echo(f"{volts:g} V across {ohm:g} ohm are {actual_ma:.3f} mA: {ratio:.3f} of nominal.")
-    if display.ua_per_count is not None:
+    ratio = check_reading(volts, ohm, current_ma)
+    scale_ua = None if display.ua_per_count is None else display.ua_per_count * ratio
+    kind = url.partition(":")[0]
+    if scale_ua is not None and kind in NOMINAL_UA:
+        # The scale of the profile may have been a measured one; the band is of the nominal.
+        scale_of(kind, float(f"{scale_ua:.4g}"))
+    typer.echo(
+        f"{volts:g} V across {ohm:g} ohm are {1000 * volts / ohm:.3f} mA: {ratio:.3f} of nominal."
+    )
+    if scale_ua is not None:
         typer.echo("In the profile of this board:\n")
-        typer.echo(f"[output]\nua_per_count = {display.ua_per_count * ratio:.4g}")
+        typer.echo(f"[output]\nua_per_count = {scale_ua:.4g}")
 
 
 @board.command()

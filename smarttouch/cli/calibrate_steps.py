@@ -124,7 +124,7 @@ def feel_all(
     else:
         subject = Person(next_key, typer.echo, stop.event.is_set)
         if display.capabilities.time_to_zero_ms is None:
-            typer.echo("This board goes on if this program is killed: keep its switch in reach.")
+            typer.echo("This board goes on if its line breaks: keep its switch in reach.")
         typer.echo(
             f"Current rises to {max(tops):.2f} mA at most. Press a key when you feel it, and again "
             "when it is strong enough; q or Esc stops at once."

@@ -47,8 +47,8 @@ def make_regulator(
     can = board.capabilities
     if can.time_to_zero_ms is None and not quiet:
         typer.echo(
-            "This board goes on with its last pattern if this program is killed: keep its switch "
-            "within reach.",
+            "This board goes on with its last pattern if its line breaks: keep its switch within "
+            "reach.",
             err=True,
         )
     adaptation = ledger = recharge = None

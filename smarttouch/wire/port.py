@@ -4,14 +4,25 @@ import os
 import socket
 import termios
 import time
+from dataclasses import dataclass
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import serial
 from serial import SerialBase as Port
+from serial.tools import list_ports
 
-from smarttouch.errors import BoardError, SmartTouchError
+from smarttouch.errors import BoardError, OtherDeviceError, SmartTouchError
 
-__all__ = ["LINE_ERRORS", "Port", "open_port", "reason", "reopen_port"]
+__all__ = [
+    "LINE_ERRORS",
+    "Port",
+    "UsbIdentity",
+    "identity_of",
+    "open_port",
+    "reason",
+    "reopen_port",
+]
 
 LINE_ERRORS = (OSError, serial.SerialException, termios.error, TypeError)
 """What pyserial raises when a port vanishes, or is closed by another thread."""
@@ -49,22 +60,69 @@ def open_port(
     return port
 
 
-def reopen_port(name: str, within_s: float) -> Port:
-    """Open a port that has gone as soon as it is back.
+@dataclass(frozen=True)
+class UsbIdentity:
+    """What USB tells of one device, and which of its ports it is."""
+
+    vendor: int
+    product: int
+    serial_number: str
+    interface: str
+
+
+def identity_of(port: Port) -> UsbIdentity | None:
+    """Return what USB tells of an open port; None of another line, or without a serial number."""
+    if not isinstance(port, serial.Serial):
+        return None
+    try:
+        return _usb_identity(os.ttyname(port.fileno()))
+    except LINE_ERRORS:
+        return None
+
+
+def _usb_identity(name: str) -> UsbIdentity | None:
+    device = os.path.realpath(name)
+    for each in list_ports.comports():
+        if each.device == device and each.vid is not None and each.serial_number:
+            _, _, interface = (each.location or "").partition(":")
+            return UsbIdentity(each.vid, each.pid, each.serial_number, interface)
+    return None
+
+
+def reopen_port(name: str, within_s: float, identity: UsbIdentity | None) -> Port:
+    """Open a port that has gone as soon as it is back; nothing is written to it.
+
+    Parameters
+    ----------
+    identity : UsbIdentity, optional
+        Of the port before it went, as by `identity_of`; None where USB does not tell.
 
     Raises
     ------
+    OtherDeviceError
+        If all that came back in time is another device.
     BoardError
-        If it is not back in time.
+        If nothing came back in time.
     """
     deadline = time.monotonic() + within_s
     while True:
         try:
-            return open_port(name)
+            # By name first: opening another device may reset it. Then again by what was opened.
+            if Path(name).exists() and _usb_identity(name) != identity:
+                raise _other(name)
+            port = open_port(name)
+            if identity_of(port) == identity:
+                return port
+            port.close()
+            raise _other(name)
         except BoardError:
             if time.monotonic() > deadline:
                 raise
             time.sleep(0.05)
+
+
+def _other(name: str) -> OtherDeviceError:
+    return OtherDeviceError(f"by its USB numbers another device is at {name} now: nothing was sent")
 
 
 def reason(error: Exception) -> str:

@@ -146,6 +146,11 @@ class ScriptedPort:
     def reset_input_buffer(self):
         self.incoming.clear()
 
+    at_zero = False
+
+    def promise_zero(self, zero, slow):
+        """Hear what a keeper would be told; here there is none."""
+
     def close(self):
         self.is_open = False
 
@@ -159,6 +164,7 @@ def script(monkeypatch):
         port = ScriptedPort(exchanges)
         ports.append(port)
         monkeypatch.setattr("smarttouch.boards.streamed.open_port", lambda name: port)
+        monkeypatch.setattr("smarttouch.boards.kept_board.KeptLine", lambda port: port)
         monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
         return port
 

@@ -1,11 +1,13 @@
 """Ports are opened, or the reason is one a user can act on."""
 
+import os
 import socket
+import threading
 
 import pytest
 
-from smarttouch.errors import BoardError
-from smarttouch.wire.port import open_port, reopen_port
+from smarttouch.errors import BoardError, OtherDeviceError
+from smarttouch.wire.port import UsbIdentity, identity_of, open_port, reopen_port
 
 
 @pytest.mark.parametrize(
@@ -44,4 +46,86 @@ def test_short_writes_over_tcp_do_not_wait():
 
 def test_a_port_that_stays_away_is_not_waited_for_longer_than_asked():
     with pytest.raises(BoardError, match="no such port"):
-        reopen_port("/dev/nowhere", 0.12)
+        reopen_port("/dev/nowhere", 0.12, None)
+
+
+@pytest.fixture
+def plugged(tmp_path, usb_ports):
+    """Return a maker of devices at one name, each with what USB tells of it, and their far ends."""
+    ends, name = [], tmp_path / "port"
+
+    def plug(**usb):
+        far, near = os.openpty()
+        os.set_blocking(far, False)
+        ends.extend((far, near))
+        name.unlink(missing_ok=True)
+        if usb:
+            usb_ports(os.ttyname(near), **usb)
+        name.symlink_to(os.ttyname(near))
+        return str(name), far
+
+    yield plug
+    for end in ends:
+        os.close(end)
+
+
+def heard(far):
+    try:
+        return os.read(far, 100)
+    except BlockingIOError:
+        return b""
+
+
+def test_usb_tells_who_is_behind_a_port_whatever_its_name(plugged):
+    name, _ = plugged(vid=0x303A, pid=0x1001, serial_number="A1B2C3", location="1-2:1.2")
+    with open_port(name) as port:
+        assert identity_of(port) == UsbIdentity(0x303A, 0x1001, "A1B2C3", "1.2")
+
+
+@pytest.mark.parametrize("usb", [{}, {"vid": 0x1A86, "pid": 0x7523, "serial_number": None}])
+def test_without_a_serial_number_nobody_is_known(plugged, usb):
+    name, _ = plugged(**usb)
+    with open_port(name) as port:
+        assert identity_of(port) is None
+
+
+KNOWN = {"vid": 1, "pid": 2, "serial_number": "3", "location": "1-1:1.0"}
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        *((KNOWN, KNOWN | change) for change in ({"vid": 7}, {"pid": 7}, {"serial_number": "7"})),
+        (KNOWN, KNOWN | {"location": "1-1:1.2"}),
+        (KNOWN, {}),
+        ({}, KNOWN),
+    ],
+)
+def test_another_device_in_a_ports_place_is_not_opened_for_writing(plugged, before, after):
+    name, _ = plugged(**before)
+    with open_port(name) as port:
+        identity = identity_of(port)
+    _, far = plugged(**after)
+    with pytest.raises(OtherDeviceError):
+        reopen_port(name, 0.12, identity)
+    assert heard(far) == b""
+
+
+def test_the_same_device_is_waited_for_while_another_is_there(plugged):
+    name, _ = plugged(**KNOWN)
+    with open_port(name) as port:
+        identity = identity_of(port)
+    plugged(**KNOWN | {"serial_number": "7"})
+    # At another place of the bus, and under another system name: it is the same.
+    back = threading.Timer(0.2, plugged, kwargs=KNOWN | {"location": "3-4:1.0"})
+    back.start()
+    with reopen_port(name, 20, identity) as port:
+        assert identity_of(port) == identity
+    back.join()
+
+
+def test_a_network_address_is_nobodys_identity():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = open_port(f"tcp://127.0.0.1:{server.getsockname()[1]}")
+        assert identity_of(port) is None
+        port.close()

@@ -1,0 +1,208 @@
+"""The keeper: a small process that holds a board's line and sends zero when its host is gone.
+
+Boards that go on by themselves loop their last pattern when the program that drives them is
+killed. So that program does not write to the port itself: it writes to a keeper, which passes
+every byte on, both ways. When the program ends, however it ends, its end of the line closes; when
+it hangs or is stopped, its heartbeats stay away. Either way the keeper writes the bytes that mean
+zero for this board, lets go of the port and ends.
+
+It runs as a program of its own, in a session of its own (Ctrl-C, a closed terminal and a kill of
+the host's process group do not reach it), and imports nothing but the standard library, so that
+it is there within some 20 ms. The host's side is `kept_line`.
+
+Three file descriptors are given on the command line: the port, ``data`` (a socket that carries
+the board's bytes both ways) and ``control`` (a socket with messages of the host)::
+
+    b"."                         a heartbeat
+    b"F"                         drop what has come from the board; answered by b"F"
+    b"Z" u8 slow u16 N, N bytes  what means zero, and whether the board loses bytes written fast
+
+Silence counts from the first ``Z`` on: before it, nothing was sent that could be a current. A
+computer that was suspended counts as a host that was silent, though no clock of theirs ran.
+"""
+
+import os
+import select
+import signal
+import sys
+import time
+
+SILENCE_S = 0.09
+"""Longest time without a byte from the host: with what it takes to wake up and write, .1 s."""
+STUCK_S = 0.4
+"""A board that takes no byte for so long while zero is written takes none at all."""
+PIECE, PAUSE_S = 8, 0.003
+"""What USB of older firmware takes without losing bytes."""
+GONE, SILENT, LINE_LOST, BLOCKED, ENDED = 0, 3, 4, 5, 6
+"""Exit codes: the host has closed, or was silent; the line broke, or takes no bytes; SIGTERM."""
+HEARTBEAT, FLUSH, ZERO = b".", b"F", b"Z"
+ZERO_HEAD = 4
+_MOST = 65536
+_MOST_READS = 100
+
+
+class Keeper:
+    """Passes bytes between a host and a port until one of them is gone.
+
+    Parameters
+    ----------
+    port, data, control : int
+        File descriptors.
+    """
+
+    def __init__(self, port: int, data: int, control: int) -> None:
+        self._port, self._data, self._control = port, data, control
+        self._zero, self._slow = b"", False
+        self._told = b""
+        self._to_port = self._to_host = b""
+        self._ended = False
+        for each in (port, data, control):
+            os.set_blocking(each, False)
+
+    def end(self, *_: object) -> None:
+        """Have `run` end soon; does nothing else, so that a signal handler may call it."""
+        self._ended = True
+
+    def run(self) -> int:
+        """Keep the line until host, port or process end; return the exit code.
+
+        The board is at zero then, unless its line is lost or takes no bytes.
+        """
+        code = LINE_LOST
+        try:
+            code = self._pass_bytes()
+        except OSError:
+            # Only the port raises here: the host's end shows as a closed one.
+            pass
+        finally:
+            if not self._write_zero() and code != LINE_LOST:
+                code = BLOCKED
+        return code
+
+    def _pass_bytes(self) -> int:
+        heard, slept = time.monotonic(), _slept_s()
+        while not self._ended:
+            # Of a direction that is full nothing more is read; control is read always.
+            reading = [self._control]
+            reading += [] if self._to_port else [self._data]
+            reading += [] if self._to_host else [self._port]
+            writing = [self._port] if self._to_port else []
+            writing += [self._data] if self._to_host else []
+            left = heard + SILENCE_S - time.monotonic()
+            ready, room, _ = select.select(reading, writing, [], max(0.0, left))
+            if self._zero and _slept_s() > slept + SILENCE_S:
+                return SILENT
+            if self._control in ready or self._data in ready:
+                heard = time.monotonic()
+            elif self._zero and (left <= 0 or not (ready or room)):
+                # Asked after the wait: a keeper that was kept waiting itself has found nothing.
+                return SILENT
+            elif not ready and not room:
+                heard = time.monotonic()
+            if self._control in ready and not self._listen():
+                return GONE
+            if self._data in ready:
+                self._to_port = _read(self._data)
+                if not self._to_port:
+                    return GONE
+            if self._to_port:
+                self._to_port = _write(self._port, self._to_port)
+            if self._port in ready and not self._to_host:
+                self._to_host = self._hear()
+            if self._to_host:
+                try:
+                    self._to_host = _write(self._data, self._to_host)
+                except OSError:
+                    return GONE
+        return ENDED
+
+    def _listen(self) -> bool:
+        """Obey the host's messages; return whether it is still there."""
+        message = _read(self._control)
+        self._told += message
+        while self._told:
+            kind = self._told[:1]
+            if kind == ZERO:
+                length = ZERO_HEAD + int.from_bytes(self._told[2:4], "little")
+                if len(self._told) < max(length, ZERO_HEAD):
+                    break
+                self._slow = bool(self._told[1])
+                self._zero, self._told = self._told[ZERO_HEAD:length], self._told[length:]
+                continue
+            self._told = self._told[1:]
+            if kind == FLUSH:
+                self._to_host = b""
+                # A device that never ends is not waited for.
+                for _ in range(_MOST_READS):
+                    if not self._hear():
+                        break
+                try:
+                    os.write(self._control, FLUSH)
+                except OSError:
+                    return False
+        return bool(message)
+
+    def _hear(self) -> bytes:
+        """Return what the board says; raise OSError where the line is lost."""
+        # A flush may have taken what was there to read.
+        if not select.select([self._port], [], [], 0)[0]:
+            return b""
+        said = os.read(self._port, _MOST)
+        if not said:
+            raise OSError("the line is closed")
+        return said
+
+    def _write_zero(self) -> bool:
+        """Write what means zero, twice; return whether the line took it.
+
+        The second time in small pieces: older firmware loses bytes that come fast.
+        """
+        for slow in (self._slow, True):
+            step = PIECE if slow else _MOST
+            for start in range(0, len(self._zero), step):
+                piece = self._zero[start : start + step]
+                while piece:
+                    try:
+                        if not select.select([], [self._port], [], STUCK_S)[1]:
+                            return False
+                        piece = _write(self._port, piece)
+                    except OSError:
+                        return False
+                if slow:
+                    time.sleep(PAUSE_S)
+        return True
+
+
+def _slept_s() -> float:
+    """Return how long the computer has been suspended, s, but for a constant."""
+    clock = getattr(time, "CLOCK_BOOTTIME", None)
+    return 0.0 if clock is None else time.clock_gettime(clock) - time.monotonic()
+
+
+def _read(end: int) -> bytes:
+    """Return what the host wrote; empty if it is gone."""
+    try:
+        return os.read(end, _MOST)
+    except OSError:
+        return b""
+
+
+def _write(end: int, data: bytes) -> bytes:
+    """Write what fits; return the rest."""
+    try:
+        return data[os.write(end, data) :]
+    except BlockingIOError:
+        return data
+
+
+def main() -> None:
+    """Keep the port, data and control ends that the command line numbers."""
+    keeper = Keeper(*(int(number) for number in sys.argv[1:4]))
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, keeper.end)
+    sys.exit(keeper.run())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,58 @@
+"""What drivers share whose boards go on by themselves: a keeper that puts the board at zero."""
+
+import time
+
+from smarttouch.boards.kept_line import KeptLine
+from smarttouch.boards.streamed import StreamedBoard
+from smarttouch.errors import OtherDeviceError
+from smarttouch.wire.port import LINE_ERRORS, Port, reason
+
+KEPT_MS = 100.0
+"""From the end of this program, or from when it hangs, to the first byte that means zero."""
+
+
+class KeptBoard(StreamedBoard):
+    """A streamed board that loops its last pattern without a host.
+
+    A driver calls `_promise_zero` before anything that can become a current.
+    """
+
+    def _hold(self, port: Port) -> Port:
+        return KeptLine(port)
+
+    def _promise_zero(self, zero: bytes, slow: bool) -> None:
+        """Tell the keeper what means zero; see `KeptLine.promise_zero`."""
+        assert self._serial is not None
+        try:
+            self._serial.promise_zero(zero, slow)
+        except LINE_ERRORS as error:
+            raise self._lost(f"has vanished ({reason(error)})") from None
+
+    def _at_zero(self) -> bool:
+        return self._serial is not None and bool(self._serial.at_zero)
+
+    def _ask_again(self, question: bytes, answer: bytes, within_s: float, silence_s: float) -> None:
+        """Ask whether it is the board that gave this answer, again after a silence if need be.
+
+        Raises
+        ------
+        OtherDeviceError
+            If it answers otherwise, or not at all.
+        """
+        # No zeros before the question: to another device they might be more than one.
+        for pause_s in (0.0, silence_s):
+            time.sleep(pause_s)
+            self._flush()
+            self._write(question)
+            if said := self._read(len(answer) + 1, within_s):
+                break
+        if said != answer:
+            raise OtherDeviceError(
+                f"what is at {self._port_name} now does not answer as that board did: nothing but "
+                "this question was sent"
+            )
+
+    def _aftermath(self) -> str:
+        if self._at_zero():
+            return ""
+        return "; the board goes on with its last pattern: lift the finger, then switch it off"

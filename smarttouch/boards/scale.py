@@ -1,0 +1,123 @@
+"""The scale of a board's current: what one count of its converter is worth, and its band.
+
+A measured scale may differ from the board's nominal one by 30 %. That is wide enough for what
+makes boards of one kind differ: the converter and its reference (an ESP32's is good to some 10 %),
+the resistors of the current source (1 to 10 %), the one across which it was measured, and the
+reading of an oscilloscope (3 %). And it is narrow enough for mistakes: the boards of the family lie
+a factor of 1.77 or more apart (2.44, 5.66 and 9.99 µA), peak to peak for peak is a factor of 2,
+10 bits for 12 one of 4, and mA for µA one of 1,000.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import BoardError
+from smarttouch.scan.safety import SafetyLimits
+
+BAND = 0.3
+"""Of the nominal scale, up and down."""
+NOMINAL_UA = {"kajimoto61": 10_000 / 4096, "etactilekit": 9.99}
+"""Of one count of each board's converter; the kajimoto61's 4096 are 10 mA."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What one count is worth, as measured and by the board's design, µA."""
+
+    measured_ua: float
+    nominal_ua: float
+
+    @property
+    def largest_ua(self) -> float:
+        """The more careful of the two: a count is taken to be worth that where a limit is kept."""
+        return max(self.measured_ua, self.nominal_ua)
+
+    def most_counts(
+        self, limits: SafetyLimits, width_us: float, counts_each: int = 1
+    ) -> NDArray[np.int64]:
+        """Return the steps that keep current and charge below the limits by either scale.
+
+        Parameters
+        ----------
+        width_us : float
+            Of the longest pulse.
+        counts_each : int
+            Counts in a step.
+
+        Returns
+        -------
+        ndarray, (E,)
+        """
+        most_ua = np.minimum(limits.current_ua, limits.charge_pc / max(float(width_us), 1.0))
+        # A limit of just so many steps is kept, whatever division makes of it.
+        steps = np.floor(most_ua / (counts_each * self.largest_ua) + 1e-9)
+        return np.asarray(steps, np.int64)
+
+
+def scale_of(kind: str, measured_ua: float | None) -> Scale:
+    """Return the scale of a kind of board, as a profile has it.
+
+    Raises
+    ------
+    BoardError
+        If what was measured is too far from the nominal one, with the likely mistake.
+    """
+    nominal_ua = NOMINAL_UA[kind]
+    if measured_ua is None:
+        return Scale(nominal_ua, nominal_ua)
+    if not in_band(measured_ua / nominal_ua):
+        raise BoardError(
+            f"output.ua_per_count = {measured_ua:g} is {measured_ua / nominal_ua:.3g} times the "
+            f"{nominal_ua:.4g} µA of a {kind} board, and boards differ by {100 * BAND:.0f} % at "
+            f"most: {_likely(kind, measured_ua)}"
+        )
+    return Scale(measured_ua, nominal_ua)
+
+
+def in_band(ratio: float) -> bool:
+    """Return whether a scale may be so many times the nominal one."""
+    return abs(ratio - 1) <= BAND + 1e-9
+
+
+def _likely(kind: str, measured_ua: float) -> str:
+    ratio = measured_ua / NOMINAL_UA[kind]
+    if in_band(1000 * ratio):
+        return "mA where µA is meant? Give µA"
+    if in_band(ratio / 1000):
+        return "nA where µA is meant? Give µA"
+    for other, nominal_ua in NOMINAL_UA.items():
+        if in_band(measured_ua / nominal_ua):
+            return f"that is the scale of a {other} board; is this the right profile?"
+    return "measure it again (smarttouch board calibrate-scale), or remove it"
+
+
+def check_reading(volts: float, ohm: float, current_ma: float) -> float:
+    """Return how many times the nominal current a voltage across a resistor shows.
+
+    Raises
+    ------
+    BoardError
+        If the reading is impossible, or too far off, with the likely mistake.
+    """
+    for what, value in (("--ohm", ohm), ("--current-ma", current_ma)):
+        if not 0 < value < math.inf:
+            raise BoardError(f"{what} {value:g} must be above 0 and finite")
+    if not 0 < volts < math.inf:
+        raise BoardError(f"{volts:g} V across {ohm:g} ohm is no current: check the connections")
+    ratio = 1000 * volts / ohm / current_ma
+    if in_band(ratio):
+        return ratio
+    mistake = "check the connections, the resistor, and which board this is"
+    if in_band(ratio / 1000):
+        mistake = "mV where V is meant, or kilohms where ohms are?"
+    elif in_band(1000 * ratio):
+        mistake = "kV where V is meant, or µA where mA are?"
+    elif in_band(ratio / 2):
+        mistake = "peak to peak of both phases, where the peak is meant?"
+    raise BoardError(
+        f"{volts:g} V across {ohm:g} ohm are {ratio:.3g} times the nominal {current_ma:g} mA, and "
+        f"boards differ by {100 * BAND:.0f} % at most: {mistake}"
+    )

@@ -1,0 +1,105 @@
+"""A board that comes back must be the same; another in its place gets only a question."""
+
+import os
+import threading
+import tty
+
+import pytest
+
+from smarttouch.boards import link_protocol as protocol
+from smarttouch.boards.link_protocol import Kind
+from smarttouch.errors import BoardError, BoardRestartedError
+
+HELLO = b"\0" + protocol.encode(Kind.HELLO)
+CHIPS = b"\xf5"
+ALL = pytest.mark.parametrize("hosted", ["link", "kajimoto61", "etactilekit"], indirect=True)
+
+
+class Stranger:
+    """A device at a path that keeps what it hears and answers what it likes."""
+
+    def __init__(self, path, answers=None):
+        self.heard, self._answers = b"", answers or {}
+        self._far, self._near = os.openpty()
+        tty.setraw(self._near)
+        self.device = os.ttyname(self._near)
+        path.symlink_to(self.device)
+        self._thread = threading.Thread(target=self._listen)
+        self._thread.start()
+
+    def _listen(self):
+        while (data := os.read(self._far, 1000)) != b"\xa5" * 9:
+            self.heard += data
+            if answer := self._answers.get(data):
+                os.write(self._far, answer)
+
+    def close(self):
+        os.write(self._near, b"\xa5" * 9)
+        self._thread.join()
+        os.close(self._near)
+        os.close(self._far)
+
+
+@pytest.fixture
+def stranger(monkeypatch):
+    monkeypatch.setattr("smarttouch.boards.etactilekit.FORGETS_S", 0.1)
+    monkeypatch.setattr("smarttouch.boards.link.RECOVER_S", 0.3)
+    monkeypatch.setattr("smarttouch.boards.streamed.RECOVER_S", 0.3)
+    made = []
+
+    def make(path, answers=None):
+        made.append(Stranger(path, answers))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+def replaced(hosted, stranger, answers=None):
+    """Let a board's place be taken while it is driven; return what was sent there."""
+    others = []
+
+    def drive():
+        with hosted.board:
+            for _ in range(4):
+                hosted.send()
+            hosted.line.pull_out()
+            others.append(stranger(hosted.line.path, answers))
+            for _ in range(30):
+                hosted.send()
+
+    with pytest.raises(BoardError) as error:
+        drive()
+    hosted.line.path.unlink()
+    assert not isinstance(error.value, BoardRestartedError)
+    assert "\n" not in str(error.value)
+    return others[0].heard
+
+
+@ALL
+def test_another_by_its_usb_numbers_gets_no_byte(hosted, stranger, usb_ports):
+    here = os.path.realpath(hosted.line.path)
+    usb_ports(here, vid=1, pid=2, serial_number="3")
+    assert replaced(hosted, stranger) == b""
+
+
+@ALL
+def test_without_usb_numbers_another_gets_nothing_but_a_question(hosted, stranger):
+    heard = replaced(hosted, stranger)
+    question = {"link": HELLO, "kajimoto61": b"", "etactilekit": CHIPS}[hosted.kind]
+    assert heard.replace(question, b"") == b""
+    assert (heard == b"") == (hosted.kind == "kajimoto61")
+
+
+@pytest.mark.parametrize("hosted", ["link"], indirect=True)
+def test_a_link_board_that_says_it_is_another_gets_no_sequence(hosted, stranger):
+    said = protocol.CAPABILITIES.pack(8, 0, 0, 5000, 100, 120, 0) + b"another firmware"
+    answer = protocol.encode(Kind.CAPABILITIES, 0, said)
+    assert replaced(hosted, stranger, {HELLO: answer}) == HELLO
+
+
+@pytest.mark.parametrize("hosted", ["etactilekit"], indirect=True)
+@pytest.mark.parametrize("answer", [b"\x02", b"\x01\x01", b"ready"])
+def test_an_etactilekit_of_another_size_gets_no_pattern(hosted, stranger, answer):
+    assert replaced(hosted, stranger, {CHIPS: answer}) == CHIPS

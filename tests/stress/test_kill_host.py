@@ -1,0 +1,51 @@
+"""A host is killed or stopped at random instants: its board is at zero, and nothing stays behind.
+
+``SMARTTOUCH_KILLS=100 nice pytest tests/stress/test_kill_host.py -n0 -s --timeout 0`` for the long
+form, with figures: only that one is about how long it takes.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+KILLS = int(os.environ.get("SMARTTOUCH_KILLS", "3"))
+LONG = "SMARTTOUCH_KILLS" in os.environ
+WITHIN_MS = 100
+SLOW_WIRE_MS = 54
+"""What means zero for 32 outputs are 143 bytes: 18 pieces of 8, each with a pause of 3 ms."""
+WATCHED_MS = 600
+STEP_MS = 10
+"""By so much the clock of an emulated board may run on while its process is kept from running."""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="it collects orphans as only Linux lets it")
+@pytest.mark.parametrize(
+    ("kind", "how", "option"),
+    [
+        ("link", "kill", ""),
+        ("kajimoto61", "kill", ""),
+        ("etactilekit", "kill", ""),
+        ("etactilekit", "stop", ""),
+        ("etactilekit", "kill", "?slow"),
+    ],
+)
+def test_a_board_whose_host_is_gone_is_at_zero(kind, how, option):
+    script = Path(__file__).with_name("kill_host.py")
+    done = subprocess.run(
+        [sys.executable, script, kind, str(KILLS), f"--how={how}", f"--option={option}"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    print(f"\n{found}")
+    assert found["runs"] == KILLS
+    assert (found["unsafe"], found["ports_kept"], found["processes_left"]) == (0, 0, 0)
+    # A board that goes on pulses until it is not watched any more.
+    assert found["worst_ms"] < 0.8 * WATCHED_MS
+    if LONG:
+        assert found["driving"] > KILLS / 2
+        assert found["worst_ms"] <= WITHIN_MS + STEP_MS + (SLOW_WIRE_MS if option else 0)
