@@ -12,7 +12,7 @@ from smarttouch.profile.device import Output
 from smarttouch.scan.recharge import RechargeRules, add_recharge
 from smarttouch.scan.timing import ScanTiming
 
-RULES = RechargeRules(np.full(8, 120, np.int64), 10_000, ScanTiming())
+RULES = RechargeRules(np.full(8, 119, np.int64), 10_000, ScanTiming())
 BOARDS = ("memory:", "simulated:", "emulator:")
 
 
