@@ -88,6 +88,8 @@ class BoardReport:
     max_net_charge_uc: float
     """Worst electrode's charge left: after a slot's discharge by the board's books, by the
     host's the sum of all pulses."""
+    refused_packets: int = 0
+    """Old packets, and those of other sessions, that reached the board."""
     by: Literal["board", "host"] = "board"
     """Whose account it is; a host's is of what it sent."""
 
@@ -127,6 +129,8 @@ class Board(ABC):
     """Sequences the board has declined or dropped."""
     replaced: int = 0
     """Sequences that a newer one overtook before they were sent."""
+    refused_packets: int = 0
+    """Packets from the board that were old, of another session, or answered nothing asked."""
     force_n: float | None = None
     """How hard the finger presses, if the board can tell."""
     lifted: bool = False

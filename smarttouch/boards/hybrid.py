@@ -52,6 +52,7 @@ class HybridBoard(Board):
     acknowledged: int = _electric("acknowledged")
     refused: int = _electric("refused")
     replaced: int = _electric("replaced")
+    refused_packets: int = _electric("refused_packets")
     force_n: float | None = _electric("force_n")
     lifted: bool = _electric("lifted")
     ua_per_count: float | None = _electric("ua_per_count")

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards.link_protocol import Kind, Output, encode
+from smarttouch.boards.link_protocol import Output
 from smarttouch.errors import BoardError
+from smarttouch.wire.framing import LARGEST_PACKET
 
 _SEQUENCE = struct.Struct("<IHHBBH")
 _VOLT = 100
@@ -37,7 +38,6 @@ class WireSequence:
 
 
 def encode_sequence(
-    number: int,
     output: Output,
     period_us: int,
     width_us: NDArray[np.uint16],
@@ -47,7 +47,7 @@ def encode_sequence(
     times: int = 1,
     measure: bool = False,
 ) -> bytes:
-    """Return a SEQUENCE packet; the columns are those of a scan sequence.
+    """Return the payload of a SEQUENCE; the columns are those of a scan sequence.
 
     Raises
     ------
@@ -75,7 +75,13 @@ def encode_sequence(
         parts += [_u16(source.astype(np.uint16)), _pack_states(np.sign(current_ua))]
     else:
         parts.append(current_ua.astype("<i2", copy=False).tobytes())
-    return encode(Kind.SEQUENCE, number, b"".join(parts))
+    payload = b"".join(parts)
+    if len(payload) > LARGEST_PACKET:
+        raise BoardError(
+            f"a packet of {len(payload)} bytes is above the limit of {LARGEST_PACKET}: "
+            "scan fewer points at once"
+        )
+    return payload
 
 
 def decode_sequence(payload: bytes) -> WireSequence:
@@ -111,13 +117,13 @@ def decode_sequence(payload: bytes) -> WireSequence:
     )
 
 
-def encode_volts(number: int, volts: NDArray[np.float64]) -> bytes:
-    """Return a VOLTAGES packet of what each slot's source needed, (S,) V."""
-    return encode(Kind.VOLTAGES, number, _u16(np.clip(np.rint(volts * _VOLT), 0, _U16_MAX)))
+def encode_volts(volts: NDArray[np.float64]) -> bytes:
+    """Return the payload of VOLTAGES: what each slot's source needed, (S,) V."""
+    return _u16(np.clip(np.rint(volts * _VOLT), 0, _U16_MAX))
 
 
 def decode_volts(payload: bytes) -> NDArray[np.float32]:
-    """Return the voltages of a VOLTAGES packet, (S,) V; an odd byte is dropped."""
+    """Return the voltages in a payload of VOLTAGES, (S,) V; an odd byte is dropped."""
     whole = payload[: len(payload) // 2 * 2]
     return np.asarray(np.frombuffer(whole, "<u2") / np.float32(_VOLT), np.float32)
 

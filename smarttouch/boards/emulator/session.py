@@ -1,0 +1,124 @@
+"""The board's end of sessions: which packets it takes, and what it counts of the others."""
+
+from collections import deque
+from collections.abc import Callable
+
+from smarttouch.boards.link_protocol import (
+    ALIVE_MS,
+    HALF,
+    LATE_MS,
+    LONGEST_PACKET_MS,
+    VERSION,
+    Kind,
+    Message,
+    Refusal,
+    decode_head,
+    draw_half,
+    encode,
+)
+
+_MS = 1_000_000
+
+
+class BoardSession:
+    """The session begun last, and the challenge for the next.
+
+    Parameters
+    ----------
+    draw : callable
+        Returns 32 random bits that are not all 0, each time others.
+
+    Attributes
+    ----------
+    number : int
+        Of the session; 0 before the first.
+    live : bool
+        Whether its host is there; what ends it sets this to False.
+    old, foreign : int
+        Packets refused, as old and as of another session.
+    """
+
+    def __init__(self, draw: Callable[[], int] = draw_half) -> None:
+        self.number = self.old = self.foreign = 0
+        self.live = False
+        self._draw = draw
+        self._challenge = draw()
+        self._taken = self._said = 0
+        self._alive: deque[tuple[int, int]] = deque(maxlen=2 + LATE_MS // ALIVE_MS)
+        """When each of the last packets ALIVE was sent, in ns, and its number."""
+        self._greeting: tuple[int, int] | None = None
+        """Host's half and number of the last HELLO that no BEGIN has followed."""
+
+    def encode(self, kind: Kind, about: int = 0, payload: bytes = b"") -> bytes:
+        """Return the board's next packet of the session."""
+        self._said += 1
+        return encode(kind, self.number, self._said, self._taken, about, payload)
+
+    def encode_alive(self, payload: bytes, now_ns: int) -> bytes:
+        """Return the next ALIVE; by these the board knows what its host has heard and when."""
+        packet = self.encode(Kind.ALIVE, 0, payload)
+        self._alive.append((now_ns, self._said))
+        return packet
+
+    def offer(self, hello: Message, capabilities: bytes) -> bytes | None:
+        """Return the answer to HELLO; None if it is refused."""
+        half = hello.session & HALF
+        if self.live:
+            self.foreign += 1
+            return None
+        if hello.version == VERSION:
+            if self._greeting is not None and self._greeting[0] != half:
+                self.foreign += 1
+            elif self._greeting is not None and hello.number <= self._greeting[1]:
+                self.old += 1
+                return None
+            self._greeting = half, hello.number
+        session = self._challenge << 32 | half
+        return encode(Kind.CAPABILITIES, session, 0, 0, hello.number, capabilities)
+
+    def begin(self, begin: Message) -> bool:
+        """Return whether a BEGIN opens a session, and open it."""
+        if self.live or begin.session >> 32 != self._challenge or not begin.session & HALF:
+            return False
+        self._challenge, self._greeting = self._draw(), None
+        self.number, self.live = begin.session, True
+        self._taken, self._said = begin.number, 0
+        self._alive.clear()
+        return True
+
+    def take(self, message: Message, began_ns: int) -> Refusal | None:
+        """Take a packet of the session, or return why it is refused.
+
+        Parameters
+        ----------
+        message : Message
+        began_ns : int
+            When its first byte came, on the board's clock.
+        """
+        refusal = self._judge(message, began_ns)
+        if refusal is Refusal.OLD:
+            self.old += 1
+        elif refusal is not None:
+            self.foreign += 1
+        else:
+            self._taken = message.number
+        return refusal
+
+    def promises(self, head: bytes, began_ns: int, now_ns: int) -> bool:
+        """Return whether a packet that is still coming in is a sign of life."""
+        early = now_ns - began_ns <= LONGEST_PACKET_MS * _MS
+        return early and self._judge(decode_head(head), began_ns) is None
+
+    def _judge(self, message: Message, began_ns: int) -> Refusal | None:
+        if message.version != VERSION or not self.number or message.session != self.number:
+            return Refusal.FOREIGN
+        if message.number <= self._taken:
+            return Refusal.OLD
+        # A stop is never too late: whoever sends it hears nothing, perhaps, and must get through.
+        late = message.kind != Kind.STOP and message.heard <= self._faded(began_ns)
+        return Refusal.OLD if late else None
+
+    def _faded(self, now_ns: int) -> int:
+        """Return the number of the last ALIVE that was sent too long ago; -1 if there is none."""
+        gone = (number for sent_ns, number in self._alive if sent_ns < now_ns - LATE_MS * _MS)
+        return max(gone, default=-1)
