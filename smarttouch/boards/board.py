@@ -5,6 +5,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import compress
 from types import TracebackType
 from typing import Any, ClassVar, Literal, Self
 
@@ -55,15 +56,8 @@ class Capabilities:
             if self.time_to_zero_ms is None
             else f"no current {self.time_to_zero_ms:g} ms after the host falls silent"
         )
-        told = [
-            name
-            for name, has in (
-                ("acknowledgments", self.acknowledges),
-                ("voltages", self.measures),
-                ("finger force", self.force),
-            )
-            if has
-        ]
+        names = ("acknowledgments", "voltages", "finger force")
+        told = compress(names, (self.acknowledges, self.measures, self.force))
         return [
             ("firmware", self.firmware),
             ("electrodes", f"{self.electrodes}, {self.output}, {' or '.join(self.polarities)}"),
@@ -129,8 +123,6 @@ class Board(ABC):
     """Sequences the board has declined or dropped."""
     replaced: int = 0
     """Sequences that a newer one overtook before they were sent."""
-    refused_packets: int = 0
-    """Packets from the board that were old, of another session, or answered nothing asked."""
     force_n: float | None = None
     """How hard the finger presses, if the board can tell."""
     lifted: bool = False
@@ -203,6 +195,11 @@ class Board(ABC):
             self._gate = SafetyGate(self._gate.limits)
             self.notes.append(f"{lost}: started anew")
             raise BoardRestartedError(f"{lost}, and was started anew") from None
+
+    @property
+    def refused_packets(self) -> int:
+        """Packets from the board that were old, of another session, or answered nothing asked."""
+        return 0
 
     def take_volts(self) -> list[tuple[ScanSequence, NDArray[np.float32]]]:
         """Return what was measured since the last call.

@@ -52,7 +52,6 @@ class HybridBoard(Board):
     acknowledged: int = _electric("acknowledged")
     refused: int = _electric("refused")
     replaced: int = _electric("replaced")
-    refused_packets: int = _electric("refused_packets")
     force_n: float | None = _electric("force_n")
     lifted: bool = _electric("lifted")
     ua_per_count: float | None = _electric("ua_per_count")
@@ -88,6 +87,10 @@ class HybridBoard(Board):
             self.stop()
             raise
         return number
+
+    @property
+    def refused_packets(self) -> int:
+        return self.electric.refused_packets
 
     def take_volts(self) -> list[tuple[ScanSequence, NDArray[np.float32]]]:
         return self.electric.take_volts()

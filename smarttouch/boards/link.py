@@ -144,6 +144,10 @@ class LinkBoard(Board):
             with line.news:
                 line.wait(lambda: False, 0.002)
 
+    @property
+    def refused_packets(self) -> int:
+        return self._line.refused
+
     def take_volts(self) -> list[Measured]:
         return [self._measured.popleft() for _ in range(len(self._measured))]
 

@@ -203,7 +203,7 @@ def encode(
     kind: Kind, session: int, number: int, heard: int = 0, about: int = 0, payload: bytes = b""
 ) -> bytes:
     """Return a packet as it goes over the wire."""
-    return frame_packet(VERSION, kind, number, _HEAD.pack(session, heard, about) + payload)
+    return frame_packet(VERSION, kind, number, _HEAD.pack(session, heard, about), payload)
 
 
 def decode(packet: Packet) -> Message:

@@ -89,7 +89,7 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
                         clock=SimulatedClock() if display.waits_for_nothing else None,
                     )
                 report = display.report()
-            display.notes += regulator.notes()
+            display.notes += [*regulator.notes(), *_refused_packets(display, report)]
             ended = stop.reason or source.ended
             for words in [_account(report), *_notes(source, force, display)]:
                 tell(int(tally.seconds * 1e9), words)
@@ -158,6 +158,16 @@ def _account(report: BoardReport) -> str:
         f"by the {report.by}'s account {report.slots} slots, strongest {report.max_current_ma:.3f} "
         f"mA, {report.max_charge_uc:.3f} µC, {report.violations} violations"
     )
+
+
+def _refused_packets(board: Board, report: BoardReport) -> list[str]:
+    by_host, by_board = board.refused_packets, report.refused_packets
+    if not by_host + by_board:
+        return []
+    return [
+        f"{by_host + by_board} packets were old, or of another session: the board refused "
+        f"{by_board} and the host {by_host} (something on the line repeats, delays or mixes them)"
+    ]
 
 
 def _notes(source: Sensor, force: ForceSource | None, board: Board) -> list[str]:

@@ -24,14 +24,14 @@ class Packet:
     version: int
 
 
-def frame_packet(version: int, kind: int, number: int, payload: bytes) -> bytes:
-    """Return a packet as it goes over the wire.
+def frame_packet(version: int, kind: int, number: int, *payload: bytes) -> bytes:
+    """Return a packet as it goes over the wire; its payload may come in pieces.
 
     It is COBS-encoded and ends with one 0x00, so a receiver that has lost its
     place finds it again at the next zero. Decoded, all little endian: u8
     version, u8 kind, u32 number, the payload, u32 CRC-32 of all before it.
     """
-    body = _HEAD.pack(version, kind, number) + payload
+    body = _HEAD.pack(version, kind, number) + b"".join(payload)
     return bytes(cobs.encode(body + _CRC.pack(zlib.crc32(body)))) + b"\0"
 
 
