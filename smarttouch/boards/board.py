@@ -80,8 +80,7 @@ class BoardReport:
     max_current_ma: float
     max_charge_uc: float
     max_net_charge_uc: float
-    """Worst electrode's charge left: after a slot's discharge by the board's books, by the
-    host's the sum of all pulses."""
+    """Most charge left on an electrode: after a discharge; by the host's books, of all pulses."""
     refused_packets: int = 0
     """Old packets, and those of other sessions, that reached the board."""
     by: Literal["board", "host"] = "board"
