@@ -46,7 +46,7 @@ class HostSession:
         self.number = draw()
         self.begun = False
         self.refused = 0
-        self._sent = self._taken = 0
+        self._sent = self._taken = self._offered = 0
         self._asked: dict[int, Kind] = {}
 
     @property
@@ -91,9 +91,9 @@ class HostSession:
             return not self.begun
         if message.session & HALF != self.number & HALF or not self._was_asked(message):
             return False
-        if self.begun:
+        if self.begun or message.about < self._offered:
             return message.session == self.number
-        self.number = message.session
+        self.number, self._offered = message.session, message.about
         return True
 
     def _take(self, message: Message) -> bool:
