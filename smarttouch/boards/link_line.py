@@ -36,6 +36,8 @@ class LinkLine:
         Takes every packet that answers no question, with `news` held.
     aftermath : callable
         Returns what to say after a fault.
+    draw : callable
+        Returns the host's half of a session, each time another.
 
     Attributes
     ----------
@@ -44,10 +46,15 @@ class LinkLine:
     """
 
     def __init__(
-        self, name: str, hear: Callable[[Message], None], aftermath: Callable[[], str]
+        self,
+        name: str,
+        hear: Callable[[Message], None],
+        aftermath: Callable[[], str],
+        draw: Callable[[], int] = protocol.draw_half,
     ) -> None:
         self.name = name
-        self.session = HostSession()
+        self.session = HostSession(draw)
+        self._draw = draw
         self.news = threading.Condition()
         self.fault: BoardError | None = None
         self.overtaken = False
@@ -76,7 +83,7 @@ class LinkLine:
         self._port = port
         self._closing.clear()
         self.fault, self.overtaken = None, False
-        self._refused_before, self.session = self.refused, HostSession()
+        self._refused_before, self.session = self.refused, HostSession(self._draw)
         self._deframer = Deframer()
         self._answers.clear()
         self._last_written = self.now_s()

@@ -84,9 +84,10 @@ deliver an old one. They are no cipher: who writes packets of his own is not kep
    packet taken before it, or if it had heard nothing that the board has said
    within 250 ms before its first byte came. What is refused has no effect, is no
    sign of life, is counted, and answered by NAK 7 or 8 while a session is live.
-6. HELLO before a session is live: one whose number is not above that of the one
-   before, from the same host, is old. One that no BEGIN followed is counted as of
-   another session when the next one, from another host, comes.
+6. Of the hosts that asked HELLO since the last BEGIN the board remembers the lower
+   halves and numbers, of eight at least: HELLO with a number not above the last of
+   that host, its BEGIN included, is old. With BEGIN, and when there are more hosts
+   than it can remember, it counts the HELLOs of the others as of other sessions.
 7. The host refuses a packet from the board that bears another session, a number
    not above that of the packet taken before it, or that answers nothing it asked:
    an ACK or NAK of a sequence that is not on its way, voltages of one that was not

@@ -17,6 +17,8 @@ from smarttouch.boards.link_protocol import (
     encode,
 )
 
+MOST_HOSTS = 8
+"""Whose HELLOs are kept apart."""
 _MS = 1_000_000
 
 
@@ -46,8 +48,8 @@ class BoardSession:
         self._taken = self._said = 0
         self._alive: deque[tuple[int, int]] = deque(maxlen=2 + LATE_MS // ALIVE_MS)
         """When each of the last packets ALIVE was sent, in ns, and its number."""
-        self._greeting: tuple[int, int] | None = None
-        """Host's half and number of the last HELLO that no BEGIN has followed."""
+        self._hellos: dict[int, tuple[int, int]] = {}
+        """Of each host since BEGIN, by its half: number of its last packet, and its HELLOs."""
 
     def encode(self, kind: Kind, about: int = 0, payload: bytes = b"") -> bytes:
         """Return the board's next packet of the session."""
@@ -67,12 +69,13 @@ class BoardSession:
             self.foreign += 1
             return None
         if hello.version == VERSION:
-            if self._greeting is not None and self._greeting[0] != half:
-                self.foreign += 1
-            elif self._greeting is not None and hello.number <= self._greeting[1]:
+            last, count = self._hellos.get(half, (0, 0))
+            if hello.number <= last:
                 self.old += 1
                 return None
-            self._greeting = half, hello.number
+            if not last and len(self._hellos) == MOST_HOSTS:
+                self._count_strangers()
+            self._hellos[half] = hello.number, count + 1
         session = self._challenge << 32 | half
         return encode(Kind.CAPABILITIES, session, 0, 0, hello.number, capabilities)
 
@@ -80,11 +83,19 @@ class BoardSession:
         """Return whether a BEGIN opens a session, and open it."""
         if self.live or begin.session >> 32 != self._challenge or not begin.session & HALF:
             return False
-        self._challenge, self._greeting = self._draw(), None
+        half = begin.session & HALF
+        self._hellos.pop(half, None)
+        self._count_strangers()
+        self._hellos[half] = begin.number, 0
+        self._challenge = self._draw()
         self.number, self.live = begin.session, True
         self._taken, self._said = begin.number, 0
         self._alive.clear()
         return True
+
+    def _count_strangers(self) -> None:
+        self.foreign += sum(count for _, count in self._hellos.values())
+        self._hellos.clear()
 
     def take(self, message: Message, began_ns: int) -> Refusal | None:
         """Take a packet of the session, or return why it is refused.

@@ -1,11 +1,5 @@
-"""Someone sits on the line of a ``link`` board and repeats, delays, mixes and breaks packets.
+"""A host, a board, and someone between them, in one thread and on a clock that is told."""
 
-Host and firmware are driven in one thread, on a clock that is told, frame by frame.
-``SMARTTOUCH_MIDDLE_RUNS=3000 pytest tests/boards/test_link_middle.py --timeout 0 -s`` for the
-long run, and figures.
-"""
-
-import os
 import random
 import struct
 import zlib
@@ -17,16 +11,13 @@ from cobs import cobs
 
 from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.link import LinkFirmware
+from smarttouch.boards.emulator.session import BoardSession
 from smarttouch.boards.link import LinkBoard
 from smarttouch.boards.link_line import LinkLine
-from smarttouch.boards.link_protocol import ALIVE_MS, HALF, LATE_MS, SILENCE_MS
-from smarttouch.errors import BoardError, LineLostError
+from smarttouch.boards.link_protocol import HALF
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
 
-RUNS = int(os.environ.get("SMARTTOUCH_MIDDLE_RUNS", "60"))
-RUNS_PER_BOARD = 20
 MS = 1_000_000
 LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 200, 0.9, 0.5, 2.4)
 HELLO, BEGIN, CAPABILITIES = 0x01, 0x06, 0x81
@@ -96,11 +87,14 @@ class Middle:
     def __init__(self, chance):
         self.random, self.share = chance, 0.0
         self.record, self.foreign, self.due, self.counts = [], [], [], Counter()
-        self._held = b""
+        self.hoard, self._held = None, b""
 
     def pass_on(self, frame, now_ns):
         """Take a frame; what becomes of it is due some time."""
         self.record.append(frame)
+        if self.hoard is not None:
+            self.hoard.append(frame)
+            return
         held, self._held = self._held, b""
         out = [(now_ns, frame)]
         if self.random.random() < self.share:
@@ -140,11 +134,25 @@ class World:
         self.random = random.Random(seed)
         self.books = KeptBooks(4)
         self.books.kept = []
-        self.firmware = LinkFirmware(4, "weighted", self.books)
+        session = BoardSession(self.draw)
+        self.firmware = LinkFirmware(4, "weighted", self.books, session=session)
         self.to_board, self.to_host = Middle(self.random), Middle(self.random)
         self.heard, self.said = Stream(), Stream()
         self.now_ns, self.host, self.written, self.half = 0, None, b"", 0
         self.replayed, self.given_up = Counter(), 0
+
+    def draw(self):
+        return self.random.randrange(1, 2**32)
+
+    def make_board(self):
+        """Return the driver of a host that comes to this board."""
+        board = LinkBoard("the middle", LIMITS, Output(kind="weighted"))
+        board._line = ToldLine(self, board)
+        return board
+
+    def wait(self, time_ms):
+        for _ in range(time_ms):
+            self.step()
 
     # -- what the host takes for its port -------------------------------------
 
@@ -209,7 +217,7 @@ class ToldLine(LinkLine):
     """The host's line: while it waits, the world goes on."""
 
     def __init__(self, world, board):
-        super().__init__("the middle", board._hear, board._aftermath)
+        super().__init__("the middle", board._hear, board._aftermath, world.draw)
         self._world = world
 
     def _listen(self):
@@ -227,124 +235,14 @@ class ToldLine(LinkLine):
         return True
 
 
-class Host:
-    """Asks for sequences of which no two are alike, and remembers for what."""
+@pytest.fixture
+def make_world(monkeypatch):
+    """Return a maker of boards with someone in the middle; the last one made is what is opened."""
 
-    asked_ever = 0
+    def make(seed):
+        world = World(seed)
+        monkeypatch.setattr("smarttouch.boards.link.open_port", lambda name: world)
+        monkeypatch.setattr("smarttouch.boards.link.reopen_port", lambda *_: world)
+        return world
 
-    def __init__(self, world):
-        self.board = LinkBoard("the middle", LIMITS, Output(kind="weighted"))
-        self.board._line = ToldLine(world, self.board)
-        self.asked = {}
-
-    def send(self, times):
-        Host.asked_ever += 1
-        first, second = 50 + Host.asked_ever % 1000, 50 + Host.asked_ever // 1000
-        current = np.array([[first, second, -first - second, 0]] * 2, np.int16)
-        column = np.full(2, 100, np.uint16)
-        sequence = ScanSequence(current, column, column, column * 0, 5000, 1.0, 0)
-        self.asked[tuple(current[0])] = (self.board._number + 1, times)
-        try:
-            self.board._send(sequence, times)
-        except LineLostError as lost:
-            self.board._recover(lost)
-
-
-@pytest.fixture(autouse=True)
-def _ports(monkeypatch):
-    monkeypatch.setattr("smarttouch.boards.link.open_port", lambda name: monkeypatch.world)
-    monkeypatch.setattr("smarttouch.boards.link.reopen_port", lambda *_: monkeypatch.world)
-
-
-def one_run(world, ending):
-    """Let one host come, ask and go; return it and when it was gone."""
-    host = Host(world)
-    board = host.board
-    world.to_board.share = world.to_host.share = world.random.choice([0.03, 0.1, 0.3])
-    world.to_board.record, world.to_host.record = [], []
-    try:
-        board._open()
-        for _ in range(8):
-            host.send(world.random.choice([1, 1, 3, 2000]))
-            if world.random.random() < 0.5:
-                wait(world, world.random.randrange(60))
-        if ending == "stop":
-            board.stop()
-    except BoardError:
-        world.given_up += 1
-    world.host, gone_ns = None, world.now_ns
-    board._close()
-    return host, gone_ns
-
-
-def wait(world, time_ms):
-    for _ in range(time_ms):
-        world.step()
-
-
-def haunt(world, ending):
-    """With the host gone, play what it has sent again; or what it sent last and nobody let pass."""
-    frames = world.to_board.record
-    held = [each for _, each in world.to_board.due] + frames[-20:]
-    if ending != "held":
-        world.to_board.due = [each for each in world.to_board.due if each[0] <= world.now_ns]
-    for time_ms in range(1200):
-        if ending == "held" and time_ms % 60 == 0 and held:
-            world.to_board.due.append((world.now_ns, b"\0" + held.pop(0)))
-        elif ending == "replayed" and time_ms % 7 == 0 and frames:
-            world.to_board.due.append((world.now_ns, world.to_board.old(frames)))
-        world.step()
-
-
-def check(world, host, gone_ns, ending):
-    books = world.books
-    assert (books.unsafe, books.violations) == (0, 0)
-    flowed = Counter((number, current) for number, current, _ in books.kept)
-    for (number, current), pulses in flowed.items():
-        assert current in host.asked, "what this host never asked for flowed"
-        wanted, times = host.asked[current]
-        assert number == wanted
-        assert pulses <= 2 * times
-    order = [number for number, _, _ in books.kept]
-    assert order == sorted(order), "an old sequence flowed after a newer one"
-    assert books.state == "shorted"
-    # What was held back is fresh until the host would have heard of the board since.
-    late_ms = SILENCE_MS + 1 + (LATE_MS + ALIVE_MS if ending == "held" else 0)
-    last_us = max((time_us for *_, time_us in books.kept), default=0)
-    assert last_us <= gone_ns / 1000 + 1000 * late_ms
-    assert host.board.acknowledged <= len(host.asked)
-    books.kept.clear()
-
-
-def test_a_man_in_the_middle(monkeypatch):
-    totals, reported, slots, asked, foreign = Counter(), 0, 0, Host.asked_ever, ([], [])
-    for seed in range(RUNS):
-        if seed % RUNS_PER_BOARD == 0:
-            world = monkeypatch.world = World(seed)
-        # Of this board's sessions, and of another board's of the same kind.
-        world.to_board.foreign, world.to_host.foreign = (each[-400:] for each in foreign)
-        ending = world.random.choice(["stop", "silent", "replayed", "held"])
-        host, gone_ns = one_run(world, ending)
-        haunt(world, ending)
-        check(world, host, gone_ns, ending)
-        foreign[0].extend(world.to_board.record)
-        foreign[1].extend(world.to_host.record)
-        if seed % RUNS_PER_BOARD == RUNS_PER_BOARD - 1 or seed == RUNS - 1:
-            for middle in (world.to_board, world.to_host):
-                totals.update(middle.counts)
-                middle.share = 0.0
-            # HELLOs that led to nothing are told of when the next host begins.
-            Host(world).board._open()
-            assert world.refused() >= world.replayed["board"]
-            totals.update(world.replayed)
-            slots += world.books.slots
-            reported += world.refused()
-    print(
-        f"\n{RUNS} runs, {Host.asked_ever - asked} sequences asked for, {slots} slots: 0 unsafe, "
-        f"0 unasked, 0 old delivered; old frames that reached the board {totals['board']}, refused "
-        f"by it {reported}; that reached the host, all counted, {totals['host']}; "
-        f"faults { ({name: totals[name] for name in FAULTS}) }"
-    )
-    assert slots > 10 * RUNS
-    assert totals["board"] > 10 * RUNS
-    assert totals["host"] > RUNS
+    return make
