@@ -59,6 +59,10 @@ class Stream:
         if session in self.sent[self.sent.index(self.session) + 1 :]:
             self.session, self.newest = session, 0
 
+    def knows(self, frame):
+        """Return whether a frame has arrived before."""
+        return cobs.decode(frame[:-1]) in self.seen
+
     def judge(self, piece):
         """Return kind and whether it is old of the frame that these bytes end; None if broken."""
         if not piece.endswith(b"\0"):
