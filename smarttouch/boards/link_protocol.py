@@ -81,8 +81,8 @@ deliver an old one. They are no cipher: who writes packets of his own is not kep
    numbered too, BEGIN goes on from there. CAPABILITIES alone has number 0.
 5. The board refuses a packet as of another session (reason 8) unless it bears the
    session begun last, and as old (reason 7) if its number is not above that of the
-   packet taken before it, or if it had heard nothing that the board has said
-   within 250 ms before its first byte came. What is refused has no effect, is no
+   packet taken before it, or if (STOP excepted) its sender had heard nothing of what
+   the board said in the 250 ms before its first byte came. What is refused has no effect, is no
    sign of life, is counted, and answered by NAK 7 or 8 while a session is live.
 6. Of the hosts that asked HELLO since the last BEGIN the board remembers the lower
    halves and numbers, of eight at least: HELLO with a number not above the last of
@@ -110,9 +110,9 @@ What a board does:
 - What is no packet (wrong length, code or CRC) is answered by NAK 6.
 - When it has taken no packet for 100 ms it drops everything, shorts all electrodes,
   and refuses every SEQUENCE (reason 5) until BEGIN: what comes after a silence
-  begins at zero, and only the host can see to that. A long packet that is still
-  coming in, with a head that would be taken, counts as a sign of life with each of
-  its bytes for 1 s from the first.
+  begins at zero, and only the host can see to that. A SEQUENCE that is still coming
+  in, with a head that would be taken, counts as a sign of life with each of its
+  bytes for 1 s from the first.
 - It says ALIVE every 20 ms from BEGIN on; a host that hears nothing for long
   takes it for gone.
 - HELLO of any version is answered, by a CAPABILITIES that bears the board's; nothing

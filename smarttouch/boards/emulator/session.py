@@ -116,9 +116,10 @@ class BoardSession:
         return refusal
 
     def promises(self, head: bytes, began_ns: int, now_ns: int) -> bool:
-        """Return whether a packet that is still coming in is a sign of life."""
-        early = now_ns - began_ns <= LONGEST_PACKET_MS * _MS
-        return early and self._judge(decode_head(head), began_ns) is None
+        """Return whether a packet that is still coming in is a sign of life: a SEQUENCE is long."""
+        message, early = decode_head(head), now_ns - began_ns <= LONGEST_PACKET_MS * _MS
+        fresh = self._judge(message, began_ns) is None
+        return message.kind == Kind.SEQUENCE and early and fresh
 
     def _judge(self, message: Message, began_ns: int) -> Refusal | None:
         if message.version != VERSION or not self.number or message.session != self.number:
