@@ -64,8 +64,8 @@ class Capabilities:
             silence = (
                 f"zero {self.kept_ms:g} ms after the program ends or hangs; by itself {silence}"
             )
-        can = self.acknowledges, self.measures, self.force
-        told = list(compress(("acknowledgments", "voltages", "finger force"), can))
+        names = ("acknowledgments", "voltages", "finger force")
+        told = compress(names, (self.acknowledges, self.measures, self.force))
         return [
             ("firmware", self.firmware),
             ("electrodes", f"{self.electrodes}, {self.output}, {' or '.join(self.polarities)}"),
@@ -88,7 +88,9 @@ class BoardReport:
     max_current_ma: float
     max_charge_uc: float
     max_net_charge_uc: float
-    """Worst electrode's charge left: after a slot by the board's books, of all by the host's."""
+    """Most charge left on an electrode: after a discharge; by the host's books, of all pulses."""
+    refused_packets: int = 0
+    """Old packets, and those of other sessions, that reached the board."""
     by: Literal["board", "host"] = "board"
     """Whose account it is; a host's is of what it sent."""
 
@@ -217,6 +219,11 @@ class Board(ABC):
         sequences claim.
         """
         return MonotonicClock()
+
+    @property
+    def refused_packets(self) -> int:
+        """Packets from the board that were old, of another session, or answered nothing asked."""
+        return 0
 
     def take_volts(self) -> list[tuple[ScanSequence, NDArray[np.float32]]]:
         """Return what was measured since the last call.

@@ -91,6 +91,10 @@ class HybridBoard(Board):
             raise
         return number
 
+    @property
+    def refused_packets(self) -> int:
+        return self.electric.refused_packets
+
     def take_volts(self) -> list[tuple[ScanSequence, NDArray[np.float32]]]:
         return self.electric.take_volts()
 

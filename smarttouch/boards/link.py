@@ -1,7 +1,7 @@
 """Driver of boards that speak our own protocol over a serial line."""
 
-import time
 from collections import deque
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.impedance import SATURATED, Impedance, judge
 from smarttouch.boards.link_line import AGAIN_S, ANSWER_S, LinkLine
-from smarttouch.boards.link_protocol import Feature, Kind, Refusal
+from smarttouch.boards.link_protocol import Feature, Kind, Message, Refusal
 from smarttouch.boards.link_sequence import decode_volts, encode_sequence
 from smarttouch.boards.pairs import measure_in_pairs
 from smarttouch.boards.probe import probe_sequences
@@ -19,7 +19,6 @@ from smarttouch.errors import BoardError, LineLostError, OtherDeviceError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
-from smarttouch.wire.framing import Packet
 from smarttouch.wire.port import Port, UsbIdentity, identity_of, open_port, reopen_port
 
 RECOVER_S = 3.0
@@ -50,6 +49,9 @@ class LinkBoard(Board):
         self._line = LinkLine(port, self._hear, self._aftermath)
         self._number = 0
         self._in_flight: dict[int, bytes] = {}
+        self._repeated: deque[int] = deque(maxlen=64)
+        """Sequences sent more than once: they may be answered more than once."""
+        self._packets_before = 0
         self._sent: deque[tuple[int, ScanSequence]] = deque(maxlen=4)
         self._measured: deque[Measured] = deque(maxlen=64)
 
@@ -61,6 +63,7 @@ class LinkBoard(Board):
         port = open_port(self._line.name)
         self._identity: UsbIdentity | None = identity_of(port)
         self._start(port)
+        self._packets_before = sum(self._status()[-2:])
 
     def _start(self, port: Port, known: Capabilities | None = None) -> None:
         self._in_flight.clear()
@@ -72,6 +75,8 @@ class LinkBoard(Board):
             raise
 
     def _recover(self, lost: LineLostError) -> None:
+        # One that goes on would take the next HELLO for a stranger's.
+        self._line.stop_blindly()
         self._line.close()
         try:
             port = reopen_port(self._line.name, RECOVER_S, self._identity)
@@ -83,8 +88,7 @@ class LinkBoard(Board):
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         self._number += 1
-        packet = encode_sequence(
-            self._number,
+        payload = encode_sequence(
             self._kind,
             sequence.period_us,
             sequence.width_us,
@@ -98,35 +102,36 @@ class LinkBoard(Board):
         )
         self._wait_for_room()
         with self._line.news:
-            self._in_flight[self._number] = packet
+            self._in_flight[self._number] = payload
             self._sent.append((self._number, sequence))
-        self._line.write(packet)
+        self._line.send(Kind.SEQUENCE, self._number, payload)
         return self._number
 
     def _wait_for_room(self) -> None:
-        line, deadline = self._line, time.monotonic() + ANSWER_S
+        line, deadline = self._line, self._line.now_s() + ANSWER_S
         while True:
             with line.news:
-                if line.news.wait_for(
+                if line.wait(
                     lambda: line.fault is not None or len(self._in_flight) < IN_FLIGHT, AGAIN_S
                 ):
                     line.raise_fault()
                     return
-                number, packet = next(iter(self._in_flight.items()))
-            if time.monotonic() > deadline:
+                number, payload = next(iter(self._in_flight.items()))
+                self._repeated.append(number)
+            if line.now_s() > deadline:
                 raise line.lost(f"has not acknowledged sequence {number} within {ANSWER_S:g} s")
-            # It has the same number: the board knows it again if it was only the ACK that got lost.
-            line.write(packet)
+            # The board knows the sequence again if it was only the ACK that got lost.
+            line.send(Kind.SEQUENCE, number, payload)
 
     def _stop(self) -> None:
         self._line.overtaken = True
         if not self._line.opened:
             return
-        if self._line.fault is not None:
-            self._line.write_blindly(b"\0" + protocol.encode(Kind.STOP))
+        if self._line.fault is not None or not self._line.session.begun:
+            self._line.stop_blindly()
             return
         try:
-            self._line.ask(Kind.STOP, Kind.STOPPED)
+            self._line.ask(Kind.STOP)
         except BoardError:
             # A board that is gone has been told of, or will be at the next send.
             if self._line.fault is None:
@@ -136,12 +141,19 @@ class LinkBoard(Board):
         self._line.close()
 
     def report(self) -> BoardReport:
-        return BoardReport(*self._status()[:-1])
+        told = self._status()
+        refused = max(0, sum(told[-2:]) - self._packets_before)
+        return replace(BoardReport(*told[:7]), refused_packets=refused)
 
     def drain(self, timeout_s: float = ANSWER_S) -> None:
-        deadline = time.monotonic() + timeout_s
-        while self._status()[-1] and time.monotonic() < deadline:
-            time.sleep(0.002)
+        line, deadline = self._line, self._line.now_s() + timeout_s
+        while self._status()[7] and line.now_s() < deadline:
+            with line.news:
+                line.wait(lambda: False, 0.002)
+
+    @property
+    def refused_packets(self) -> int:
+        return self._line.refused
 
     def take_volts(self) -> list[Measured]:
         return [self._measured.popleft() for _ in range(len(self._measured))]
@@ -178,7 +190,11 @@ class LinkBoard(Board):
     # -- what the board says -----------------------------------------------
 
     def _shake_hands(self, known: Capabilities | None) -> None:
-        answer = self._line.ask(Kind.HELLO, Kind.CAPABILITIES)
+        self._line.begin(lambda offer: self._take_offer(offer, known))
+        self._note_round_trip(self._status)
+
+    def _take_offer(self, answer: Message, known: Capabilities | None) -> None:
+        """Take a board's capabilities; raise before more than HELLO is sent to a wrong one."""
         name = self._line.name
         if answer.version != protocol.VERSION:
             raise BoardError(
@@ -219,11 +235,9 @@ class LinkBoard(Board):
                 f"the board at {name} is {self.capabilities.output}, the profile needs "
                 f"{self._output.kind}: use the profile of this board"
             )
-        self._line.greeted = True
-        self._note_round_trip(self._status)
 
     def _status(self) -> tuple[Any, ...]:
-        answer = self._line.ask(Kind.STATUS, Kind.REPORT)
+        answer = self._line.ask(Kind.STATUS)
         if len(answer.payload) != protocol.REPORT.size:
             raise self._nonsense()
         return protocol.REPORT.unpack(answer.payload)
@@ -231,48 +245,57 @@ class LinkBoard(Board):
     def _nonsense(self) -> BoardError:
         return BoardError(f"the board at {self._line.name} answers nonsense: check its firmware")
 
-    def _hear(self, packet: Packet) -> bool:
-        """Take in what comes unasked; return whether it was that."""
-        match packet.kind:
+    def _hear(self, message: Message) -> None:
+        """Take in what comes unasked."""
+        match message.kind:
             case Kind.ALIVE:
-                if len(packet.payload) == protocol.ALIVE.size:
-                    self._press(*protocol.ALIVE.unpack(packet.payload))
+                if len(message.payload) == protocol.ALIVE.size:
+                    self._press(*protocol.ALIVE.unpack(message.payload))
             case Kind.ACK:
-                if self._in_flight.pop(packet.number, None) is not None:
+                if self._answered(message):
                     self.acknowledged += 1
             case Kind.NAK:
-                self._refused(packet)
+                self._refused(message)
             case Kind.VOLTAGES:
-                self._note_volts(packet)
+                self._note_volts(message)
             case _:
-                return False
-        return True
+                self._line.session.refuse()
+
+    def _answered(self, message: Message) -> bool:
+        """Return whether a sequence was on its way that this answers; count what answers none."""
+        if self._in_flight.pop(message.about, None) is not None:
+            return True
+        if message.about not in self._repeated:
+            self._line.session.refuse()
+        return False
 
     def _press(self, force_mn: int) -> None:
         if hasattr(self, "capabilities") and self.capabilities.force:
             self.force_n = force_mn / 1000
 
-    def _note_volts(self, packet: Packet) -> None:
-        volts = decode_volts(packet.payload)
-        for number, sequence in self._sent:
-            if number == packet.number and len(volts) == sequence.slots and len(volts):
-                self._measured.append((sequence, volts))
-                compliance = self.capabilities.compliance_v
-                self.lifted = compliance is not None and bool(
-                    (volts >= OPEN_SHARE * compliance).all()
-                )
+    def _note_volts(self, message: Message) -> None:
+        sequence = dict(self._sent).get(message.about)
+        if sequence is None:
+            return self._line.session.refuse()
+        volts = decode_volts(message.payload)
+        if len(volts) == sequence.slots and len(volts):
+            self._measured.append((sequence, volts))
+            compliance = self.capabilities.compliance_v
+            self.lifted = compliance is not None and bool((volts >= OPEN_SHARE * compliance).all())
+        return None
 
-    def _refused(self, packet: Packet) -> None:
-        why = packet.payload[0] if packet.payload else 0
-        if why == Refusal.GARBLED:
-            # Whatever it was, it is asked or sent again under the same number.
+    def _refused(self, message: Message) -> None:
+        why = message.payload[0] if message.payload else 0
+        if why in (Refusal.GARBLED, Refusal.OLD, Refusal.FOREIGN):
+            # What of it was ours is asked or sent again; REPORT counts the rest.
             return
-        self._in_flight.pop(packet.number, None)
+        if not self._answered(message):
+            return
         self.refused += 1
         line = self._line
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
-            text = packet.payload[1:].decode("utf-8", "replace")
-            line.fail(line.gone(f"refused sequence {packet.number} as unsafe: {text}"))
+            text = message.payload[1:].decode("utf-8", "replace")
+            line.fail(line.gone(f"refused sequence {message.about} as unsafe: {text}"))
         elif why == Refusal.STOPPED and not line.overtaken:
             line.fail(line.gone("has been stopped or started anew by someone else"))
         elif why == Refusal.SILENCE:

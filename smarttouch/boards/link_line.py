@@ -6,9 +6,10 @@ import time
 from collections.abc import Callable
 
 from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.link_protocol import Kind
+from smarttouch.boards.link_protocol import Kind, Message
+from smarttouch.boards.link_session import ANSWERS, HostSession
 from smarttouch.errors import BoardError, LineLostError
-from smarttouch.wire.framing import Deframer, Packet
+from smarttouch.wire.framing import Deframer
 from smarttouch.wire.port import LINE_ERRORS, Port, reason
 
 HEARTBEAT_S = 0.03
@@ -32,46 +33,78 @@ class LinkLine:
     name : str
         Of the port, for messages.
     hear : callable
-        Told of every packet that answers no question, with `news` held.
+        Takes every packet that answers no question, with `news` held.
     aftermath : callable
         Returns what to say after a fault.
+    draw : callable
+        Returns the host's half of a session, each time another.
+
+    Attributes
+    ----------
+    session : HostSession
+        What is sent and taken belongs to; each opening of the line has its own.
     """
 
     def __init__(
-        self, name: str, hear: Callable[[Packet], bool], aftermath: Callable[[], str]
+        self,
+        name: str,
+        hear: Callable[[Message], None],
+        aftermath: Callable[[], str],
+        draw: Callable[[], int] = protocol.draw_half,
     ) -> None:
         self.name = name
+        self.session = HostSession(draw)
+        self._draw = draw
         self.news = threading.Condition()
         self.fault: BoardError | None = None
         self.overtaken = False
         """Set by a stop: no heartbeats from then on, so the board ends by itself if need be."""
-        self.greeted = False
         """Set by the handshake: no heartbeats before, as another device may be there."""
         self._hear, self._aftermath = hear, aftermath
         self._closing = threading.Event()
         # Reentrant: a signal handler may call stop while its own thread is writing.
         self._writing = threading.RLock()
         self._port: Port | None = None
-        self._answers: dict[int, Packet] = {}
+        self._refused_before = 0
+        self._deframer = Deframer()
+        self._answers: dict[int, Message] = {}
         self._threads: list[threading.Thread] = []
 
     @property
     def opened(self) -> bool:
         return self._port is not None
 
+    @property
+    def refused(self) -> int:
+        """Packets from the board that were not taken, in all sessions."""
+        return self._refused_before + self.session.refused
+
     def open(self, port: Port) -> None:
         """Begin to listen."""
         self._port = port
         self._closing.clear()
-        self.fault, self.overtaken, self.greeted = None, False, False
+        self.fault, self.overtaken = None, False
+        self._refused_before, self.session = self.refused, HostSession(self._draw)
+        self._deframer = Deframer()
         self._answers.clear()
-        self._last_written = time.monotonic()
+        self._last_written = self.now_s()
+        self._listen()
+
+    def _listen(self) -> None:
         self._threads = [
             threading.Thread(target=self._read_all, name="board reader", daemon=True),
             threading.Thread(target=self._keep_alive, name="board heartbeat", daemon=True),
         ]
         for thread in self._threads:
             thread.start()
+
+    def now_s(self) -> float:
+        """Return the time on the clock of all waiting here."""
+        return time.monotonic()
+
+    def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait until something is true, with `news` held; return whether it is."""
+        return self.news.wait_for(condition, timeout_s)
 
     def close(self) -> None:
         """End both threads and let go of the port."""
@@ -83,7 +116,32 @@ class LinkLine:
             with contextlib.suppress(*LINE_ERRORS):
                 self._port.close()
 
-    def ask(self, question: Kind, answer: Kind) -> Packet:
+    def begin(self, accept: Callable[[Message], None]) -> None:
+        """Begin a session with a board that is accepted.
+
+        Parameters
+        ----------
+        accept : callable
+            Given the board's CAPABILITIES, which may be of another version; raises if it is
+            not to be spoken to.
+
+        Raises
+        ------
+        BoardError
+            If nothing comes, or the line has failed.
+        """
+        deadline = self.now_s() + ANSWER_S
+        offer = None
+        while self.now_s() < deadline:
+            offer = self._ask_once(Kind.HELLO) or offer
+            if offer is None:
+                continue
+            accept(offer)
+            if self.session.begun or self._ask_once(Kind.BEGIN):
+                return
+        raise self._no_answer()
+
+    def ask(self, question: Kind) -> Message:
         """Send a question until it is answered.
 
         Raises
@@ -91,46 +149,60 @@ class LinkLine:
         BoardError
             If nothing comes, or the line has failed.
         """
+        first = self.session.sent + 1
+        deadline = self.now_s() + ANSWER_S
+        while self.now_s() < deadline:
+            if answer := self._ask_once(question, first):
+                return answer
+        raise self._no_answer()
+
+    def _ask_once(self, question: Kind, first: int = 0) -> Message | None:
+        """Send a question; return an answer to it, or to one asked since ``first``."""
+        first = first or self.session.sent + 1
+        kind = ANSWERS[question]
+
+        def answered() -> bool:
+            found = self._answers.get(kind)
+            # An old version's answer is about nothing.
+            return found is not None and (found.about >= first or found.version != protocol.VERSION)
+
+        # The zero in front ends whatever half packet stands on the line.
+        self.send(question, start=b"\0")
         with self.news:
-            self._answers.pop(answer, None)
-        deadline = time.monotonic() + ANSWER_S
-        while time.monotonic() < deadline:
-            # The zero in front ends whatever half packet stands on the line.
-            self.write(b"\0" + protocol.encode(question))
-            with self.news:
-                self.news.wait_for(
-                    lambda: self.fault is not None or answer in self._answers, AGAIN_S
-                )
-                self.raise_fault()
-                if answer in self._answers:
-                    return self._answers.pop(answer)
-        raise BoardError(
+            self.wait(lambda: self.fault is not None or answered(), AGAIN_S)
+            self.raise_fault()
+            return self._answers.pop(kind) if answered() else None
+
+    def _no_answer(self) -> BoardError:
+        return BoardError(
             f"the board at {self.name} does not answer: check that it is on and speaks link "
             f"version {protocol.VERSION}"
         )
 
-    def write(self, packet: bytes) -> None:
-        """Write a packet; a stop may come between its pieces."""
+    def send(self, kind: Kind, about: int = 0, payload: bytes = b"", *, start: bytes = b"") -> None:
+        """Write the next packet of the session; a stop may come between its pieces."""
         if not self._writing.acquire(timeout=ANSWER_S):
             raise BoardError(f"the line to {self.name} is blocked: check the cable")
         try:
+            # Numbered here, so that packets leave in the order of their numbers.
+            packet = start + self.session.encode(kind, about, payload)
             assert self._port is not None
-            for start in range(0, len(packet), PIECE):
+            for at in range(0, len(packet), PIECE):
                 if self.overtaken and len(packet) > PIECE:
                     raise BoardError("the board was stopped: open it again before sending")
-                self._port.write(packet[start : start + PIECE])
-            self._last_written = time.monotonic()
+                self._port.write(packet[at : at + PIECE])
+            self._last_written = self.now_s()
         except LINE_ERRORS as error:
             self.fail(self.lost(f"cannot be written to ({reason(error)})"))
             self.raise_fault()
         finally:
             self._writing.release()
 
-    def write_blindly(self, packet: bytes) -> None:
-        """Write to a line that has failed: it may still carry something."""
+    def stop_blindly(self) -> None:
+        """Write a STOP to a line that has failed: it may still carry something."""
         assert self._port is not None
         with contextlib.suppress(*LINE_ERRORS):
-            self._port.write(packet)
+            self._port.write(b"\0" + self.session.encode(Kind.STOP))
 
     def fail(self, fault: BoardError) -> None:
         """Keep the first fault for the next call."""
@@ -152,8 +224,7 @@ class LinkLine:
         return BoardError(f"the board at {self.name} {what}{self._aftermath()}")
 
     def _read_all(self) -> None:
-        deframer = Deframer()
-        silent_s, now = 0.0, time.monotonic()
+        silent_s, now = 0.0, self.now_s()
         while not self._closing.is_set():
             try:
                 assert self._port is not None
@@ -162,25 +233,40 @@ class LinkLine:
                 if not self._closing.is_set():
                     self.fail(self.lost(f"has vanished ({reason(error)})"))
                 return
-            before, now = now, time.monotonic()
+            before, now = now, self.now_s()
             silent_s += min(now - before, LISTENED_S)
-            for packet in deframer.feed(data):
+            if self.take(data):
                 silent_s = 0.0
-                with self.news:
-                    if not self._hear(packet):
-                        self._answers[packet.kind] = packet
-                    self.news.notify_all()
             if silent_s > SILENCE_S:
                 self.fail(self.lost(f"has been silent for {SILENCE_S:g} s"))
                 return
 
+    def take(self, data: bytes) -> int:
+        """Take bytes from the board; return how many packets of the session were in them."""
+        taken = 0
+        for packet in self._deframer.feed(data):
+            with self.news:
+                message = self.session.take(packet)
+                if message is None:
+                    continue
+                taken += 1
+                if message.kind in ANSWERS.values():
+                    self._answers[message.kind] = message
+                else:
+                    self._hear(message)
+                self.news.notify_all()
+        return taken
+
     def _keep_alive(self) -> None:
-        beat = protocol.encode(Kind.HEARTBEAT)
         while not self._closing.wait(HEARTBEAT_S / 4):
             if self.fault is not None or self.overtaken:
                 return
-            if self.greeted and time.monotonic() - self._last_written > HEARTBEAT_S:
-                try:
-                    self.write(beat)
-                except BoardError:
-                    return
+            try:
+                self.beat()
+            except BoardError:
+                return
+
+    def beat(self) -> None:
+        """Send a heartbeat if one is due."""
+        if self.session.begun and self.now_s() - self._last_written > HEARTBEAT_S:
+            self.send(Kind.HEARTBEAT)

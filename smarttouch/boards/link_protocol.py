@@ -3,9 +3,13 @@
 A packet is COBS-encoded and ends with one 0x00, so a receiver that has lost
 its place finds it again at the next zero. Decoded, all little endian::
 
-    u8  version = 2
+    u8  version = 3
     u8  type
-    u32 number      of the sequence this is, or answers; else 0
+    u32 number      counts the packets of one end in one session, from 1 on
+    u64 session
+    u32 heard       largest number that this end has taken from the other, else 0
+    u32 about       of SEQUENCE, ACK, NAK and VOLTAGES: the sequence; of an answer
+                    to a question: the question's number; else 0
     ... payload
     u32 CRC-32      (IEEE 802.3) of all before it
 
@@ -14,13 +18,14 @@ Host to board:
 ==== ========= ==============================================================
 type name      payload
 ==== ========= ==============================================================
-0x01 HELLO     none; answered by CAPABILITIES, whatever version it is of;
-               drops all that waits, shorts all electrodes, ends a stop
+0x01 HELLO     none; a question, answered by CAPABILITIES; changes nothing
 0x02 SEQUENCE  see below; answered by ACK or NAK
 0x03 HEARTBEAT none and no answer: the host lives
 0x04 STOP      none; all electrodes shorted now, all that waits is dropped,
-               every SEQUENCE refused until HELLO; answered by STOPPED
-0x05 STATUS    none; answered by REPORT
+               the session is over; a question, answered by STOPPED
+0x05 STATUS    none; a question, answered by REPORT
+0x06 BEGIN     none; opens the session: drops all that waits, shorts all
+               electrodes, ends a stop; a question, answered by BEGUN
 ==== ========= ==============================================================
 
 Board to host:
@@ -33,16 +38,18 @@ Board to host:
                   then the firmware's name in UTF-8
 0x82 ACK          none: the sequence has begun, the next one may be sent
 0x83 NAK          u8 reason, UTF-8: 1 busy, 2 malformed, 3 unsafe, 4 stopped,
-                  5 the host had fallen silent, 6 something came garbled
-                  (number 0)
+                  5 the host had fallen silent; about no sequence: 6 something
+                  came garbled, 7 an old packet, 8 a packet of another session
 0x84 ALIVE        i16 finger force mN; sent by itself every 20 ms
 0x85 REPORT       u32 sequences, u32 slots, u64 pulses, u32 violations,
                   f64 largest current mA, f64 largest charge µC, f64 largest
                   net charge left on an electrode µC, u8 sequences waiting
-                  or executing
+                  or executing, u32 old packets refused, u32 packets of other
+                  sessions refused; all since the board was switched on
 0x86 STOPPED      none
 0x87 VOLTAGES     u16 [S]: what the source needed at the end of each slot's
                   pulse, 10 mV; after each scan of a sequence that asked
+0x88 BEGUN        none: the session is open, its numbers begin here
 ==== ============ ===========================================================
 
 SEQUENCE::
@@ -56,6 +63,39 @@ SEQUENCE::
     flags: 1 answer each scan with VOLTAGES, 2 a recharge phase follows (kind 0):
     u16 recharge µs, i16 current µA [E], positive cathodic, sum zero
 
+Sessions keep out what was sent at another time or to another run: a line that
+repeats, delays, reorders or mixes packets can lose some, and never make the board
+deliver an old one. They are no cipher: who writes packets of his own is not kept out.
+
+1. The host draws 32 random bits, not 0, and asks HELLO with these as the lower
+   half of the session, upper half 0. The board answers CAPABILITIES with the
+   same lower half, and its own 32 bits above: the *challenge*, random, not 0, or
+   from a counter that survives switching off. HELLO changes nothing.
+2. The host asks BEGIN with that session. The board opens it if the upper half is
+   its challenge, and draws a new one at once: no session can be opened twice.
+3. A session is *live* from BEGIN until STOP, until the host has been silent for
+   100 ms, or until the host closes the line; it never becomes live again. While
+   one is live, HELLO and BEGIN of any other are refused. One that is over may
+   still ask STATUS and STOP.
+4. Both ends number all their packets of a session, whatever their type, each
+   above the one before; a packet that is sent again gets a new number. HELLO is
+   numbered too, BEGIN goes on from there. CAPABILITIES alone has number 0.
+5. The board refuses a packet as of another session (reason 8) unless it bears the
+   session begun last, and as old (reason 7) if its number is not above that of the
+   packet taken before it, or if (STOP excepted) its sender had heard nothing of what
+   the board said in the 250 ms before its first byte came. What is refused has no effect, is no
+   sign of life, is counted, and answered by NAK 7 or 8 while a session is live.
+6. Of the hosts that asked HELLO since the last BEGIN the board remembers the lower
+   halves and numbers, of eight at least: HELLO with a number not above the last of
+   that host, its BEGIN included, is old. With BEGIN, and when there are more hosts
+   than it can remember, it counts the HELLOs of the others as of other sessions.
+7. The host refuses a packet from the board that bears another session, a number
+   not above that of the packet taken before it, or that answers nothing it asked:
+   an ACK or NAK of a sequence that is not on its way, voltages of one that was not
+   sent, an answer whose question is unknown or has been answered. It counts these
+   from CAPABILITIES on.
+8. After 2^32 - 1 packets the host begins another session.
+
 What a board does:
 
 - It executes a sequence ``times`` times (at least once): slot after slot, each
@@ -64,34 +104,50 @@ What a board does:
 - It holds one more while it executes one; that one begins when the scan at
   hand is over, so no scan is ever torn. A third is refused as busy. A host that
   waits for the ACK of each before it sends the next is paced by the board.
-- A SEQUENCE with the number of the one before it is the same one, sent again
-  because an ACK or the packet itself was lost: it is not executed twice, and
-  acknowledged again if it has begun. HELLO forgets numbers.
+- Sequences are numbered upwards (``about``). One with the number of the one before
+  is the same one, sent again because an ACK or the packet itself was lost: it is
+  not executed twice, and acknowledged again if it has begun. One with a smaller
+  number is refused as old. BEGIN forgets these numbers.
 - It checks every sequence itself and refuses what breaks its own limits.
 - What is no packet (wrong length, code or CRC) is answered by NAK 6.
-- When nothing has come from the host for 100 ms it drops everything, shorts all
-  electrodes, and refuses every SEQUENCE (reason 5) until HELLO: what comes after
-  a silence begins at zero, and only the host can see to that.
-- It says ALIVE every 20 ms from HELLO on; a host that hears nothing for long
+- When it has taken no packet for 100 ms it drops everything, shorts all electrodes,
+  and refuses every SEQUENCE (reason 5) until BEGIN: what comes after a silence
+  begins at zero, and only the host can see to that. A SEQUENCE that is still coming
+  in, with a head that would be taken, counts as a sign of life with each of its
+  bytes for 1 s from the first.
+- It says ALIVE every 20 ms from BEGIN on; a host that hears nothing for long
   takes it for gone.
+- HELLO of any version is answered, by a CAPABILITIES that bears the board's; nothing
+  else of another version is.
 """
 
+import secrets
 import struct
+from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Literal, get_args
 
-from smarttouch.errors import BoardError
-from smarttouch.wire.framing import LARGEST_PACKET, frame_packet
+from smarttouch.wire.framing import HEAD_BYTES, Packet, frame_packet, parse_head
 
-VERSION = 2
+VERSION = 3
 SILENCE_MS = 100
 ALIVE_MS = 20
+LATE_MS = 250
+"""What had heard nothing that the board said within this time is old."""
+LONGEST_PACKET_MS = 1000
+"""How long a packet that is still coming in counts as a sign of life."""
+LAST_NUMBER = 2**32 - 1
+HALF = 2**32 - 1
+"""The host's half of a session; the board's is above it."""
 Output = Literal["weighted", "three-state", "one-against-all"]
 OUTPUTS: tuple[Output, ...] = get_args(Output)
 
 CAPABILITIES = struct.Struct("<HBBHHHH")
 ALIVE = struct.Struct("<h")
-REPORT = struct.Struct("<IIQIdddB")
+REPORT = struct.Struct("<IIQIdddBII")
+_HEAD = struct.Struct("<QII")
+WHOLE_HEAD_BYTES = HEAD_BYTES + _HEAD.size
+"""Of a packet, decoded: all before its payload."""
 
 
 class Kind(IntEnum):
@@ -102,6 +158,7 @@ class Kind(IntEnum):
     HEARTBEAT = 0x03
     STOP = 0x04
     STATUS = 0x05
+    BEGIN = 0x06
     CAPABILITIES = 0x81
     ACK = 0x82
     NAK = 0x83
@@ -109,6 +166,7 @@ class Kind(IntEnum):
     REPORT = 0x85
     STOPPED = 0x86
     VOLTAGES = 0x87
+    BEGUN = 0x88
 
 
 class Feature(IntFlag):
@@ -120,7 +178,7 @@ class Feature(IntFlag):
 
 
 class Refusal(IntEnum):
-    """Why a board declines a sequence."""
+    """Why a board declines a sequence, or a packet."""
 
     BUSY = 1
     MALFORMED = 2
@@ -128,19 +186,44 @@ class Refusal(IntEnum):
     STOPPED = 4
     SILENCE = 5
     GARBLED = 6
+    OLD = 7
+    FOREIGN = 8
 
 
-def encode(kind: Kind, number: int = 0, payload: bytes = b"") -> bytes:
-    """Return a packet as it goes over the wire.
+@dataclass(frozen=True)
+class Message:
+    """A packet of this protocol; of another version only ``kind`` and ``version`` are known."""
 
-    Raises
-    ------
-    BoardError
-        If it is larger than any receiver accepts.
-    """
-    if len(payload) > LARGEST_PACKET:
-        raise BoardError(
-            f"a packet of {len(payload)} bytes is above the limit of {LARGEST_PACKET}: "
-            "scan fewer points at once"
-        )
-    return frame_packet(VERSION, kind, number, payload)
+    kind: int
+    number: int
+    session: int = 0
+    heard: int = 0
+    about: int = 0
+    payload: bytes = b""
+    version: int = VERSION
+
+
+def encode(
+    kind: Kind, session: int, number: int, heard: int = 0, about: int = 0, payload: bytes = b""
+) -> bytes:
+    """Return a packet as it goes over the wire."""
+    return frame_packet(VERSION, kind, number, _HEAD.pack(session, heard, about), payload)
+
+
+def decode(packet: Packet) -> Message:
+    """Return a packet as a message; one that is too short has session 0, which is nobody's."""
+    if packet.version != VERSION or len(packet.payload) < _HEAD.size:
+        return Message(packet.kind, packet.number, version=packet.version)
+    session, heard, about = _HEAD.unpack_from(packet.payload)
+    payload = packet.payload[_HEAD.size :]
+    return Message(packet.kind, packet.number, session, heard, about, payload)
+
+
+def decode_head(head: bytes) -> Message:
+    """Return the message that begins with these `WHOLE_HEAD_BYTES`; its CRC is yet to come."""
+    return decode(parse_head(head))
+
+
+def draw_half() -> int:
+    """Return 32 random bits that are not all 0."""
+    return secrets.randbelow(HALF) + 1

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards.link_protocol import Kind, Output, encode
+from smarttouch.boards.link_protocol import Output
 from smarttouch.errors import BoardError
+from smarttouch.wire.framing import LARGEST_PACKET
 
 _SEQUENCE = struct.Struct("<IHHBBH")
 _MEASURE, _RECHARGE = 1, 2
@@ -41,7 +42,6 @@ class WireSequence:
 
 
 def encode_sequence(
-    number: int,
     output: Output,
     period_us: int,
     width_us: NDArray[np.uint16],
@@ -53,7 +53,7 @@ def encode_sequence(
     recharge_ua: NDArray[np.int16] | None = None,
     recharge_us: int = 0,
 ) -> bytes:
-    """Return a SEQUENCE packet; the columns are those of a scan sequence.
+    """Return the payload of a SEQUENCE; the columns are those of a scan sequence.
 
     Raises
     ------
@@ -90,7 +90,13 @@ def encode_sequence(
         parts.append(current_ua.astype("<i2", copy=False).tobytes())
     if recharge_ua is not None:
         parts += [_u16(np.array([recharge_us])), recharge_ua.astype("<i2", copy=False).tobytes()]
-    return encode(Kind.SEQUENCE, number, b"".join(parts))
+    payload = b"".join(parts)
+    if len(payload) > LARGEST_PACKET:
+        raise BoardError(
+            f"a packet of {len(payload)} bytes is above the limit of {LARGEST_PACKET}: "
+            "scan fewer points at once"
+        )
+    return payload
 
 
 def decode_sequence(payload: bytes) -> WireSequence:
@@ -133,13 +139,13 @@ def decode_sequence(payload: bytes) -> WireSequence:
     )  # fmt: skip
 
 
-def encode_volts(number: int, volts: NDArray[np.float64]) -> bytes:
-    """Return a VOLTAGES packet of what each slot's source needed, (S,) V."""
-    return encode(Kind.VOLTAGES, number, _u16(np.clip(np.rint(volts * _VOLT), 0, _U16_MAX)))
+def encode_volts(volts: NDArray[np.float64]) -> bytes:
+    """Return the payload of VOLTAGES: what each slot's source needed, (S,) V."""
+    return _u16(np.clip(np.rint(volts * _VOLT), 0, _U16_MAX))
 
 
 def decode_volts(payload: bytes) -> NDArray[np.float32]:
-    """Return the voltages of a VOLTAGES packet, (S,) V; an odd byte is dropped."""
+    """Return the voltages in a payload of VOLTAGES, (S,) V; an odd byte is dropped."""
     whole = payload[: len(payload) // 2 * 2]
     return np.asarray(np.frombuffer(whole, "<u2") / np.float32(_VOLT), np.float32)
 

@@ -32,6 +32,8 @@ def run_figures(
         "late_frames": tally.late,
         "without_force_or_image": tally.blind,
         "replaced": board.replaced,
+        "packets_refused_by_host": board.refused_packets,
+        "packets_refused_by_board": report and report.refused_packets,
         "restarts": tally.restarts,
         "lifts": tally.lifts,
         "reported_by": report and report.by,

@@ -89,7 +89,7 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
                         clock=SimulatedClock() if display.waits_for_nothing else None,
                     )
                 report = display.report()
-            display.notes += regulator.notes()
+            display.notes += [*regulator.notes(), *_refused_packets(display, report)]
             ended = stop.reason or source.ended
             for words in [_account(report), _dose(display), *_notes(source, force, display)]:
                 tell(int(tally.seconds * 1e9), words)
@@ -163,6 +163,16 @@ def _account(report: BoardReport) -> str:
 def _dose(board: Board) -> str:
     dose = board.dose
     return f"dose {dose.seconds:.3f} s of current, {dose.most_mc:.4f} mC through one electrode"
+
+
+def _refused_packets(board: Board, report: BoardReport) -> list[str]:
+    by_host, by_board = board.refused_packets, report.refused_packets
+    if not by_host + by_board:
+        return []
+    return [
+        f"{by_host + by_board} packets were old, or of another session: the board refused "
+        f"{by_board} and the host {by_host} (something on the line repeats, delays or mixes them)"
+    ]
 
 
 def _notes(source: Sensor, force: ForceSource | None, board: Board) -> list[str]:

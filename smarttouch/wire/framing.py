@@ -10,6 +10,8 @@ from cobs import cobs
 LARGEST_PACKET = 4 * 2**20
 _HEAD = struct.Struct("<BBI")
 _CRC = struct.Struct("<I")
+HEAD_BYTES = _HEAD.size
+"""Of a decoded packet: version, kind and number."""
 
 
 @dataclass(frozen=True)
@@ -22,14 +24,14 @@ class Packet:
     version: int
 
 
-def frame_packet(version: int, kind: int, number: int, payload: bytes) -> bytes:
-    """Return a packet as it goes over the wire.
+def frame_packet(version: int, kind: int, number: int, *payload: bytes) -> bytes:
+    """Return a packet as it goes over the wire; its payload may come in pieces.
 
     It is COBS-encoded and ends with one 0x00, so a receiver that has lost its
     place finds it again at the next zero. Decoded, all little endian: u8
     version, u8 kind, u32 number, the payload, u32 CRC-32 of all before it.
     """
-    body = _HEAD.pack(version, kind, number) + payload
+    body = _HEAD.pack(version, kind, number) + b"".join(payload)
     return bytes(cobs.encode(body + _CRC.pack(zlib.crc32(body)))) + b"\0"
 
 
@@ -52,6 +54,29 @@ class Deframer:
         self._most = largest * 1.01 + 64
         self._waiting = bytearray()
         self._skipping = False
+
+    @property
+    def waiting(self) -> int:
+        """Bytes of the packet that is not complete yet."""
+        return len(self._waiting)
+
+    def head(self, count: int) -> bytes | None:
+        """Return the first bytes of the packet that is not complete yet, decoded but unchecked.
+
+        None if fewer than ``count`` have come.
+        """
+        found = bytearray()
+        start = 0
+        while len(found) < count:
+            if start >= len(self._waiting):
+                return None
+            code = self._waiting[start]
+            block = self._waiting[start + 1 : start + code]
+            found += block
+            if len(block) == code - 1 and code < 0xFF:
+                found.append(0)
+            start += code
+        return bytes(found[:count])
 
     def feed(self, data: bytes) -> Iterator[Packet]:
         """Yield every packet that is complete with these bytes."""
@@ -78,7 +103,13 @@ def _parse(piece: bytes) -> Packet | None:
         return None
     if len(body) < _HEAD.size + _CRC.size:
         return None
-    if zlib.crc32(body[: -_CRC.size]) != _CRC.unpack_from(body, len(body) - _CRC.size)[0]:
+    checked = body[: -_CRC.size]
+    if zlib.crc32(checked) != _CRC.unpack_from(body, len(checked))[0]:
         return None
+    return parse_head(checked)
+
+
+def parse_head(body: bytes) -> Packet:
+    """Return a packet from its decoded bytes, its CRC left off and unchecked."""
     version, kind, number = _HEAD.unpack_from(body)
-    return Packet(kind, number, body[_HEAD.size : -_CRC.size], version)
+    return Packet(kind, number, body[_HEAD.size :], version)

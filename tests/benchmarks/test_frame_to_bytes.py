@@ -17,7 +17,9 @@ import pytest
 from skimage.filters import threshold_sauvola
 from skimage.transform import resize
 
+from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_sequence import encode_sequence
+from smarttouch.boards.link_session import HostSession
 from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
@@ -61,6 +63,7 @@ class Ours:
         self.time_ns = 0
         self.pipeline = Pipeline(self.profile, bank, Primary.RA, 1.0)
         self.gate = SafetyGate(SafetyLimits.of(self.profile))
+        self.session = HostSession()
         self()
 
     def __call__(self):
@@ -68,8 +71,7 @@ class Ours:
         self.time_ns += FULL_NS
         sequence = self.pipeline.process(frame).sequence
         self.gate.prove(sequence)
-        return encode_sequence(
-            1,
+        payload = encode_sequence(
             "weighted",
             sequence.period_us,
             sequence.width_us,
@@ -77,6 +79,7 @@ class Ours:
             sequence.site,
             sequence.current_ua,
         )
+        return self.session.encode(Kind.SEQUENCE, 1, payload)
 
 
 class Plain:

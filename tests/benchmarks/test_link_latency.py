@@ -28,7 +28,7 @@ from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
 
 COUNTS = (64, 128, 256, 512)
-ACK = len(protocol.encode(protocol.Kind.ACK, 1))
+ACK = len(protocol.encode(protocol.Kind.ACK, 1, 1))
 ECHO = """
 import os, sys, tty
 master, slave = os.openpty()
@@ -123,10 +123,11 @@ def test_latency(benchmark, capsys):
 
 
 def packet(sequence):
-    return encode_sequence(
-        1, "weighted", sequence.period_us, sequence.width_us, sequence.discharge_us,
+    payload = encode_sequence(
+        "weighted", sequence.period_us, sequence.width_us, sequence.discharge_us,
         sequence.site, sequence.current_ua, 1, True,
     )  # fmt: skip
+    return protocol.encode(protocol.Kind.SEQUENCE, 1, 1, payload=payload)
 
 
 @pytest.mark.parametrize("electrodes", COUNTS)

@@ -14,6 +14,7 @@ import pytest
 from smarttouch.boards.emulator.books import read_state
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.link import LinkBoard
+from smarttouch.boards.link_protocol import Kind
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
 
@@ -172,11 +173,9 @@ def test_a_silent_port_is_told_of(make_limits):
 
 
 def test_a_board_that_someone_else_stopped_is_told_of(make_limits, make_sequence):
-    from smarttouch.boards.link_protocol import Kind, encode
-
     with EmulatorBoard("", make_limits()) as board:
         board.send(make_sequence(0))
-        board._line.write(encode(Kind.STOP))
+        board._line.send(Kind.STOP)
         with pytest.raises(BoardError, match="someone else"):
             send_on(board, make_sequence)
 

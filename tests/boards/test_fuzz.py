@@ -16,6 +16,8 @@ from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
 from smarttouch.boards.emulator.link import LinkFirmware
+from smarttouch.boards.emulator.session import BoardSession
+from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_sequence import decode_sequence, decode_volts, encode_sequence
 from smarttouch.errors import SmartTouchError
 from smarttouch.wire.framing import Deframer
@@ -24,11 +26,14 @@ BYTES = int(os.environ.get("SMARTTOUCH_FUZZ_BYTES", "100000"))
 MS = 1_000_000
 CURRENT = np.array([[300, -100, -100, -100]], np.int16)
 COLUMN = np.full(1, 100, np.uint16)
+HALF, SESSION = 5, 5 << 32 | 5
+PAYLOAD = encode_sequence("weighted", 5000, COLUMN, COLUMN, COLUMN * 0, CURRENT, 3, True)
 SEEDS = {
     "link": [
-        protocol.encode(protocol.Kind.HELLO),
-        protocol.encode(protocol.Kind.STATUS),
-        encode_sequence(1, "weighted", 5000, COLUMN, COLUMN, COLUMN * 0, CURRENT, 3, True),
+        protocol.encode(Kind.HELLO, HALF, 1),
+        protocol.encode(Kind.BEGIN, SESSION, 2),
+        protocol.encode(Kind.STATUS, SESSION, 3),
+        protocol.encode(Kind.SEQUENCE, SESSION, 4, about=1, payload=PAYLOAD),
     ],
     "kajimoto61": [b"\xff" + bytes(61), b"\xff" + bytes([100] * 61), b"\xfe"],
     "etactilekit": [b"\xf5\xfc\x04\xf4", b"\xfa\x64\x00\xf7\x32\xf6\x3c\x00", b"\xfe" + bytes(8)],
@@ -58,7 +63,7 @@ def pieces(seed, whole):
 
 @pytest.mark.parametrize("parse", [decode_sequence, decode_volts, parse_answer])
 def test_payloads(parse):
-    for piece in pieces(1, SEEDS["link"]):
+    for piece in pieces(1, [*SEEDS["link"], PAYLOAD]):
         with contextlib.suppress(ValueError):
             parse(piece)
 
@@ -69,7 +74,7 @@ def test_the_deframer_and_what_it_finds():
         for packet in deframer.feed(piece):
             found += 1
             with contextlib.suppress(ValueError):
-                decode_sequence(packet.payload)
+                decode_sequence(protocol.decode(packet).payload)
     assert found > 10
     assert deframer.errors > 10
 
@@ -85,7 +90,8 @@ def test_events():
 def firmware(name):
     books = Books({"kajimoto61": 61}.get(name, 4))
     if name == "link":
-        return LinkFirmware(4, "weighted", books)
+        # Always the same challenge, so that each BEGIN after a silence opens a session.
+        return LinkFirmware(4, "weighted", books, session=BoardSession(lambda: HALF))
     return Kajimoto61Firmware(books) if name == "kajimoto61" else ETactileKitFirmware(books)
 
 

@@ -9,18 +9,22 @@ from smarttouch.boards.link_line import SILENCE_S, LinkLine
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.errors import LineLostError
 
-ALIVE = protocol.encode(Kind.ALIVE, 0, protocol.ALIVE.pack(0))
+ALIVE = "alive"
 
 
 class Port:
     """Plays each piece once, then the last for ever; a number is a read that took so long."""
 
-    def __init__(self, *pieces):
-        self.pieces, self.in_waiting = list(pieces), 0
+    def __init__(self, line, *pieces):
+        self.line, self.pieces, self.in_waiting, self.number = line, list(pieces), 0, 0
 
     def read(self, _):
         piece = self.pieces.pop(0) if len(self.pieces) > 1 else self.pieces[0]
-        time.sleep(0.02 if isinstance(piece, bytes) else piece)
+        time.sleep(piece if isinstance(piece, float) else 0.02)
+        if piece == ALIVE:
+            self.number += 1
+            session, payload = self.line.session.number, protocol.ALIVE.pack(0)
+            return protocol.encode(Kind.ALIVE, session, self.number, payload=payload)
         return piece if isinstance(piece, bytes) else b""
 
     def write(self, _):
@@ -36,8 +40,8 @@ def listen():
     lines = []
 
     def start(*pieces):
-        line = LinkLine("here", lambda packet: True, lambda: "")
-        line.open(Port(*pieces))
+        line = LinkLine("here", lambda message: None, lambda: "")
+        line.open(Port(line, *pieces))
         lines.append(line)
         return line
 

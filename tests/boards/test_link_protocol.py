@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.link_protocol import Kind
+from smarttouch.boards.link_protocol import Kind, decode, decode_head, encode
 from smarttouch.boards.link_sequence import (
     decode_sequence,
     decode_volts,
@@ -19,7 +19,7 @@ from smarttouch.boards.link_sequence import (
     encode_volts,
 )
 from smarttouch.errors import BoardError
-from smarttouch.wire.framing import Deframer
+from smarttouch.wire.framing import LARGEST_PACKET, Deframer, Packet
 
 u16 = st.integers(0, 65535)
 currents = hnp.arrays(
@@ -43,10 +43,12 @@ def columns(current, seed=0):
 @given(current=currents, number=st.integers(0, 2**32 - 1), period=st.integers(0, 2**32 - 1))
 def test_weighted_survives_the_wire(current, number, period):
     width, discharge, site = columns(current)
-    data = encode_sequence(number, "weighted", period, width, discharge, site, current)
-    packet = only(Deframer().feed(data))
-    assert (packet.kind, packet.number) == (Kind.SEQUENCE, number)
-    wire = decode_sequence(packet.payload)
+    payload = encode_sequence("weighted", period, width, discharge, site, current)
+    packet = only(Deframer().feed(encode(Kind.SEQUENCE, 2**64 - 1, 5, 6, number, payload)))
+    message = decode(packet)
+    assert (message.kind, message.session, message.number) == (Kind.SEQUENCE, 2**64 - 1, 5)
+    assert (message.heard, message.about, message.version) == (6, number, protocol.VERSION)
+    wire = decode_sequence(message.payload)
     assert (wire.period_us, wire.electrodes) == (period, current.shape[1])
     for got, sent in ((wire.width_us, width), (wire.discharge_us, discharge), (wire.site, site)):
         np.testing.assert_array_equal(got, sent)
@@ -56,8 +58,8 @@ def test_weighted_survives_the_wire(current, number, period):
 @pytest.mark.parametrize("output", ["three-state", "one-against-all"])
 @given(current=currents)
 def test_switched_survives_the_wire(output, current):
-    data = encode_sequence(7, output, 9000, *columns(current), current)
-    wire = decode_sequence(only(Deframer().feed(data)).payload)
+    payload = encode_sequence(output, 9000, *columns(current), current)
+    wire = decode_sequence(payload)
     np.testing.assert_array_equal(wire.state, np.sign(current))
     np.testing.assert_array_equal(wire.source_ua, np.maximum(current, 0).sum(axis=1))
 
@@ -65,14 +67,14 @@ def test_switched_survives_the_wire(output, current):
 def test_a_source_beyond_the_wire_is_refused_and_never_wraps():
     current = np.array([[5000] * 14 + [-5000] * 14], np.int16)
     with pytest.raises(BoardError, match="source"):
-        encode_sequence(1, "three-state", 9000, *columns(current), current)
+        encode_sequence("three-state", 9000, *columns(current), current)
 
 
 @pytest.mark.parametrize(("slots", "electrodes"), [(2049, 1024), (70_000, 1)])
 def test_a_packet_beyond_the_limit_is_refused(slots, electrodes):
     current = np.zeros((slots, electrodes), np.int16)
     with pytest.raises(BoardError, match=r"scan fewer points"):
-        encode_sequence(1, "weighted", 9000, *columns(current), current)
+        encode_sequence("weighted", 9000, *columns(current), current)
 
 
 @given(pieces=st.lists(st.binary(max_size=60)))
@@ -80,13 +82,13 @@ def test_any_bytes_are_survived_and_the_next_packet_is_found(pieces):
     deframer = Deframer()
     for piece in pieces:
         list(deframer.feed(piece))
-    packets = list(deframer.feed(b"\0" + protocol.encode(Kind.STOP, 3)))
+    packets = list(deframer.feed(b"\0" + encode(Kind.STOP, 1, 3)))
     assert (packets[-1].kind, packets[-1].number) == (Kind.STOP, 3)
 
 
 @given(cuts=st.lists(st.integers(0, 200), max_size=5))
 def test_packets_may_come_in_any_pieces(cuts):
-    data = b"".join(protocol.encode(Kind.HEARTBEAT, number, bytes(30)) for number in range(4))
+    data = b"".join(encode(Kind.HEARTBEAT, 1, number, payload=bytes(30)) for number in range(4))
     edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
     deframer = Deframer()
     numbers = [
@@ -106,7 +108,7 @@ def test_decoding_a_payload_gives_a_sequence_or_a_value_error(payload):
 
 @given(position=st.integers(0, 40), flip=st.integers(1, 255))
 def test_a_changed_byte_is_an_error_and_no_packet(position, flip):
-    data = bytearray(protocol.encode(Kind.SEQUENCE, 9, bytes(range(1, 31))))
+    data = bytearray(encode(Kind.SEQUENCE, 1, 9, payload=bytes(range(1, 31))))
     data[position % (len(data) - 1)] ^= flip
     deframer = Deframer()
     assert list(deframer.feed(bytes(data))) == []
@@ -118,22 +120,20 @@ def test_an_endless_packet_does_not_fill_the_memory():
     deframer = Deframer()
     for _ in range(12):
         list(deframer.feed(b"\x01" * 2**20))
-    assert len(deframer._waiting) <= protocol.LARGEST_PACKET * 1.1
+    assert len(deframer._waiting) <= LARGEST_PACKET * 1.1
     assert list(deframer.feed(b"\0")) == []
-    assert len(list(deframer.feed(protocol.encode(Kind.STOP)))) == 1
+    assert len(list(deframer.feed(encode(Kind.STOP, 1, 1)))) == 1
 
 
 @given(hnp.arrays(np.float64, st.integers(0, 50), elements=st.floats(0, 655)))
 def test_voltages_survive_the_wire(volts):
-    packet = only(Deframer().feed(encode_volts(5, volts)))
-    assert (packet.kind, packet.number) == (Kind.VOLTAGES, 5)
-    np.testing.assert_allclose(decode_volts(packet.payload), volts, atol=0.006)
+    np.testing.assert_allclose(decode_volts(encode_volts(volts)), volts, atol=0.006)
 
 
 @given(current=currents, times=st.integers(1, 65535), measure=st.booleans())
 def test_repetition_and_measuring_survive_the_wire(current, times, measure):
-    data = encode_sequence(7, "weighted", 9000, *columns(current), current, times, measure)
-    wire = decode_sequence(only(Deframer().feed(data)).payload)
+    payload = encode_sequence("weighted", 9000, *columns(current), current, times, measure)
+    wire = decode_sequence(payload)
     assert (wire.times, wire.measure) == (times, measure)
 
 
@@ -175,6 +175,27 @@ def test_one_source_makes_no_recharge_phase():
 
 def test_no_times_at_all_is_no_sequence():
     current = np.zeros((1, 4), np.int16)
-    data = encode_sequence(7, "weighted", 9000, *columns(current), current, 0)
+    payload = encode_sequence("weighted", 9000, *columns(current), current, 0)
     with pytest.raises(ValueError, match="0 times"):
-        decode_sequence(only(Deframer().feed(data)).payload)
+        decode_sequence(payload)
+
+
+@given(payload=st.binary(max_size=600), cut=st.integers(0, 700), session=st.integers(0, 2**64 - 1))
+def test_the_head_of_a_packet_is_known_before_its_end(payload, cut, session):
+    data = encode(Kind.SEQUENCE, session, 258, 0, 7, payload)
+    deframer = Deframer()
+    list(deframer.feed(data[: min(cut, len(data) - 1)]))
+    assert deframer.waiting == min(cut, len(data) - 1)
+    head = deframer.head(protocol.WHOLE_HEAD_BYTES)
+    if head is None:
+        assert cut <= protocol.WHOLE_HEAD_BYTES
+    else:
+        message = decode_head(head)
+        assert (message.kind, message.session) == (Kind.SEQUENCE, session)
+        assert (message.number, message.heard, message.about) == (258, 0, 7)
+
+
+def test_what_is_too_short_belongs_to_no_session():
+    for length in range(16):
+        message = decode(Packet(Kind.STOP, 9, bytes([1] * length), protocol.VERSION))
+        assert (message.session, message.payload) == (0, b"")

@@ -8,6 +8,7 @@ import os
 import random
 import threading
 import time
+from collections import deque
 
 import pytest
 
@@ -20,13 +21,18 @@ SECONDS = float(os.environ.get("SMARTTOUCH_FAULT_SECONDS", "1.5"))
 class Weather:
     """Something goes wrong with one piece in so many."""
 
-    def __init__(self, seed, doubles):
+    def __init__(self, seed, doubles, replays):
         self.random = random.Random(seed)
         self.kinds = ["drop", "cut", "none", "swallow"] + ["double"] * doubles
+        self.kinds += ["again"] * replays
+        self.before = deque(maxlen=1000)
         self.counts = dict.fromkeys(self.kinds, 0)
 
     def __call__(self, data):
-        if not data or self.random.random() > 0.03:
+        if not data:
+            return data
+        self.before.append(data)
+        if self.random.random() > 0.03:
             return data
         kind, where = self.random.choice(self.kinds), self.random.randrange(len(data))
         self.counts[kind] += 1
@@ -35,6 +41,8 @@ class Weather:
             "double": data[: where + 1] + data[where:],
             "cut": data[:where],
             "swallow": b"",
+            # Between zeros, so that what was whole is whole again.
+            "again": data + b"\0" + self.random.choice(self.before) + b"\0",
             "none": data,
         }[kind]
 
@@ -42,7 +50,7 @@ class Weather:
 @pytest.mark.parametrize("hosted", ["link", "kajimoto61", "etactilekit"], indirect=True)
 def test_nothing_unsafe_flows(hosted):
     # USB and TCP lose bytes only by whole pieces or at their end; they never double one.
-    weather = Weather(1, doubles=hosted.kind != "etactilekit")
+    weather = Weather(1, doubles=hosted.kind != "etactilekit", replays=hosted.kind == "link")
     hosted.line.to_board = hosted.line.to_host = weather
     end = time.monotonic() + SECONDS
     opened = sent = restarts = 0
@@ -72,7 +80,7 @@ def test_nothing_unsafe_flows(hosted):
     print(
         f"\n{hosted.kind}: {SECONDS:g} s, {sent} sequences, {state['slots']} slots; "
         f"{weather.counts}; opened {opened}, restarts {restarts}, faults {len(sentences)}; "
-        f"unsafe slots {state['unsafe']}"
+        f"unsafe slots {state['unsafe']}, old packets {state['old_packets']}"
     )
     assert sent > 2 * SECONDS
     assert not any("\n" in sentence for sentence in sentences)

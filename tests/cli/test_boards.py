@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from smarttouch.boards.emulator.books import read_slots, read_state
+from smarttouch.boards.link_protocol import Kind
+from smarttouch.boards.link_session import HostSession
 
 PROGRAM = Path(sys.executable).with_name("smarttouch")
 
@@ -60,6 +62,24 @@ def test_live_end_to_end_ends_in_zero(program_here, tmp_path, kit):
     assert state["slots"] > 100
     assert state["max_current_ma"] <= figures["max_current_ma"] + 0.04
     assert state_of(books)["slots"] == state["slots"]
+
+
+@on("link")
+def test_packets_that_come_twice_are_told_of(program_here, monkeypatch, tmp_path, kit):
+    encode = HostSession.encode
+
+    def twice(session, kind, *more):
+        return encode(session, kind, *more) * (1 + (kind == Kind.SEQUENCE))
+
+    monkeypatch.setattr(HostSession, "encode", twice)
+    live = ("live", "--board", kit[0], "--intensity", 0, "--seconds", 1)
+    done = program_here(*live, "--json", "run.json")
+    assert done.returncode == 0, done.stderr
+    figures = json.loads((tmp_path / "run.json").read_text())
+    assert figures["packets_refused_by_host"] == 0
+    assert figures["packets_refused_by_board"] >= figures["acknowledged"] > 10
+    assert f" {figures['packets_refused_by_board']} packets " in done.stdout
+    assert state_of(kit[1])["old_packets"] >= figures["packets_refused_by_board"]
 
 
 @on("kajimoto61", "etactilekit")

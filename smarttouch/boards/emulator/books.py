@@ -37,6 +37,9 @@ class Books:
     unsafe: int = 0
     """What flowed and was above a safe value, one for each pulse of a slot."""
     framing_errors: int = 0
+    old_packets: int = 0
+    foreign_packets: int = 0
+    """What a link board refused as old, and as of another session."""
     max_current_ma: float = 0.0
     max_charge_uc: float = 0.0
     max_net_charge_uc: float = 0.0
@@ -51,7 +54,7 @@ class Books:
     state: str = "shorted"
     reason: str = "start"
     zero_after_ms: float = 0.0
-    """From the host's last byte to all electrodes shorted, the last time it was cut off."""
+    """From the host's last sign of life to all electrodes shorted, the last time it was cut off."""
     stood_still_ms: float = 0.0
     """How long the board's clock has stood still because its process did."""
     _delivered: bytearray = field(default_factory=bytearray, repr=False)

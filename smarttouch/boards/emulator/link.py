@@ -13,12 +13,19 @@ from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.rules import MAX_CURRENT_UA, MAX_SLOTS, Rules
+from smarttouch.boards.emulator.session import BoardSession
 from smarttouch.boards.emulator.skin import COMPLIANCE_V, Skin
-from smarttouch.boards.link_protocol import Feature, Kind, Output, Refusal
+from smarttouch.boards.link_protocol import Feature, Kind, Message, Output, Refusal
 from smarttouch.boards.link_sequence import WireSequence, decode_sequence, encode_volts
-from smarttouch.wire.framing import Deframer, Packet
+from smarttouch.wire.framing import Deframer
 
 NAME = "SmartTouch board emulator 1"
+_WHY = {
+    Refusal.OLD: "an old packet",
+    Refusal.FOREIGN: "a packet of another session",
+    Refusal.STOPPED: "say HELLO and BEGIN first",
+    Refusal.SILENCE: "say HELLO and BEGIN first",
+}
 
 
 @dataclass
@@ -63,6 +70,8 @@ class LinkFirmware:
         What happens to the skin while it runs.
     compliance_v : float, V
         The most its sources can give.
+    session : BoardSession, optional
+        Which packets it takes.
     """
 
     def __init__(
@@ -72,6 +81,7 @@ class LinkFirmware:
         books: Books,
         finger: Finger | None = None,
         compliance_v: float = COMPLIANCE_V,
+        session: BoardSession | None = None,
     ) -> None:
         self._electrodes, self._output, self.books = electrodes, output, books
         self._rules = Rules(electrodes, output)
@@ -80,12 +90,16 @@ class LinkFirmware:
         self._compliance_v = compliance_v
         self._recharging = Feature.RECHARGE if output == "weighted" else Feature(0)
         self._deframer = Deframer()
+        self._session = session or BoardSession()
         self._running: _Table | None = None
         self._waiting: _Table | None = None
         self._last = (-1, False)
         """Number of the last sequence accepted, and whether it has begun."""
         self._refusing: Refusal | None = Refusal.STOPPED
         self._heard_ns = 0
+        """When the last sign of life came."""
+        self._packet_ns = 0
+        """When the first byte of the packet at hand came."""
         self._alive_ns = 0
         self._greeted = False
         self._shorted_since_ns = 0
@@ -99,13 +113,21 @@ class LinkFirmware:
     def feed(self, data: bytes, now_ns: int) -> bytes:
         """Take bytes from the host; return what there is to answer."""
         self._advance(now_ns)
-        self._heard_ns = now_ns
         garbled = self._deframer.errors
-        for packet in self._deframer.feed(data):
-            self._answer(packet, now_ns)
+        first, zero, rest = data.partition(b"\0")
+        for piece in (first + zero, rest):
+            if not self._deframer.waiting:
+                self._packet_ns = now_ns
+            for packet in self._deframer.feed(piece):
+                self._answer(protocol.decode(packet), now_ns)
         if self._deframer.errors > garbled and self._greeted:
             self._refuse(0, Refusal.GARBLED, "no packet")
+        head = self._deframer.head(protocol.WHOLE_HEAD_BYTES)
+        if head is not None and self._session.promises(head, self._packet_ns, now_ns):
+            self._heard_ns = now_ns
         self.books.framing_errors = self._deframer.errors
+        self.books.old_packets = self._session.old
+        self.books.foreign_packets = self._session.foreign
         return self._take_answers()
 
     def advance(self, now_ns: int) -> bytes:
@@ -124,22 +146,27 @@ class LinkFirmware:
         if now_ns >= deadline_ns and self._refusing is None:
             dropped = self._waiting
             self.zero("silence", now_ns)
-            self._refusing = Refusal.SILENCE
+            self._end(Refusal.SILENCE)
             if dropped is not None:
                 self._refuse(dropped.number, Refusal.SILENCE, "dropped")
         if self._greeted and now_ns - self._alive_ns >= protocol.ALIVE_MS * 1_000_000:
             self._alive_ns = now_ns
             self._finger.at(now_ns / 1e9, self._skin)
             force_mn = min(32767, round(1000 * self._finger.force_n))
-            self._answers.append(protocol.encode(Kind.ALIVE, 0, protocol.ALIVE.pack(force_mn)))
+            alive = self._session.encode_alive(protocol.ALIVE.pack(force_mn), now_ns)
+            self._answers.append(alive)
 
     def hang_up(self, now_ns: int) -> None:
-        """The host has closed the line; the next one has to say HELLO."""
+        """The host has closed the line; the next one has to begin a session."""
         self._advance(now_ns)
         self._answers.clear()
         if self._refusing is not Refusal.STOPPED:
             self.zero("host closed", now_ns)
-        self._refusing, self._greeted = Refusal.STOPPED, False
+        self._end(Refusal.STOPPED)
+        self._greeted = False
+
+    def _end(self, refusing: Refusal) -> None:
+        self._refusing, self._session.live = refusing, False
 
     def zero(self, reason: str, now_ns: int) -> None:
         """Drop everything that waits and short all electrodes."""
@@ -163,7 +190,8 @@ class LinkFirmware:
 
     def _end_scan(self, table: _Table) -> None:
         if table.sequence.measure:
-            self._answers.append(encode_volts(table.number, np.array(table.volts)))
+            volts = encode_volts(np.array(table.volts))
+            self._say(Kind.VOLTAGES, table.number, volts)
         table.left -= 1
         if table.left and self._waiting is None:
             table.begin(table.end_ns)
@@ -180,7 +208,7 @@ class LinkFirmware:
         table.begin(start_ns)
         self._running = table
         self._last = (table.number, True)
-        self._answers.append(protocol.encode(Kind.ACK, table.number))
+        self._say(Kind.ACK, table.number)
 
     def _deliver(self, table: _Table, slot: int) -> None:
         sequence, start_ns = table.sequence, int(table.starts_ns[slot])
@@ -200,14 +228,9 @@ class LinkFirmware:
         table.volts.append(delivered.source_v)
         self.books.state = "driving"
         self.books.enter(
-            table.number,
-            slot,
-            int(sequence.site[slot]),
-            delivered,
-            width,
-            self._skin.residual_uc,
-            start_ns // 1000,
-        )
+            table.number, slot, int(sequence.site[slot]), delivered, width,
+            self._skin.residual_uc, start_ns // 1000,
+        )  # fmt: skip
 
     def _recharge(self, table: _Table, until_ns: int) -> None:
         """Do the recharge phase, or as much of it as there was until it was cut off."""
@@ -224,36 +247,49 @@ class LinkFirmware:
         residual_uc, time_us = self._skin.residual_uc, start_ns // 1000
         self.books.enter_recharge(table.number, delivered, width_us, residual_uc, time_us)
 
-    def _answer(self, packet: Packet, now_ns: int) -> None:
-        if packet.kind == Kind.HELLO:
+    def _answer(self, message: Message, now_ns: int) -> None:
+        if message.kind == Kind.HELLO:
+            if offer := self._session.offer(message, self._capabilities()):
+                self._answers.append(offer)
+            else:
+                self._turn_away(Refusal.FOREIGN)
+            return None
+        if message.kind == Kind.BEGIN and self._session.begin(message):
             # A new host starts from zero, whatever the one before left.
             if self._running is not None:
-                self.zero("hello", now_ns)
+                self.zero("begin", now_ns)
             self._refusing, self._last, self._greeted = None, (-1, False), True
-            self._answers.append(protocol.encode(Kind.CAPABILITIES, 0, self._capabilities()))
-        elif packet.version != protocol.VERSION:
-            return
-        elif packet.kind == Kind.SEQUENCE:
-            self._accept(packet, now_ns)
-        elif packet.kind == Kind.STOP:
-            self._refusing = Refusal.STOPPED
+        elif refusal := self._session.take(message, self._packet_ns):
+            return self._turn_away(refusal)
+        self._heard_ns = now_ns
+        if message.kind == Kind.BEGIN:
+            if self._refusing is None:
+                self._say(Kind.BEGUN, message.number)
+        elif message.kind == Kind.SEQUENCE:
+            self._accept(message, now_ns)
+        elif message.kind == Kind.STOP:
+            self._end(Refusal.STOPPED)
             self.zero("stop", now_ns)
-            self._answers.append(protocol.encode(Kind.STOPPED))
-        elif packet.kind == Kind.STATUS:
-            self._answers.append(protocol.encode(Kind.REPORT, 0, self._report()))
+            self._say(Kind.STOPPED, message.number)
+        elif message.kind == Kind.STATUS:
+            self._say(Kind.REPORT, message.number, self._report())
+        return None
 
-    def _accept(self, packet: Packet, now_ns: int) -> None:
-        number = packet.number
+    def _accept(self, message: Message, now_ns: int) -> None:
+        number = message.about
         if self._refusing is not None:
-            return self._refuse(number, self._refusing, "say HELLO first")
+            return self._refuse(number, self._refusing)
         if number == self._last[0]:
             if self._last[1]:
-                self._answers.append(protocol.encode(Kind.ACK, number))
+                self._say(Kind.ACK, number)
             return None
+        if number < self._last[0]:
+            self._session.old += 1
+            return self._turn_away(Refusal.OLD)
         if self._waiting is not None:
             return self._refuse(number, Refusal.BUSY, "one executing and one waiting")
         try:
-            sequence = decode_sequence(packet.payload)
+            sequence = decode_sequence(message.payload)
         except ValueError as error:
             self.books.violations += 1
             return self._refuse(number, Refusal.MALFORMED, str(error))
@@ -268,35 +304,34 @@ class LinkFirmware:
             self._waiting = table
         return self._execute(now_ns)
 
-    def _refuse(self, number: int, reason: Refusal, text: str) -> None:
-        self._answers.append(protocol.encode(Kind.NAK, number, bytes([reason]) + text.encode()))
+    def _turn_away(self, reason: Refusal) -> None:
+        if self._session.live:
+            self._refuse(0, reason)
+
+    def _refuse(self, number: int, reason: Refusal, text: str = "") -> None:
+        words = text or _WHY[reason]
+        self._say(Kind.NAK, number, bytes([reason]) + words.encode())
+
+    def _say(self, kind: Kind, about: int = 0, payload: bytes = b"") -> None:
+        self._answers.append(self._session.encode(kind, about, payload))
 
     def _capabilities(self) -> bytes:
         head = protocol.CAPABILITIES.pack(
-            self._electrodes,
-            protocol.OUTPUTS.index(self._output),
-            Feature.VOLTAGE | Feature.FORCE | self._recharging,
-            MAX_CURRENT_UA,
-            MAX_SLOTS,
-            protocol.SILENCE_MS,
-            round(self._compliance_v),
-        )
+            self._electrodes, protocol.OUTPUTS.index(self._output),
+            Feature.VOLTAGE | Feature.FORCE | self._recharging, MAX_CURRENT_UA, MAX_SLOTS,
+            protocol.SILENCE_MS, round(self._compliance_v),
+        )  # fmt: skip
         return head + NAME.encode()
 
-    def account(self) -> tuple[int, int, int, int, float, float, float]:
-        """Return what has been delivered, as `BoardReport` has it."""
+    def account(self) -> tuple[int, int, int, int, float, float, float, int]:
+        """Return what has been delivered and refused, as `BoardReport` has it."""
         books = self.books
         return (
-            books.sequences,
-            books.slots,
-            books.pulses,
-            books.violations,
-            books.max_current_ma,
-            books.max_charge_uc,
-            books.max_net_charge_uc,
-        )
+            books.sequences, books.slots, books.pulses, books.violations, books.max_current_ma,
+            books.max_charge_uc, books.max_net_charge_uc, self._session.old + self._session.foreign,
+        )  # fmt: skip
 
     def _report(self) -> bytes:
-        return protocol.REPORT.pack(
-            *self.account(), (self._running is not None) + (self._waiting is not None)
-        )
+        *delivered, _ = self.account()
+        at_hand = (self._running is not None) + (self._waiting is not None)
+        return protocol.REPORT.pack(*delivered, at_hand, self._session.old, self._session.foreign)

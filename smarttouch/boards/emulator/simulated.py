@@ -13,6 +13,7 @@ from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.rules import MAX_CURRENT_UA, MAX_SLOTS
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_sequence import encode_sequence
+from smarttouch.boards.link_session import HostSession
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
@@ -91,13 +92,14 @@ class SimulatedBoard(Board):
         self._books = _KeptBooks(self._gate.limits.electrodes)
         self._firmware = LinkFirmware(self._books.electrodes, self._kind, self._books)
         self._deframer = Deframer()
+        self._session = HostSession()
         self._now_ns = self._number = 0
-        self._say(protocol.encode(Kind.HELLO))
+        self._say(Kind.HELLO)
+        self._say(Kind.BEGIN)
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         self._number += 1
-        packet = encode_sequence(
-            self._number,
+        payload = encode_sequence(
             self._kind,
             sequence.period_us,
             sequence.width_us,
@@ -109,25 +111,29 @@ class SimulatedBoard(Board):
             sequence.recharge_ua,
             sequence.recharge_us,
         )
-        self._say(packet)
+        self._say(Kind.SEQUENCE, self._number, payload)
         self._wait(sequence.period_us * times * 1000)
         return self._number
 
-    def _say(self, packet: bytes) -> None:
+    def _say(self, kind: Kind, about: int = 0, payload: bytes = b"") -> None:
+        packet = self._session.encode(kind, about, payload)
         for answer in self._deframer.feed(self._firmware.feed(packet, self._now_ns)):
-            if answer.kind == Kind.ACK:
+            message = self._session.take(answer)
+            if message is None:
+                continue
+            if message.kind == Kind.ACK:
                 self.acknowledged += 1
-            elif answer.kind == Kind.NAK:
+            elif message.kind == Kind.NAK:
                 self.refused += 1
-                words = answer.payload[1:].decode("utf-8", "replace")
-                raise BoardError(f"the simulated board refused sequence {answer.number}: {words}")
+                words = message.payload[1:].decode("utf-8", "replace")
+                raise BoardError(f"the simulated board refused sequence {message.about}: {words}")
 
     def _wait(self, time_ns: int) -> None:
         """Let time pass, and the board know that its host is there."""
         end_ns = self._now_ns + time_ns
         while self._now_ns < end_ns:
             self._now_ns = min(end_ns, self._now_ns + _BEAT_NS)
-            self._say(protocol.encode(Kind.HEARTBEAT))
+            self._say(Kind.HEARTBEAT)
 
     def drain(self, timeout_s: float = 1.0) -> None:
         """Nothing waits here: what is sent is over."""
@@ -136,6 +142,6 @@ class SimulatedBoard(Board):
         return BoardReport(*self._firmware.account())
 
     def _stop(self) -> None:
-        self._say(protocol.encode(Kind.STOP))
+        self._say(Kind.STOP)
 
     def _close(self) -> None: ...

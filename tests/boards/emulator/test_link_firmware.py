@@ -1,11 +1,9 @@
 """The emulated board on a clock of the test's own."""
 
 import struct
-import zlib
 
 import numpy as np
 import pytest
-from cobs import cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,30 +13,38 @@ from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.link_protocol import ALIVE, Kind, Refusal
 from smarttouch.boards.link_sequence import decode_volts, encode_sequence
-from smarttouch.wire.framing import Deframer
+from smarttouch.boards.link_session import HostSession
+from smarttouch.wire.framing import Deframer, frame_packet
 
 MS = 1_000_000
 
 
 class Rig:
-    """A board that was said HELLO to, at time zero."""
+    """A board, and a session begun at time zero."""
 
-    def __init__(self, electrodes=4, output="weighted", hello=True, finger=None):
+    def __init__(self, electrodes=4, output="weighted", begun=True, finger=None):
         self.output = output
         self.alive = []
         self.books = Books(electrodes)
         self.board = LinkFirmware(electrodes, output, self.books, finger)
-        if hello:
-            self.say(0, Kind.HELLO)
+        self.host = HostSession()
+        if begun:
+            self.begin(0)
 
-    def say(self, now_ms, kind, number=0, payload=b""):
-        return self.feed(now_ms, protocol.encode(kind, number, payload))
+    def begin(self, now_ms):
+        self.host = HostSession()
+        self.say(now_ms, Kind.HELLO)
+        self.say(now_ms, Kind.BEGIN)
+
+    def say(self, now_ms, kind, about=0, payload=b""):
+        return self.feed(now_ms, self.host.encode(kind, about, payload))
 
     def feed(self, now_ms, data):
         return self.unasked_aside(self.board.feed(data, int(now_ms * MS)))
 
     def unasked_aside(self, data):
-        packets = list(Deframer().feed(data))
+        packets = [self.host.take(packet) for packet in Deframer().feed(data)]
+        assert None not in packets
         self.alive += [packet for packet in packets if packet.kind == Kind.ALIVE]
         return [packet for packet in packets if packet.kind != Kind.ALIVE]
 
@@ -57,11 +63,11 @@ class Rig:
     ):
         current = np.asarray(current, np.int16)
         column = np.ones(len(current), np.uint16)
-        data = encode_sequence(
-            number, output or self.output, period, column * width, column * discharge,
+        payload = encode_sequence(
+            output or self.output, period, column * width, column * discharge,
             column, current, times, measure,
         )  # fmt: skip
-        return self.feed(now_ms, data)
+        return self.say(now_ms, Kind.SEQUENCE, number, payload)
 
     def reason(self, *arguments, **options):
         for answer in self.send(*arguments, **options):
@@ -71,7 +77,7 @@ class Rig:
 
     def advance(self, now_ms):
         answers = self.unasked_aside(self.board.advance(int(now_ms * MS)))
-        return [(answer.kind, answer.number) for answer in answers]
+        return [(answer.kind, answer.about) for answer in answers]
 
 
 GOOD = [[300, -100, -100, -100], [-100, 300, -100, -100]]
@@ -80,7 +86,7 @@ GOOD = [[300, -100, -100, -100], [-100, 300, -100, -100]]
 def test_what_has_begun_is_acknowledged_once():
     rig = Rig()
     (answer,) = rig.send(0, GOOD, number=7)
-    assert (answer.kind, answer.number) == (Kind.ACK, 7)
+    assert (answer.kind, answer.about) == (Kind.ACK, 7)
     assert rig.advance(5) == rig.advance(11) == []
 
 
@@ -109,7 +115,7 @@ def test_one_executes_one_waits_a_third_is_busy():
     assert rig.reason(10.5, GOOD, number=4) is None
 
 
-def test_stop_is_at_once_and_lasts_until_hello():
+def test_stop_is_at_once_and_lasts_until_begin():
     rig = Rig()
     rig.send(0, GOOD)
     rig.send(0, GOOD)
@@ -118,15 +124,16 @@ def test_stop_is_at_once_and_lasts_until_hello():
     rig.board.advance(90 * MS)
     assert (rig.books.state, rig.books.reason, rig.books.slots) == ("shorted", "stop", 1)
     assert rig.reason(90, GOOD) is Refusal.STOPPED
-    rig.say(91, Kind.HELLO)
+    rig.begin(91)
     assert rig.reason(92, GOOD) is None
 
 
-def test_hello_ends_what_a_host_before_left():
+def test_begin_ends_what_a_host_before_left():
     rig = Rig()
     rig.send(0, GOOD)
     rig.send(0, GOOD, number=2)
-    rig.say(0.1, Kind.HELLO)
+    rig.board.hang_up(int(0.1 * MS))
+    rig.begin(0.1)
     rig.board.advance(90 * MS)
     assert (rig.books.state, rig.books.slots) == ("shorted", 1)
 
@@ -148,12 +155,12 @@ def test_silence_shorts_everything():
     assert rig.books.slots == delivered
 
 
-def test_after_a_silence_only_hello_helps():
+def test_after_a_silence_only_begin_helps():
     rig = Rig()
     rig.advance(101)
     assert rig.reason(102, GOOD) is Refusal.SILENCE
     assert rig.reason(103, GOOD) is Refusal.SILENCE
-    rig.say(104, Kind.HELLO)
+    rig.begin(104)
     assert rig.reason(105, GOOD) is None
 
 
@@ -197,14 +204,15 @@ def test_the_same_number_is_the_same_sequence():
     rig = Rig()
     rig.send(0, GOOD, number=7)
     (again,) = rig.send(1, GOOD, number=7)
-    assert (again.kind, again.number) == (Kind.ACK, 7)
+    assert (again.kind, again.about) == (Kind.ACK, 7)
     assert rig.send(2, GOOD, number=8) == []
     # Not begun yet: it waits, and is neither taken twice nor refused as a third.
     assert rig.send(3, GOOD, number=8) == []
     assert rig.advance(10.1) == [(Kind.ACK, 8)]
     rig.board.advance(40 * MS)
     assert rig.books.slots == 4
-    rig.say(50, Kind.HELLO)
+    rig.say(50, Kind.STOP)
+    rig.begin(50)
     (fresh,) = rig.send(51, GOOD, number=8)
     assert fresh.kind == Kind.ACK
     assert rig.books.slots == 5
@@ -213,19 +221,15 @@ def test_the_same_number_is_the_same_sequence():
 def test_what_is_garbled_is_told_of():
     rig = Rig()
     (answer,) = rig.feed(1, b"\x05abcd\0")
-    assert (answer.kind, answer.number, answer.payload[0]) == (Kind.NAK, 0, Refusal.GARBLED)
+    assert (answer.kind, answer.about, answer.payload[0]) == (Kind.NAK, 0, Refusal.GARBLED)
 
 
 def test_hello_of_any_version_is_answered_and_nothing_else():
-    rig = Rig(hello=False)
-    other = bytearray(cobs.decode(protocol.encode(Kind.HELLO)[:-1]))
-    other[0] = 9
-    body = bytes(other[:-4])
-    data = cobs.encode(body + struct.pack("<I", zlib.crc32(body))) + b"\0"
-    (answer,) = rig.feed(0, data)
+    board = LinkFirmware(4, "weighted", Books(4))
+    (answer,) = Deframer().feed(board.feed(frame_packet(9, Kind.HELLO, 0, b""), 0))
     assert (answer.kind, answer.version) == (Kind.CAPABILITIES, protocol.VERSION)
-    body = bytes([9, Kind.STATUS]) + body[2:]
-    assert rig.feed(1, cobs.encode(body + struct.pack("<I", zlib.crc32(body))) + b"\0") == []
+    assert board.feed(frame_packet(9, Kind.STATUS, 1, bytes(16)), MS) == b""
+    assert board.books.foreign_packets == 1
 
 
 @pytest.mark.parametrize("output", protocol.OUTPUTS)
@@ -300,10 +304,12 @@ def test_a_sequence_without_slots_is_executed(output):
     assert (rig.books.sequences, rig.books.slots, rig.books.violations) == (1, 0, 0)
 
 
-def test_nothing_before_hello():
-    rig = Rig(hello=False)
-    assert rig.reason(0, GOOD) is Refusal.STOPPED
-    assert rig.books.slots == 0
+def test_nothing_before_a_session():
+    rig = Rig(begun=False)
+    assert rig.send(0, GOOD) == []
+    rig.say(1, Kind.HELLO)
+    assert rig.send(2, GOOD) == []
+    assert (rig.books.slots, rig.books.foreign_packets) == (0, 2)
 
 
 @given(pieces=st.lists(st.binary(max_size=50)))

@@ -1,0 +1,136 @@
+"""The board's end of sessions: which packets it takes, and what it counts of the others."""
+
+from collections import deque
+from collections.abc import Callable
+
+from smarttouch.boards.link_protocol import (
+    ALIVE_MS,
+    HALF,
+    LATE_MS,
+    LONGEST_PACKET_MS,
+    VERSION,
+    Kind,
+    Message,
+    Refusal,
+    decode_head,
+    draw_half,
+    encode,
+)
+
+MOST_HOSTS = 8
+"""Whose HELLOs are kept apart."""
+_MS = 1_000_000
+
+
+class BoardSession:
+    """The session begun last, and the challenge for the next.
+
+    Parameters
+    ----------
+    draw : callable
+        Returns 32 random bits that are not all 0, each time others.
+
+    Attributes
+    ----------
+    number : int
+        Of the session; 0 before the first.
+    live : bool
+        Whether its host is there; what ends it sets this to False.
+    old, foreign : int
+        Packets refused, as old and as of another session.
+    """
+
+    def __init__(self, draw: Callable[[], int] = draw_half) -> None:
+        self.number = self.old = self.foreign = 0
+        self.live = False
+        self._draw = draw
+        self._challenge = draw()
+        self._taken = self._said = 0
+        self._alive: deque[tuple[int, int]] = deque(maxlen=2 + LATE_MS // ALIVE_MS)
+        """When each of the last packets ALIVE was sent, in ns, and its number."""
+        self._hellos: dict[int, tuple[int, int]] = {}
+        """Of each host since BEGIN, by its half: number of its last packet, and its HELLOs."""
+
+    def encode(self, kind: Kind, about: int = 0, payload: bytes = b"") -> bytes:
+        """Return the board's next packet of the session."""
+        self._said += 1
+        return encode(kind, self.number, self._said, self._taken, about, payload)
+
+    def encode_alive(self, payload: bytes, now_ns: int) -> bytes:
+        """Return the next ALIVE; by these the board knows what its host has heard and when."""
+        packet = self.encode(Kind.ALIVE, 0, payload)
+        self._alive.append((now_ns, self._said))
+        return packet
+
+    def offer(self, hello: Message, capabilities: bytes) -> bytes | None:
+        """Return the answer to HELLO; None if it is refused."""
+        half = hello.session & HALF
+        if self.live:
+            self.foreign += 1
+            return None
+        if hello.version == VERSION:
+            last, count = self._hellos.get(half, (0, 0))
+            if hello.number <= last:
+                self.old += 1
+                return None
+            if not last and len(self._hellos) == MOST_HOSTS:
+                self._count_strangers()
+            self._hellos[half] = hello.number, count + 1
+        session = self._challenge << 32 | half
+        return encode(Kind.CAPABILITIES, session, 0, 0, hello.number, capabilities)
+
+    def begin(self, begin: Message) -> bool:
+        """Return whether a BEGIN opens a session, and open it."""
+        if self.live or begin.session >> 32 != self._challenge or not begin.session & HALF:
+            return False
+        half = begin.session & HALF
+        self._hellos.pop(half, None)
+        self._count_strangers()
+        self._hellos[half] = begin.number, 0
+        self._challenge = self._draw()
+        self.number, self.live = begin.session, True
+        self._taken, self._said = begin.number, 0
+        self._alive.clear()
+        return True
+
+    def _count_strangers(self) -> None:
+        self.foreign += sum(count for _, count in self._hellos.values())
+        self._hellos.clear()
+
+    def take(self, message: Message, began_ns: int) -> Refusal | None:
+        """Take a packet of the session, or return why it is refused.
+
+        Parameters
+        ----------
+        message : Message
+        began_ns : int
+            When its first byte came, on the board's clock.
+        """
+        refusal = self._judge(message, began_ns)
+        if refusal is Refusal.OLD:
+            self.old += 1
+        elif refusal is not None:
+            self.foreign += 1
+        else:
+            self._taken = message.number
+        return refusal
+
+    def promises(self, head: bytes, began_ns: int, now_ns: int) -> bool:
+        """Return whether a packet that is still coming in is a sign of life: a SEQUENCE is long."""
+        message, early = decode_head(head), now_ns - began_ns <= LONGEST_PACKET_MS * _MS
+        fresh = self._judge(message, began_ns) is None
+        return message.kind == Kind.SEQUENCE and early and fresh
+
+    def _judge(self, message: Message, began_ns: int) -> Refusal | None:
+        if message.version != VERSION or not self.number or message.session != self.number:
+            return Refusal.FOREIGN
+        if message.number <= self._taken:
+            return Refusal.OLD
+        # A stop is never too late: whoever sends it hears nothing, perhaps, and must get through.
+        late = message.kind != Kind.STOP and message.heard <= self._faded(began_ns)
+        return Refusal.OLD if late else None
+
+    def _faded(self, now_ns: int) -> int:
+        """Return the number of the last ALIVE that was sent too long ago; -1 if there is none."""
+        gone = (number for sent_ns, number in self._alive if sent_ns < now_ns - LATE_MS * _MS)
+        return max(gone, default=-1)

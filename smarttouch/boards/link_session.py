@@ -1,0 +1,110 @@
+"""The host's end of a session: numbers what is sent, and takes only what is fresh and was asked."""
+
+from collections.abc import Callable
+
+from smarttouch.boards.link_protocol import (
+    HALF,
+    LAST_NUMBER,
+    VERSION,
+    Kind,
+    Message,
+    decode,
+    draw_half,
+    encode,
+)
+from smarttouch.errors import LineLostError
+from smarttouch.wire.framing import Packet
+
+ANSWERS = {
+    Kind.HELLO: Kind.CAPABILITIES,
+    Kind.BEGIN: Kind.BEGUN,
+    Kind.STOP: Kind.STOPPED,
+    Kind.STATUS: Kind.REPORT,
+}
+_ANSWERS = frozenset(ANSWERS.values())
+
+
+class HostSession:
+    """One session with a board, from before HELLO on.
+
+    Parameters
+    ----------
+    draw : callable
+        Returns 32 random bits that are not all 0.
+
+    Attributes
+    ----------
+    number : int
+        Of the session; its upper half is 0 until the board has answered HELLO.
+    begun : bool
+        Whether the board has answered BEGIN.
+    refused : int
+        Packets that were not taken.
+    """
+
+    def __init__(self, draw: Callable[[], int] = draw_half) -> None:
+        self.number = draw()
+        self.begun = False
+        self.refused = 0
+        self._sent = self._taken = self._offered = 0
+        self._asked: dict[int, Kind] = {}
+
+    @property
+    def sent(self) -> int:
+        """Number of the packet sent last."""
+        return self._sent
+
+    def encode(self, kind: Kind, about: int = 0, payload: bytes = b"") -> bytes:
+        """Return the host's next packet.
+
+        Raises
+        ------
+        LineLostError
+            If all numbers are used up.
+        """
+        if self._sent == LAST_NUMBER:
+            raise LineLostError(f"the session of {LAST_NUMBER} packets is over")
+        self._sent += 1
+        if kind in ANSWERS:
+            self._asked[self._sent] = ANSWERS[kind]
+        session = self.number & HALF if kind == Kind.HELLO else self.number
+        return encode(kind, session, self._sent, self._taken, about, payload)
+
+    def take(self, packet: Packet) -> Message | None:
+        """Return a packet as a message, or None if it is refused."""
+        message = decode(packet)
+        if message.kind == Kind.CAPABILITIES:
+            taken = self._take_capabilities(message)
+        else:
+            taken = self._take(message)
+        if not taken:
+            self.refuse()
+        return message if taken else None
+
+    def refuse(self) -> None:
+        """Count a packet that is not taken; those before CAPABILITIES are of the run before."""
+        self.refused += self.number > HALF
+
+    def _take_capabilities(self, message: Message) -> bool:
+        if message.version != VERSION:
+            # An old board knows no session: what is wrong with it must still be said.
+            return not self.begun
+        if message.session & HALF != self.number & HALF or not self._was_asked(message):
+            return False
+        if self.begun or message.about < self._offered:
+            return message.session == self.number
+        self.number, self._offered = message.session, message.about
+        return True
+
+    def _take(self, message: Message) -> bool:
+        fresh = message.session == self.number and message.number > self._taken
+        if not fresh or message.version != VERSION:
+            return False
+        self._taken = message.number
+        if message.kind in _ANSWERS and not self._was_asked(message):
+            return False
+        self.begun |= message.kind == Kind.BEGUN
+        return True
+
+    def _was_asked(self, message: Message) -> bool:
+        return self._asked.pop(message.about, None) == message.kind

@@ -1,0 +1,252 @@
+"""A host, a board, and someone between them, in one thread and on a clock that is told."""
+
+import random
+import struct
+import zlib
+from collections import Counter
+
+import numpy as np
+import pytest
+from cobs import cobs
+
+from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.link import LinkFirmware
+from smarttouch.boards.emulator.session import BoardSession
+from smarttouch.boards.link import LinkBoard
+from smarttouch.boards.link_line import LinkLine
+from smarttouch.boards.link_protocol import HALF
+from smarttouch.profile.device import Output
+from smarttouch.scan.safety import SafetyLimits
+
+MS = 1_000_000
+LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 200, 0.9, 0.5, 2.4)
+HELLO, BEGIN, CAPABILITIES = 0x01, 0x06, 0x81
+FAULTS = ("drop", "twice", "later", "behind", "again", "foreign", "flip", "cut")
+
+
+class KeptBooks(Books):
+    """Books that keep what flowed: number, currents and time of each pulse."""
+
+    def enter(self, number, slot, site, delivered, width_us, residual_uc, time_us, **more):
+        super().enter(number, slot, site, delivered, width_us, residual_uc, time_us, **more)
+        self.kept.append((number, tuple(np.rint(delivered.current_ua).astype(int)), time_us))
+
+
+def parse(piece):
+    """Return a frame's bytes, kind, number and session, by a parser of its own; None if broken."""
+    try:
+        body = cobs.decode(piece)
+    except cobs.DecodeError:
+        return None
+    if len(body) < 26 or zlib.crc32(body[:-4]) != int.from_bytes(body[-4:], "little"):
+        return None
+    _, kind, number, session = struct.unpack_from("<BBIQ", body)
+    return body, kind, number, session
+
+
+class Stream:
+    """Reads along where frames of one direction arrive, and knows what is old there.
+
+    Old is a frame that has arrived before, that is of a session before the one opened last or of
+    another board, or that comes behind a later one.
+    """
+
+    def __init__(self):
+        self.waiting, self.seen, self.sent, self.session, self.newest = b"", set(), [0], 0, 0
+
+    def open(self, session):
+        """Take a session for the one at hand, if the true sender opened it, and after this."""
+        if session in self.sent[self.sent.index(self.session) + 1 :]:
+            self.session, self.newest = session, 0
+
+    def knows(self, frame):
+        """Return whether a frame has arrived before."""
+        return cobs.decode(frame[:-1]) in self.seen
+
+    def judge(self, piece):
+        """Return kind and whether it is old of the frame that these bytes end; None if broken."""
+        if not piece.endswith(b"\0"):
+            self.waiting += piece
+            return None
+        whole, self.waiting = self.waiting + piece[:-1], b""
+        parsed = parse(whole)
+        if parsed is None:
+            return None
+        body, kind, number, session = parsed
+        again = body in self.seen
+        self.seen.add(body)
+        if kind == BEGIN:
+            self.open(session)
+        if kind in (HELLO, CAPABILITIES):
+            return kind, again
+        old = again or session != self.session or number < self.newest
+        if session == self.session:
+            self.newest = max(self.newest, number)
+        return kind, old
+
+
+class Middle:
+    """What happens to the frames of one direction."""
+
+    def __init__(self, chance):
+        self.random, self.share = chance, 0.0
+        self.record, self.foreign, self.due, self.counts = [], [], [], Counter()
+        self.hoard, self._held = None, b""
+
+    def pass_on(self, frame, now_ns):
+        """Take a frame; what becomes of it is due some time."""
+        self.record.append(frame)
+        if self.hoard is not None:
+            self.hoard.append(frame)
+            return
+        held, self._held = self._held, b""
+        out = [(now_ns, frame)]
+        if self.random.random() < self.share:
+            fault = self.random.choice(FAULTS)
+            self.counts[fault] += 1
+            at = self.random.randrange(len(frame))
+            flipped = frame[:at] + bytes([frame[at] ^ 1 << self.random.randrange(8)])
+            out = {
+                "drop": [],
+                "twice": out * 2,
+                "later": [(now_ns + self.random.randrange(400) * MS, frame)],
+                "behind": [],
+                "again": [*out, (now_ns, self.old(self.record))],
+                "foreign": [(now_ns, self.old(self.foreign)), *out],
+                "flip": [(now_ns, flipped + frame[at + 1 :])],
+                "cut": [(now_ns, frame[:at])],
+            }[fault]
+            self._held = frame if fault == "behind" else b""
+        self.due += [*out, (now_ns, held)]
+
+    def old(self, frames):
+        """Return a frame of before, or of another session, as a whole."""
+        return b"\0" + self.random.choice(frames) if frames else b""
+
+    def arrived(self, now_ns):
+        """Return what is due, in pieces that end with a frame, and what follows them."""
+        data = b"".join(piece for due_ns, piece in self.due if due_ns <= now_ns)
+        self.due = [each for each in self.due if each[0] > now_ns]
+        *whole, rest = data.split(b"\0")
+        return [piece + b"\0" for piece in whole] + [rest] * bool(rest)
+
+
+class World:
+    """One board, the hosts that come to it one after another, and who sits in between."""
+
+    def __init__(self, seed):
+        self.random = random.Random(seed)
+        self.books = KeptBooks(4)
+        self.books.kept = []
+        session = BoardSession(self.draw)
+        self.firmware = LinkFirmware(4, "weighted", self.books, session=session)
+        self.to_board, self.to_host = Middle(self.random), Middle(self.random)
+        self.heard, self.said = Stream(), Stream()
+        self.now_ns, self.host, self.written, self.half = 0, None, b"", 0
+        self.replayed, self.given_up = Counter(), 0
+
+    def draw(self):
+        return self.random.randrange(1, 2**32)
+
+    def make_board(self):
+        """Return the driver of a host that comes to this board."""
+        board = LinkBoard("the middle", LIMITS, Output(kind="weighted"))
+        board._line = ToldLine(self, board)
+        return board
+
+    def wait(self, time_ms):
+        for _ in range(time_ms):
+            self.step()
+
+    # -- what the host takes for its port -------------------------------------
+
+    def write(self, data):
+        *whole, self.written = (self.written + data).split(b"\0")
+        for frame in filter(None, whole):
+            _, kind, _, session = parse(frame)
+            self.half = session if kind == HELLO else self.half
+            if kind == BEGIN and session not in self.heard.sent:
+                self.heard.sent.append(session)
+            self.to_board.pass_on(frame + b"\0", self.now_ns)
+
+    def close(self):
+        if self.random.random() < 0.5:
+            self.firmware.hang_up(self.now_ns)
+
+    # -- what passes while time does ------------------------------------------
+
+    def step(self):
+        self.now_ns += MS
+        if self.host is not None:
+            self.host.beat()
+        self.answer(self.firmware.advance(self.now_ns))
+        for piece in self.to_board.arrived(self.now_ns):
+            self.reach_board(piece)
+        for piece in self.to_host.arrived(self.now_ns):
+            if self.host is not None:
+                self.reach_host(piece)
+
+    def answer(self, data):
+        for frame in filter(None, data.split(b"\0")):
+            *_, session = parse(frame)
+            if session & HALF == self.half and session not in self.said.sent:
+                self.said.sent.append(session)
+            self.to_host.pass_on(frame + b"\0", self.now_ns)
+
+    def refused(self):
+        return self.books.old_packets + self.books.foreign_packets
+
+    def reach_board(self, piece):
+        before = self.refused()
+        self.answer(self.firmware.feed(piece, self.now_ns))
+        judged = self.heard.judge(piece)
+        if judged is not None and judged[1]:
+            self.replayed["board"] += 1
+            if judged[0] != HELLO:
+                assert self.refused() == before + 1, "a replay was not told of"
+
+    def reach_host(self, piece):
+        before, listening = self.host.refused, self.host.session.number > HALF
+        self.host.take(piece)
+        if self.host.session.number > HALF:
+            assert self.host.session.number in self.said.sent
+            self.said.open(self.host.session.number)
+        judged = self.said.judge(piece)
+        if judged is not None and judged[1] and listening:
+            self.replayed["host"] += 1
+            assert self.host.refused == before + 1, "a replay was not counted"
+
+
+class ToldLine(LinkLine):
+    """The host's line: while it waits, the world goes on."""
+
+    def __init__(self, world, board):
+        super().__init__("the middle", board._hear, board._aftermath, world.draw)
+        self._world = world
+
+    def _listen(self):
+        self._world.host, self._world.said.waiting = self, b""
+
+    def now_s(self):
+        return self._world.now_ns / 1e9
+
+    def wait(self, condition, timeout_s):
+        end_ns = self._world.now_ns + timeout_s * 1e9
+        while not condition():
+            if self._world.now_ns >= end_ns:
+                return False
+            self._world.step()
+        return True
+
+
+@pytest.fixture
+def make_world(monkeypatch):
+    """Return a maker of boards with someone in the middle; the last one made is what is opened."""
+
+    def make(seed):
+        world = World(seed)
+        monkeypatch.setattr("smarttouch.boards.link.open_port", lambda name: world)
+        monkeypatch.setattr("smarttouch.boards.link.reopen_port", lambda *_: world)
+        return world
+
+    return make

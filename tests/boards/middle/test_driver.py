@@ -1,0 +1,151 @@
+"""What the driver of a ``link`` board makes of answers that are lost, repeated or nobody's."""
+
+import numpy as np
+import pytest
+from cobs import cobs
+
+from smarttouch.boards import link_protocol as protocol
+from smarttouch.boards.link_protocol import Kind
+from smarttouch.boards.link_sequence import encode_volts
+from smarttouch.errors import BoardError
+from smarttouch.scan.sequence import ScanSequence
+from smarttouch.wire.framing import frame_packet
+
+
+def sequence():
+    current, column = np.array([[300, -100, -100, -100]], np.int16), np.full(1, 100, np.uint16)
+    return ScanSequence(current, column, column, column * 0, 10_000, 1.0, 0)
+
+
+@pytest.fixture
+def world(make_world):
+    return make_world(1)
+
+
+@pytest.fixture
+def board(world):
+    board = world.make_board()
+    board._open()
+    return board
+
+
+def lose(world, direction, kind):
+    """Let the next packet of a kind be lost."""
+    middle = getattr(world, direction)
+    pass_on = middle.pass_on
+
+    def swallow(frame, now_ns):
+        if cobs.decode(frame[:-1])[1] == kind:
+            middle.pass_on = pass_on
+        else:
+            pass_on(frame, now_ns)
+
+    middle.pass_on = swallow
+
+
+def test_on_a_quiet_line_nothing_is_refused(world, board):
+    for _ in range(10):
+        board._send(sequence(), 1)
+        world.wait(35)
+    board.drain()
+    report = board.report()
+    board.stop()
+    assert (board.acknowledged, board.refused, board.refused_packets) == (10, 0, 0)
+    assert (report.sequences, report.slots, report.refused_packets) == (10, 10, 0)
+    board._open()
+    board._send(sequence(), 1)
+    board.drain()
+    assert (board.refused_packets, board.report().refused_packets, world.refused()) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("lost", [("to_host", Kind.ACK), ("to_board", Kind.SEQUENCE)])
+def test_a_lost_packet_is_made_up_for_without_delivering_twice(world, board, lost):
+    lose(world, *lost)
+    for _ in range(3):
+        board._send(sequence(), 1)
+    board.drain()
+    assert (board.acknowledged, world.books.slots) == (3, 3)
+    assert (board.refused_packets, board.report().refused_packets) == (0, 0)
+
+
+def say(world, kind, about, payload=b""):
+    """Let the board say what it has no reason to say."""
+    world.answer(world.firmware._session.encode(kind, about, payload))
+    world.wait(2)
+
+
+@pytest.mark.parametrize(
+    ("kind", "payload"),
+    [
+        (Kind.ACK, b""),
+        (Kind.NAK, b"\x03too much"),
+        (Kind.NAK, b""),
+        (Kind.VOLTAGES, encode_volts(np.ones(1))),
+        (Kind.REPORT, bytes(protocol.REPORT.size)),
+        (Kind.STOPPED, b""),
+        (Kind.HEARTBEAT, b""),
+        (0x99, b""),
+    ],
+)
+def test_what_answers_nothing_is_counted_and_has_no_effect(world, board, kind, payload):
+    board._send(sequence(), 1)
+    board.drain()
+    say(world, kind, 77, payload)
+    assert (board.refused_packets, board.acknowledged, board.refused) == (1, 1, 0)
+    assert board.take_volts()[1:] == []
+    board._send(sequence(), 1)
+    board.drain()
+    assert world.books.slots == 2
+
+
+def test_a_second_acknowledgment_of_one_sequence_is_counted(world, board):
+    board._send(sequence(), 1)
+    board.drain()
+    say(world, Kind.ACK, 1)
+    assert (board.refused_packets, board.acknowledged) == (1, 1)
+
+
+def test_a_second_acknowledgment_of_what_was_sent_twice_is_none_too_many(world, board):
+    lose(world, "to_host", Kind.ACK)
+    board._send(sequence(), 1)
+    board._send(sequence(), 1)
+    board.drain()
+    say(world, Kind.ACK, 1)
+    assert (board.refused_packets, board.acknowledged) == (0, 2)
+    say(world, Kind.ACK, 2)
+    assert (board.refused_packets, board.acknowledged) == (1, 2)
+
+
+def test_what_the_board_refused_before_is_not_of_this_run(world, board):
+    for _ in range(3):
+        world.to_board.due.append((world.now_ns, b"\0" + world.to_board.record[0]))
+        world.wait(2)
+    assert board.report().refused_packets == 3
+    board.stop()
+    board._open()
+    assert board.report().refused_packets == 0
+    assert world.refused() == 3
+
+
+def test_a_board_of_another_version_is_told_in_a_sentence(world, monkeypatch):
+    def old_board(data, now_ns):
+        return frame_packet(2, Kind.CAPABILITIES, 0, bytes(14)) if b"\x01" in data else b""
+
+    monkeypatch.setattr(world.firmware, "feed", old_board)
+    monkeypatch.setattr(world.firmware, "advance", lambda now_ns: b"")
+    monkeypatch.setattr(world, "answer", lambda data: world.to_host.due.append((0, data)))
+    with pytest.raises(BoardError, match="link version 2") as error:
+        world.make_board()._open()
+    assert "\n" not in str(error.value)
+
+
+def test_a_board_that_is_lost_ends_its_session_before_the_next(world, board):
+    lose(world, "to_host", Kind.ACK)
+    board._send(sequence(), 1000)
+    before = board._line.session.number
+    board._recover(board._line.lost("is gone"))
+    assert board._line.session.number != before
+    assert world.refused() == 0
+    board._send(sequence(), 1)
+    board.drain()
+    assert board.report().refused_packets == 0

@@ -1,0 +1,150 @@
+"""The host's end of a session: what it numbers, what it takes, and what it counts."""
+
+import pytest
+
+from smarttouch.boards import link_protocol as protocol
+from smarttouch.boards import link_session
+from smarttouch.boards.link_protocol import HALF, VERSION, Kind, decode, draw_half, encode
+from smarttouch.boards.link_session import HostSession
+from smarttouch.errors import LineLostError
+from smarttouch.wire.framing import Deframer
+
+LOWER, UPPER = 0x1234, 0xABCD
+SESSION = UPPER << 32 | LOWER
+
+
+def message(data):
+    (packet,) = Deframer().feed(data)
+    return decode(packet)
+
+
+class Talk:
+    """A session and what a board says to it."""
+
+    def __init__(self):
+        self.session = HostSession(lambda: LOWER)
+        self.said = 0
+
+    def ask(self, kind):
+        return message(self.session.encode(kind)).number
+
+    def hear(self, kind, about=0, session=SESSION, number=None, version=VERSION):
+        self.said = self.said + 1 if number is None else number
+        (packet,) = Deframer().feed(encode(kind, session, self.said, 0, about))
+        if version != VERSION:
+            packet = type(packet)(packet.kind, packet.number, packet.payload, version)
+        return self.session.take(packet)
+
+    def begin(self):
+        self.hear(Kind.CAPABILITIES, self.ask(Kind.HELLO), number=0)
+        assert self.hear(Kind.BEGUN, self.ask(Kind.BEGIN), number=1) is not None
+        return self
+
+
+def test_hello_bears_the_hosts_half_and_begin_both():
+    talk = Talk()
+    hello = message(talk.session.encode(Kind.HELLO))
+    assert (hello.session, hello.number, hello.heard) == (LOWER, 1, 0)
+    assert talk.hear(Kind.CAPABILITIES, 1, number=0) is not None
+    begin = message(talk.session.encode(Kind.BEGIN))
+    assert (begin.session, begin.number) == (SESSION, 2)
+    assert not talk.session.begun
+    assert talk.hear(Kind.BEGUN, 2, number=1) is not None
+    assert talk.session.begun
+    assert talk.session.refused == 0
+
+
+def test_numbers_rise_and_tell_what_was_heard():
+    talk = Talk().begin()
+    talk.hear(Kind.ALIVE)
+    sent = [message(talk.session.encode(Kind.HEARTBEAT)) for _ in range(3)]
+    assert [each.number for each in sent] == [3, 4, 5]
+    assert {each.heard for each in sent} == {2}
+    assert {each.session for each in sent} == {SESSION}
+    again = message(talk.session.encode(Kind.SEQUENCE, 7, b"same"))
+    assert (again.number, again.about, again.payload) == (6, 7, b"same")
+
+
+def test_what_is_old_is_refused_and_counted():
+    talk = Talk().begin()
+    assert talk.hear(Kind.ALIVE, number=5) is not None
+    for count, number in enumerate((5, 4, 1, 0), start=1):
+        assert talk.hear(Kind.ALIVE, number=number) is None
+        assert talk.session.refused == count
+    assert talk.hear(Kind.ALIVE, number=6) is not None
+
+
+@pytest.mark.parametrize("session", [0, 1, LOWER, UPPER << 32, SESSION + 1, SESSION ^ 1 << 63])
+def test_what_is_of_another_session_is_refused_and_counted(session):
+    talk = Talk().begin()
+    for kind in (Kind.ACK, Kind.ALIVE, Kind.VOLTAGES, Kind.STOPPED, Kind.BEGUN, Kind.CAPABILITIES):
+        assert talk.hear(kind, 1, session) is None
+    assert talk.session.refused == 6
+
+
+def test_another_version_is_refused_once_a_session_has_begun():
+    talk = Talk()
+    early = talk.hear(Kind.CAPABILITIES, version=2)
+    assert (early.kind, early.version) == (Kind.CAPABILITIES, 2)
+    talk.begin()
+    assert talk.hear(Kind.CAPABILITIES, version=2) is None
+    assert talk.hear(Kind.ACK, version=2) is None
+    assert talk.session.refused == 2
+
+
+def test_capabilities_for_another_host_are_not_taken():
+    talk = Talk()
+    hello = talk.ask(Kind.HELLO)
+    assert talk.hear(Kind.CAPABILITIES, hello, UPPER << 32 | 99, number=0) is None
+    # Nothing is known of a board yet: what comes now may be of the run before.
+    assert talk.session.refused == 0
+    assert talk.hear(Kind.CAPABILITIES, hello, number=0) is not None
+
+
+def test_an_answer_is_taken_once_and_only_if_asked():
+    talk = Talk().begin()
+    first, second = talk.ask(Kind.STATUS), talk.ask(Kind.STATUS)
+    assert talk.hear(Kind.REPORT, second) is not None
+    assert talk.hear(Kind.REPORT, second) is None
+    # Late, but asked, and not answered before.
+    assert talk.hear(Kind.REPORT, first) is not None
+    assert talk.hear(Kind.REPORT, 99) is None
+    assert talk.hear(Kind.STOPPED, talk.ask(Kind.STATUS)) is None
+    assert talk.session.refused == 3
+
+
+def test_a_late_answer_to_an_earlier_hello_changes_nothing():
+    talk = Talk()
+    first, second = talk.ask(Kind.HELLO), talk.ask(Kind.HELLO)
+    assert talk.hear(Kind.CAPABILITIES, second, number=0) is not None
+    other = 7 << 32 | LOWER
+    assert talk.hear(Kind.CAPABILITIES, first, other, number=0) is None
+    assert talk.session.number == SESSION
+
+
+def test_both_answers_to_two_hellos_may_come():
+    talk = Talk()
+    first, second = talk.ask(Kind.HELLO), talk.ask(Kind.HELLO)
+    assert talk.hear(Kind.CAPABILITIES, first, number=0) is not None
+    assert talk.hear(Kind.BEGUN, talk.ask(Kind.BEGIN), number=1) is not None
+    assert talk.hear(Kind.CAPABILITIES, second, number=0) is not None
+    assert talk.session.refused == 0
+
+
+def test_when_numbers_run_out_another_session_is_needed(monkeypatch):
+    monkeypatch.setattr(link_session, "LAST_NUMBER", 4)
+    talk = Talk().begin()
+    talk.session.encode(Kind.HEARTBEAT)
+    talk.session.encode(Kind.HEARTBEAT)
+    with pytest.raises(LineLostError, match="4 packets"):
+        talk.session.encode(Kind.HEARTBEAT)
+
+
+def test_halves_are_random_and_never_zero(monkeypatch):
+    drawn = {draw_half() for _ in range(1000)}
+    assert len(drawn) > 990
+    assert all(0 < each <= HALF for each in drawn)
+    monkeypatch.setattr(protocol.secrets, "randbelow", lambda limit: limit - 1)
+    assert draw_half() == HALF
+    monkeypatch.setattr(protocol.secrets, "randbelow", lambda limit: 0)
+    assert draw_half() == 1
