@@ -140,10 +140,9 @@ def test_repetition_and_measuring_survive_the_wire(current, times, measure):
 @given(current=currents, seed=st.integers(0, 9), width_us=st.integers(0, 65535))
 def test_a_recharge_phase_survives_the_wire(current, seed, width_us):
     recharge = np.random.default_rng(seed).integers(-500, 501, current.shape[1]).astype(np.int16)
-    data = encode_sequence(
-        7, "weighted", 9000, *columns(current), current, 2, True, recharge, width_us
+    payload = encode_sequence(
+        "weighted", 9000, *columns(current), current, 2, True, recharge, width_us
     )
-    payload = only(Deframer().feed(data)).payload
     wire = decode_sequence(payload)
     assert (wire.measure, wire.times, wire.recharge_us) == (True, 2, width_us)
     np.testing.assert_array_equal(wire.recharge_ua, recharge)
@@ -156,8 +155,7 @@ def test_a_recharge_phase_survives_the_wire(current, seed, width_us):
 def test_without_a_recharge_phase_the_bytes_are_those_of_before():
     width, discharge, site = (np.array([each], np.uint16) for each in (100, 50, 1))
     current = np.array([[300, -300]], np.int16)
-    data = encode_sequence(7, "weighted", 9000, width, discharge, site, current, 3, True)
-    payload = only(Deframer().feed(data)).payload
+    payload = encode_sequence("weighted", 9000, width, discharge, site, current, 3, True)
     assert payload == struct.pack("<IHHBBHHHHhh", 9000, 1, 2, 0, 1, 3, 100, 50, 1, 300, -300)
     assert decode_sequence(payload).recharge_ua is None
 
@@ -165,9 +163,8 @@ def test_without_a_recharge_phase_the_bytes_are_those_of_before():
 def test_one_source_makes_no_recharge_phase():
     current = np.array([[300, -300]], np.int16)
     with pytest.raises(BoardError):
-        encode_sequence(7, "three-state", 9000, *columns(current), current, 1, False, current[0], 9)
-    switched = encode_sequence(7, "three-state", 9000, *columns(current), current)
-    payload = bytearray(only(Deframer().feed(switched)).payload)
+        encode_sequence("three-state", 9000, *columns(current), current, 1, False, current[0], 9)
+    payload = bytearray(encode_sequence("three-state", 9000, *columns(current), current))
     payload[9] |= 2
     with pytest.raises(ValueError):
         decode_sequence(bytes(payload) + bytes(6))

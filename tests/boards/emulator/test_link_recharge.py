@@ -9,6 +9,7 @@ from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.skin import Delivered
 from smarttouch.boards.link_protocol import Feature, Kind, Refusal
 from smarttouch.boards.link_sequence import decode_volts, encode_sequence
+from smarttouch.boards.link_session import HostSession
 from smarttouch.wire.framing import Deframer
 
 MS = 1_000_000
@@ -19,32 +20,36 @@ BACK = [-20, -20, 20, 20]
 
 
 class Rig:
-    """A board that was said HELLO to, at time zero."""
+    """A board, and a session begun at time zero."""
 
     def __init__(self, folder=None, output="weighted"):
         self.books = Books(4, folder)
         self.output = output
         self.board = LinkFirmware(4, output, self.books)
+        self.host = HostSession()
         self.can = self.say(0, Kind.HELLO)[0]
+        self.say(0, Kind.BEGIN)
 
-    def say(self, now_ms, kind):
-        return self.packets(self.board.feed(protocol.encode(kind), int(now_ms * MS)))
+    def say(self, now_ms, kind, about=0, payload=b""):
+        data = self.host.encode(kind, about, payload)
+        return self.packets(self.board.feed(data, int(now_ms * MS)))
 
     def send(self, now_ms, recharge=BACK, recharge_us=1000, *, slots=SLOTS, period=10_000, **more):
         current = np.asarray(slots, np.int16).reshape(-1, 4)
         column = np.ones(len(current), np.uint16)
-        data = encode_sequence(
-            1, self.output, period, column * 100, column * 50, column, current,
+        payload = encode_sequence(
+            self.output, period, column * 100, column * 50, column, current,
             more.get("times", 1), more.get("measure", False), np.asarray(recharge, np.int16),
             recharge_us,
         )  # fmt: skip
-        return self.packets(self.board.feed(data, int(now_ms * MS)))
+        return self.say(now_ms, Kind.SEQUENCE, 1, payload)
 
     def advance(self, now_ms):
         return self.packets(self.board.advance(int(now_ms * MS)))
 
     def packets(self, data):
-        return [each for each in Deframer().feed(data) if each.kind != Kind.ALIVE]
+        taken = [self.host.take(each) for each in Deframer().feed(data)]
+        return [each for each in taken if each.kind != Kind.ALIVE]
 
 
 @pytest.mark.parametrize("output", ["weighted", "three-state", "one-against-all"])

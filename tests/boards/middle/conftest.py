@@ -19,7 +19,7 @@ from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 
 MS = 1_000_000
-LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 200, 0.9, 0.5, 2.4)
+LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 200, 0.8, 0.5, 2.4)
 HELLO, BEGIN, CAPABILITIES = 0x01, 0x06, 0x81
 FAULTS = ("drop", "twice", "later", "behind", "again", "foreign", "flip", "cut")
 
