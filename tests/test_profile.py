@@ -141,7 +141,7 @@ def test_unknown_name():
 def test_not_text(tmp_path):
     path = tmp_path / "x.toml"
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ProfileError, match="not a readable TOML"):
+    with pytest.raises(ProfileError, match="not a text in UTF-8"):
         load_profile(path)
 
 

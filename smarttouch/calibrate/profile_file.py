@@ -11,6 +11,7 @@ import tomlkit
 from tomlkit.items import Array
 
 from smarttouch.errors import CalibrationError, ProfileError
+from smarttouch.files import MOST_TOML_BYTES, read_text
 from smarttouch.profile import Profile, load_profile, profile_names
 from smarttouch.resources import data_folder
 
@@ -52,7 +53,11 @@ class ProfileFile:
         self.profile = load_profile(start)
         shipped = start in profile_names()
         self._source = data_folder("calibration") / f"{start}.toml" if shipped else Path(start)
-        self._document = tomlkit.parse(self._source.read_text(encoding="utf-8"))
+        text = read_text(self._source, ProfileError, MOST_TOML_BYTES)
+        try:
+            self._document = tomlkit.parse(text)
+        except (tomlkit.exceptions.TOMLKitError, ValueError, RecursionError) as error:
+            raise ProfileError(f"{self._source} cannot be changed: {error}") from None
         self.output = output
         self._overwrite = overwrite
         if output.suffix != ".toml":

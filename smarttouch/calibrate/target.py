@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from smarttouch.errors import CalibrationError
+from smarttouch.files import write_bytes
 from smarttouch.profile import Profile
 
 LARGE_DOTS = ((0, -1), (0, 0), (0, 1), (1, 1))
@@ -95,10 +97,9 @@ class DotTarget:
         while pen.textlength(text, font_size=size) > side - 2 * dot_per_mm:
             size *= 0.9
         pen.text((dot_per_mm, dot_per_mm), text, fill=0, font_size=size)
-        try:
-            image.save(path, dpi=(PRINT_DPI, PRINT_DPI))
-        except (OSError, ValueError) as error:
-            raise CalibrationError(f"cannot write the target {path}: {error}") from None
+        content = BytesIO()
+        image.save(content, format="PNG", dpi=(PRINT_DPI, PRINT_DPI))
+        write_bytes(path, content.getvalue(), CalibrationError)
 
     def _ruler(self) -> str:
         return f"{2 * self.reach * self.pitch_mm:g} mm from first to last dot"

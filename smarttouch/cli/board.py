@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from smarttouch import terminal
+
 if TYPE_CHECKING:
     from smarttouch.boards.board import Board
     from smarttouch.boards.impedance import Impedance
@@ -195,14 +197,13 @@ def _driver(url: str, profile: str | None) -> tuple["Profile", "Board"]:
 
 
 def _print_impedance(found: "Impedance") -> None:
-    from rich.console import Console
     from rich.table import Table
 
     table = Table("electrode", "kohm", "", box=None)
     for index, (kohm, condition) in enumerate(zip(found.kohm, found.condition, strict=True)):
         value = "-" if condition == "open" else f"{kohm:.1f}"
         table.add_row(str(index), value, "" if condition == "good" else condition)
-    Console().print(table)
+    terminal.console().print(table)
     if found.lifted:
         typer.echo("No electrode touches anything: put the finger on, and measure again.")
     elif found.broken:

@@ -1,11 +1,13 @@
 """``smarttouch color``: a vibration as tactile primary colors."""
 
 import math
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from smarttouch import terminal
 from smarttouch.cli.options import (
     ForceOption,
     FramesOption,
@@ -175,20 +177,25 @@ def _places(
         return profile.driven
     named: list[int] = []
     for part in sites.split(","):
-        first, dash, last = part.strip().partition("-")
-        if not first.isdecimal() or (dash and not last.isdecimal()):
+        found = re.fullmatch("([0-9]{1,6})(?:-([0-9]{1,6}))?", part.strip())
+        if found is None:
             raise SmartTouchError(f"--sites {sites!r} is no list: write 27,28,35-36, or all")
-        named += range(int(first), int(last or first) + 1)
+        low, high = int(found[1]), int(found[2] or found[1])
+        if high >= len(profile.electrodes):
+            raise SmartTouchError(
+                f"--sites {sites!r}: {profile.name} has sites 0 to {len(profile.electrodes) - 1}"
+            )
+        named += range(low, high + 1)
     return named
 
 
 def _add(path: Path, figures: dict[str, object]) -> None:
     """Put what is known of the colors beside the figures of the run."""
-    import json
-
     from smarttouch.cli.files import write_json
+    from smarttouch.errors import SmartTouchError
+    from smarttouch.files import parse_json, read_bytes
 
-    write_json(path, json.loads(path.read_text(encoding="utf-8")) | {"color": figures})
+    write_json(path, parse_json(read_bytes(path, SmartTouchError)) | {"color": figures})
 
 
 def _draw(path: Path, trace: "Trace", answers: "Answers", mixture: "Mixture | None" = None) -> None:
@@ -262,7 +269,6 @@ def _print_mixture(
 def _print_table(
     title: str, heading: tuple[str, ...], rows: list[tuple[str, ...]], note: str
 ) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(*heading, title=title, title_justify="left", box=None, pad_edge=False)
@@ -270,6 +276,6 @@ def _print_table(
         column.justify = "right"
     for row in rows:
         table.add_row(*row)
-    console = Console()
+    console = terminal.console()
     console.print(table)
     console.print(note, style="dim")

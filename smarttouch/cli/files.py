@@ -1,11 +1,13 @@
 """What the commands share: modes by name, and files to write."""
 
 import json
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from smarttouch.errors import SmartTouchError
+from smarttouch.files import write_bytes
 from smarttouch.primary import Mode, Primary
 
 if TYPE_CHECKING:
@@ -43,10 +45,10 @@ def parse_size(size: str | None) -> tuple[int, int] | None:
     """Return width and height that ``--size`` names, as in 640x480."""
     if size is None:
         return None
-    width, _, height = size.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+    found = re.fullmatch("([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", size.lower())
+    if found is None:
         raise SmartTouchError(f"--size {size!r} is not a size: give width and height as 640x480")
-    return int(width), int(height)
+    return int(found[1]), int(found[2])
 
 
 def require_site(profile: "Profile", site: int) -> None:
@@ -66,7 +68,4 @@ def require_folder(path: Path | None) -> None:
 
 def write_json(path: Path, figures: Any) -> None:
     """Write figures as JSON."""
-    try:
-        path.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise SmartTouchError(f"cannot write {path}: {error.strerror}") from None
+    write_bytes(path, (json.dumps(figures, indent=2) + "\n").encode())

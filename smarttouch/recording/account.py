@@ -1,10 +1,10 @@
 """What a recording amounts to: when, how long, how much, and what was delivered."""
 
-import json
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from smarttouch.recording.chunks import parse_message
 from smarttouch.recording.reader import Recording
 from smarttouch.recording.schemas import LAST
 
@@ -37,14 +37,14 @@ class Account:
     refused: int = 0
 
     def _sequence(self, data: bytes) -> None:
-        told = json.loads(data)
+        told = parse_message(data)
         self.slots += int(told["slots"])
         self.lost += told["number"] is None
         self.modes[str(told["mode"])] += 1
         self.strongest_ma = max(self.strongest_ma, float(told["strongest_ma"]))
 
     def _board(self, data: bytes) -> None:
-        told = json.loads(data)
+        told = parse_message(data)
         self.acknowledged = int(told["acknowledged"])
         self.refused = int(told["refused"])
 

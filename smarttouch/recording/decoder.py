@@ -1,8 +1,8 @@
 """Steps of a run from their messages; what makes no sense is left out."""
 
 import base64
-import json
 import math
+import struct
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 
@@ -14,15 +14,23 @@ from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.live import Sent
 from smarttouch.pipeline import Measured, Step
 from smarttouch.primary import Mode, Primary
+from smarttouch.recording.chunks import parse_message
 from smarttouch.recording.encoder import Message, remember
 from smarttouch.recording.schemas import LAST
 from smarttouch.scan.sequence import Proof, ScanSequence
 from smarttouch.sensing.frame import Frame, Pose, PulseRequest
 
 _IMPOSSIBLE = (
-    ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError, cv2.error,
+    ValueError, TypeError, LookupError, AttributeError, OverflowError, struct.error,
+    cv2.error,
 )  # fmt: skip
 """What a message may do that is JSON and yet makes no sense."""
+
+
+_PNG = struct.Struct(">16sII")
+_SIGNATURE = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
+"""How a PNG begins; width and height follow."""
+MOST_PIXELS = 100_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +63,13 @@ class StepDecoder:
 
     Attributes
     ----------
+    electrodes : int
+        Of the device of the run.
     broken : int
         Steps that were incomplete or made no sense.
     """
 
+    electrodes: int
     broken: int = 0
     _index: int = -1
     _parts: dict[str, list[Message]] = field(default_factory=dict)
@@ -72,7 +83,7 @@ class StepDecoder:
             self.broken += bool(self._parts)
             self._parts, self._index = {}, index
         try:
-            message = json.loads(data)
+            message = parse_message(data)
             self._parts.setdefault(topic, []).append(message)
             return self._step() if topic == LAST else None
         except _IMPOSSIBLE:
@@ -89,7 +100,7 @@ class StepDecoder:
             self._image, self._image_number = _decoded(parts["/frame"]), finger["number"]
         if self._image is None or self._image_number != finger["number"]:
             raise ValueError("the image of this step is missing")
-        sequence = _sequence_of(parts["/sequence"])
+        sequence = _sequence_of(parts["/sequence"], self.electrodes)
         remember(self._sequences, sequence.time_ns, sequence)
         frame = Frame(
             self._image,
@@ -101,7 +112,7 @@ class StepDecoder:
             bool(finger["stale"]),
         )
         told = parts["/sequence"]
-        tactile = _tactile_of(parts["/tactile"], sequence.electrodes, frame)
+        tactile = _tactile_of(parts["/tactile"], self.electrodes, frame)
         if "/request" in parts:
             asked = parts["/request"]
             request = PulseRequest(tactile.activation, int(asked["period_us"]), asked["level"])
@@ -128,14 +139,16 @@ class StepDecoder:
         return sequence, volts
 
 
-def _sequence_of(message: Message) -> ScanSequence:
+def _sequence_of(message: Message, electrodes: int) -> ScanSequence:
     """Return the sequence in a message of `/sequence`; ValueError and its like if there is none."""
-    slots, electrodes = int(message["slots"]), int(message["electrodes"])
+    slots = int(message["slots"])
     current_ua = np.frombuffer(base64.b64decode(message["current_ua"]), "<i2")
     vibration = message.get("vibration")
     keys = ("width_us", "discharge_us", "site")
     columns = {key: np.array(message[key], np.uint16) for key in keys}
-    if slots < 0 or electrodes < 1 or any(each.shape != (slots,) for each in columns.values()):
+    if message["electrodes"] != electrodes:
+        raise ValueError(f"a sequence of {message['electrodes']} electrodes, not {electrodes}")
+    if slots < 0 or any(each.shape != (slots,) for each in columns.values()):
         raise ValueError(f"not a sequence of {slots} slots")
     return ScanSequence(
         current_ua=current_ua.astype(np.int16).reshape(slots, electrodes),
@@ -176,8 +189,11 @@ def _tactile_of(message: Message, electrodes: int, frame: Frame) -> TactileImage
 
 
 def _decoded(message: Message) -> NDArray[np.uint8]:
-    png = np.frombuffer(base64.b64decode(message["data"]), np.uint8)
-    image = cv2.imdecode(png, cv2.IMREAD_UNCHANGED)
+    data = base64.b64decode(message["data"])
+    head, width, height = _PNG.unpack_from(data)
+    if head != _SIGNATURE or width * height > MOST_PIXELS:
+        raise ValueError(f"not a PNG, or of {width} x {height} pixels")
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None or image.ndim != 2 or image.dtype != np.uint8:
         raise ValueError("not an image of grey levels")
     return np.asarray(image, np.uint8)

@@ -1,6 +1,7 @@
 """How a finger moves over a page: line by line, or as it was recorded."""
 
 import csv
+import io
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import SensorError
+from smarttouch.files import read_text
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.text_lines import TextLine, find_lines
 from smarttouch.profile import Profile
@@ -119,11 +121,9 @@ class RecordedPath:
 
     def __init__(self, path: Path) -> None:
         try:
-            with path.open(newline="", encoding="utf-8-sig") as file:
-                rows = list(csv.reader(file))
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
-            reason = getattr(error, "strerror", None) or "it is not a text table"
-            raise SensorError(f"cannot read the path {path}: {reason}") from None
+            rows = list(csv.reader(io.StringIO(read_text(path, SensorError), newline="")))
+        except csv.Error:
+            raise SensorError(f"cannot read the path {path}: it is not a text table") from None
         if not rows or tuple(cell.strip() for cell in rows[0]) != _COLUMNS:
             raise SensorError(f"{path} must begin with the line {','.join(_COLUMNS)}")
         table = [_numbers(path, number, row) for number, row in enumerate(rows[1:], 2) if row]

@@ -63,7 +63,7 @@ def folder(tmp_path):
         ("live --rate nan", "a rate of nan Hz"),
         ("live --seconds -1", "--seconds -1"),
         ("live --speed 0", "--speed 0"),
-        ("live --path missing.csv", "cannot read the path missing.csv"),
+        ("live --path missing.csv", "no file missing.csv"),
         ("live --record taken.mcap", "taken.mcap exists"),
         ("live --felt nowhere/felt.png", "cannot write nowhere/felt.png"),
         ("live --json .", "cannot write ."),

@@ -145,7 +145,7 @@ def test_a_broken_cache_is_designed_anew(cache, mine, junk):
 
 def test_a_bank_of_another_problem_is_not_taken(tmp_path, mine):
     write_bank(tmp_path / "x.npz", load_profile("line-7"), load_bank(load_profile("line-7")))
-    assert banks._read(tmp_path / "x.npz", problem_hash(mine)) is None
+    assert banks._read(tmp_path / "x.npz", mine) is None
 
 
 def test_an_unwritable_cache_is_no_error(tmp_path, mine, monkeypatch):
