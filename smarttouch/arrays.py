@@ -47,7 +47,8 @@ def read_array(file: BinaryIO, size: int) -> NDArray[Any]:
     data = file.read(wanted)
     if len(data) != wanted:
         raise ValueError("it is cut")
-    return np.ndarray(shape, kind, bytearray(data), order="F" if by_column else "C")
+    sides = [int(side) for side in shape]
+    return np.ndarray(sides, kind, bytearray(data), order="F" if by_column else "C")
 
 
 def read_arrays(file: BinaryIO) -> dict[str, NDArray[Any]]:

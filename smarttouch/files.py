@@ -22,7 +22,7 @@ MOST_DOCUMENT_BYTES = 2_000_000_000
 """Of an image, a PDF or a video, of which no more is read than is needed."""
 
 # Parsers take the square of a key's parts: 60 kB of "a.a.a" keep tomllib for 14 s.
-_DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){9}""")
+_DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}""")
 _KINDS = (
     (stat.S_ISFIFO, "a pipe"),
     (stat.S_ISSOCK, "a socket"),
@@ -45,6 +45,12 @@ def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> N
         raise error(f"no file {path}: check its name") from None
     except OSError as failure:
         raise error(f"cannot read {path}: {failure.strerror}") from None
+
+
+def require_replaceable(path: Path, error: type[SmartTouchError]) -> None:
+    """Raise if what a new file would replace is anything but a file: a device is not to go."""
+    if path.exists() and not path.is_file():
+        raise error(f"cannot write {path}: it is no file; give another name")
 
 
 def open_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> BinaryIO:
@@ -113,11 +119,22 @@ def parse_toml(text: str) -> dict[str, Any]:
         If it is none, or nested deeper than any table of ours.
     """
     if _DEEP_KEY.search(text):
-        raise ValueError("a key has more than 9 parts")
+        raise ValueError("a key has more than 32 parts")
     try:
-        return tomllib.loads(text)
+        table = tomllib.loads(text)
+        _require_integers(table)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
+    return table
+
+
+def _require_integers(value: object) -> None:
+    """Raise where an integer is longer than TOML has them: Python refuses to print the longest."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    for each in inner:
+        _require_integers(each)
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise ValueError("an integer has more than 64 bits")
 
 
 def parse_json(text: str | bytes) -> Any:

@@ -11,7 +11,7 @@ import tomlkit
 from tomlkit.items import Array
 
 from smarttouch.errors import CalibrationError, ProfileError
-from smarttouch.files import MOST_TOML_BYTES, read_text
+from smarttouch.files import MOST_TOML_BYTES, read_text, require_replaceable
 from smarttouch.profile import Profile, load_profile, profile_names
 from smarttouch.resources import data_folder
 
@@ -125,8 +125,7 @@ class ProfileFile:
             ) from None
 
     def _require_free(self, path: Path) -> None:
-        if path.is_dir():
-            raise CalibrationError(f"{path} is a folder: give a file")
+        require_replaceable(path, CalibrationError)
         if path.exists() and not self._overwrite:
             raise CalibrationError(f"{path} exists already: give another --output, or --overwrite")
 

@@ -69,7 +69,9 @@ def color(
     profile: ProfileOption = None,
     force: ForceOption = None,
     intensity: IntensityOption = None,
-    seed: Annotated[int, typer.Option(help="Of noise, and of phases a spectrum has not.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Of noise, and of phases a spectrum has not.")
+    ] = 0,
     frames: FramesOption = None,
     record: RecordOption = None,
     plot: Annotated[

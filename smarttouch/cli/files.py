@@ -1,6 +1,7 @@
 """What the commands share: modes by name, and files to write."""
 
 import json
+import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -67,5 +68,13 @@ def require_folder(path: Path | None) -> None:
 
 
 def write_json(path: Path, figures: Any) -> None:
-    """Write figures as JSON."""
-    write_bytes(path, (json.dumps(figures, indent=2) + "\n").encode())
+    """Write figures as JSON, in which a number that is none, or endless, is null."""
+    write_bytes(path, (json.dumps(_finite(figures), indent=2, allow_nan=False) + "\n").encode())
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from smarttouch.arrays import read_arrays
 from smarttouch.errors import DesignError
-from smarttouch.files import MOST_BANK_BYTES, open_file
+from smarttouch.files import MOST_BANK_BYTES, open_file, require_replaceable
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile, profile_names
 from smarttouch.resources import data_folder
@@ -171,6 +171,7 @@ def make_bank(path: Path, profile: Profile, progress: Progress | None = None) ->
     DesignError
         If it cannot be written.
     """
+    require_replaceable(path, DesignError)
     bank = design_bank(profile, progress, _parts(path, profile))
     try:
         write_bank(path, profile, bank)

@@ -114,9 +114,7 @@ class StepDecoder:
         told = parts["/sequence"]
         tactile = _tactile_of(parts["/tactile"], self.electrodes, frame)
         if "/request" in parts:
-            asked = parts["/request"]
-            request = PulseRequest(tactile.activation, int(asked["period_us"]), asked["level"])
-            frame = replace(frame, request=request)
+            frame = replace(frame, request=_request_of(parts["/request"], tactile))
         step = Step(
             frame=frame,
             tactile=tactile,
@@ -143,9 +141,11 @@ def _sequence_of(message: Message, electrodes: int) -> ScanSequence:
     """Return the sequence in a message of `/sequence`; ValueError and its like if there is none."""
     slots = int(message["slots"])
     current_ua = np.frombuffer(base64.b64decode(message["current_ua"]), "<i2")
-    vibration = message.get("vibration")
     keys = ("width_us", "discharge_us", "site")
     columns = {key: np.array(message[key], np.uint16) for key in keys}
+    shaken = None if message.get("vibration") is None else np.array(message["vibration"], "f4")
+    if shaken is not None and not (shaken.shape == (electrodes,) and np.isfinite(shaken).all()):
+        raise ValueError(f"not the vibration of {electrodes} electrodes")
     if message["electrodes"] != electrodes:
         raise ValueError(f"a sequence of {message['electrodes']} electrodes, not {electrodes}")
     if slots < 0 or any(each.shape != (slots,) for each in columns.values()):
@@ -158,7 +158,7 @@ def _sequence_of(message: Message, electrodes: int) -> ScanSequence:
         period_us=int(message["period_us"]),
         intensity=float(message["intensity"]),
         time_ns=int(message["time_ns"]),
-        vibration=None if vibration is None else np.array(vibration, np.float32),
+        vibration=shaken,
         proof=_proof_of(message, slots),
     )
 
@@ -174,6 +174,13 @@ def _proof_of(message: Message, slots: int) -> Proof | None:
     if not points.shape == other.shape == spill.shape == (slots,):
         raise ValueError(f"not the proof of {slots} slots")
     return Proof(points, other, spill)
+
+
+def _request_of(message: Message, tactile: TactileImage) -> PulseRequest:
+    period_us, level = int(message["period_us"]), float(message["level"])
+    if not (period_us > 0 and 0 <= level <= 1):
+        raise ValueError(f"not a request: {period_us} µs at a level of {level}")
+    return PulseRequest(tactile.activation, period_us, level)
 
 
 def _tactile_of(message: Message, electrodes: int, frame: Frame) -> TactileImage:

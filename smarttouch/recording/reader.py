@@ -197,7 +197,7 @@ class Recording:
             raise RecordingError(f"cannot read {self.path}: {error.strerror}") from None
 
     def _messages_in(self, opcode: int, at: int, data: bytes) -> Iterator[tuple[str, Message]]:
-        records = broken_up(data) if opcode == Opcode.CHUNK else iter([read_record(opcode, data)])
+        records = broken_up(data) if opcode == Opcode.CHUNK else map(read_record, [opcode], [data])
         while True:
             try:
                 record = next(records, None)

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from smarttouch.imaging.mapping import Tone
 from smarttouch.primary import Mode, Primary
@@ -38,14 +38,8 @@ class _Tone(_Part):
 
 
 class _Sharing(_Part):
-    primaries: tuple[Primary, ...] = ()
+    primaries: tuple[Literal["RA", "SAI", "PC"], ...] = ()
     planned: bool = True
-
-    @field_validator("primaries", mode="before")
-    @classmethod
-    def _named(cls, names: Any) -> Any:
-        # A name that is unknown stays as it is, and is refused.
-        return tuple(Primary.__members__.get(each, each) for each in names)
 
 
 class RunSettings(BaseModel):
@@ -82,7 +76,7 @@ class RunSettings(BaseModel):
     @property
     def sharing(self) -> Sharing:
         """Classes whose points shared slots."""
-        return Sharing(self.shared.primaries, self.shared.planned)
+        return Sharing(tuple(Primary[each] for each in self.shared.primaries), self.shared.planned)
 
 
 def read_settings(table: dict[str, Any]) -> RunSettings:

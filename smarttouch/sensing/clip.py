@@ -30,6 +30,12 @@ _TEXT = cv2.VideoWriter.fourcc(*"ansi")
 # What the decoder says of damaged frames would tear the screen. It reads this once, when a process
 # first opens any video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+# Playlists would open other files, pipes and addresses.
+os.environ.setdefault(
+    "OPENCV_FFMPEG_CAPTURE_OPTIONS",
+    "protocol_whitelist;file|format_whitelist;3gp,asf,avi,flv,gif,h264,hevc,ivf,m4v,matroska,mjpeg,"
+    "mov,mp4,mpeg,mpegts,mpegvideo,mxf,nut,ogg,webm,yuv4mpegpipe",
+)
 
 
 class Clip(ABC):

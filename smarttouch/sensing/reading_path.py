@@ -24,7 +24,7 @@ RETURN_MM_S = 200.0
 SETTLE_S = 0.6
 """A finger rests at the start of a line while intensity ramps up."""
 LIFT_S = 0.15
-FASTEST_MM_S = 500.0
+SLOWEST_MM_S, FASTEST_MM_S = 0.1, 500.0
 _PRESS = 1.1
 """Reading force, of the profile's full force."""
 _WAVER = 0.08
@@ -68,9 +68,9 @@ class ReadingPath:
         seed: int = 0,
         light_on_dark: bool = False,
     ) -> None:
-        if not 0 < speed_mm_s <= FASTEST_MM_S:
+        if not SLOWEST_MM_S <= speed_mm_s <= FASTEST_MM_S:
             raise SensorError(
-                f"--speed {speed_mm_s:g} must be above 0 and at most {FASTEST_MM_S:g} mm/s"
+                f"--speed {speed_mm_s:g} must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g} mm/s"
             )
         field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
         lines = find_lines(page, light_on_dark) or [_whole(page)]
