@@ -122,6 +122,8 @@ def calibrate_scale(
 
     if not ohm > 0:
         raise SmartTouchError(f"--ohm {ohm:g} must be above 0")
+    if not current_ma > 0:
+        raise SmartTouchError(f"--current-ma {current_ma:g} must be above 0")
     chosen, display = _driver(url, profile)
     require_site(chosen, electrode)
     if volts is None:
