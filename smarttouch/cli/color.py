@@ -183,11 +183,8 @@ def _places(
         if found is None:
             raise SmartTouchError(f"--sites {sites!r} is no list: write 27,28,35-36, or all")
         low, high = int(found[1]), int(found[2] or found[1])
-        if high >= len(profile.electrodes):
-            raise SmartTouchError(
-                f"--sites {sites!r}: {profile.name} has sites 0 to {len(profile.electrodes) - 1}"
-            )
-        named += range(low, high + 1)
+        # The first site that there is not is refused; those after it need no room.
+        named += range(low, min(high, max(low, len(profile.electrodes))) + 1)
     return named
 
 
