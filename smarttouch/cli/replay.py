@@ -90,11 +90,16 @@ def replay(
 
 def _check(file: Path, profile: str | None) -> None:
     """Print the outcome; exit 1 where sequences differ."""
+    from smarttouch.cli.progress import bank_progress
+    from smarttouch.modes.bank import load_bank
     from smarttouch.profile import load_profile
     from smarttouch.recording.check import check_recording
+    from smarttouch.recording.reader import Recording
 
-    another = None if profile is None else load_profile(profile)
-    report = check_recording(file, profile=another)
+    chosen = Recording(file).profile if profile is None else load_profile(profile)
+    with bank_progress(quiet=False) as progress:
+        bank = load_bank(chosen, progress)
+    report = check_recording(file, bank=bank, profile=chosen)
     print(report.describe())
     if not report.exact:
         raise typer.Exit(1)
