@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from smarttouch.electrodes import ElectrodeArray
 from smarttouch.profile.array import ArrayLayout
 from smarttouch.profile.skin import Skin
-from smarttouch.profile.table import Positive, Table
+from smarttouch.profile.table import Number, Positive, Table
 
 CEILING_MA = 5.0
 CEILING_PULSE_US = 200.0
@@ -57,9 +57,9 @@ class Optics(Table):
     magnification: Positive
     """Millimeters on the array for one millimeter on the page."""
     rotation_deg: float = Field(default=0.0, ge=-180, le=180)
-    offset_x_mm: float = 0.0
-    offset_y_mm: float = 0.0
-    homography: tuple[float, ...] | None = Field(default=None, min_length=9, max_length=9)
+    offset_x_mm: Number = 0.0
+    offset_y_mm: Number = 0.0
+    homography: tuple[Number, ...] | None = Field(default=None, min_length=9, max_length=9)
     """Of a tilted camera, row by row: millimeters on the page around the middle of what the array
     covers become pixels of a frame of ``sensor_columns`` by ``sensor_rows`` (centers at whole
     numbers). Field, rotation and offset are not used where it is given."""
@@ -135,9 +135,9 @@ class Perception(Table):
     comfort_ratio: float = Field(gt=1, le=10)
     comfort_ma: tuple[Positive, ...] | None = None
     """Measured strongest of each electrode; ``threshold_ma`` × ``comfort_ratio`` if not given."""
-    ra_shift_mm: tuple[float, float] = (0.0, 0.0)
-    sai_shift_mm: tuple[float, float] = (0.0, 0.0)
-    pc_shift_mm: tuple[float, float] = (0.0, 0.0)
+    ra_shift_mm: tuple[Number, Number] = (0.0, 0.0)
+    sai_shift_mm: tuple[Number, Number] = (0.0, 0.0)
+    pc_shift_mm: tuple[Number, Number] = (0.0, 0.0)
     """How far from the stimulated point a class is felt, right and down: at the receptor, not where
     its axon was hit (paper, Section III-B.4: PC 1 to 3 mm toward the fingertip)."""
 

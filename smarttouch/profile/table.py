@@ -13,6 +13,7 @@ def _require_sensible(value: float) -> float:
 
 SMALLEST, LARGEST = 1e-9, 1e9
 """No length, current, impedance or time of a device lies beyond, in the units of profiles."""
+Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, Field(gt=0), AfterValidator(_require_sensible)]
 
 
