@@ -83,7 +83,9 @@ def test_one_sentence(program_here, folder, arguments, words):
     assert (folder / "taken.mcap").read_text() == "precious"
 
 
-@pytest.mark.parametrize("arguments", ["live --nonsense", "live --rate abc", "nothing"])
+@pytest.mark.parametrize(
+    "arguments", ["live --nonsense", "live --rate abc", "live --seed -1", "nothing"]
+)
 def test_usage(program_here, arguments):
     done = program_here(*arguments.split(" "))
     assert done.returncode == 2
