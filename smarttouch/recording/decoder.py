@@ -31,6 +31,8 @@ _PNG = struct.Struct(">16sII")
 _SIGNATURE = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 """How a PNG begins; width and height follow."""
 MOST_PIXELS = 100_000_000
+_LONGEST_US = 10_000_000
+"""Between pulses that a source asks for: the period of the slowest rate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +180,7 @@ def _proof_of(message: Message, slots: int) -> Proof | None:
 
 def _request_of(message: Message, tactile: TactileImage) -> PulseRequest:
     period_us, level = int(message["period_us"]), float(message["level"])
-    if not (period_us > 0 and 0 <= level <= 1):
+    if not (0 <= period_us <= _LONGEST_US and 0 <= level <= 1):
         raise ValueError(f"not a request: {period_us} µs at a level of {level}")
     return PulseRequest(tactile.activation, period_us, level)
 
