@@ -1,5 +1,6 @@
 """What the skin felt, drawn beside the page that the finger passed over."""
 
+from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -7,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from smarttouch.errors import SmartTouchError
+from smarttouch.files import write_bytes
 from smarttouch.live import Sent
 from smarttouch.modes.bank import KernelBank
 from smarttouch.mosaic import Mosaic
@@ -129,7 +130,6 @@ class FeltImage:
             draw.text((margin, top), text, fill=40, font=font)
             method = Image.Resampling.LANCZOS
             sheet.paste(Image.fromarray(image).resize(size, method), (margin, top + label))
-        try:
-            sheet.save(path, format="PNG")
-        except OSError as error:
-            raise SmartTouchError(f"cannot write {path}: {error.strerror or error}") from None
+        content = BytesIO()
+        sheet.save(content, format="PNG")
+        write_bytes(path, content.getvalue())

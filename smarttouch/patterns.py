@@ -1,6 +1,7 @@
 """What the electrodes do, step by step, as pictures, a film, or numbers for other programs."""
 
 import json
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from smarttouch.errors import SmartTouchError
+from smarttouch.files import write_bytes
 from smarttouch.live import Sent
 from smarttouch.profile import Profile
 
@@ -83,7 +85,7 @@ class PatternFile:
             ],
             "steps": steps,
         }
-        self._path.write_text(json.dumps(document) + "\n", encoding="utf-8")
+        write_bytes(self._path, (json.dumps(document) + "\n").encode())
 
     def _save_pictures(self) -> None:
         self._path.mkdir(exist_ok=True)
@@ -97,13 +99,16 @@ class PatternFile:
         # A film's clock counts hundredths of a second.
         ends = np.rint(np.cumsum(self._period_us) / 10_000).astype(int)
         durations = 10 * np.maximum(np.diff(ends, prepend=0), 1)
+        film = BytesIO()
         first.save(
-            self._path,
+            film,
+            format="GIF",
             save_all=True,
             append_images=others,
             duration=durations.tolist(),
             loop=0,
         )
+        write_bytes(self._path, film.getvalue())
 
 
 class _Drawing:

@@ -1,6 +1,8 @@
 """Profiles are found by name, and refused with file, key and remedy."""
 
 import math
+import os
+import random
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from smarttouch.errors import ProfileError
 from smarttouch.profile import load_profile, profile_names
 from smarttouch.resources import data_folder
 
+MUTANTS = int(os.environ.get("SMARTTOUCH_MUTANTS", "300"))
 SHIPPED = {
     "electric-mouse": 64,
     "smarttouch-4x4": 16,
@@ -141,7 +144,7 @@ def test_unknown_name():
 def test_not_text(tmp_path):
     path = tmp_path / "x.toml"
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ProfileError, match="not a readable TOML"):
+    with pytest.raises(ProfileError, match="not a text in UTF-8"):
         load_profile(path)
 
 
@@ -182,3 +185,47 @@ def test_impossible_arrays(edited, positions, shape, size, words):
     with pytest.raises(ProfileError, match=words) as caught:
         load_profile(path)
     assert "\n" not in str(caught.value)
+
+
+VALUES = (
+    "nan", "inf", "-inf", "-1", "0", "1", "2", "65536", "1e30", "1e-30", "1e308", "9" * 30, '""',
+    '"x"', "[]", "[0]", "[[0]]", "{}", "true", '"\\u001b[31m"', "[1, 2, 3]", "[nan, 0]",
+    "[[nan, 0.0], [1.0, 1.0]]", "1979-05-27", "9" * 5000, "0x" + "f" * 9999, "[" * 2000,
+)  # fmt: skip
+
+
+def test_no_mutant_is_more_than_one_sentence(tmp_path):
+    refused = 0
+    for seed in range(MUTANTS):
+        chance = random.Random(seed)
+        shipped = data_folder("calibration") / f"{chance.choice(sorted(SHIPPED))}.toml"
+        lines = shipped.read_text(encoding="utf-8").split("\n")
+        for _ in range(chance.choice((1, 1, 2, 4))):
+            at = chance.randrange(len(lines))
+            if "=" in lines[at] and chance.random() < 0.7:
+                lines[at] = f"{lines[at].split('=')[0]}= {chance.choice(VALUES)}"
+            elif chance.random() < 0.5:
+                lines[at] = lines[chance.randrange(len(lines))]
+            else:
+                lines[at] += chr(chance.randrange(256))
+        path = tmp_path / "mutant.toml"
+        path.write_text("\n".join(lines), encoding="utf-8")
+        try:
+            profile = load_profile(path)
+        except ProfileError as error:
+            refused += "\n" not in str(error)
+            continue
+        # What is believed can be used, and kept in a recording.
+        assert np.isfinite([*profile.full_ma, *profile.electrodes.position_mm.ravel()]).all()
+        assert type(profile).model_validate_json(profile.model_dump_json()) == profile
+    assert MUTANTS / 4 < refused < MUTANTS
+
+
+def test_a_layer_without_end_is_kept_in_a_recording(changed, profile):
+    layers = [{"conductivity_s_per_m": 0.1, "thickness_mm": 1.0}, {"conductivity_s_per_m": 0.3}]
+    layered = changed(
+        profile,
+        {"skin.medium": "layered", "skin.layers": layers, "skin.conductivity_s_per_m": None},
+    )
+    assert layered.skin.layers[-1].thickness_mm == math.inf
+    assert type(profile).model_validate_json(layered.model_dump_json()) == layered

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from smarttouch import files
 from smarttouch.errors import BrailleError
 
 MOST_BYTES = 50_000_000
@@ -16,18 +17,7 @@ def read_bytes(path: Path) -> bytes:
     BrailleError
         If it cannot be read, or is far too large.
     """
-    try:
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-    except (FileNotFoundError, ValueError):
-        raise BrailleError(f"no file {path}: check its name") from None
-    except IsADirectoryError:
-        raise BrailleError(f"{path} is a folder: give a file") from None
-    except OSError as error:
-        raise BrailleError(f"{path} cannot be read: {error.strerror}") from None
-    if len(data) > MOST_BYTES:
-        raise BrailleError(f"{path} is above {MOST_BYTES // 10**6} MB: give it in parts")
-    return data
+    return files.read_bytes(path, BrailleError, MOST_BYTES)
 
 
 def read_text(path: Path) -> str:
@@ -38,12 +28,7 @@ def read_text(path: Path) -> str:
     BrailleError
         If it cannot be read, or is not UTF-8.
     """
-    try:
-        text = read_bytes(path).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BrailleError(
-            f"{path} is not a text in UTF-8 (byte {error.start + 1}): save it as UTF-8"
-        ) from None
+    text = files.read_text(path, BrailleError, MOST_BYTES)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -55,7 +40,4 @@ def write_bytes(path: Path, data: bytes) -> None:
     BrailleError
         If it cannot be written.
     """
-    try:
-        path.write_bytes(data)
-    except OSError as error:
-        raise BrailleError(f"cannot write {path}: {error.strerror}") from None
+    files.write_bytes(path, data, BrailleError)

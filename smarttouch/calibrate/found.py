@@ -1,6 +1,7 @@
 """What a threshold session found, as a profile keeps it."""
 
 import math
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -25,12 +26,12 @@ def parse_electrodes(text: str | None, profile: Profile) -> list[int]:
         return [int(each) for each in profile.driven]
     chosen: list[int] = []
     for part in text.split(","):
-        first, dash, last = part.strip().partition("-")
-        if not first.isdecimal() or (dash and not last.isdecimal()):
+        found = re.fullmatch("([0-9]{1,6})(?:-([0-9]{1,6}))?", part.strip())
+        if found is None:
             raise CalibrationError(
                 f"--electrodes {text!r} is not understood: give numbers and ranges like 0-7,12"
             )
-        low, high = int(first), int(last or first)
+        low, high = int(found[1]), int(found[2] or found[1])
         if not low <= high < count:
             raise CalibrationError(
                 f"--electrodes {part.strip()} is out of range: {profile.name} has electrodes 0 to "

@@ -11,6 +11,7 @@ import tomlkit
 from tomlkit.items import Array
 
 from smarttouch.errors import CalibrationError, ProfileError
+from smarttouch.files import MOST_TOML_BYTES, read_text, require_replaceable
 from smarttouch.profile import Profile, load_profile, profile_names
 from smarttouch.resources import data_folder
 
@@ -52,7 +53,11 @@ class ProfileFile:
         self.profile = load_profile(start)
         shipped = start in profile_names()
         self._source = data_folder("calibration") / f"{start}.toml" if shipped else Path(start)
-        self._document = tomlkit.parse(self._source.read_text(encoding="utf-8"))
+        text = read_text(self._source, ProfileError, MOST_TOML_BYTES)
+        try:
+            self._document = tomlkit.parse(text)
+        except (tomlkit.exceptions.TOMLKitError, ValueError, RecursionError) as error:
+            raise ProfileError(f"{self._source} cannot be changed: {error}") from None
         self.output = output
         self._overwrite = overwrite
         if output.suffix != ".toml":
@@ -120,8 +125,7 @@ class ProfileFile:
             ) from None
 
     def _require_free(self, path: Path) -> None:
-        if path.is_dir():
-            raise CalibrationError(f"{path} is a folder: give a file")
+        require_replaceable(path, CalibrationError)
         if path.exists() and not self._overwrite:
             raise CalibrationError(f"{path} exists already: give another --output, or --overwrite")
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from smarttouch.calibrate.limits import Thresholds
 from smarttouch.errors import CalibrationError
+from smarttouch.files import parse_json, read_bytes
 
 
 class Progress:
@@ -64,10 +65,10 @@ class Progress:
 
     def _read(self) -> dict[int, Thresholds]:
         try:
-            stored = json.loads(self.path.read_text(encoding="utf-8"))
+            stored = parse_json(read_bytes(self.path, CalibrationError))
             settings = stored["settings"]
             found = {int(site): _thresholds(entry) for site, entry in stored["found"].items()}
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
             raise CalibrationError(
                 f"{self.path} is not the beginning of a threshold session: remove it to begin anew"
             ) from None

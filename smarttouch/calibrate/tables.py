@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
+
+from smarttouch import terminal
 
 if TYPE_CHECKING:
     from smarttouch.calibrate.contact import ContactFound
@@ -26,7 +27,7 @@ def show_optics(found: "OpticsFound") -> None:
     table.add_row("dead, hot pixels", f"{found.dead}, {found.hot}", "as the nearest good one")
     table.add_row("dark level", f"{found.dark_level:.1f}", "0")
     table.add_row("noise", f"{found.noise_levels:.2f}", "")
-    Console().print(table)
+    terminal.console().print(table)
 
 
 def show_registration(found: "RegistrationFound") -> None:
@@ -36,7 +37,7 @@ def show_registration(found: "RegistrationFound") -> None:
     for index, (column, row) in enumerate(found.electrode_pixel):
         beyond = "beyond the image" if index in outside else ""
         table.add_row(str(index), f"{column:.2f}", f"{row:.2f}", beyond)
-    console = Console()
+    console = terminal.console()
     console.print(table)
     fit = Table("residual", "px", "mm", "pitch on the page", box=None)
     for name, px, mm in (
@@ -60,12 +61,12 @@ def show_force(found: "ForceFound") -> None:
             f"{seen_n:.4f}",
             f"{seen_n - each.force_n:+.4f}",
         )
-    Console().print(table)
+    terminal.console().print(table)
 
 
 def show_contact(found: "ContactFound", electrodes: "ElectrodeArray") -> None:
     """Show the array as it lies under the finger, an impedance at each electrode's place."""
-    console = Console()
+    console = terminal.console()
     width = max(60, console.width)
     rows = _rows(electrodes)
     left = float(electrodes.position_mm[:, 0].min())

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from smarttouch.errors import CalibrationError
+from smarttouch.files import write_bytes
 from smarttouch.profile import Profile
 
 LARGE_DOTS = ((0, -1), (0, 0), (0, 1), (1, 1))
@@ -23,6 +25,7 @@ FEWEST_PITCHES = 4
 """Across the field of view: fewer, and the L does not fit."""
 PRINT_DPI = 1270
 """50 dots a millimeter: every usual pitch is a whole number of them."""
+_FINEST_MM = 0.01
 _PITCHES_MM = (0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 50.0)
 _WISHED_PITCHES = 5
 _SPARE = 3
@@ -95,10 +98,9 @@ class DotTarget:
         while pen.textlength(text, font_size=size) > side - 2 * dot_per_mm:
             size *= 0.9
         pen.text((dot_per_mm, dot_per_mm), text, fill=0, font_size=size)
-        try:
-            image.save(path, dpi=(PRINT_DPI, PRINT_DPI))
-        except (OSError, ValueError) as error:
-            raise CalibrationError(f"cannot write the target {path}: {error}") from None
+        content = BytesIO()
+        image.save(content, format="PNG", dpi=(PRINT_DPI, PRINT_DPI))
+        write_bytes(path, content.getvalue(), CalibrationError)
 
     def _ruler(self) -> str:
         return f"{2 * self.reach * self.pitch_mm:g} mm from first to last dot"
@@ -136,9 +138,9 @@ def target_for(profile: Profile, pitch_mm: float | None = None) -> DotTarget:
                 "--dot-pitch-mm if the sensor is finer than the profile says"
             )
         pitch_mm = max(wished) if wished else min(fit)
-    if not 0 < pitch_mm <= field_mm:
+    if not _FINEST_MM <= pitch_mm <= field_mm:
         raise CalibrationError(
-            f"--dot-pitch-mm {pitch_mm:g} must be above 0 and below the field of view's "
+            f"--dot-pitch-mm {pitch_mm:g} must be from {_FINEST_MM:g} to the field of view's "
             f"{field_mm:g} mm"
         )
     longest = max(optics.field_width_mm, optics.field_height_mm) / pitch_mm

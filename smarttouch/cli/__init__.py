@@ -1,6 +1,7 @@
 """The command line: one module per command, heavy imports only inside them."""
 
 import os
+import resource
 import sys
 
 import typer
@@ -24,6 +25,9 @@ from smarttouch.cli.replay import replay
 from smarttouch.cli.sensor import sensor
 from smarttouch.cli.stop import stop
 from smarttouch.errors import SmartTouchError
+from smarttouch.terminal import guarded_output
+
+_FEWEST_FILES = 64
 
 app = typer.Typer(
     name="smarttouch",
@@ -54,25 +58,70 @@ app.add_typer(recordings, name="recordings")
 
 def main() -> None:
     """Run the command line; what a user can cause ends in one sentence and exit 2."""
+    with guarded_output():
+        status = _run()
+        try:
+            sys.stdout.flush()
+        except (BrokenPipeError, SmartTouchError) as error:
+            status = status or _outcome(error)
+        if status:
+            _drop_output()
+            sys.exit(status)
+
+
+def _run() -> int:
     try:
+        _require_files()
         app()
-    except SmartTouchError as error:
-        _say(str(error))
-        sys.exit(2)
-    except KeyboardInterrupt:
-        sys.exit(130)
-    except BrokenPipeError:
-        # Whoever read our output has gone; there is nobody to tell.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
-    except Exception as error:
+    except SystemExit as ended:
+        return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
+    except BaseException as error:
         if os.environ.get("SMARTTOUCH_TRACEBACK"):
             raise
+        return _outcome(error)
+    return 0
+
+
+def _outcome(error: BaseException) -> int:
+    """Say in one sentence how the program ended; return its exit status."""
+    if isinstance(error, KeyboardInterrupt):
+        return 130
+    if isinstance(error, BrokenPipeError):
+        # Whoever read our output has gone; there is nobody to tell.
+        return 1
+    if isinstance(error, SmartTouchError):
+        _say(str(error))
+    elif isinstance(error, MemoryError):
+        _say("the memory of this machine does not suffice: give less at once")
+    elif isinstance(error, OSError):
+        about = f"{error.filename}: " if error.filename else ""
+        _say(f"{about}{error.strerror or error}; all electrodes are off")
+    else:
         _say(
             f"internal error, {type(error).__name__}: {error}; all electrodes are off "
             "(set SMARTTOUCH_TRACEBACK=1 to see where)"
         )
-        sys.exit(1)
+        return 1
+    return 2
+
+
+def _require_files() -> None:
+    """Raise if this process may open fewer files than the libraries alone need."""
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    if most < _FEWEST_FILES:
+        raise SmartTouchError(
+            f"this program may open {most} files at once and needs {_FEWEST_FILES}: allow them "
+            f"with ulimit -n {_FEWEST_FILES}"
+        )
+
+
+def _drop_output() -> None:
+    """Let what could not be written go: the interpreter would complain of it at its end."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, SmartTouchError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _say(sentence: str) -> None:

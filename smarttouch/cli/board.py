@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from smarttouch import terminal
+
 if TYPE_CHECKING:
     from smarttouch.boards.board import Board
     from smarttouch.boards.impedance import Impedance
@@ -15,6 +17,8 @@ board = typer.Typer(help="Look at one board, measure, try or stop it.", no_args_
 _Url = Annotated[
     str, typer.Argument(metavar="URL", help="kajimoto61:PORT, etactilekit:PORT, link:PORT")
 ]
+_MOST_EMULATED = 1024
+"""Electrodes; the skin between them takes the square of that."""
 _ProfileName = Annotated[
     str | None,
     typer.Option("--profile", metavar="NAME|FILE", help="The board's usual one if not given."),
@@ -173,6 +177,8 @@ def emulate(
     usual = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
     if name not in usual:
         raise SmartTouchError(f"no emulator {name!r}: choose {', '.join(usual)}")
+    if electrodes is not None and not 1 <= electrodes <= _MOST_EMULATED:
+        raise SmartTouchError(f"--electrodes {electrodes} must be from 1 to {_MOST_EMULATED}")
     if books is not None and not books.is_dir():
         raise SmartTouchError(f"--books {books} is no folder: make it first")
     arguments = [f"--protocol={name}", f"--electrodes={electrodes or usual[name]}"]
@@ -200,14 +206,13 @@ def _driver(url: str, profile: str | None) -> tuple["Profile", "Board"]:
 
 
 def _print_impedance(found: "Impedance") -> None:
-    from rich.console import Console
     from rich.table import Table
 
     table = Table("electrode", "kohm", "", box=None)
     for index, (kohm, condition) in enumerate(zip(found.kohm, found.condition, strict=True)):
         value = "-" if condition == "open" else f"{kohm:.1f}"
         table.add_row(str(index), value, "" if condition == "good" else condition)
-    Console().print(table)
+    terminal.console().print(table)
     if found.lifted:
         typer.echo("No electrode touches anything: put the finger on, and measure again.")
     elif found.broken:

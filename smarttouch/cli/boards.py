@@ -4,6 +4,8 @@ from typing import Annotated
 
 import typer
 
+from smarttouch import terminal
+
 
 def boards(
     network: Annotated[
@@ -13,12 +15,11 @@ def boards(
     """List serial ports and boards. Nothing is opened, no unknown device gets a byte."""
     from importlib.metadata import entry_points
 
-    from rich.console import Console
     from rich.table import Table
 
     from smarttouch.boards.discovery import network_boards, serial_ports
 
-    console = Console()
+    console = terminal.console()
     table = Table("port", "what the system says of it", box=None)
     for port in serial_ports():
         table.add_row(port.device, port.description)

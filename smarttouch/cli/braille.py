@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from smarttouch import terminal
 from smarttouch.cli.options import (
     LanguageOption,
     PagesOption,
@@ -102,7 +103,6 @@ def _seen(
 
 
 def _print_tables() -> None:
-    from rich.console import Console
     from rich.table import Table
 
     from smarttouch.braille import louis
@@ -111,7 +111,7 @@ def _print_tables() -> None:
     table = Table("name", "what it is", box=None, pad_edge=False)
     for name, title in known_tables().items():
         table.add_row(name + (" (default)" if name == DEFAULT_TABLE else ""), title)
-    console = Console()
+    console = terminal.console()
     console.print(table)
     version = louis.version()
     console.print(

@@ -1,11 +1,13 @@
 """``smarttouch color``: a vibration as tactile primary colors."""
 
 import math
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from smarttouch import terminal
 from smarttouch.cli.options import (
     ForceOption,
     FramesOption,
@@ -67,7 +69,9 @@ def color(
     profile: ProfileOption = None,
     force: ForceOption = None,
     intensity: IntensityOption = None,
-    seed: Annotated[int, typer.Option(help="Of noise, and of phases a spectrum has not.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Of noise, and of phases a spectrum has not.")
+    ] = 0,
     frames: FramesOption = None,
     record: RecordOption = None,
     plot: Annotated[
@@ -175,20 +179,22 @@ def _places(
         return profile.driven
     named: list[int] = []
     for part in sites.split(","):
-        first, dash, last = part.strip().partition("-")
-        if not first.isdecimal() or (dash and not last.isdecimal()):
+        found = re.fullmatch("([0-9]{1,6})(?:-([0-9]{1,6}))?", part.strip())
+        if found is None:
             raise SmartTouchError(f"--sites {sites!r} is no list: write 27,28,35-36, or all")
-        named += range(int(first), int(last or first) + 1)
+        low, high = int(found[1]), int(found[2] or found[1])
+        # The first site that there is not is refused; those after it need no room.
+        named += range(low, min(high, max(low, len(profile.electrodes))) + 1)
     return named
 
 
 def _add(path: Path, figures: dict[str, object]) -> None:
     """Put what is known of the colors beside the figures of the run."""
-    import json
-
     from smarttouch.cli.files import write_json
+    from smarttouch.errors import SmartTouchError
+    from smarttouch.files import parse_json, read_bytes
 
-    write_json(path, json.loads(path.read_text(encoding="utf-8")) | {"color": figures})
+    write_json(path, parse_json(read_bytes(path, SmartTouchError)) | {"color": figures})
 
 
 def _draw(path: Path, trace: "Trace", answers: "Answers", mixture: "Mixture | None" = None) -> None:
@@ -262,7 +268,6 @@ def _print_mixture(
 def _print_table(
     title: str, heading: tuple[str, ...], rows: list[tuple[str, ...]], note: str
 ) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(*heading, title=title, title_justify="left", box=None, pad_edge=False)
@@ -270,6 +275,6 @@ def _print_table(
         column.justify = "right"
     for row in rows:
         table.add_row(*row)
-    console = Console()
+    console = terminal.console()
     console.print(table)
     console.print(note, style="dim")

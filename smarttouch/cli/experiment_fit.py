@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from smarttouch import terminal
 from smarttouch.cli.options import JsonOption, QuietOption
 
 if TYPE_CHECKING:
@@ -125,9 +126,7 @@ def _parse_guess(text: str | None) -> "Guess | None":
 
 
 def _print(found: Sequence[tuple["Table", list["Finding"]]]) -> None:
-    from rich.console import Console
-
-    console = Console(highlight=False)
+    console = terminal.console(highlight=False)
     for table, findings in found:
         console.print(f"{table.name}{', ' * bool(table.unit)}{table.unit}", style="bold")
         compares = any(each.answers.standard for each in findings)

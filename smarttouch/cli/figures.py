@@ -1,11 +1,15 @@
 """``smarttouch figures``: the paper's figures redrawn, and those of a user's own array."""
 
 import csv
+import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from smarttouch import terminal
+from smarttouch.files import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,7 +29,6 @@ def figures(
 ) -> None:
     """Redraw the paper's Fig. 2, 5, 8, 9 and 10; draw kernels, activation, shared slots, fibers."""
     import numpy as np
-    from rich.console import Console
 
     from smarttouch.cli.files import require_site
     from smarttouch.cli.progress import bank_progress
@@ -52,7 +55,7 @@ def figures(
     with bank_progress(quiet=False) as progress:
         bank = load_bank(chosen, progress)
     own = {each: bank.kernel(each, site, kind_of(chosen)) for each in sorted(bank.weights)}
-    console = Console(stderr=True)
+    console = terminal.console(stderr=True)
     drawings: dict[str, Callable[[], Figure]] = {
         "fig-2": colors.thresholds_figure,
         "fig-5": lambda: paper.figure_5(line),
@@ -79,18 +82,18 @@ def figures(
 
 
 def _write_csv(path: Path, table: Sequence["AfError"]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["fiber", "polarity", "depth_mm", "cable_ma", "af_ma", "af_over_cable"])
-        for row in table:
-            figures = (row.cable_ma, row.af_ma, row.ratio)
-            writer.writerow(
-                [row.fiber, row.polarity, row.depth_mm, *(f"{each:.4g}" for each in figures)]
-            )
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(["fiber", "polarity", "depth_mm", "cable_ma", "af_ma", "af_over_cable"])
+    for row in table:
+        figures = (row.cable_ma, row.af_ma, row.ratio)
+        writer.writerow(
+            [row.fiber, row.polarity, row.depth_mm, *(f"{each:.4g}" for each in figures)]
+        )
+    write_bytes(path, text.getvalue().encode())
 
 
 def _print_table(table: Sequence["AfError"]) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     depths = list(dict.fromkeys(row.depth_mm for row in table))
@@ -108,7 +111,7 @@ def _print_table(table: Sequence["AfError"]) -> None:
         shown.add_row(
             fiber, polarity, *("never" if r == float("inf") else f"{r:.2f}" for r in ratios)
         )
-    console = Console()
+    console = terminal.console()
     console.print(shown)
     console.print(
         "1 is right; below 1 the AF thinks the fiber easier to fire than it is. All predictions "

@@ -1,11 +1,14 @@
 """What the commands share: modes by name, and files to write."""
 
 import json
+import math
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from smarttouch.errors import SmartTouchError
+from smarttouch.files import write_bytes
 from smarttouch.primary import Mode, Primary
 
 if TYPE_CHECKING:
@@ -43,10 +46,10 @@ def parse_size(size: str | None) -> tuple[int, int] | None:
     """Return width and height that ``--size`` names, as in 640x480."""
     if size is None:
         return None
-    width, _, height = size.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+    found = re.fullmatch("([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", size.lower())
+    if found is None:
         raise SmartTouchError(f"--size {size!r} is not a size: give width and height as 640x480")
-    return int(width), int(height)
+    return int(found[1]), int(found[2])
 
 
 def require_site(profile: "Profile", site: int) -> None:
@@ -65,8 +68,13 @@ def require_folder(path: Path | None) -> None:
 
 
 def write_json(path: Path, figures: Any) -> None:
-    """Write figures as JSON."""
-    try:
-        path.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise SmartTouchError(f"cannot write {path}: {error.strerror}") from None
+    """Write figures as JSON, in which a number that is none, or endless, is null."""
+    write_bytes(path, (json.dumps(_finite(figures), indent=2, allow_nan=False) + "\n").encode())
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

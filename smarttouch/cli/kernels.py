@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from smarttouch import terminal
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -93,6 +95,8 @@ def print_sites(profile: "Profile", shown: Sequence[Shown]) -> None:
 
 def print_kernel(profile: "Profile", shown: Shown) -> None:
     """Print the weights of one kernel where they lie on the array, the largest magnitude 1."""
+    from rich.text import Text
+
     kernel, position = shown.kernel, profile.electrodes.position_mm
     weights = kernel.peak_normalized
     rows = []
@@ -102,7 +106,7 @@ def print_kernel(profile: "Profile", shown: Shown) -> None:
         cells = [f"{weights[index]:+.3f}" for index in in_row]
         rows.append(
             [
-                f"[bold reverse]{cell}[/]" if index == shown.site else cell
+                Text(cell, "bold reverse") if index == shown.site else Text(cell)
                 for index, cell in zip(in_row, cells, strict=True)
             ]
         )
@@ -167,8 +171,6 @@ def _table(title: str, heading: Sequence[str] | None, rows: Any) -> "Table":
 
 
 def _print(table: "Table", note: str) -> None:
-    from rich.console import Console
-
-    console = Console()
+    console = terminal.console()
     console.print(table)
     console.print(note, style="dim")

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from smarttouch import terminal
 from smarttouch.cli.options import (
     AsOption,
     CellsOption,
@@ -154,13 +155,12 @@ def _of_braille(text: "Source", braille: "Braille", reading: "Reading", quiet: b
 
 
 def _print(rows: tuple[tuple[str, object], ...], text: str) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     table = Table.grid(padding=(0, 2))
     for name, value in rows:
         table.add_row(name, str(value))
-    console = Console()
+    console = terminal.console()
     console.print(table)
     console.print("\nWhat was read from the delivered pulses:", style="dim")
-    console.print(text, markup=False, highlight=False)
+    console.print(text, highlight=False)

@@ -46,7 +46,7 @@ def live(
     rate: RateOption = None,
     seconds: SecondsOption = None,
     seed: Annotated[
-        int | None, typer.Option(help="Of the virtual finger's and sensor's noise.")
+        int | None, typer.Option(min=0, help="Of the virtual finger's and sensor's noise.")
     ] = None,
     dpi: Annotated[
         float | None, typer.Option(help="Resolution of a page file that does not say.")

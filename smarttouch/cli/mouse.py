@@ -38,7 +38,7 @@ def mouse(
         float | None, typer.Option(metavar="MM/S", help="Of the virtual hand; 40 if not given.")
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(help="Let the virtual hand tremble, always the same way.")
+        int | None, typer.Option(min=0, help="Let the virtual hand tremble, always the same way.")
     ] = None,
     cpi: Annotated[
         float | None, typer.Option(help="Counts per inch of the mouse; 800 if not given.")

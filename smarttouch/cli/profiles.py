@@ -1,9 +1,10 @@
 """``smarttouch profiles``: what is shipped, at a glance."""
 
+from smarttouch import terminal
+
 
 def profiles() -> None:
     """List the shipped profiles."""
-    from rich.console import Console
     from rich.table import Table
 
     from smarttouch.profile import DEFAULT_PROFILE, load_profile, profile_names
@@ -21,7 +22,7 @@ def profiles() -> None:
             profile.title,
             f"{profile.output.kind}, {pulse.width_us} µs, {pulse.rate_hz:g} Hz",
         )
-    console = Console()
+    console = terminal.console()
     console.print(table)
     console.print(
         f"Copy one from {data_folder('calibration')} to make your own, and give its file "

@@ -4,8 +4,9 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import TYPE_CHECKING
 
-from rich.console import Console
 from rich.progress import Progress
+
+from smarttouch import terminal
 
 if TYPE_CHECKING:
     from smarttouch.reading.feed import LineFeed
@@ -32,7 +33,7 @@ def _bar(title: str, quiet: bool) -> Iterator[Advance | None]:
     if quiet:
         yield None
         return
-    bar = Progress(console=Console(stderr=True), transient=True)
+    bar = Progress(console=terminal.console(stderr=True), transient=True)
     task = bar.add_task(title)
 
     def advance(done: int, total: int) -> None:
@@ -58,5 +59,5 @@ def first_line_awaited(feed: "LineFeed", quiet: bool) -> None:
     if quiet:
         feed.wait_for(0)
         return
-    with Console(stderr=True).status("Preparing the text"):
+    with terminal.console(stderr=True).status("Preparing the text"):
         feed.wait_for(0)

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from smarttouch import terminal
+
 recordings = typer.Typer(
     help="Look into, repair and export what ``live --record`` kept.", no_args_is_help=True
 )
@@ -15,7 +17,6 @@ _File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording, whole 
 @recordings.command()
 def info(file: _File) -> None:
     """Tell what was delivered to whom and when, and how much of it is kept."""
-    from rich.console import Console
     from rich.table import Table
 
     from smarttouch.recording.account import describe
@@ -25,7 +26,7 @@ def info(file: _File) -> None:
     table.add_column(overflow="fold")
     for name, value in describe(file):
         table.add_row(name, value)
-    Console(markup=False).print(table)
+    terminal.console().print(table)
 
 
 @recordings.command()

@@ -56,8 +56,6 @@ def replay(
 
     from smarttouch.cli.plan import Plan
     from smarttouch.cli.session import play
-    from smarttouch.errors import RecordingError
-    from smarttouch.primary import Mode
     from smarttouch.recording.controls import RecordedControls
     from smarttouch.recording.sensor import RecordingSensor
     from smarttouch.scan.frames import NO_SHARING, why_not
@@ -65,30 +63,25 @@ def replay(
 
     recording = Recording(file)
     chosen = recording.profile if profile is None else load_profile(profile)
-    settings = recording.settings
-    try:
-        plan = Plan(
-            sensor_url=f"recording:{file}",
-            board_url=board,
-            mode=Mode(settings["mode"]),
-            rate_hz=settings["rate_hz"],
-            light_on_dark=settings["light_on_dark"],
-            softness=settings["softness"],
-            sharing=NO_SHARING if why_not(chosen) else recording.sharing,
-            tone=recording.tone,
-            level=intensity,
-            seconds=seconds,
-            force_url=force,
-            record=record,
-            markers=markers,
-            json_file=json_file,
-            quiet=quiet,
-            controls=partial(RecordedControls, recording),
-        )
-    except (KeyError, ValueError) as error:
-        raise RecordingError(
-            f"the settings in {file} do not say how it was made: {error!r}"
-        ) from None
+    run = recording.run
+    plan = Plan(
+        sensor_url=f"recording:{file}",
+        board_url=board,
+        mode=run.mode,
+        rate_hz=run.rate_hz,
+        light_on_dark=run.light_on_dark,
+        softness=run.softness,
+        sharing=NO_SHARING if why_not(chosen) else run.sharing,
+        tone=run.tone,
+        level=intensity,
+        seconds=seconds,
+        force_url=force,
+        record=record,
+        markers=markers,
+        json_file=json_file,
+        quiet=quiet,
+        controls=partial(RecordedControls, recording),
+    )
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(RecordingSensor(recording))
         pressing = None if force is None else stack.enter_context(open_force(force, chosen))
@@ -97,11 +90,16 @@ def replay(
 
 def _check(file: Path, profile: str | None) -> None:
     """Print the outcome; exit 1 where sequences differ."""
+    from smarttouch.cli.progress import bank_progress
+    from smarttouch.modes.bank import load_bank
     from smarttouch.profile import load_profile
     from smarttouch.recording.check import check_recording
+    from smarttouch.recording.reader import Recording
 
-    another = None if profile is None else load_profile(profile)
-    report = check_recording(file, profile=another)
+    chosen = Recording(file).profile if profile is None else load_profile(profile)
+    with bank_progress(quiet=False) as progress:
+        bank = load_bank(chosen, progress)
+    report = check_recording(file, bank=bank, profile=chosen)
     print(report.describe())
     if not report.exact:
         raise typer.Exit(1)

@@ -9,12 +9,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rich.columns import Columns
-from rich.console import Console, Group
+from rich.console import Group
 from rich.live import Live
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from smarttouch import terminal
 from smarttouch.boards.board import Board
 from smarttouch.controls import Controls
 from smarttouch.live import Sent
@@ -49,7 +50,7 @@ class Screen:
     ) -> None:
         self._source, self._profile, self._controls = source, profile, controls
         self._url, self._board, self._tally = url, board, tally
-        self._console = Console()
+        self._console = terminal.console()
         self._latest: Sent | None = None
         self._event = ""
         self._keys = (source.keys_help if source.keys else "") + _KEYS

@@ -1,9 +1,12 @@
 """``smarttouch sensor``: one sensor or load cell, looked at or played."""
 
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from smarttouch import terminal
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -224,22 +227,20 @@ def _range(forces_n: "NDArray[np.float64]") -> str:
 
 
 def _print_table(rows: list[tuple[str, str]], notes: list[str]) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, show_header=False)
     for each in (*rows, *(("note", note) for note in notes)):
         table.add_row(*each)
-    Console().print(table, markup=False)
+    terminal.console().print(table)
 
 
 def _save(path: Path, frame: "Frame") -> None:
     from PIL import Image
 
-    from smarttouch.errors import SmartTouchError
+    from smarttouch.files import write_bytes
 
-    try:
-        Image.fromarray(frame.image).save(path, format="PNG")
-    except OSError as error:
-        raise SmartTouchError(f"cannot write {path}: {error.strerror or error}") from None
+    content = BytesIO()
+    Image.fromarray(frame.image).save(content, format="PNG")
+    write_bytes(path, content.getvalue())
     typer.echo(f"The last frame is in {path}.")

@@ -1,6 +1,7 @@
 """Traces and spectra from CSV files."""
 
 import csv
+import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 
 from smarttouch.color.trace import HIGHEST_SAMPLE_HZ, SAMPLE_HZ, Array, Trace, sampled
 from smarttouch.errors import SmartTouchError
+from smarttouch.files import read_text
 
 _TIME, _SPECTRUM = "time_s", "frequency_hz"
 _BESIDE = {
@@ -89,11 +91,9 @@ def _from_spectrum(table: _Table, seconds: float, seed: int) -> Trace:
 
 def _read(path: Path) -> _Table:
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [(number, row) for number, row in enumerate(csv.reader(file), 1) if any(row)]
-    except OSError as error:
-        raise SmartTouchError(f"cannot read {path}: {error.strerror}") from None
-    except (UnicodeDecodeError, csv.Error):
+        reader = csv.reader(io.StringIO(read_text(path, SmartTouchError), newline=""))
+        rows = [(number, row) for number, row in enumerate(reader, 1) if any(row)]
+    except csv.Error:
         raise SmartTouchError(f"{path} is no CSV file: save it as comma-separated UTF-8") from None
     (number, header), rows = rows[0] if rows else (1, []), rows[1:]
     names = [each.strip() for each in header]

@@ -11,6 +11,7 @@ from types import NoneType, TracebackType
 from typing import Any, Self, get_args
 
 from smarttouch.errors import ExperimentError
+from smarttouch.files import MOST_TABLE_BYTES, read_bytes, require_file
 
 _BOM = "\N{ZERO WIDTH NO-BREAK SPACE}".encode()
 """By which spreadsheets know UTF-8."""
@@ -142,7 +143,10 @@ class RowFile:
         self.path, self.about = path, about
         if path.suffix.lower() != ".csv":
             raise ExperimentError(f"answers go into a .csv file, not {path}: give such a name")
-        data = b"" if overwrite or not path.exists() else _bytes(path)
+        data = b""
+        if path.exists():
+            require_file(path, ExperimentError, MOST_TABLE_BYTES)
+            data = b"" if overwrite else read_bytes(path, ExperimentError)
         whole = data[: data.rfind(b"\n") + 1]
         self.rows = _parse(whole, path) if whole else []
         self._require_same(self.rows[:1] + self.rows[-1:])
@@ -210,15 +214,8 @@ def read_rows(path: Path) -> list[TrialRow]:
     ExperimentError
         If it cannot be read, or a line is not what such a file has.
     """
-    data = _bytes(path)
+    data = read_bytes(path, ExperimentError)
     return _parse(data[: data.rfind(b"\n") + 1], path)
-
-
-def _bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise ExperimentError(f"cannot read {path}: {error.strerror}") from None
 
 
 def _parse(data: bytes, path: Path) -> list[TrialRow]:

@@ -1,9 +1,11 @@
 """What all figures share: colors that color-blind readers tell apart, and how files are written."""
 
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from smarttouch.errors import SmartTouchError
+from smarttouch.files import write_bytes
 from smarttouch.primary import Primary
 
 if TYPE_CHECKING:
@@ -67,7 +69,6 @@ def save(figure: "Figure", path: Path) -> None:
         If that is none of `FORMATS`, or the file cannot be written.
     """
     require_drawable(path)
-    try:
-        figure.savefig(path, dpi=200)
-    except OSError as error:
-        raise SmartTouchError(f"cannot write {path}: {error.strerror}") from None
+    content = BytesIO()
+    figure.savefig(content, dpi=200, format=path.suffix.removeprefix("."))
+    write_bytes(path, content.getvalue())

@@ -1,11 +1,11 @@
 """Kernels of every site and mode of a profile, designed once and kept."""
 
+import contextlib
 import hashlib
 import json
 import os
 import shutil
 import tempfile
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.arrays import read_arrays
 from smarttouch.errors import DesignError
+from smarttouch.files import MOST_BANK_BYTES, open_file, require_replaceable
 from smarttouch.primary import Primary
-from smarttouch.profile import Profile
+from smarttouch.profile import Profile, profile_names
 from smarttouch.resources import data_folder
 
 if TYPE_CHECKING:
@@ -144,28 +146,44 @@ def load_bank(profile: Profile, progress: Progress | None = None) -> KernelBank:
     if bank is not None:
         return bank
     cached = _cached_bank(profile)
-    try:
+    # Without a cache the next run designs again; that is slow, not wrong.
+    with contextlib.suppress(OSError):
         cached.parent.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        # Without a cache the next run designs again; that is slow, not wrong.
-        return design_bank(profile, progress)
-    return make_bank(cached, profile, progress)
+    bank = design_bank(profile, progress, _parts(cached, profile))
+    with contextlib.suppress(OSError):
+        write_bank(cached, profile, bank)
+        shutil.rmtree(_parts(cached, profile), ignore_errors=True)
+    return bank
 
 
 def find_bank(profile: Profile) -> KernelBank | None:
     """Return the bank of a profile if it is shipped or in the user's cache."""
-    key = problem_hash(profile)
-    banks = (_read(path, key) for path in (shipped_bank(profile.name), _cached_bank(profile)))
+    shipped = [shipped_bank(profile.name)] if profile.name in profile_names() else []
+    banks = (_read(path, profile) for path in (*shipped, _cached_bank(profile)))
     return next((bank for bank in banks if bank is not None), None)
 
 
 def make_bank(path: Path, profile: Profile, progress: Progress | None = None) -> KernelBank:
-    """Design a bank and write it; if interrupted, go on the next time."""
-    keep = path.with_name(f"{path.stem}-{problem_hash(profile)[:12]}.parts")
-    bank = design_bank(profile, progress, keep)
-    write_bank(path, profile, bank)
-    shutil.rmtree(keep, ignore_errors=True)
+    """Design a bank and write it; if interrupted, go on the next time.
+
+    Raises
+    ------
+    DesignError
+        If it cannot be written.
+    """
+    require_replaceable(path, DesignError)
+    bank = design_bank(profile, progress, _parts(path, profile))
+    try:
+        write_bank(path, profile, bank)
+    except OSError as error:
+        raise DesignError(f"cannot write the bank {path}: {error.strerror}") from None
+    shutil.rmtree(_parts(path, profile), ignore_errors=True)
     return bank
+
+
+def _parts(path: Path, profile: Profile) -> Path:
+    """Return the folder of what is designed so far; processes that design the same share it."""
+    return path.with_name(f"{path.stem}-{problem_hash(profile)[:12]}.parts")
 
 
 def _cached_bank(profile: Profile) -> Path:
@@ -232,18 +250,37 @@ def write_bank(path: Path, profile: Profile, bank: KernelBank) -> None:
         raise
 
 
-def _read(path: Path, key: str) -> KernelBank | None:
-    """Return the bank in a file if it answers this very problem."""
+def _read(path: Path, profile: Profile) -> KernelBank | None:
+    """Return the bank in a file if it answers the very problem of a profile, and is whole."""
     try:
-        # Opened here: numpy leaves a file that is no archive open behind it.
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            if str(file["key"]) != key:
-                return None
-            columns: dict[str, Column] = {name: {} for name in _FIELDS}
-            for name in file.files:
-                field, _, primary = name.rpartition("_")
-                if field in columns:
-                    columns[field][Primary[primary]] = file[name]
-            return KernelBank(**columns)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        with open_file(path, DesignError, MOST_BANK_BYTES) as file:
+            arrays = read_arrays(file)
+        if str(arrays["key"]) != problem_hash(profile):
+            return None
+        columns: dict[str, Column] = {name: {} for name in _FIELDS}
+        for name, values in arrays.items():
+            field, _, primary = name.rpartition("_")
+            if field in columns:
+                columns[field][Primary[primary]] = values
+        return _checked(KernelBank(**columns), len(profile.electrodes))
+    except (DesignError, OSError, ValueError, KeyError):
+        # It is designed anew: that is slow, not wrong.
         return None
+
+
+def _checked(bank: KernelBank, electrodes: int) -> KernelBank:
+    """Return a bank; ValueError if its arrays are not those of so many electrodes."""
+    for name in _FIELDS:
+        column: Column = getattr(bank, name)
+        shape = (electrodes,) * (2 if name in ("weights", "receptor") else 1)
+        if column.keys() != bank.weights.keys() or not column:
+            raise ValueError(f"{name} is not of the classes of the weights")
+        for values in column.values():
+            kinds = "i" if name == "worst_class" else "f"
+            if values.shape != shape or values.dtype.kind not in kinds:
+                raise ValueError(f"{name} is not of {electrodes} electrodes")
+            if not np.isfinite(values).all():
+                raise ValueError(f"{name} has what is no number")
+    if not {int(each) for each in np.unique([*bank.worst_class.values()])} <= {*Primary}:
+        raise ValueError("a worst class is none")
+    return bank

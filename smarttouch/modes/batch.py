@@ -1,6 +1,8 @@
 """Many kernels at once: every distinct site, on all cores, kept as they come."""
 
+import contextlib
 import json
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -10,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from smarttouch.errors import DesignError
+from smarttouch.files import parse_json, read_bytes
 from smarttouch.modes.problem import Kernel, Problem
 from smarttouch.primary import Primary
 
@@ -63,8 +67,6 @@ def design_sites(
     ways = [problem.representative(site) for site in sites]
     distinct = sorted({first for first, _ in ways})
     done = {first: kept for first in distinct if (kept := _kept(keep, problem, first))}
-    if keep is not None:
-        keep.mkdir(parents=True, exist_ok=True)
     missing = [first for first in distinct if first not in done]
     answers = Parallel(n_jobs=-1, prefer="threads", return_as="generator_unordered")(
         delayed(_timed)(design, problem, first) for first in missing
@@ -123,21 +125,27 @@ def _keep(keep: Path, problem: Problem, site: int, kernel: Kernel, seconds: floa
         "gap": kernel.gap,
         "seconds": seconds,
     }
-    path = _path(keep, problem, site)
-    half = path.with_suffix(".part")
-    half.write_text(json.dumps(fields), encoding="utf-8")
-    half.replace(path)
+    # Another process may design the same, and remove the folder when it is done; what is not kept
+    # is only designed again.
+    with contextlib.suppress(OSError):
+        keep.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=keep, suffix=".part", delete=False) as half:
+            half.write(json.dumps(fields))
+        Path(half.name).replace(_path(keep, problem, site))
 
 
 def _kept(keep: Path | None, problem: Problem, site: int) -> Timed | None:
     if keep is None:
         return None
     try:
-        fields = json.loads(_path(keep, problem, site).read_text(encoding="utf-8"))
+        fields = parse_json(read_bytes(_path(keep, problem, site), DesignError))
         seconds = float(fields.pop("seconds"))
         fields["weights"] = np.array(fields["weights"], np.float64)
         fields["worst_other_class"] = Primary[fields["worst_other_class"]]
         kernel = Kernel(**fields)
-    except (OSError, ValueError, KeyError, TypeError):
+        whole = kernel.weights.shape == (problem.electrodes,) and bool(
+            np.isfinite([*kernel.weights, kernel.worst_other, kernel.own_spill, kernel.gap]).all()
+        )
+    except (DesignError, ValueError, KeyError, TypeError, AttributeError, OverflowError):
         return None
-    return (kernel, seconds) if kernel.weights.shape == (problem.electrodes,) else None
+    return (kernel, seconds) if whole else None

@@ -1,5 +1,6 @@
 """What the skin felt, drawn in the world: delivered pulses where the electrodes were."""
 
+from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from smarttouch.errors import SmartTouchError
+from smarttouch.files import write_bytes
 from smarttouch.live import Sent
 from smarttouch.modes.bank import KernelBank
 from smarttouch.mouse.texture import Texture
@@ -139,10 +141,9 @@ class FeltMap:
                 f"What the skin got: {names} pulses where their electrodes were",
             ),
         )
-        try:
-            _sheet(rows).save(path, format="PNG")
-        except OSError as error:
-            raise SmartTouchError(f"cannot write {path}: {error.strerror or error}") from None
+        content = BytesIO()
+        _sheet(rows).save(content, format="PNG")
+        write_bytes(path, content.getvalue())
 
 
 def _sheet(rows: tuple[tuple[NDArray[np.uint8], str], ...]) -> Image.Image:

@@ -1,11 +1,13 @@
 """A hand's way as it was recorded."""
 
 import csv
+import io
 from pathlib import Path
 
 import numpy as np
 
 from smarttouch.errors import SensorError
+from smarttouch.files import read_text
 from smarttouch.mouse.motion import Motion
 
 RESOLUTION_MM = 0.01
@@ -67,13 +69,11 @@ class PathMotion(Motion):
 
 def _read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            heading = [cell.strip() for cell in next(reader, [])]
-            rows = [(reader.line_num, row) for row in reader if row]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or "it is not a text table"
-        raise SensorError(f"cannot read the path {path}: {reason}") from None
+        reader = csv.reader(io.StringIO(read_text(path, SensorError), newline=""))
+        heading = [cell.strip() for cell in next(reader, [])]
+        rows = [(reader.line_num, row) for row in reader if row]
+    except csv.Error:
+        raise SensorError(f"cannot read the path {path}: it is not a text table") from None
     if not set(_NEEDED) <= set(heading):
         raise SensorError(f"{path} must begin with a line that names {','.join(_NEEDED)}")
     if len(rows) < 2:

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ImageOps
 
+from smarttouch.arrays import read_array
 from smarttouch.errors import PageError
+from smarttouch.files import MOST_BANK_BYTES, open_file
 from smarttouch.pages.page_image import (
     check_scale_options,
     open_image,
@@ -108,12 +110,13 @@ def print_heights(text: str, width_mm: float | None = None) -> Heights:
 def _load_array(
     path: Path, dpi: float | None, width_mm: float | None
 ) -> tuple[NDArray[np.float64], float]:
-    try:
-        values = np.load(path, allow_pickle=False)
-        heights = np.asarray(values, np.float64)
-    except (OSError, ValueError, EOFError, TypeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not an array of numbers"
-        raise PageError(f"cannot read the height map {path}: {reason}") from None
+    with open_file(path, PageError, MOST_BANK_BYTES) as file:
+        try:
+            heights = np.asarray(read_array(file, path.stat().st_size), np.float64)
+        except (OSError, ValueError, TypeError) as error:
+            raise PageError(
+                f"cannot read the height map {path}: it is not an array of numbers ({error})"
+            ) from None
     if heights.ndim != 2:
         raise PageError(f"{path} has {heights.ndim} axes: a height map has two, rows and columns")
     require_pixels(str(path), heights.shape[1], heights.shape[0])

@@ -10,7 +10,7 @@ from smarttouch.errors import SensorError
 from smarttouch.mouse.motion import Motion
 
 USUAL_MM_S = 40.0
-FASTEST_MM_S = 1000.0
+SLOWEST_MM_S, FASTEST_MM_S = 0.1, 1000.0
 START_S = 0.75
 """A hand rests before its first stroke until intensity is up."""
 REST_S = 0.3
@@ -90,9 +90,9 @@ class SweepMotion(Motion):
         rounds: int = USUAL_ROUNDS,
         seed: int | None = None,
     ) -> None:
-        if not 0 < speed_mm_s <= FASTEST_MM_S:
+        if not SLOWEST_MM_S <= speed_mm_s <= FASTEST_MM_S:
             raise SensorError(
-                f"--speed {speed_mm_s:g} must be above 0 and at most {FASTEST_MM_S:g} mm/s"
+                f"--speed {speed_mm_s:g} must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g} mm/s"
             )
         super().__init__(f"a virtual hand at {speed_mm_s:g} mm/s")
         points = _round_trip(span_mm, lane_mm)

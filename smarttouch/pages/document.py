@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from smarttouch.errors import PageError
+from smarttouch.files import MOST_DOCUMENT_BYTES, open_file
 from smarttouch.pages.page_image import (
     INCH_MM,
     LARGEST_MM,
@@ -231,11 +232,10 @@ class PdfDocument(Document):
 
 def _is_pdf(path: Path) -> bool:
     try:
-        with path.open("rb") as file:
+        with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file:
             return _SIGNATURE in file.read(_SIGNATURE_WITHIN)
-    except OSError:
-        # What is wrong with the file, opening it as an image says better.
-        return False
+    except OSError as error:
+        raise PageError(f"cannot read {path}: {error.strerror}") from None
 
 
 def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument":

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from smarttouch.errors import PageError
+from smarttouch.files import MOST_DOCUMENT_BYTES, open_file
 
 MOST_PIXELS = 100_000_000
 FEWEST_PIXELS = 8
@@ -111,12 +112,8 @@ def open_image(path: Path, wanted: str = IMAGE) -> Iterator[Image.Image]:
             # damages that it then raises, or gets over.
             warnings.filterwarnings("ignore", module=r"PIL\.")
             # An open file: of a path, Pillow 13 gets turned TIFFs wrong by mapping them to memory.
-            with path.open("rb") as file, Image.open(file) as image:
+            with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file, Image.open(file) as image:
                 yield image
-    except FileNotFoundError:
-        raise PageError(f"no file {path}: check its name") from None
-    except IsADirectoryError:
-        raise PageError(f"{path} is a folder: give a file") from None
     except Image.DecompressionBombError:
         raise PageError(
             f"{path} is above {MOST_PIXELS // 10**6} megapixels: make it smaller first"

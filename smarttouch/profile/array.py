@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from smarttouch import electrodes
 from smarttouch.electrodes import ElectrodeArray
-from smarttouch.profile.table import Positive, Table
+from smarttouch.profile.table import Number, Positive, Table
 
 
 class GridLayout(Table):
@@ -68,7 +68,7 @@ class FreeLayout(Table):
     """Electrodes anywhere, one after the other."""
 
     layout: Literal["free"]
-    positions_mm: tuple[tuple[float, float], ...] = Field(max_length=4096)
+    positions_mm: tuple[tuple[Number, Number], ...] = Field(max_length=4096)
     shape: Literal["point", "disc", "annulus", "rectangle"] = "disc"
     size_mm: tuple[float, float] = (1.0, 0.0)
     """Diameter (and inner diameter) of a disc or annulus; width and height of a rectangle."""

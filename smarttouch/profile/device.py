@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, FiniteFloat, model_validator
+from pydantic import Field, model_validator
 
 from smarttouch.electrodes import ElectrodeArray
 from smarttouch.profile.array import ArrayLayout
@@ -24,7 +24,7 @@ from smarttouch.profile.ceilings import (
     SHORTEST_RAMP_S,
 )
 from smarttouch.profile.skin import Skin
-from smarttouch.profile.table import Positive, Table
+from smarttouch.profile.table import Number, Positive, Table
 
 
 class Output(Table):
@@ -64,9 +64,9 @@ class Optics(Table):
     magnification: Positive
     """Millimeters on the array for one millimeter on the page."""
     rotation_deg: float = Field(default=0.0, ge=-180, le=180)
-    offset_x_mm: float = Field(default=0.0, allow_inf_nan=False)
-    offset_y_mm: float = Field(default=0.0, allow_inf_nan=False)
-    homography: tuple[float, ...] | None = Field(default=None, min_length=9, max_length=9)
+    offset_x_mm: Number = 0.0
+    offset_y_mm: Number = 0.0
+    homography: tuple[Number, ...] | None = Field(default=None, min_length=9, max_length=9)
     """Of a tilted camera, row by row: millimeters on the page around the middle of what the array
     covers become pixels of a frame of ``sensor_columns`` by ``sensor_rows`` (centers at whole
     numbers). Field, rotation and offset are not used where it is given."""
@@ -150,9 +150,9 @@ class Perception(Table):
     comfort_ratio: float = Field(gt=1, le=10)
     comfort_ma: tuple[Positive, ...] | None = None
     """Measured strongest of each electrode; ``threshold_ma`` × ``comfort_ratio`` if not given."""
-    ra_shift_mm: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
-    sai_shift_mm: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
-    pc_shift_mm: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
+    ra_shift_mm: tuple[Number, Number] = (0.0, 0.0)
+    sai_shift_mm: tuple[Number, Number] = (0.0, 0.0)
+    pc_shift_mm: tuple[Number, Number] = (0.0, 0.0)
     """How far from the stimulated point a class is felt, right and down: at the receptor, not where
     its axon was hit (paper, Section III-B.4: PC 1 to 3 mm toward the fingertip)."""
 

@@ -1,11 +1,11 @@
 """Profiles by name, and as TOML files."""
 
-import tomllib
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from smarttouch.errors import ProfileError
+from smarttouch.files import MOST_TOML_BYTES, parse_toml, read_text
 from smarttouch.profile.device import Profile
 from smarttouch.resources import data_folder
 
@@ -28,13 +28,14 @@ def load_profile(name: str | Path) -> Profile:
     path = data_folder("calibration") / f"{name}.toml"
     if str(name) not in profile_names():
         path = Path(name)
-        if not path.is_file():
+        if not _is_there(path):
             raise ProfileError(
                 f"no profile {str(name)!r}: give a TOML file or one of {', '.join(profile_names())}"
             )
+    text = read_text(path, ProfileError, MOST_TOML_BYTES)
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        table = parse_toml(text)
+    except ValueError as error:
         raise ProfileError(f"{path} is not a readable TOML file: {error}") from None
     try:
         profile = Profile.model_validate({**table, "name": path.stem})
@@ -47,6 +48,14 @@ def load_profile(name: str | Path) -> Profile:
     beside = str(path.parent / profile.optics.flat_field)
     optics = profile.optics.model_copy(update={"flat_field": beside})
     return profile.model_copy(update={"optics": optics})
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:
+        # Reading it will say what is wrong.
+        return True
 
 
 def _first_complaint(path: Path, error: ValidationError) -> str:

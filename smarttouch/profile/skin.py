@@ -12,7 +12,7 @@ class SkinLayer(Table):
     """One layer of skin; the last one goes on without end."""
 
     name: str = ""
-    thickness_mm: float = Field(default=float("inf"), gt=0)
+    thickness_mm: float = Field(default=float("inf"), gt=0, allow_inf_nan=True)
     conductivity_s_per_m: Positive
 
 

@@ -15,7 +15,7 @@ LAND_S = 0.15
 """A finger lands on a line, and intensity begins to rise."""
 SETTLE_S = 0.75
 """Then it rests at the line's start until intensity is up."""
-FASTEST_MM_S = 2000.0
+SLOWEST_MM_S, FASTEST_MM_S = 0.1, 2000.0
 LONGEST_PAUSE_S = 3600.0
 GAP = 0.2
 """Of the time of a step that is silent, where text comes step by step and not in one move: two
@@ -64,9 +64,10 @@ class Motion:
     gaps: bool = False
 
     def __post_init__(self) -> None:
-        if not 0 < self.speed_mm_s <= FASTEST_MM_S:
+        if not SLOWEST_MM_S <= self.speed_mm_s <= FASTEST_MM_S:
             raise ReadingError(
-                f"--speed {self.speed_mm_s:g} must be above 0 and at most {FASTEST_MM_S:g} mm/s"
+                f"--speed {self.speed_mm_s:g} must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g} "
+                "mm/s"
             )
 
 

@@ -1,10 +1,10 @@
 """What a recording amounts to: when, how long, how much, and what was delivered."""
 
-import json
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from smarttouch.recording.chunks import parse_message
 from smarttouch.recording.reader import Recording
 from smarttouch.recording.schemas import LAST
 
@@ -37,16 +37,16 @@ class Account:
     refused: int = 0
 
     def _sequence(self, data: bytes) -> None:
-        told = json.loads(data)
-        self.slots += int(told["slots"])
+        told = parse_message(data)
+        self.slots += _count(told["slots"])
         self.lost += told["number"] is None
         self.modes[str(told["mode"])] += 1
         self.strongest_ma = max(self.strongest_ma, float(told["strongest_ma"]))
 
     def _board(self, data: bytes) -> None:
-        told = json.loads(data)
-        self.acknowledged = int(told["acknowledged"])
-        self.refused = int(told["refused"])
+        told = parse_message(data)
+        self.acknowledged = _count(told["acknowledged"])
+        self.refused = _count(told["refused"])
 
     def add(self, topic: str, data: bytes) -> None:
         """Enter one message; one that makes no sense counts by its size alone."""
@@ -59,6 +59,13 @@ class Account:
                 self._board(data)
         except (ValueError, TypeError, KeyError, OverflowError):
             pass
+
+
+def _count(value: float) -> int:
+    """Return a whole number; ValueError if nobody can have counted so far."""
+    if not 0 <= value < 2**53:
+        raise ValueError(f"{value!r} is no count")
+    return int(value)
 
 
 def account_of(recording: Recording) -> Account:

@@ -10,7 +10,6 @@ import numpy as np
 from smarttouch.errors import RecordingError
 from smarttouch.modes.bank import KernelBank, load_bank
 from smarttouch.pipeline import Measured, Pipeline
-from smarttouch.primary import Mode
 from smarttouch.profile import Profile
 from smarttouch.recording.decoder import RecordedStep
 from smarttouch.recording.reader import Recording
@@ -19,7 +18,6 @@ from smarttouch.scan.adaptation import Adaptation
 from smarttouch.scan.ledger import ChargeLedger
 from smarttouch.scan.recharge import RechargeRules
 from smarttouch.scan.sequence import ScanSequence
-from smarttouch.scan.timing import ScanTiming
 
 KEPT = 20
 """Differences that a report names; all are counted."""
@@ -170,32 +168,31 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
     RecordingError
         If its settings do not say how.
     """
-    settings = recording.settings
-    try:
-        timing = ScanTiming(**settings["timing"])
-        pipeline = Pipeline(
-            profile,
-            bank,
-            Mode(settings["mode"]),
-            settings["rate_hz"],
-            settings["light_on_dark"],
-            timing,
-            settings["softness"],
-            recording.tone,
-            settings.get("vibrated", False),
-            recording.sharing,
-        )
-        adaptation = ledger = recharge = None
-        if settings["hold"] is not None:
-            adaptation = Adaptation(profile, settings["hold"], settings["compliance_v"], timing)
-        if settings["balance"]:
-            ledger = ChargeLedger(len(profile.electrodes))
-            if settings.get("recharge", False):
-                recharge = RechargeRules.of(profile, timing)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise RecordingError(
-            f"the settings in {recording.path} do not say how it was made: {error!r}"
-        ) from None
+    run = recording.run
+    pipeline = Pipeline(
+        profile,
+        bank,
+        run.mode,
+        run.rate_hz,
+        run.light_on_dark,
+        run.timing,
+        run.softness,
+        run.tone,
+        run.vibrated,
+        run.sharing,
+    )
+    adaptation = ledger = recharge = None
+    if run.hold is not None:
+        if run.compliance_v is None:
+            raise RecordingError(
+                f"the settings in {recording.path} do not say how it was made: compliance_v is "
+                "missing, which hold needs"
+            )
+        adaptation = Adaptation(profile, run.hold, run.compliance_v, run.timing)
+    if run.balance:
+        ledger = ChargeLedger(len(profile.electrodes))
+        if run.recharge:
+            recharge = RechargeRules.of(profile, run.timing)
     return pipeline, Regulator(adaptation, ledger, recharge)
 
 

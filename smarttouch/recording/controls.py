@@ -1,12 +1,12 @@
 """What the user of a recorded run had asked for, asked for again."""
 
 import bisect
-import json
 from dataclasses import replace
 
 from smarttouch.controls import Controls, Wish
 from smarttouch.errors import RecordingError
 from smarttouch.primary import Mode
+from smarttouch.recording.chunks import parse_message
 from smarttouch.recording.reader import Recording
 
 
@@ -35,10 +35,14 @@ class RecordedControls(Controls):
         for topic, message in recording.messages():
             if topic != "/sequence":
                 continue
-            step = json.loads(message.data)
-            recorded = Wish(Mode(step["mode"]), float(step["level"]))
+            try:
+                step = parse_message(message.data)
+                recorded = Wish(Mode(step["mode"]), float(step["level"]))
+                time_ns = int(step["time_ns"])
+            except (ValueError, KeyError, TypeError, OverflowError):
+                continue
             if not self._recorded or recorded != self._recorded[-1]:
-                self._times_ns.append(int(step["time_ns"]))
+                self._times_ns.append(time_ns)
                 self._recorded.append(recorded)
         for recorded in self._recorded:
             if recorded.mode not in modes:

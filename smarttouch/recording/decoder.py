@@ -1,8 +1,8 @@
 """Steps of a run from their messages; what makes no sense is left out."""
 
 import base64
-import json
 import math
+import struct
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 
@@ -14,15 +14,25 @@ from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.live import Sent
 from smarttouch.pipeline import Measured, Step
 from smarttouch.primary import Mode, Primary
+from smarttouch.recording.chunks import parse_message
 from smarttouch.recording.encoder import Message, remember
 from smarttouch.recording.schemas import LAST
 from smarttouch.scan.sequence import Proof, ScanSequence
 from smarttouch.sensing.frame import Frame, Pose, PulseRequest
 
 _IMPOSSIBLE = (
-    ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError, cv2.error,
+    ValueError, TypeError, LookupError, AttributeError, OverflowError, struct.error,
+    cv2.error,
 )  # fmt: skip
 """What a message may do that is JSON and yet makes no sense."""
+
+
+_PNG = struct.Struct(">16sII")
+_SIGNATURE = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
+"""How a PNG begins; width and height follow."""
+MOST_PIXELS = 100_000_000
+_LONGEST_US = 10_000_000
+"""Between pulses that a source asks for: the period of the slowest rate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +65,13 @@ class StepDecoder:
 
     Attributes
     ----------
+    electrodes : int
+        Of the device of the run.
     broken : int
         Steps that were incomplete or made no sense.
     """
 
+    electrodes: int
     broken: int = 0
     _index: int = -1
     _parts: dict[str, list[Message]] = field(default_factory=dict)
@@ -72,7 +85,7 @@ class StepDecoder:
             self.broken += bool(self._parts)
             self._parts, self._index = {}, index
         try:
-            message = json.loads(data)
+            message = parse_message(data)
             self._parts.setdefault(topic, []).append(message)
             return self._step() if topic == LAST else None
         except _IMPOSSIBLE:
@@ -89,7 +102,7 @@ class StepDecoder:
             self._image, self._image_number = _decoded(parts["/frame"]), finger["number"]
         if self._image is None or self._image_number != finger["number"]:
             raise ValueError("the image of this step is missing")
-        sequence = _sequence_of(parts["/sequence"])
+        sequence = _sequence_of(parts["/sequence"], self.electrodes)
         remember(self._sequences, sequence.time_ns, sequence)
         frame = Frame(
             self._image,
@@ -101,11 +114,9 @@ class StepDecoder:
             bool(finger["stale"]),
         )
         told = parts["/sequence"]
-        tactile = _tactile_of(parts["/tactile"], sequence.electrodes, frame)
+        tactile = _tactile_of(parts["/tactile"], self.electrodes, frame)
         if "/request" in parts:
-            asked = parts["/request"]
-            request = PulseRequest(tactile.activation, int(asked["period_us"]), asked["level"])
-            frame = replace(frame, request=request)
+            frame = replace(frame, request=_request_of(parts["/request"], tactile))
         step = Step(
             frame=frame,
             tactile=tactile,
@@ -128,14 +139,18 @@ class StepDecoder:
         return sequence, volts
 
 
-def _sequence_of(message: Message) -> ScanSequence:
+def _sequence_of(message: Message, electrodes: int) -> ScanSequence:
     """Return the sequence in a message of `/sequence`; ValueError and its like if there is none."""
-    slots, electrodes = int(message["slots"]), int(message["electrodes"])
+    slots = int(message["slots"])
     current_ua = np.frombuffer(base64.b64decode(message["current_ua"]), "<i2")
-    vibration = message.get("vibration")
     keys = ("width_us", "discharge_us", "site")
     columns = {key: np.array(message[key], np.uint16) for key in keys}
-    if slots < 0 or electrodes < 1 or any(each.shape != (slots,) for each in columns.values()):
+    shaken = None if message.get("vibration") is None else np.array(message["vibration"], "f4")
+    if shaken is not None and not (shaken.shape == (electrodes,) and np.isfinite(shaken).all()):
+        raise ValueError(f"not the vibration of {electrodes} electrodes")
+    if message["electrodes"] != electrodes:
+        raise ValueError(f"a sequence of {message['electrodes']} electrodes, not {electrodes}")
+    if slots < 0 or any(each.shape != (slots,) for each in columns.values()):
         raise ValueError(f"not a sequence of {slots} slots")
     return ScanSequence(
         current_ua=current_ua.astype(np.int16).reshape(slots, electrodes),
@@ -145,7 +160,7 @@ def _sequence_of(message: Message) -> ScanSequence:
         period_us=int(message["period_us"]),
         intensity=float(message["intensity"]),
         time_ns=int(message["time_ns"]),
-        vibration=None if vibration is None else np.array(vibration, np.float32),
+        vibration=shaken,
         proof=_proof_of(message, slots),
         recharge_ua=_recharge_of(message, electrodes),
         recharge_us=int(message.get("recharge_us", 0)),
@@ -172,6 +187,13 @@ def _proof_of(message: Message, slots: int) -> Proof | None:
     return Proof(points, other, spill)
 
 
+def _request_of(message: Message, tactile: TactileImage) -> PulseRequest:
+    period_us, level = int(message["period_us"]), float(message["level"])
+    if not (0 <= period_us <= _LONGEST_US and 0 <= level <= 1):
+        raise ValueError(f"not a request: {period_us} µs at a level of {level}")
+    return PulseRequest(tactile.activation, period_us, level)
+
+
 def _tactile_of(message: Message, electrodes: int, frame: Frame) -> TactileImage:
     activation = np.zeros((len(Primary), electrodes), np.float32)
     for each in Primary:
@@ -185,8 +207,11 @@ def _tactile_of(message: Message, electrodes: int, frame: Frame) -> TactileImage
 
 
 def _decoded(message: Message) -> NDArray[np.uint8]:
-    png = np.frombuffer(base64.b64decode(message["data"]), np.uint8)
-    image = cv2.imdecode(png, cv2.IMREAD_UNCHANGED)
+    data = base64.b64decode(message["data"])
+    head, width, height = _PNG.unpack_from(data)
+    if head != _SIGNATURE or width * height > MOST_PIXELS:
+        raise ValueError(f"not a PNG, or of {width} x {height} pixels")
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None or image.ndim != 2 or image.dtype != np.uint8:
         raise ValueError("not an image of grey levels")
     return np.asarray(image, np.uint8)

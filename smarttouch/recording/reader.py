@@ -1,6 +1,5 @@
 """Recordings read back: whole ones, and what is left of those that were cut or damaged."""
 
-import json
 import os
 import struct
 from collections.abc import Generator, Iterator
@@ -12,21 +11,30 @@ from typing import Any, BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Message, Metadata, Schema
-from mcap.stream_reader import breakup_chunk
+from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 from pydantic import ValidationError
 
 from smarttouch.errors import ProfileError, RecordingError
-from smarttouch.imaging.mapping import Tone
-from smarttouch.primary import Primary
+from smarttouch.files import open_file
 from smarttouch.profile import Profile
+from smarttouch.recording.chunks import (
+    BASE_BYTES,
+    BASE_MESSAGES,
+    MOST_BYTES,
+    MOST_CHUNK_BYTES,
+    MOST_INFLATION,
+    broken_up,
+    parse_message,
+    read_record,
+    records_in,
+)
 from smarttouch.recording.decoder import RecordedStep, StepDecoder
 from smarttouch.recording.schemas import FORMAT, METADATA
-from smarttouch.scan.frames import Sharing
+from smarttouch.recording.settings import RunSettings, read_settings
 
-_HEAD = struct.Struct("<BQ")
-_TIMES = struct.Struct("<QQ")
+_CHUNK = struct.Struct("<QQQ")
+"""Of a chunk's head: first time, last time, bytes when decompressed."""
 _LONGEST_ABOUT = 4 * 2**20
 
 
@@ -66,8 +74,9 @@ class Recording:
         self._bad_at: set[int] = set()
         self._ended = False
         self._last_ns = 0
+        self._most_messages = 0
         try:
-            with path.open("rb") as file:
+            with open_file(path, RecordingError, MOST_BYTES) as file:
                 self._look_through(file)
         except OSError as error:
             raise RecordingError(f"cannot read {path}: {error.strerror}") from None
@@ -129,17 +138,15 @@ class Recording:
         """How the run was set up."""
         return self._table("settings")
 
-    @property
-    def tone(self) -> Tone | None:
-        """How ink became activation; recordings from before there was a choice do not say."""
-        told = self.settings.get("tone")
-        return Tone(**told) if told else None
-
-    @property
-    def sharing(self) -> Sharing:
-        """Classes whose points shared slots."""
-        told = self.settings.get("sharing") or {"primaries": (), "planned": True}
-        return Sharing(tuple(Primary[each] for each in told["primaries"]), told["planned"])
+    @cached_property
+    def run(self) -> RunSettings:
+        """What of the settings its sequences depend on."""
+        try:
+            return read_settings(self.settings)
+        except ValueError as error:
+            raise RecordingError(
+                f"the settings in {self.path} do not say how it was made: {error}"
+            ) from None
 
     @cached_property
     def versions(self) -> dict[str, Any]:
@@ -148,7 +155,7 @@ class Recording:
 
     def steps(self) -> Generator[RecordedStep, None, None]:
         """Yield all steps that are complete, in order."""
-        decoder = StepDecoder()
+        decoder = StepDecoder(len(self.profile.electrodes))
         for topic, message in self.messages():
             if topic != "/event":
                 step = decoder.take(topic, message.sequence, message.data)
@@ -161,35 +168,44 @@ class Recording:
         for topic, message in self.messages():
             if topic == "/event":
                 try:
-                    words = str(json.loads(message.data)["message"])
-                except (ValueError, KeyError, TypeError, RecursionError):
+                    words = str(parse_message(message.data)["message"])
+                except (ValueError, KeyError, TypeError):
                     continue
                 yield message.log_time - self.started_unix_ns, words
 
     def messages(self) -> Iterator[tuple[str, Message]]:
         """Yield all messages with their topics, in the order of the file."""
+        count = 0
         try:
-            with self.path.open("rb") as file:
-                for opcode, at, length in _records(file):
-                    if opcode in (Opcode.CHUNK, Opcode.MESSAGE):
-                        file.seek(at)
-                        yield from self._messages_in(opcode, at, file.read(length))
+            with open_file(self.path, RecordingError, MOST_BYTES) as file:
+                for opcode, at, length in records_in(file, len(MCAP0_MAGIC)):
+                    if opcode not in (Opcode.CHUNK, Opcode.MESSAGE):
+                        continue
+                    if length > MOST_CHUNK_BYTES:
+                        self._bad_at.add(at)
+                        continue
+                    file.seek(at)
+                    for each in self._messages_in(opcode, at, file.read(length)):
+                        count += 1
+                        if count > self._most_messages:
+                            raise RecordingError(
+                                f"{self.path} holds more than {self._most_messages:,} messages, "
+                                "too many for its size: it was not made by recording"
+                            )
+                        yield each
         except OSError as error:
             raise RecordingError(f"cannot read {self.path}: {error.strerror}") from None
 
     def _messages_in(self, opcode: int, at: int, data: bytes) -> Iterator[tuple[str, Message]]:
-        stream = ReadDataStream(BytesIO(data))
-        try:
-            records = (
-                breakup_chunk(Chunk.read(stream), validate_crc=True)
-                if opcode == Opcode.CHUNK
-                else [Message.read(stream, len(data))]
-            )
-        except Exception:
-            # Decompressors and parsers of damaged bytes fail in every way there is.
-            self._bad_at.add(at)
-            return
-        for record in records:
+        records = broken_up(data) if opcode == Opcode.CHUNK else map(read_record, [opcode], [data])
+        while True:
+            try:
+                record = next(records, None)
+            except ValueError:
+                self._bad_at.add(at)
+                return
+            if record is None:
+                return
             if isinstance(record, Message):
                 channel = self.channels.get(record.channel_id)
                 if channel is not None and channel.message_encoding == "json":
@@ -215,10 +231,13 @@ class Recording:
             Opcode.SCHEMA: Schema,
             Opcode.CHANNEL: Channel,
         }
-        for opcode, at, length in _records(file):
+        claims: list[int] = []
+        for opcode, at, length in records_in(file, len(MCAP0_MAGIC)):
             file.seek(at)
-            if opcode == Opcode.CHUNK and length >= _TIMES.size:
-                self._last_ns = max(self._last_ns, _TIMES.unpack(file.read(_TIMES.size))[1])
+            if opcode == Opcode.CHUNK and length >= _CHUNK.size:
+                _, last_ns, claimed = _CHUNK.unpack(file.read(_CHUNK.size))
+                self._last_ns = max(self._last_ns, last_ns)
+                claims.append(claimed)
             elif opcode == Opcode.FOOTER:
                 file.seek(at + length)
                 self._ended = file.read() == MCAP0_MAGIC
@@ -231,31 +250,23 @@ class Recording:
                 self._note(record)
                 if isinstance(record, Metadata) and record.name == METADATA:
                     self.about = record.metadata
+        self._require_size(claims, file.seek(0, os.SEEK_END))
+
+    def _require_size(self, claims: list[int], size: int) -> None:
+        """Raise if the chunks of a file claim to hold more than a recording can."""
+        believed = [each for each in claims if each <= MOST_CHUNK_BYTES]
+        if sum(believed) > BASE_BYTES + MOST_INFLATION * size or (claims and not believed):
+            raise RecordingError(
+                f"{self.path} of {size / 1e6:,.1f} MB claims to hold {sum(claims) / 1e6:,.0f} MB: "
+                "it was not made by recording"
+            )
+        self._most_messages = BASE_MESSAGES + size
 
     def _table(self, key: str) -> dict[str, Any]:
         try:
-            table = json.loads(self.about[key])
+            table = parse_message(self.about[key])
         except (KeyError, ValueError):
             table = None
         if not isinstance(table, dict):
             raise RecordingError(f"the {key} in {self.path} cannot be read")
         return table
-
-
-def _records(file: BinaryIO) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, place and length of all records that are complete, to the footer."""
-    size = file.seek(0, os.SEEK_END)
-    at = len(MCAP0_MAGIC)
-    while True:
-        file.seek(at)
-        head = file.read(_HEAD.size)
-        if len(head) < _HEAD.size:
-            return
-        opcode, length = _HEAD.unpack(head)
-        at += _HEAD.size
-        if length > size - at:
-            return
-        yield opcode, at, length
-        if opcode == Opcode.FOOTER:
-            return
-        at += length

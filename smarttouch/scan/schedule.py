@@ -18,6 +18,7 @@ from smarttouch.scan.rates import PulseRates, rate_share
 from smarttouch.scan.sequence import Proof, ScanSequence
 from smarttouch.scan.timing import ScanTiming
 
+_SLOWEST_HZ = 0.1
 _BOTH = (Primary.RA, Primary.SAI)
 """Of opposite polarity: where both are due, a point of one is the return of one of the other."""
 
@@ -88,10 +89,10 @@ class PointScan:
                     "one: choose RA or SAI"
                 )
         for each_hz in rates_hz.values():
-            if not 0 < each_hz <= limits.rate_hz:
+            if not _SLOWEST_HZ <= each_hz <= limits.rate_hz:
                 raise ScheduleError(
-                    f"a rate of {each_hz:g} Hz is not possible: it must be above 0 and at most "
-                    f"the profile's limit of {limits.rate_hz:g} Hz"
+                    f"a rate of {each_hz:g} Hz is not possible: it must be at least "
+                    f"{_SLOWEST_HZ:g} Hz and at most the profile's limit of {limits.rate_hz:g} Hz"
                 )
         self._vibrated = vibrated
         driven = [each for each in primaries if not (vibrated and each is Primary.PC)]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 
 from smarttouch.errors import SensorError
+from smarttouch.files import MOST_DOCUMENT_BYTES, open_file, require_file
 from smarttouch.sensing.camera import QUIET_OPENCV, to_grey
 
 USUAL_HZ = 30.0
@@ -29,6 +30,12 @@ _TEXT = cv2.VideoWriter.fourcc(*"ansi")
 # What the decoder says of damaged frames would tear the screen. It reads this once, when a process
 # first opens any video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+# Playlists would open other files, pipes and addresses.
+os.environ.setdefault(
+    "OPENCV_FFMPEG_CAPTURE_OPTIONS",
+    "protocol_whitelist;file|format_whitelist;3gp,asf,avi,flv,gif,h264,hevc,ivf,m4v,matroska,mjpeg,"
+    "mov,mp4,mpeg,mpegts,mpegvideo,mxf,nut,ogg,webm,yuv4mpegpipe",
+)
 
 
 class Clip(ABC):
@@ -172,8 +179,7 @@ class ImageFolder(Clip):
 def _require_file(path: Path) -> None:
     if path.is_dir():
         raise SensorError(f"{path} is a folder: give a video file, or frames:{path}")
-    if not path.is_file():
-        raise SensorError(f"no file {path}: check its name")
+    require_file(path, SensorError, MOST_DOCUMENT_BYTES)
 
 
 def _images(folder: Path) -> list[Path]:
@@ -206,7 +212,10 @@ def _natural(file: Path) -> list[tuple[int, int, str]]:
 @contextmanager
 def _reading(file: Path) -> Iterator[Image.Image]:
     try:
-        with Image.open(file) as image:
+        with (
+            open_file(file, SensorError, MOST_DOCUMENT_BYTES) as opened,
+            Image.open(opened) as image,
+        ):
             yield image
     except UnidentifiedImageError:
         raise SensorError(f"{file} is not an image that can be read: remove it") from None

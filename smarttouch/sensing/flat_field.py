@@ -9,7 +9,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.arrays import read_arrays
 from smarttouch.errors import CalibrationError, SensorError
+from smarttouch.files import MOST_BANK_BYTES, open_file, write_bytes
 
 DEAD_SHARE = 0.25
 """Of the usual answer to light: what answers less is dead."""
@@ -154,10 +156,7 @@ class FlatField:
         SensorError
             If that cannot be.
         """
-        try:
-            Path(path).write_bytes(self.to_bytes())
-        except OSError as error:
-            raise SensorError(f"cannot write the flat field {path}: {error.strerror}") from None
+        write_bytes(Path(path), self.to_bytes(), SensorError)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -168,20 +167,19 @@ class FlatField:
         SensorError
             If there is none, or it is not one.
         """
-        try:
-            content = BytesIO(Path(path).read_bytes())
-            with np.load(content, allow_pickle=False) as stored:
-                dark, gain = (np.asarray(stored[name], np.float32) for name in ("dark", "gain"))
-        except FileNotFoundError:
+        if not Path(path).exists():
             raise SensorError(
                 f"no flat field {path}: put it beside the profile, or remove optics.flat_field"
-            ) from None
-        except Exception:
-            # A damaged archive fails in a dozen ways, down to those of its compression.
-            raise SensorError(
-                f"{path} is not a flat field: calibrate the optics again, or remove "
-                "optics.flat_field"
-            ) from None
+            )
+        with open_file(Path(path), SensorError, MOST_BANK_BYTES) as file:
+            try:
+                stored = read_arrays(file)
+                dark, gain = (np.asarray(stored[name], np.float32) for name in ("dark", "gain"))
+            except (OSError, ValueError, TypeError, KeyError):
+                raise SensorError(
+                    f"{path} is not a flat field: calibrate the optics again, or remove "
+                    "optics.flat_field"
+                ) from None
         return cls(dark, gain)
 
 

@@ -1,6 +1,7 @@
 """How a finger moves over a page: line by line, or as it was recorded."""
 
 import csv
+import io
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import SensorError
+from smarttouch.files import read_text
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.text_lines import TextLine, find_lines
 from smarttouch.profile import Profile
@@ -22,7 +24,7 @@ RETURN_MM_S = 200.0
 SETTLE_S = 0.6
 """A finger rests at the start of a line while intensity ramps up."""
 LIFT_S = 0.15
-FASTEST_MM_S = 500.0
+SLOWEST_MM_S, FASTEST_MM_S = 0.1, 500.0
 _PRESS = 1.1
 """Reading force, of the profile's full force."""
 _WAVER = 0.08
@@ -66,9 +68,9 @@ class ReadingPath:
         seed: int = 0,
         light_on_dark: bool = False,
     ) -> None:
-        if not 0 < speed_mm_s <= FASTEST_MM_S:
+        if not SLOWEST_MM_S <= speed_mm_s <= FASTEST_MM_S:
             raise SensorError(
-                f"--speed {speed_mm_s:g} must be above 0 and at most {FASTEST_MM_S:g} mm/s"
+                f"--speed {speed_mm_s:g} must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g} mm/s"
             )
         field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
         lines = find_lines(page, light_on_dark) or [_whole(page)]
@@ -119,11 +121,9 @@ class RecordedPath:
 
     def __init__(self, path: Path) -> None:
         try:
-            with path.open(newline="", encoding="utf-8-sig") as file:
-                rows = list(csv.reader(file))
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
-            reason = getattr(error, "strerror", None) or "it is not a text table"
-            raise SensorError(f"cannot read the path {path}: {reason}") from None
+            rows = list(csv.reader(io.StringIO(read_text(path, SensorError), newline="")))
+        except csv.Error:
+            raise SensorError(f"cannot read the path {path}: it is not a text table") from None
         if not rows or tuple(cell.strip() for cell in rows[0]) != _COLUMNS:
             raise SensorError(f"{path} must begin with the line {','.join(_COLUMNS)}")
         table = [_numbers(path, number, row) for number, row in enumerate(rows[1:], 2) if row]

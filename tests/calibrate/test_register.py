@@ -139,7 +139,7 @@ def test_the_target_as_it_is_printed(tmp_path):
     assert np.ptp(dots.pixel - expected, axis=0).max() < 0.05
     for column, row in LARGE_DOTS:
         assert [column, row] in dots.cell.tolist()
-    with pytest.raises(CalibrationError, match="cannot write the target"):
+    with pytest.raises(CalibrationError, match="cannot write"):
         target.draw(tmp_path / "none" / "target.png")
 
 

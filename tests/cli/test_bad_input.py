@@ -63,7 +63,7 @@ def folder(tmp_path):
         ("live --rate nan", "a rate of nan Hz"),
         ("live --seconds -1", "--seconds -1"),
         ("live --speed 0", "--speed 0"),
-        ("live --path missing.csv", "cannot read the path missing.csv"),
+        ("live --path missing.csv", "no file missing.csv"),
         ("live --record taken.mcap", "taken.mcap exists"),
         ("live --felt nowhere/felt.png", "cannot write nowhere/felt.png"),
         ("live --json .", "cannot write ."),
@@ -83,7 +83,9 @@ def test_one_sentence(program_here, folder, arguments, words):
     assert (folder / "taken.mcap").read_text() == "precious"
 
 
-@pytest.mark.parametrize("arguments", ["live --nonsense", "live --rate abc", "nothing"])
+@pytest.mark.parametrize(
+    "arguments", ["live --nonsense", "live --rate abc", "live --seed -1", "nothing"]
+)
 def test_usage(program_here, arguments):
     done = program_here(*arguments.split(" "))
     assert done.returncode == 2

@@ -122,7 +122,7 @@ def test_others_answers(program, tmp_path):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (("none.csv",), "cannot read none.csv"),
+        (("none.csv",), "no file none.csv"),
         (("a.csv", "--x", "hz"), "no column 'hz', but comparison, success"),
         (("a.csv", "--guess", "half"), "--guess 'half' is not offered"),
         (("a.csv", "--guess", "1"), "guess rate of 1"),

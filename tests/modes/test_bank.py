@@ -1,5 +1,12 @@
 """Banks: shipped ones are current, and no broken file is believed."""
 
+import io
+import os
+import random
+import subprocess
+import sys
+import zipfile
+
 import numpy as np
 import pytest
 
@@ -17,6 +24,10 @@ from smarttouch.modes.design import design_kernel
 from smarttouch.modes.problem import Problem
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile, profile_names
+
+MUTANTS = int(os.environ.get("SMARTTOUCH_MUTANTS", "100"))
+PAIRS = int(os.environ.get("SMARTTOUCH_PAIRS", "1"))
+"""Rounds in which three processes design one bank at once."""
 
 
 @pytest.fixture
@@ -145,7 +156,7 @@ def test_a_broken_cache_is_designed_anew(cache, mine, junk):
 
 def test_a_bank_of_another_problem_is_not_taken(tmp_path, mine):
     write_bank(tmp_path / "x.npz", load_profile("line-7"), load_bank(load_profile("line-7")))
-    assert banks._read(tmp_path / "x.npz", problem_hash(mine)) is None
+    assert banks._read(tmp_path / "x.npz", mine) is None
 
 
 def test_an_unwritable_cache_is_no_error(tmp_path, mine, monkeypatch):
@@ -203,3 +214,96 @@ def test_kernels_around_one_electrode_stay_selective(profile, bank, changed):
 
 def test_shipped_banks_lie_where_the_package_looks():
     assert shipped_bank("electric-mouse").is_file()
+
+
+def mutant(data, arrays, chance):
+    """Return the bytes of a bank that is cut, changed, or of arrays that make no bank."""
+    how = chance.randrange(3)
+    if how == 0:
+        return data[: chance.randrange(len(data))]
+    if how == 1:
+        broken = bytearray(data)
+        for _ in range(chance.choice((1, 1, 3, 30))):
+            broken[chance.randrange(len(broken))] = chance.randrange(256)
+        return bytes(broken)
+    changed = dict(arrays)
+    name = chance.choice(sorted(arrays))
+    shape = changed[name].shape
+    changed[name] = chance.choice(
+        (
+            np.zeros(0), np.zeros((3, 3)), np.array("x"), np.full(shape, np.nan), np.int64(3),
+            np.full(shape, 127, np.int8), np.ones(shape, complex), np.full(shape, b"x"),
+            np.ones((*shape, 1)), np.array([{}], object),
+        )
+    )  # fmt: skip
+    if chance.random() < 0.2:
+        del changed[name]
+    if chance.random() < 0.2:
+        changed["weights_XX"] = np.zeros(3)
+    file = io.BytesIO()
+    np.savez_compressed(file, **changed)
+    return file.getvalue()
+
+
+def test_no_mutant_of_a_bank_is_more_than_no_bank(tmp_path):
+    profile = load_profile("line-7")
+    data, path, taken = shipped_bank("line-7").read_bytes(), tmp_path / "mutant.npz", 0
+    whole = banks._read(shipped_bank("line-7"), profile)
+    with np.load(io.BytesIO(data)) as file:
+        arrays = {name: file[name] for name in file.files}
+    for seed in range(MUTANTS):
+        path.write_bytes(mutant(data, arrays, random.Random(seed)))
+        found = banks._read(path, profile)
+        if found is not None:
+            taken += 1
+            for primary in Primary:
+                assert found.kernels(primary).shape == (7, 7)
+                assert found.kernel(primary, 3, "weighted").weights.any()
+            assert whole.weights.keys() == found.weights.keys()
+    assert taken < MUTANTS / 3
+
+
+def test_a_bank_that_would_be_unpickled_or_unpacked_without_end(tmp_path):
+    profile = load_profile("line-7")
+    path = tmp_path / "bomb.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("key.npy", bytes(400_000_000))
+    assert banks._read(path, profile) is None
+    os.mkfifo(tmp_path / "pipe")
+    assert banks._read(tmp_path / "pipe", profile) is None
+
+
+def test_a_bank_takes_no_pipe_s_place(tmp_path, mine, no_design):
+    os.mkfifo(tmp_path / "pipe.npz")
+    with pytest.raises(DesignError):
+        make_bank(tmp_path / "pipe.npz", mine)
+
+
+def test_a_bank_that_cannot_be_kept_is_used_all_the_same(cache, mine, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(banks, "write_bank", full)
+    assert Primary.RA in load_bank(mine).weights
+    with pytest.raises(DesignError, match="No space left"):
+        make_bank(cache / "mine.npz", mine)
+
+
+@pytest.mark.parametrize("round_", range(PAIRS))
+def test_processes_that_design_one_bank_at_once(tmp_path, mine, round_):
+    code = (
+        "import sys; from smarttouch.modes.bank import load_bank; "
+        "from smarttouch.profile import Profile; "
+        "bank = load_bank(Profile.model_validate_json(sys.argv[1])); "
+        "print(sum(float(abs(each).sum()) for each in bank.weights.values()))"
+    )
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    command = [sys.executable, "-c", code, mine.model_dump_json()]
+    running = [
+        subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+        for _ in range(3)
+    ]
+    told = [each.communicate()[0] for each in running]
+    assert [each.returncode for each in running] == [0, 0, 0]
+    assert len({round(float(each), 6) for each in told}) == 1
+    assert [each.suffix for each in (tmp_path / "smarttouch").iterdir()] == [".npz"]

@@ -1,6 +1,7 @@
 """Steps of real runs, and recordings of them."""
 
 import time
+import tracemalloc
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -95,3 +96,20 @@ def recording(record, steps, tmp_path_factory):
     """A short recording in several chunks."""
     path = tmp_path_factory.mktemp("recording") / "run.mcap"
     return record(path, steps, ["paused", "goes on"], pause_s=0.005)
+
+
+@pytest.fixture
+def traced_peak():
+    """Return a meter of the most memory that was taken since its start, in bytes."""
+
+    class Meter:
+        def __call__(self):
+            return tracemalloc.get_traced_memory()[1]
+
+        def reset(self):
+            tracemalloc.stop()
+            tracemalloc.start()
+
+    tracemalloc.start()
+    yield Meter()
+    tracemalloc.stop()

@@ -103,7 +103,8 @@ def runs(draw):
 
 def through(steps):
     """Return steps as they come back from their messages."""
-    encoder, decoder, found = StepEncoder(10**18), StepDecoder(), []
+    decoder = StepDecoder(steps[0].step.sequence.electrodes)
+    encoder, found = StepEncoder(10**18), []
     for index, sent in enumerate(steps):
         for topic, message in encoder.messages(sent, index, 0):
             step = decoder.take(topic, index, json.dumps(message, allow_nan=False).encode())
@@ -149,7 +150,7 @@ def test_a_proof_of_other_slots_breaks_the_step(make_frame, profile, bank):
     step = pipeline.process(make_frame(image, 2 * 10**9))
     assert step.sequence.proof.points.max() > 1
     for key in ("points", "worst_other", "worst_spill"):
-        decoder = StepDecoder()
+        decoder = StepDecoder(64)
         for topic, message in StepEncoder(10**18).messages(Sent(step, 0, 0.0), 0, 0):
             if topic == "/sequence":
                 message[key] = message[key][1:]
@@ -239,7 +240,7 @@ def test_images_and_words_are_what_foxglove_wants(topic, name, required):
     ).map(lambda value: json.dumps(value).encode()),
 )
 def test_no_message_crashes_the_decoder(topic, data):
-    decoder = StepDecoder()
+    decoder = StepDecoder(64)
     assert decoder.take(topic, 0, data) is None
     assert decoder.take(LAST, 0, b"{}") is None
     assert decoder.broken >= 1
@@ -253,7 +254,7 @@ def test_no_changed_field_crashes_the_decoder(steps, data):
     key = data.draw(st.sampled_from(sorted(messages[topic])))
     instead = st.none() | st.integers() | st.floats() | st.text() | st.lists(st.integers())
     messages[topic] = {**messages[topic], key: data.draw(instead)}
-    decoder = StepDecoder()
+    decoder = StepDecoder(64)
     for name, message in messages.items():
         decoder.take(name, 0, json.dumps(message).encode())
     assert decoder.broken <= 1

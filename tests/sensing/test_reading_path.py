@@ -163,7 +163,7 @@ def test_bad_recorded_paths(tmp_path, text, words):
 
 
 def test_missing_path(tmp_path):
-    with pytest.raises(SensorError, match="cannot read the path"):
+    with pytest.raises(SensorError, match="no file"):
         RecordedPath(tmp_path / "none.csv")
 
 

@@ -1,6 +1,7 @@
 """Videos and folders of images: each frame at its time, or one after the other."""
 
 import math
+import os
 import time
 
 import cv2
@@ -346,3 +347,20 @@ def test_a_hopelessly_late_clip_skips_to_the_present():
     assert numbers[:11] == list(range(11))
     assert numbers[11] >= 59
     assert missed == numbers[11] - 11
+
+
+@pytest.mark.parametrize(
+    "playlist",
+    [
+        "ffconcat version 1.0\nfile pipe.ts\n",
+        "#EXTM3U\n#EXT-X-TARGETDURATION:10\n#EXTINF:10,\npipe.ts\n#EXT-X-ENDLIST\n",
+    ],
+)
+@pytest.mark.parametrize("ending", ["mp4", "m3u8"])
+def test_a_playlist_leads_nowhere(tmp_path, profile, playlist, ending):
+    os.mkfifo(tmp_path / "pipe.ts")
+    path = tmp_path / f"list.{ending}"
+    path.write_text(playlist)
+    for place in (path, tmp_path / "pipe.ts", "/dev/zero"):
+        with pytest.raises(SensorError):
+            open_sensor(f"video:{place}", profile)

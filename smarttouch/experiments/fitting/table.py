@@ -10,6 +10,7 @@ import numpy as np
 
 from smarttouch.errors import ExperimentError
 from smarttouch.experiments.fitting.answers import Answers
+from smarttouch.files import read_text
 
 _DELIMITERS = (",", ";", "\t")
 _YES = {"1", "1.0", "true", "yes", "y", "correct"}
@@ -101,12 +102,7 @@ def read_table(
 
 def _cells(path: Path) -> tuple[list[str], list[tuple[int, _Cells]]]:
     """Return names of columns, and the cells of each line with its number in the file."""
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise ExperimentError(f"cannot read {path}: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise ExperimentError(f"{path} is no text in UTF-8: {error.reason}") from None
+    text = read_text(path, ExperimentError)
     first = text.partition("\n")[0]
     delimiter = max(_DELIMITERS, key=first.count)
     try:

@@ -1,6 +1,7 @@
 """How hard the finger presses, where the sensor does not tell."""
 
 import csv
+import io
 import math
 from abc import ABC, abstractmethod
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import SensorError
+from smarttouch.files import read_text
 from smarttouch.profile import Profile
 from smarttouch.registry import find_opener
 from smarttouch.sensing.device import Device
@@ -112,23 +114,19 @@ class RecordedForce(ForceSource):
 
 def _read_table(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            heading = [cell.strip() for cell in next(reader, [])]
-            if not set(_COLUMNS) <= set(heading):
-                raise SensorError(
-                    f"{path} must begin with a line that names the columns {','.join(_COLUMNS)}"
-                )
-            where = [heading.index(name) for name in _COLUMNS]
-            # The line in the file: a row may be blank, or quoted over several lines.
-            rows = [
-                (reader.line_num, _numbers(path, reader.line_num, row, where))
-                for row in reader
-                if row
-            ]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or "it is not a text table"
-        raise SensorError(f"cannot read the force {path}: {reason}") from None
+        reader = csv.reader(io.StringIO(read_text(path, SensorError), newline=""))
+        heading = [cell.strip() for cell in next(reader, [])]
+        if not set(_COLUMNS) <= set(heading):
+            raise SensorError(
+                f"{path} must begin with a line that names the columns {','.join(_COLUMNS)}"
+            )
+        where = [heading.index(name) for name in _COLUMNS]
+        # The line in the file: a row may be blank, or quoted over several lines.
+        rows = [
+            (reader.line_num, _numbers(path, reader.line_num, row, where)) for row in reader if row
+        ]
+    except csv.Error:
+        raise SensorError(f"cannot read the force {path}: it is not a text table") from None
     if len(rows) < 2:
         raise SensorError(f"{path} has {len(rows)} rows: a recorded force needs at least two")
     table = np.array([numbers for _, numbers in rows])

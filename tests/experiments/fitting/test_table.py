@@ -89,7 +89,7 @@ def test_alternatives(tmp_path, responses, alternatives):
         ("comparison,success\n1,0.7\n", "line 2: success is '0.7', not 1 or 0"),
         ("comparison,success\n1\n1,1\n", "line 2: 1 cells, not 2"),
         ("comparison,success\ninf,1\n", "line 2: comparison is 'inf'"),
-        (b"\xff\xfe", "no text in UTF-8"),
+        (b"\xff\xfe", "not a text in UTF-8"),
         ('comparison,success\n"1,1\n', "is no CSV file"),
     ],
 )
@@ -99,7 +99,7 @@ def test_errors(tmp_path, text, says):
 
 
 def test_no_file_and_no_standard(tmp_path):
-    with pytest.raises(ExperimentError, match="cannot read"):
+    with pytest.raises(ExperimentError, match="no file"):
         read_table(tmp_path / "none.csv")
     with pytest.raises(ExperimentError, match="name one with --standard"):
         read_table(file(tmp_path, "comparison,success\n1,1\n"), standard="base")

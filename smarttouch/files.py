@@ -1,0 +1,187 @@
+"""Files that users name: opened without waiting, read up to a limit, parsed to a bounded depth."""
+
+import errno
+import fcntl
+import json
+import os
+import re
+import stat
+import tomllib
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from smarttouch.errors import SmartTouchError
+
+MOST_TABLE_BYTES = 16_000_000
+"""Of a CSV or JSON file: a day of numbers, a hundred times a second, is smaller."""
+MOST_TOML_BYTES = 1_000_000
+"""Of a profile; that of a thousand electrodes has a tenth. Parsing takes seconds a megabyte."""
+MOST_BANK_BYTES = 256_000_000
+"""Of arrays in a file, and of each array in it."""
+MOST_DOCUMENT_BYTES = 2_000_000_000
+"""Of an image, a PDF or a video, of which no more is read than is needed."""
+
+# Parsers take the square of a key's parts: 60 kB of "a.a.a" keep tomllib for 14 s.
+_DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}""")
+_KINDS = (
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> None:
+    """Raise unless a path leads to a regular file of at most so many bytes.
+
+    Raises
+    ------
+    SmartTouchError
+        Of the type given: it is missing, a folder, a pipe, a device, or too large.
+    """
+    try:
+        _check(path, path.stat(), error, most_bytes)
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        raise error(f"no file {path}: check its name") from None
+    except OSError as failure:
+        raise error(f"cannot read {path}: {failure.strerror}") from None
+
+
+def require_replaceable(path: Path, error: type[SmartTouchError]) -> None:
+    """Raise if what a new file would replace is anything but a file: a device is not to go."""
+    if path.exists() and not path.is_file():
+        raise error(f"cannot write {path}: it is no file; give another name")
+
+
+def open_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> BinaryIO:
+    """Open a regular file for reading; opening never waits for another program.
+
+    Parameters
+    ----------
+    path : Path
+        Any file; symbolic links are followed.
+    error : type of SmartTouchError
+        What to raise.
+    most_bytes : int
+        Above which it is refused.
+
+    Raises
+    ------
+    SmartTouchError
+        Of the type given: see `require_file`.
+    """
+    # Looked at before it is opened, as opening a device may do something to it, and after, as it
+    # may have become another.
+    require_file(path, error, most_bytes)
+    try:
+        number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
+        file = os.fdopen(number, "rb")
+    except OSError as failure:
+        raise error(f"cannot read {path}: {failure.strerror}") from None
+    try:
+        _check(path, os.fstat(number), error, most_bytes)
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
+def read_bytes(
+    path: Path, error: type[SmartTouchError], most_bytes: int = MOST_TABLE_BYTES
+) -> bytes:
+    """Return what a file holds; raises as `open_file` does."""
+    try:
+        with open_file(path, error, most_bytes) as file:
+            data = file.read(most_bytes + 1)
+    except OSError as failure:
+        raise error(f"cannot read {path}: {failure.strerror}") from None
+    if len(data) > most_bytes:
+        raise error(_too_large(path, len(data), most_bytes))
+    return data
+
+
+def read_text(path: Path, error: type[SmartTouchError], most_bytes: int = MOST_TABLE_BYTES) -> str:
+    """Return a text in UTF-8 without its byte-order mark; raises as `open_file` does."""
+    try:
+        return read_bytes(path, error, most_bytes).decode("utf-8-sig")
+    except UnicodeDecodeError as failure:
+        raise error(
+            f"{path} is not a text in UTF-8 (byte {failure.start + 1}): save it as UTF-8"
+        ) from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text.
+
+    Raises
+    ------
+    ValueError
+        If it is none, or nested deeper than any table of ours.
+    """
+    if _DEEP_KEY.search(text):
+        raise ValueError("a key has more than 32 parts")
+    try:
+        table = tomllib.loads(text)
+        _require_integers(table)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    return table
+
+
+def _require_integers(value: object) -> None:
+    """Raise where an integer is longer than TOML has them: Python refuses to print the longest."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    for each in inner:
+        _require_integers(each)
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise ValueError("an integer has more than 64 bits")
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Return what a JSON text says.
+
+    Raises
+    ------
+    ValueError
+        If it is none, or nested too deeply.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+
+
+def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTouchError) -> None:
+    """Write a file, or into a device or a pipe that somebody reads.
+
+    Raises
+    ------
+    SmartTouchError
+        Of the type given, if that cannot be: a full disk, a folder, a pipe without a reader.
+    """
+    try:
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOCTTY
+        with os.fdopen(os.open(path, flags | os.O_NONBLOCK, 0o666), "wb") as file:
+            fcntl.fcntl(file, fcntl.F_SETFL, fcntl.fcntl(file, fcntl.F_GETFL) & ~os.O_NONBLOCK)
+            file.write(data)
+    except ValueError:
+        raise error(f"cannot write {path}: no file has such a name") from None
+    except OSError as failure:
+        reason = "nobody reads from it" if failure.errno == errno.ENXIO else failure.strerror
+        raise error(f"cannot write {path}: {reason}") from None
+
+
+def _check(
+    path: Path, found: os.stat_result, error: type[SmartTouchError], most_bytes: int
+) -> None:
+    if stat.S_ISDIR(found.st_mode):
+        raise error(f"{path} is a folder: give a file")
+    for is_kind, name in _KINDS:
+        if is_kind(found.st_mode):
+            raise error(f"{path} is {name}: give a file")
+    if found.st_size > most_bytes:
+        raise error(_too_large(path, found.st_size, most_bytes))
+
+
+def _too_large(path: Path, size: int, most_bytes: int) -> str:
+    return f"{path} has {size / 1e6:,.1f} MB, above the limit of {most_bytes / 1e6:,.0f} MB"

@@ -1,0 +1,95 @@
+"""How a recorded run was set up: what sequences depend on, believed only where it makes sense."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from smarttouch.imaging.mapping import Tone
+from smarttouch.primary import Mode, Primary
+from smarttouch.scan.frames import Sharing
+from smarttouch.scan.timing import ScanTiming
+
+_Share = Annotated[float, Field(ge=0, le=1)]
+_Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
+_Microseconds = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
+_Pulse = Annotated[int, Field(ge=0, le=65_535)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _Timing(_Part):
+    width_us: _Pulse | None = None
+    discharge_us: _Pulse | None = None
+    slot_extra_us: _Microseconds = 0.0
+    scan_us: _Microseconds = 0.0
+    every_electrode: bool = False
+    in_index_order: bool = False
+    own_widths: bool = True
+    whole_hz: bool = False
+    load: Annotated[float, Field(gt=0, le=1)] = 1.0
+
+
+class _Tone(_Part):
+    faintest: _Share
+    fullest: _Share
+    prepared: bool = False
+
+
+class _Sharing(_Part):
+    primaries: tuple[Literal["RA", "SAI", "PC"], ...] = ()
+    planned: bool = True
+
+
+class RunSettings(BaseModel):
+    """Settings of a run as far as its sequences depend on them.
+
+    Attributes are those of `Pipeline` and `Regulator`; recordings from before
+    there was a choice do not say ``tone``, ``vibrated``, ``sharing`` or ``recharge``.
+    """
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    mode: Mode
+    rate_hz: _Positive | None
+    light_on_dark: bool
+    softness: _Share | None
+    hold: Literal["charge", "energy"] | None
+    balance: bool
+    recharge: bool = False
+    compliance_v: _Positive | None
+    timed: _Timing = Field(alias="timing")
+    toned: _Tone | None = Field(None, alias="tone")
+    shared: _Sharing = Field(_Sharing(), alias="sharing")
+    vibrated: bool = False
+
+    @property
+    def timing(self) -> ScanTiming:
+        """What the board fixed about the time of a scan."""
+        return ScanTiming(**self.timed.model_dump())
+
+    @property
+    def tone(self) -> Tone | None:
+        """How ink became activation."""
+        return None if self.toned is None else Tone(**self.toned.model_dump())
+
+    @property
+    def sharing(self) -> Sharing:
+        """Classes whose points shared slots."""
+        return Sharing(tuple(Primary[each] for each in self.shared.primaries), self.shared.planned)
+
+
+def read_settings(table: dict[str, Any]) -> RunSettings:
+    """Return settings as they were recorded.
+
+    Raises
+    ------
+    ValueError
+        If one is missing or impossible; it says which.
+    """
+    try:
+        return RunSettings.model_validate(table)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ValueError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None

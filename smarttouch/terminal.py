@@ -1,0 +1,163 @@
+"""The way to a terminal, on which nothing passes that a terminal would obey."""
+
+import contextlib
+import io
+import os
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
+from typing import TYPE_CHECKING, Any, TextIO
+
+from smarttouch.errors import SmartTouchError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+_OBEYED = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff"
+    "\U000e0000-\U000e007f]"
+)
+"""Controls, signs that turn the order of what follows or cannot be seen, and halves of signs."""
+
+
+def printable(text: str) -> str:
+    """Return a text with a visible stand-in for each sign that a terminal would obey.
+
+    Newlines and tabs stay. A control sign becomes its picture (␛ is Escape), any other becomes �.
+    """
+    return _OBEYED.sub(_stand_in, text)
+
+
+def _stand_in(found: re.Match[str]) -> str:
+    code = ord(found[0])
+    if code < 0x20:
+        return chr(0x2400 + code)
+    return "␡" if code == 0x7F else "�"
+
+
+class Output:
+    """A standard stream whose failures are one sentence.
+
+    Parameters
+    ----------
+    stream : file
+        What is written to.
+    name : str
+        What to call it in that sentence; if empty, what cannot be written is dropped.
+    """
+
+    def __init__(self, stream: TextIO, name: str) -> None:
+        self._stream, self._name = stream, name
+
+        self.encoding, self.errors = stream.encoding, stream.errors
+
+    @property
+    def closed(self) -> bool:
+        return self._stream.closed
+
+    def writable(self) -> bool:
+        return True
+
+    def isatty(self) -> bool:
+        return self._stream.isatty()
+
+    def fileno(self) -> int:
+        return self._stream.fileno()
+
+    def write(self, text: str) -> int:
+        self._guarded(self._stream.write, text)
+        return len(text)
+
+    def flush(self) -> None:
+        self._guarded(self._stream.flush)
+
+    def _guarded(self, act: Callable[..., object], *arguments: str) -> None:
+        try:
+            act(*arguments)
+        except BrokenPipeError:
+            if self._name:
+                raise
+        except OSError as error:
+            if self._name:
+                raise SmartTouchError(f"cannot write to {self._name}: {error.strerror}") from None
+
+
+class PlainOutput(Output):
+    """A standard stream for plain text.
+
+    It is no terminal to those who ask: what would draw on one uses `console`.
+    """
+
+    def __init__(self, stream: TextIO, name: str) -> None:
+        super().__init__(stream, name)
+        self.direct = Output(stream, name)
+
+    def isatty(self) -> bool:
+        return False
+
+    def write(self, text: str) -> int:
+        super().write(printable(text))
+        return len(text)
+
+
+def console(*, stderr: bool = False, highlight: bool = True) -> "Console":
+    """Return a console that draws, and shows stand-ins in all that it is given to show."""
+    stream: Any = sys.stderr if stderr else sys.stdout
+    return _console_class()(
+        file=getattr(stream, "direct", stream),
+        highlight=highlight,
+        markup=False,
+        emoji=False,
+    )
+
+
+@cache
+def _console_class() -> "type[Console]":
+    # Not above: it takes a tenth of a second, and help needs none.
+    from rich.console import Console, ConsoleOptions, RenderableType
+    from rich.segment import Segment
+
+    class SafeConsole(Console):
+        def render(
+            self, renderable: RenderableType, options: ConsoleOptions | None = None
+        ) -> Iterable[Segment]:
+            for segment in super().render(renderable, options):
+                safe = segment.text if segment.control else printable(segment.text)
+                yield segment if safe == segment.text else segment._replace(text=safe)
+
+    return SafeConsole
+
+
+@contextlib.contextmanager
+def guarded_output() -> Iterator[None]:
+    """Let standard output and errors pass nothing that a terminal would obey, as long as it runs.
+
+    Standard streams that were closed lead nowhere from then on: a file or port
+    that is opened later must not become one of them.
+    """
+    _fill_closed()
+    before = sys.stdout, sys.stderr
+    for stream in before:
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    output: Any = PlainOutput(before[0], "standard output")
+    errors: Any = PlainOutput(before[1], "")
+    sys.stdout, sys.stderr = output, errors
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
+
+
+def _fill_closed() -> None:
+    """Open nothing in place of each standard stream that is closed."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            # The lowest number that is free, so this one.
+            os.open(os.devnull, os.O_RDWR)
+        if getattr(sys, name) is None:
+            nothing = os.open(os.devnull, os.O_RDWR | os.O_CLOEXEC)
+            setattr(sys, name, os.fdopen(nothing, "w" if number else "r", encoding="utf-8"))

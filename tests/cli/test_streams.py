@@ -1,0 +1,183 @@
+"""Streams that are closed, full or obeyed by a terminal, and names that nobody expects."""
+
+import json
+import os
+import re
+import shlex
+import subprocess
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from smarttouch.recording.check import check_recording
+from smarttouch.recording.reader import Recording
+from smarttouch.recording.repair import repair
+from smarttouch.resources import data_folder
+
+from .conftest import PROGRAM
+
+GOLDEN = Path(__file__).parent.parent / "recording" / "goldens" / "ra.mcap"
+SHORT = "live --sensor text:i --seconds 0.2 --board simulated:"
+EVIL = "a\x1b]0;owned\x07\x1b[31m\x9b5m\u202eb"
+SHOWN = "a␛]0;owned␛[31m�5m�b"
+"""As it is shown; rich drops the bell before we see it."""
+OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+
+
+@pytest.fixture
+def shell(tmp_path):
+    """Return a runner of a line of shell, in which `smarttouch` is the program."""
+
+    def run(line, **environment):
+        line = f'smarttouch() {{ {shlex.quote(str(PROGRAM))} "$@"; }}; {line}'
+        return subprocess.run(
+            ["bash", "-c", line],
+            cwd=tmp_path,
+            capture_output=True,
+            stdin=subprocess.DEVNULL,
+            timeout=100,
+            check=False,
+            env={**os.environ, **environment},
+        )
+
+    return run
+
+
+def refused(done):
+    """Check that a run ended with one sentence."""
+    assert done.returncode == 2, done
+    assert done.stderr.startswith(b"smarttouch: ")
+    assert done.stderr.count(b"\n") == 1
+    return done.stderr.decode()
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_lead_nowhere(shell, closed):
+    done = shell(f"smarttouch {SHORT} --json f.json --record r.mcap {closed}")
+    assert (done.returncode, done.stderr) == (0, b"")
+    done = shell(f"smarttouch live --board link:/dev/nothing {closed}")
+    assert done.returncode == 2
+    assert (b"/dev/nothing" in done.stderr) == ("2>&-" not in closed)
+    assert b"Traceback" not in done.stderr
+
+
+def test_what_is_recorded_is_whole_where_all_streams_were_closed(shell, tmp_path):
+    shell(f"smarttouch {SHORT} --record r.mcap <&- >&- 2>&-")
+    assert Recording(tmp_path / "r.mcap").whole
+    assert check_recording(tmp_path / "r.mcap").exact
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "profiles", "--help", f"replay --check {GOLDEN}", SHORT, "experiment list", "braille hello",
+    ],
+)  # fmt: skip
+def test_a_full_disk_behind_standard_output(shell, command):
+    assert "standard output" in refused(shell(f"smarttouch {command} > /dev/full"))
+
+
+@pytest.mark.parametrize("option", ["--json", "--felt"])
+def test_a_full_disk_behind_a_file(shell, option):
+    assert "/dev/full: No space left" in refused(shell(f"smarttouch {SHORT} {option} /dev/full"))
+
+
+def test_errors_that_cannot_be_told_change_nothing(shell):
+    done = shell("smarttouch live --board link:/dev/nothing 2> /dev/full")
+    assert (done.returncode, done.stdout) == (2, b"")
+
+
+def test_whoever_reads_has_gone(shell):
+    done = shell("smarttouch braille --tables | true; echo ${PIPESTATUS[0]}")
+    assert done.stdout.strip() in (b"0", b"1")
+    assert done.stderr == b""
+
+
+@pytest.mark.parametrize("most", [8, 32])
+def test_too_few_open_files(shell, most):
+    said = refused(shell(f"ulimit -n {most}; smarttouch {SHORT}"))
+    assert f"{most} files" in said
+
+
+def test_the_fewest_open_files_that_are_asked_for_suffice(shell):
+    done = shell(f"ulimit -n 64; smarttouch {SHORT} --record r.mcap --json f.json --felt f.png")
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_a_run_that_fills_the_disk_keeps_what_it_took(shell, tmp_path):
+    run = "smarttouch live --sensor text:touch --board simulated: --record r.mcap --json f.json"
+    assert "what was written is kept" in refused(shell(f"ulimit -f 40; {run}"))
+    assert json.loads((tmp_path / "f.json").read_text())["ended"] == "fault"
+    mended = repair(tmp_path / "r.mcap")
+    recording = Recording(mended.path)
+    assert [each.index for each in recording.steps()] == list(range(mended.steps))
+    assert recording.whole
+
+
+def evil_profile(folder, name):
+    text = (data_folder("calibration") / "electric-mouse.toml").read_text(encoding="utf-8")
+    title = json.dumps(EVIL + " [bold]:smile:[/nothing]")
+    path = folder / name
+    path.write_text(re.sub("(?m)^title = .*$", lambda _: f"title = {title}", text))
+    return path
+
+
+def shown(done):
+    """Return all that a run printed, having checked that a terminal obeys none of it."""
+    text = done.stdout + done.stderr
+    assert not OBEYED.search(text), OBEYED.search(text)
+    assert "Traceback" not in text
+    assert "internal error" not in text
+    return text
+
+
+def test_no_name_title_or_note_is_obeyed(program_here, tmp_path):
+    evil_profile(tmp_path, EVIL + ".toml")
+    names = ("--profile", f"{EVIL}.toml", "--note", EVIL, "--subject", EVIL)
+    files = ("--record", f"{EVIL}.mcap", "--felt", f"{EVIL}.png", "--json", "f.json")
+    assert f"wrote {SHOWN}.mcap" in shown(program_here(*SHORT.split(), *names, *files))
+    assert json.loads((tmp_path / "f.json").read_text())["ended"]
+    told = shown(program_here("recordings", "info", f"{EVIL}.mcap"))
+    assert told.count("␛]0;owned") >= 3
+    assert "[bold]:smile:[/nothing]" in told
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "board info simulated: --profile {}.toml", "design --site 1 --profile {}.toml",
+        "sensor show frames:{}", "live --board {}:x", "live --profile {}", "live --{}", "{}",
+        "read {}", "replay {}", "live --sensor page:{}.toml", "experiment fit {}.toml",
+    ],
+)  # fmt: skip
+def test_what_is_said_of_names_is_not_obeyed(program_here, tmp_path, command):
+    evil_profile(tmp_path, EVIL + ".toml")
+    text = shown(program_here(*(each.format(EVIL) for each in command.split(" "))))
+    assert "owned" in text
+
+
+def test_at_a_terminal_colors_stay_and_nothing_else_passes(shell, tmp_path):
+    evil_profile(tmp_path, "evil.toml")
+    run = f"{PROGRAM} {SHORT} --seconds 1 --profile evil.toml"
+    done = shell(f"script -qefc {shlex.quote(run)} /dev/null", TERM="xterm-256color")
+    written = done.stdout.decode()
+    assert done.returncode == 0
+    assert "\x1b[1m" in written
+    for evil in ("\x1b]0;", "\x07", "\x9b", "\u202e"):
+        assert evil not in written
+    assert SHOWN in written
+
+
+def test_names_with_newlines_bytes_and_length(program_here, tmp_path):
+    names = (b"a\nb.png", b"\xff\xfe.png", "é ".encode() * 60 + b".png", b"x" * 5000)
+    page = Image.new("L", (90, 90), 255)
+    for name in map(os.fsdecode, names[:-1]):
+        page.save(tmp_path / name, format="PNG")
+    for name in map(os.fsdecode, names):
+        for command in (("live", "--sensor", f"page:{name}"), ("read", name), ("replay", name)):
+            done = program_here(*command)
+            assert done.returncode == 2
+            assert done.stderr.startswith("smarttouch: ")
+            assert done.stderr.count("\n") == 1
+            done.stderr.encode()

@@ -1,0 +1,130 @@
+"""No forged or damaged recording is more than one sentence."""
+
+import contextlib
+import json
+import os
+import shutil
+from collections import Counter
+
+import pytest
+
+from smarttouch.controls import Wish
+from smarttouch.errors import RecordingError, SmartTouchError
+from smarttouch.primary import Mode
+from smarttouch.recording.account import describe
+from smarttouch.recording.check import check_recording
+from smarttouch.recording.controls import RecordedControls
+from smarttouch.recording.export import export
+from smarttouch.recording.reader import Recording
+from smarttouch.recording.repair import is_sound, repair
+from smarttouch.recording.sensor import RecordingSensor
+
+from .forged import damage, forge, put_together, take_apart
+
+MUTANTS = int(os.environ.get("SMARTTOUCH_MUTANTS", "40"))
+
+
+def play(path):
+    source = RecordingSensor(Recording(path), unpaced=True)
+    with contextlib.closing(source):
+        while source.read(0) is not None:
+            pass
+
+
+def follow(path):
+    RecordedControls(Recording(path), Wish(Mode.RA, 1.0), tuple(Mode)).wish(10**9)
+
+
+def uses(path):
+    """Return all that is done with a recording, by name."""
+    mended, folder = path.with_name("mended.mcap"), path.with_name("folder")
+    mended.unlink(missing_ok=True)
+    shutil.rmtree(folder, ignore_errors=True)
+    return {
+        "info": lambda: describe(path),
+        "check": lambda: check_recording(path),
+        "sound": lambda: is_sound(path),
+        "repair": lambda: repair(path, mended),
+        "export": lambda: export(path, folder),
+        "play": lambda: play(path),
+        "follow": lambda: follow(path),
+    }
+
+
+def outcomes(path, what):
+    """Return how each use of a recording went, by the kind of error."""
+    found = {}
+    for name, use in uses(path).items():
+        try:
+            use()
+            found[name] = ""
+        except SmartTouchError as error:
+            found[name] = type(error).__name__
+            told = str(error)
+        except Exception as error:
+            raise AssertionError(f"{name} after {what}: {error!r}") from error
+        if found[name]:
+            assert 10 < len(told) < 4000, (name, what)
+    return found
+
+
+@pytest.mark.timeout(0)
+def test_forged(tmp_path, goldens):
+    parts = [take_apart(each) for each in goldens]
+    went = Counter()
+    for seed in range(MUTANTS):
+        path = tmp_path / "forged.mcap"
+        what = forge(path, parts[seed % len(parts)], seed)
+        went.update(outcomes(path, f"{what} of {goldens[seed % len(parts)].name}, {seed}").items())
+    print(went)
+    assert went["repair", ""] > MUTANTS / 4
+    assert went["check", "RecordingError"] > 0
+
+
+@pytest.mark.timeout(0)
+def test_damaged(tmp_path, recording):
+    whole, went = recording.read_bytes(), Counter()
+    for seed in range(MUTANTS):
+        path = tmp_path / "damaged.mcap"
+        path.write_bytes(damage(whole, seed))
+        went.update(outcomes(path, f"damage {seed}").items())
+    print(went)
+    assert went["play", ""] > MUTANTS / 4
+
+
+def test_what_is_forged_from_is_sound(tmp_path, goldens):
+    for golden in goldens:
+        path = tmp_path / "same.mcap"
+        put_together(path, *take_apart(golden))
+        assert set(outcomes(path, "nothing").values()) == {""}
+        path.unlink()
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("mode", "XX"), ("mode", None), ("rate_hz", 0), ("rate_hz", float("nan")), ("rate_hz", "a"),
+        ("softness", 2), ("softness", float("nan")), ("hold", "x"), ("balance", "perhaps"),
+        ("timing", None), ("timing", {"load": 0}), ("timing", {"scan_us": float("inf")}),
+        ("timing", {"unknown": 1}), ("timing", {"width_us": -1}), ("tone", {"faintest": 3}),
+        ("tone", []), ("sharing", {"primaries": ["XX"]}), ("sharing", {"primaries": 3}),
+        ("light_on_dark", [1]), ("compliance_v", -1),
+    ],
+)  # fmt: skip
+def test_impossible_settings(tmp_path, goldens, key, value):
+    about, messages = take_apart(goldens[0])
+    settings = json.loads(about["settings"]) | {key: value}
+    path = tmp_path / "forged.mcap"
+    put_together(path, {**about, "settings": json.dumps(settings)}, messages)
+    with pytest.raises(RecordingError, match=f"do not say how it was made: {key}"):
+        check_recording(path)
+    assert len(describe(path)) > 10
+
+
+def test_a_board_that_holds_without_a_voltage(tmp_path, goldens):
+    about, messages = take_apart(goldens[0])
+    settings = json.loads(about["settings"]) | {"hold": "charge", "compliance_v": None}
+    path = tmp_path / "forged.mcap"
+    put_together(path, {**about, "settings": json.dumps(settings)}, messages)
+    with pytest.raises(RecordingError, match="compliance_v"):
+        check_recording(path)

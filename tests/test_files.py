@@ -1,0 +1,154 @@
+"""What users name is opened only if it is a file, and read and parsed no further than a limit."""
+
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+from smarttouch.errors import PageError, ProfileError
+from smarttouch.files import (
+    open_file,
+    parse_json,
+    parse_toml,
+    read_bytes,
+    read_text,
+    require_file,
+    require_replaceable,
+    write_bytes,
+)
+
+
+@pytest.fixture
+def pipe(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    return tmp_path / "pipe"
+
+
+def test_what_is_a_file_is_read(tmp_path):
+    (tmp_path / "a").write_bytes(b"\xef\xbb\xbfabc")
+    (tmp_path / "link").symlink_to("a")
+    assert read_bytes(tmp_path / "link", PageError) == b"\xef\xbb\xbfabc"
+    assert read_text(tmp_path / "a", PageError) == "abc"
+    with open_file(tmp_path / "a", PageError, 6) as file:
+        assert not os.get_inheritable(file.fileno())
+        assert file.read() == b"\xef\xbb\xbfabc"
+
+
+def test_what_is_no_file_is_not_opened(tmp_path, pipe, monkeypatch):
+    listening = socket.socket(socket.AF_UNIX)
+    listening.bind(str(tmp_path / "socket"))
+    (tmp_path / "loop").symlink_to("loop")
+
+    def refuse(*_):
+        raise AssertionError("opened")
+
+    monkeypatch.setattr(os, "open", refuse)
+    places = (
+        pipe, tmp_path, tmp_path / "socket", tmp_path / "loop", tmp_path / "none", "/dev/zero",
+        "/dev/full", tmp_path / "nul\0", tmp_path / ("long" * 100), tmp_path / "none" / "x",
+    )  # fmt: skip
+    for path in places:
+        with pytest.raises(ProfileError) as caught:
+            read_bytes(Path(path), ProfileError)
+        assert "\n" not in str(caught.value)
+    listening.close()
+
+
+def test_a_file_that_becomes_a_pipe_on_the_way_does_not_hold_up(tmp_path, pipe, monkeypatch):
+    (tmp_path / "a").write_bytes(b"abc")
+    really_open = os.open
+    monkeypatch.setattr(os, "open", lambda _, flags: really_open(pipe, flags))
+    with pytest.raises(PageError, match="is a pipe"):
+        open_file(tmp_path / "a", PageError, 9)
+
+
+def test_sizes(tmp_path):
+    sparse = tmp_path / "sparse"
+    with sparse.open("wb") as file:
+        file.truncate(2**40)
+    for check in (require_file, read_bytes):
+        with pytest.raises(PageError, match=r"1,099,511\.6 MB, above the limit of 1 MB"):
+            check(sparse, PageError, 10**6)
+    (tmp_path / "a").write_bytes(b"abc")
+    assert read_bytes(tmp_path / "a", PageError, 3) == b"abc"
+    with pytest.raises(PageError):
+        read_bytes(tmp_path / "a", PageError, 2)
+    maps = Path("/proc/self/maps")
+    if maps.exists():
+        # A file that says it is empty, and is not.
+        with pytest.raises(PageError):
+            read_bytes(maps, PageError, 2)
+
+
+def test_what_is_no_text(tmp_path):
+    (tmp_path / "a").write_bytes(b"abc\xff")
+    with pytest.raises(PageError, match="byte 4"):
+        read_text(tmp_path / "a", PageError)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a." * 30_000 + "a = 1",
+        "'a' . " * 30_000 + "a = 1",
+        "[" + "a." * 300_000 + "a]",
+        "a = " + "[" * 100_000,
+        "a = " + "{a = " * 5_000 + "1" + "}" * 5_000,
+        "a = 0x" + "f" * 10_000,
+        "a = " + "9" * 10_000,
+        "a = 9223372036854775808",
+        "a = [{b = [1, 0x10000000000000000]}]",
+        "a = 9999-99-99",
+        "\x00",
+    ],
+)
+def test_toml_that_no_table_of_ours_needs(text):
+    with pytest.raises(ValueError):
+        parse_toml(text)
+
+
+def test_toml_of_ours_passes():
+    text = "a.b.c.d = 0x7fffffffffffffff\n[x.y]\nz = 'a.b.c.d.e.f.g.h.i.j, 1.5e3 ...'\n"
+    assert parse_toml(text) == {
+        "a": {"b": {"c": {"d": 2**63 - 1}}},
+        "x": {"y": {"z": "a.b.c.d.e.f.g.h.i.j, 1.5e3 ..."}},
+    }
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, "9" * 10_000, "", b"\xff"])
+def test_json_that_cannot_be_parsed(text):
+    with pytest.raises(ValueError):
+        parse_json(text)
+
+
+def test_writing(tmp_path, pipe):
+    write_bytes(tmp_path / "a", b"longer")
+    write_bytes(tmp_path / "a", b"abc")
+    assert (tmp_path / "a").read_bytes() == b"abc"
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    write_bytes(pipe, b"through")
+    assert os.read(reader, 99) == b"through"
+    os.close(reader)
+
+
+def test_what_cannot_be_written(tmp_path, pipe):
+    places = (
+        (tmp_path, "Is a directory"),
+        (tmp_path / "none" / "a", "No such file"),
+        (tmp_path / "nul\0", "no file has such a name"),
+        (Path("/dev/full"), "No space left"),
+        (pipe, "nobody reads"),
+    )
+    for path, said in places:
+        with pytest.raises(PageError, match=said):
+            write_bytes(path, b"abc", PageError)
+
+
+def test_a_device_is_not_replaced_by_a_file(tmp_path, pipe):
+    (tmp_path / "a").touch()
+    require_replaceable(tmp_path / "a", PageError)
+    require_replaceable(tmp_path / "none", PageError)
+    for path in (pipe, tmp_path, Path("/dev/null")):
+        with pytest.raises(PageError):
+            require_replaceable(path, PageError)
