@@ -33,7 +33,7 @@ class Capabilities:
     max_current_ma: float
     max_slots: int
     time_to_zero_ms: float | None
-    """Longest time from the host's silence to no current; None if it goes on for ever."""
+    """Longest time from the host's silence to no current; None if it may go on for ever."""
     firmware: str
     polarities: tuple[Polarity, ...] = BOTH
     clock: Literal["board", "host"] = "board"
@@ -51,7 +51,7 @@ class Capabilities:
     def describe(self) -> list[tuple[str, str]]:
         """Return what there is to tell a user, as names and values."""
         silence = (
-            "goes on with its last pattern for ever: lift the finger before you unplug the host"
+            "goes on with its last pattern: lift the finger before you unplug the host"
             if self.time_to_zero_ms is None
             else f"no current {self.time_to_zero_ms:g} ms after the host falls silent"
         )
@@ -89,7 +89,9 @@ class BoardReport:
     """Worst electrode's charge left: after a slot's discharge by the board's books, by the
     host's the sum of all pulses."""
     by: Literal["board", "host"] = "board"
-    """Whose account it is; a host's is of what it sent."""
+    """Whose account it is; a host's is of what was scanned, as far as it can know."""
+    most_pulses: int | None = None
+    """Pulses at most, by a host; where it knows only a range, pulses and slots are the least."""
 
 
 LONGEST_REPEAT = 0xFFFF

@@ -1,4 +1,4 @@
-"""The commands of an eTactileKit, version 2, and what of a sequence goes into them.
+"""The commands of an eTactileKit, and what of a sequence goes into them.
 
 On the wire (native USB, or TCP port 8080; little endian, no framing, no checksum)::
 
@@ -6,19 +6,27 @@ On the wire (native USB, or TCP port 8080; little endian, no framing, no checksu
     FD u8   1 anodic 0 cathodic FA u16  pulse width µs
     F9 u8   sense height        F8 u8   sense width µs
     F7 u8   discharge µs        F6 u16  scans per second
-    FE N×u16 heights in counts  FF      reply N×u16: ADC of the last finished scan
+    FE N×u16 heights in counts  FF      reply N×u16: ADC of each electrode's last slot
     F5      reply: chips        F4      reply: N, the only echo
+
+So speaks the firmware of commit 71adee2 and later (`ModeCodec`). That of commit 936c6c0
+("hardware version 2") has one height for all, FB u16, and FE N×u8 says which electrodes
+have it; it knows no F4, F9 counts fourfold, and half a command waits for ever
+(`HeightCodec`).
 
 A byte lost inside FE would leave the board waiting, and the next byte sent would
 complete a pattern shifted by eight bits: up to 41 mA. So every change is guarded:
-impedance-only with a sense height of zero (no pulses) goes before it, F4 after it,
-and pulses come back only when its echo has come. A lost byte eats the F4: no echo,
-no pulses, and the driver starts the board's parser afresh. Heights avoid bytes that
-look like commands. A *doubled* byte cannot be told by anything on this wire; USB and
-TCP do not double bytes.
+what stops all pulses goes before it (a mode without any, or a height of zero), a question
+after it, and pulses come back only when it has been answered. A lost byte eats the
+question: no answer, no pulses, and the driver starts the board's parser afresh. Numbers
+avoid bytes that look like commands, and where one byte of a word may be lost, zeros that
+follow make it smaller, never larger. What cannot be guarded: a *doubled* byte (USB and TCP
+make none), and with `HeightCodec` the answer says that all has arrived, not what.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +38,22 @@ from smarttouch.scan.sequence import ScanSequence
 LARGEST = 1000
 """Counts, about 10 mA: nothing above leaves this host, whatever the limits."""
 FIRST_COMMAND = 0xF4
+SHORTEST_US = 7
+"""Switching on and off takes 6.6 µs: a shorter pulse would be as long as that."""
 SENSE_COUNTS, SENSE_US = 100, 50
 ZEROS = bytes(2 * 255 + 4)
 """More than any command waits for."""
-QUIET, ON = bytes([0xFB, 2]), bytes([0xFB, 0])
 PING, CHIPS, READINGS = b"\xf4", b"\xf5", b"\xff"
 NO_SENSE = b"\xf9\0\0\xf8\0\0"
-SENSE = QUIET + b"\xfd\x01\xf7\x64\xf6\x0a\0" + bytes([0xF8, SENSE_US, 0xF9, SENSE_COUNTS])
-"""Ten anodic sense scans a second."""
+_END = bytes(3)
+"""Ends any command that has lost a byte."""
+AT_REST = (
+    b"\xfc\0" + _END, NO_SENSE, b"\xfb\0\0" + _END, b"\xfa\x01\0" + _END,
+    b"\xf7\0" + _END, b"\xf6\x0a\0" + _END,
+)  # fmt: skip
+"""Puts every published firmware at zero, whichever it is: no electrodes, no sense pulses, no
+height (or the mode 0), the shortest pulses, ten scans a second. No byte of it is a question to,
+or a pattern for, any other board that we know."""
 
 
 @dataclass(frozen=True)
@@ -49,20 +65,159 @@ class Settings:
     rate_hz: int
     anodic: bool
 
-    def commands(self) -> bytes:
+    @property
+    def period_ns(self) -> int:
+        """Of its timer, which counts whole µs."""
+        return 1_000_000 // self.rate_hz * 1000
+
+    def scan_us(self, outputs: int, slot_extra_us: int) -> int:
+        """Return how long a scan takes."""
+        return outputs * (self.width_us + self.discharge_us + slot_extra_us)
+
+
+class Codec(ABC):
+    """The bytes of one generation.
+
+    Attributes
+    ----------
+    outputs : int
+        The N electrodes that it was told of.
+    nothing : bytes
+        Payload of a pattern without any pulse.
+    """
+
+    lead: ClassVar[bytes] = b""
+    """Goes before all else: ends a command whose end was lost."""
+    slot_extra_us: ClassVar[int]
+    forgets: ClassVar[bool]
+    """Whether silence ends half a command."""
+    quiet: ClassVar[bytes]
+    """Stops all pulses from the next scan on."""
+    sense: ClassVar[bytes]
+    """Ten anodic sense scans a second, of `SENSE_COUNTS` and `SENSE_US`."""
+    nothing: bytes
+
+    def __init__(self, outputs: int) -> None:
+        self.outputs = outputs
+
+    @abstractmethod
+    def payload(
+        self, sequence: ScanSequence, wiring: NDArray[np.intp], ua_per_count: float, most: int
+    ) -> bytes:
+        """Return what a sequence asks of the outputs; raise BoardError if it is impossible."""
+
+    @abstractmethod
+    def load(self, payload: bytes) -> bytes:
+        """Return what puts a pattern on the board while nothing flows."""
+
+    @abstractmethod
+    def go(self, payload: bytes) -> bytes:
+        """Return what lets its pulses come from the next scan on."""
+
+    @property
+    @abstractmethod
+    def question(self) -> bytes: ...
+
+    @property
+    @abstractmethod
+    def answer_bytes(self) -> int: ...
+
+    @abstractmethod
+    def is_answer(self, answer: bytes) -> bool: ...
+
+    @property
+    def readings_bytes(self) -> int:
+        return 2 * self.outputs
+
+    def settings(self, settings: Settings, between_hz: int) -> bytes:
         """Return what sets them, twice over, each command followed by zeros that end it.
 
         Were the first byte of a word lost, the zeros would make it zero, not a longer pulse.
+        ``between_hz`` is a rate at which scans of the old and of the new pulses fit.
         """
-        end = bytes(3)
         once = (
-            QUIET + end + b"\xf9\0" + end + b"\xf8\0" + end
-            + bytes([0xFD, self.anodic]) + end
-            + b"\xfa" + self.width_us.to_bytes(2, "little") + end
-            + bytes([0xF7, self.discharge_us]) + end
-            + b"\xf6" + self.rate_hz.to_bytes(2, "little") + end
+            self.quiet + _END + b"\xf9\0" + _END + b"\xf8\0" + _END
+            + b"\xf6" + between_hz.to_bytes(2, "little") + _END
+            + bytes([0xFD, settings.anodic]) + _END
+            + b"\xfa" + settings.width_us.to_bytes(2, "little") + _END
+            + bytes([0xF7, settings.discharge_us]) + _END
         )  # fmt: skip
-        return once * 2
+        return once * 2 + (b"\xf6" + settings.rate_hz.to_bytes(2, "little") + _END) * 2
+
+
+class ModeCodec(Codec):
+    """The firmware of commit 71adee2, and later ones."""
+
+    slot_extra_us = 10
+    forgets = True
+    quiet = b"\xfb\x02\xfb\x02"
+    sense = quiet + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, SENSE_US, 0xF9, SENSE_COUNTS])
+    question, answer_bytes = PING, 1
+
+    def __init__(self, outputs: int) -> None:
+        super().__init__(outputs)
+        self.nothing = bytes(2 * outputs)
+
+    def payload(
+        self, sequence: ScanSequence, wiring: NDArray[np.intp], ua_per_count: float, most: int
+    ) -> bytes:
+        heights = np.zeros(self.outputs, np.uint16)
+        electrode, counts = _counts(sequence, ua_per_count, most)
+        heights[wiring[electrode]] = counts
+        return heights.astype("<u2").tobytes()
+
+    def load(self, payload: bytes) -> bytes:
+        return b"\xfb\x02\xfe" + payload
+
+    def go(self, payload: bytes) -> bytes:
+        return b"\xfb\0"
+
+    def is_answer(self, answer: bytes) -> bool:
+        return answer == bytes([self.outputs])
+
+
+class HeightCodec(Codec):
+    """The firmware of commit 936c6c0: one height for all, and no echo but its readings."""
+
+    lead = _END
+    slot_extra_us = 17
+    forgets = False
+    quiet = (b"\xfb\0\0" + _END) * 2
+    # Four counts to a unit; what has no pulse of a pattern has one of these.
+    sense = quiet + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, SENSE_US, 0xF9, SENSE_COUNTS // 4])
+    question = READINGS
+
+    def __init__(self, outputs: int) -> None:
+        super().__init__(outputs)
+        self.nothing = bytes(outputs + 2)
+
+    @property
+    def answer_bytes(self) -> int:
+        return 2 * self.outputs
+
+    def payload(
+        self, sequence: ScanSequence, wiring: NDArray[np.intp], ua_per_count: float, most: int
+    ) -> bytes:
+        codes = np.zeros(self.outputs, np.uint8)
+        electrode, counts = _counts(sequence, ua_per_count, most)
+        if len(counts) and np.ptp(counts) > 1:
+            raise BoardError(
+                f"slots of {int(counts.min() * ua_per_count)} to "
+                f"{int(counts.max() * ua_per_count)} µA in one sequence, and this board's firmware "
+                "(936c6c0) has one height for all: give all electrodes one threshold, or update it"
+            )
+        height = int(counts.min(initial=LARGEST)) if len(counts) else 0
+        codes[wiring[electrode]] = height > 0
+        return codes.tobytes() + height.to_bytes(2, "little")
+
+    def load(self, payload: bytes) -> bytes:
+        return self.quiet + b"\xfe" + payload[:-2]
+
+    def go(self, payload: bytes) -> bytes:
+        return b"\xfb" + payload[-2:] + _END
+
+    def is_answer(self, answer: bytes) -> bool:
+        return len(answer) == self.answer_bytes
 
 
 def settings_of(sequence: ScanSequence) -> Settings:
@@ -71,7 +226,7 @@ def settings_of(sequence: ScanSequence) -> Settings:
     Raises
     ------
     BoardError
-        If its slots want more than one polarity or width.
+        If its slots want more than one polarity or width, or one that is out of reach.
     """
     _, current_ua = one_against_all(sequence)
     if len(np.unique(np.sign(current_ua))) > 1:
@@ -84,39 +239,24 @@ def settings_of(sequence: ScanSequence) -> Settings:
             f"slots of {int(sequence.width_us.min())} to {int(sequence.width_us.max())} µs in "
             "one sequence, and this board has one pulse width for all"
         )
+    width = int(sequence.width_us.max(initial=0))
+    if sequence.slots and width < SHORTEST_US:
+        raise BoardError(f"pulses of {width} µs are too short: at least {SHORTEST_US} µs")
     discharge = int(sequence.discharge_us.max(initial=0))
     if discharge >= FIRST_COMMAND:
         raise BoardError(f"a discharge of {discharge} µs is too long: at most {FIRST_COMMAND - 1}")
-    return Settings(
-        int(sequence.width_us.max(initial=0)),
-        discharge,
-        max(1, round(1e6 / sequence.period_us)),
-        bool((current_ua < 0).any()),
-    )
+    rate_hz = max(1, round(1e6 / sequence.period_us))
+    return Settings(width, discharge, rate_hz, bool((current_ua < 0).any()))
 
 
-def heights_of(
-    sequence: ScanSequence, wiring: NDArray[np.intp], ua_per_count: float, most: int
-) -> bytes:
-    """Return the payload of a pattern: a height in counts for each output, little endian.
-
-    Parameters
-    ----------
-    wiring : ndarray, (E,)
-        The output of each electrode.
-    most : int
-        Counts that rounding must not pass.
-    """
+def _counts(
+    sequence: ScanSequence, ua_per_count: float, most: int
+) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
+    """Return which electrode each slot drives, and its height in counts, at most ``most``."""
     electrode, current_ua = one_against_all(sequence)
-    counts = np.minimum(np.rint(np.abs(current_ua) / ua_per_count), min(most, LARGEST))
-    heights = np.zeros(int(wiring.max()) + 1, np.uint16)
-    heights[wiring[electrode]] = counts.astype(np.uint16)
-    # A byte that looks like a command would be one, if the FE before it were lost.
-    low = heights & 0xFF
-    heights -= np.where(low >= FIRST_COMMAND, low - (FIRST_COMMAND - 1), 0).astype(np.uint16)
-    return heights.astype("<u2").tobytes()
-
-
-def pattern(heights: bytes) -> bytes:
-    """Return a pattern under guard: no pulses from before it until `ON`, then the echo."""
-    return QUIET + b"\xfe" + heights + PING
+    nearest = np.minimum(np.rint(np.abs(current_ua) / ua_per_count), min(most, LARGEST))
+    counts = nearest.astype(np.uint16)
+    # A byte that looks like a command would be one, if that before it were lost.
+    low = counts & 0xFF
+    counts -= np.where(low >= FIRST_COMMAND, low - (FIRST_COMMAND - 1), 0).astype(np.uint16)
+    return electrode, counts

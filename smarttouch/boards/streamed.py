@@ -5,6 +5,7 @@ import threading
 import time
 from abc import abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +53,9 @@ class StreamedBoard(Board):
 
     kind: str
     """Name of the driver, for messages."""
+    room_s: ClassVar[float] = 0.0
+    """How long a sequence waits for that before it to be taken, beside a few of its periods,
+    rather than replace it; 0 if it does not."""
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         super().__init__(limits, output)
@@ -104,7 +108,12 @@ class StreamedBoard(Board):
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         data = self._encode(sequence)
+        patience_s = self.room_s and self.room_s + 4e-6 * sequence.period_us
         with self._news:
+            self._news.wait_for(
+                lambda: self._waiting is None or self._fault is not None or self._closing.is_set(),
+                patience_s,
+            )
             if self._fault is not None:
                 raise self._fault
             self._number += 1
@@ -188,6 +197,7 @@ class StreamedBoard(Board):
             )
             job, self._waiting = self._waiting, None
             self._busy = job is not None and not self._closing.is_set()
+            self._news.notify_all()
             return job if self._busy else None
 
     def _delivered(self, job: Job, scans: int = 1) -> None:

@@ -1,0 +1,201 @@
+"""In step with the scans of an eTactileKit, which runs on its own clock.
+
+What a scan does is settled when it starts, so a pattern is felt only if it is there at
+that moment. Pulses are let come, one scan or as many as are wanted start, and pulses are
+stopped again: in between the next pattern is put on the board. The board does not say
+when it scans; but its readings change with each scan, so two questions bracket one, and
+from then on all others are known (`ScanLock`). As long as they are not (nothing is felt
+or measured yet, or the line is too slow), a pattern stays for longer than a whole
+period: then it is scanned at least once, perhaps twice, and the account says so.
+"""
+
+from abc import abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.boards.etactilekit_line import ETactileKitLine
+from smarttouch.boards.etactilekit_wire import Settings
+from smarttouch.boards.scan_lock import ScanLock, Span
+from smarttouch.boards.streamed import Job, one_against_all
+from smarttouch.clock import Clock
+from smarttouch.profile.device import Output
+from smarttouch.scan.safety import SafetyLimits
+
+LOW, HIGH = 4, 12
+"""Readings below the one had no pulse, from the other on they had: .3 and 1 V."""
+POLL_NS, MARGIN_NS = 1_000_000, 100_000
+WIDE_NS = 1_000_000
+"""If it is less well known than that when a scan starts, a question in its middle tells."""
+KEEP_NS = 100_000_000
+"""The newest firmware must hear something that often."""
+
+
+@dataclass
+class Shown:
+    """What pulses, and since when."""
+
+    job: Job
+    since: Span
+    before: NDArray[np.uint16]
+    """Readings of the scan before."""
+    unseen_ns: int = 0
+    """When the readings were last asked for and told of none of its pulses."""
+
+    def felt(self, readings: NDArray[np.uint16]) -> NDArray[np.bool_]:
+        """Return which outputs it has certainly pulsed, by readings from now."""
+        return (self.before < LOW) & (readings >= HIGH)
+
+
+class SteppedKit(ETactileKitLine):
+    """Lets patterns be scanned a known number of times."""
+
+    def __init__(
+        self,
+        port: str,
+        limits: SafetyLimits,
+        output: Output | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        super().__init__(port, limits, output, clock)
+        # What it pulses with; None if that is not certain.
+        self._settings: Settings | None = None
+        self._lock = ScanLock(1)
+        self._shown: Shown | None = None
+        # The last readings, and when they were asked for.
+        self._before: tuple[int, NDArray[np.uint16]] | None = None
+        # How long answers have taken of late.
+        self._answer_ns = 0
+
+    @abstractmethod
+    def _note_volts(
+        self, job: Job, current_ua: NDArray[np.int64], readings: NDArray[np.uint16]
+    ) -> None:
+        """Take what was measured of a sequence's slots, in counts."""
+
+    def _ask(self, body: bytes) -> Span | None:
+        """Send commands and learn from the readings before them; return when they were obeyed."""
+        found = self._exchange(body, ask=True)
+        if found is None:
+            self._before = None
+            self._resync()
+            return None
+        span, readings = found
+        assert readings is not None
+        self._answer_ns = max(span.late - span.early, self._answer_ns * 7 // 8)
+        if self._before is not None and self._settings is not None:
+            asked_ns, before = self._before
+            turned = ((before < LOW) & (readings >= HIGH)) | ((before >= HIGH) & (readings < LOW))
+            if turned.any():
+                # That slot passed between the two questions; its scan began so much earlier.
+                slots = int(turned.argmax())
+                shortest_us, longest_us = self._settings.discharge_us, self._settings.scan_us(1, 25)
+                self._lock.learn(
+                    Span(
+                        asked_ns - 1000 * slots * longest_us,
+                        span.late - 1000 * slots * shortest_us,
+                    )
+                )
+        self._before = span.early, readings
+        return span
+
+    def _free_of_scans(self) -> int:
+        """Return from when on an answer comes before the next scan can start, ns."""
+        now_ns = self._clock.now_ns()
+        self._lock.check(now_ns)
+        if not self._lock.locked:
+            return now_ns
+        answer_ns = min(2 * self._answer_ns, int(self._lock.period_ns[0] / 3))
+        number = self._lock.first_after(now_ns) - 1
+        if self._lock.scan(number).late > now_ns:
+            return self._lock.scan(number).late + MARGIN_NS
+        following = self._lock.scan(number + 1)
+        return now_ns if now_ns + answer_ns < following.early else following.late + MARGIN_NS
+
+    def _hold(self, job: Job) -> None:
+        """Wait until as many scans of what is shown are over as are wanted."""
+        shown, asked_ns = self._shown, self._clock.now_ns()
+        while shown is self._shown and not self._closing.is_set():
+            now_ns = self._clock.now_ns()
+            assert shown is not None
+            due_ns = self._over_ns(shown.since, 1 if self._waiting is not None else job.times)
+            if now_ns >= due_ns:
+                due_ns = self._free_of_scans()
+                if now_ns >= due_ns:
+                    return
+            ask_ns = self._worth_asking(now_ns, asked_ns)
+            # Something newer may come meanwhile.
+            until_ns = min(due_ns, ask_ns, now_ns + self._lock.nominal_ns)
+            self._wait(until_ns)
+            if until_ns == ask_ns:
+                with self._line:
+                    if shown is self._shown and not self._closing.is_set():
+                        asked_ns = self._clock.now_ns()
+                        told = self._ask(b"") and self._before
+                        if told and not shown.felt(told[1]).any():
+                            shown.unseen_ns = asked_ns
+
+    def _worth_asking(self, now_ns: int, asked_ns: int) -> int:
+        """Return when a question will tell more of the board's scans, or keep it awake."""
+        if not self._lock.locked:
+            return now_ns + POLL_NS
+        coming = self._lock.scan(self._lock.first_after(now_ns))
+        if coming.late - coming.early > WIDE_NS:
+            return min(asked_ns + KEEP_NS, (coming.early + coming.late) // 2)
+        return asked_ns + KEEP_NS
+
+    def _over_ns(self, since: Span, times: int) -> int:
+        """Return when so many scans after an event are certainly over."""
+        assert self._settings is not None
+        if not self._lock.locked:
+            return int(since.late + times * self._lock.period_ns[1]) + MARGIN_NS
+        last = self._lock.scan(self._lock.first_after(since.late) + times - 1)
+        scan_us = self._settings.scan_us(self._outputs, self._codec.slot_extra_us)
+        return last.late + 1000 * scan_us + MARGIN_NS
+
+    def _stop_pulses(self) -> bool:
+        """Stop all pulses, and write down the scans; return False if they seem to be none."""
+        shown, self._shown = self._shown, None
+        begun_ns, known, told = self._clock.now_ns(), self._lock.locked, None
+        try:
+            told = self._ask(self._codec.quiet)
+        finally:
+            felt = self._account(shown, told, begun_ns, known) if shown is not None else True
+        return felt
+
+    def _account(self, shown: Shown, told: Span | None, begun_ns: int, known: bool) -> bool:
+        """Write down the scans of what was shown; return False if they seem to be none."""
+        sequence, since, felt = shown.job.sequence, shown.since, True
+        readings = None if told is None or self._before is None else self._before[1]
+        certain = False if readings is None else shown.felt(readings)
+        if np.any(certain) and self._settings is not None:
+            # Nor had it any scan whose slot would have passed when it was last unseen.
+            slots = int(np.argmax(certain))
+            unseen_ns = shown.unseen_ns - 1000 * slots * self._settings.scan_us(1, 25)
+            since = Span(max(since.early, unseen_ns), max(since.late, unseen_ns))
+        least, most = self._lock.starts(since, told or Span(begun_ns, self._clock.now_ns()))
+        if readings is not None:
+            electrode, current_ua = one_against_all(sequence)
+            readings = readings[self._wiring[electrode]]
+            if np.any(certain):
+                least = max(1, least)
+            elif known and (readings < LOW).all():
+                self._lock.forget()
+                least, felt = 0, False
+            if least and self._lock.locked:
+                self._note_volts(shown.job, current_ua, readings)
+        with self._news:
+            self._books.add(sequence, least, again=True, most=max(least, most))
+        return felt
+
+    def _give_up(self) -> None:
+        """Write down what may have been scanned when a board was lost and is back, at zero."""
+        shown, self._shown = self._shown, None
+        if shown is not None:
+            sure_ns = shown.since.late if self._before is None else self._before[0]
+            self._account(shown, None, max(sure_ns, shown.since.late), False)
+
+    def _wait(self, until_ns: int) -> None:
+        if until_ns > self._clock.now_ns():
+            self._clock.wait_until(until_ns, self._closing)
