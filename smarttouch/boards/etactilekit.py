@@ -157,6 +157,7 @@ class ETactileKitBoard(SteppedKit):
             with self._line:
                 # Where nothing was measured, the time of the scans was not known after all.
                 if self._shown is None or self._stop_pulses():
+                    self._listen()
                     return
 
     def _show(self, job: Job) -> bool:
@@ -166,7 +167,7 @@ class ETactileKitBoard(SteppedKit):
             return False
         if job.data != self._on_board and not self._load(job.data):
             return False
-        self._wait(self._free_of_scans())
+        self._wait(self._free_of_scans(self._clock.now_ns()))
         if self._closing.is_set() or (told := self._ask(self._codec.go(job.data))) is None:
             self._on_board = b""
             return False

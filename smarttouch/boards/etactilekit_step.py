@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from smarttouch.boards.etactilekit_line import ETactileKitLine
 from smarttouch.boards.etactilekit_wire import Settings
-from smarttouch.boards.scan_lock import ScanLock, Span
+from smarttouch.boards.scan_lock import WIDEST, ScanLock, Span
 from smarttouch.boards.streamed import Job, one_against_all
 from smarttouch.clock import Clock
 from smarttouch.profile.device import Output
@@ -28,6 +28,8 @@ LOW, HIGH = 4, 12
 POLL_NS, MARGIN_NS = 1_000_000, 100_000
 WIDE_NS = 1_000_000
 """If it is less well known than that when a scan starts, a question in its middle tells."""
+LISTEN_NS = 1_000_000_000
+"""No scan in so long, and one only, is given away to learn when it starts."""
 KEEP_NS = 100_000_000
 """The newest firmware must hear something that often."""
 
@@ -67,6 +69,8 @@ class SteppedKit(ETactileKitLine):
         self._before: tuple[int, NDArray[np.uint16]] | None = None
         # How long answers have taken of late.
         self._answer_ns = 0
+        # When it is time to listen again.
+        self._listen_ns = 0
 
     @abstractmethod
     def _note_volts(
@@ -100,9 +104,8 @@ class SteppedKit(ETactileKitLine):
         self._before = span.early, readings
         return span
 
-    def _free_of_scans(self) -> int:
+    def _free_of_scans(self, now_ns: int) -> int:
         """Return from when on an answer comes before the next scan can start, ns."""
-        now_ns = self._clock.now_ns()
         self._lock.check(now_ns)
         if not self._lock.locked:
             return now_ns
@@ -121,7 +124,7 @@ class SteppedKit(ETactileKitLine):
             assert shown is not None
             due_ns = self._over_ns(shown.since, 1 if self._waiting is not None else job.times)
             if now_ns >= due_ns:
-                due_ns = self._free_of_scans()
+                due_ns = self._free_of_scans(now_ns)
                 if now_ns >= due_ns:
                     return
             ask_ns = self._worth_asking(now_ns, asked_ns)
@@ -153,6 +156,28 @@ class SteppedKit(ETactileKitLine):
         last = self._lock.scan(self._lock.first_after(since.late) + times - 1)
         scan_us = self._settings.scan_us(self._outputs, self._codec.slot_extra_us)
         return last.late + 1000 * scan_us + MARGIN_NS
+
+    def _listen(self) -> None:
+        """Let a scan pass without pulses, where its readings will tell when it starts."""
+        now_ns, before = self._clock.now_ns(), self._before
+        self._lock.check(now_ns)
+        if before is None or now_ns < self._listen_ns or not (before[1] >= HIGH).any():
+            return
+        end_ns = now_ns + int(self._lock.period_ns[1])
+        if self._lock.locked:
+            coming = self._lock.scan(self._lock.first_after(now_ns))
+            if coming.late - coming.early <= min(2 * WIDE_NS, WIDEST * self._lock.nominal_ns / 2):
+                return
+            self._wait(coming.early - POLL_NS)
+            end_ns = coming.late
+        assert self._settings is not None
+        end_ns += 1000 * self._settings.scan_us(self._outputs, 25) + POLL_NS
+        while self._before is not None and (self._before[1] >= HIGH).any():
+            if self._clock.now_ns() > end_ns or self._closing.is_set():
+                break
+            self._wait(self._clock.now_ns() + POLL_NS // 2)
+            self._ask(b"")
+        self._listen_ns = self._clock.now_ns() + LISTEN_NS
 
     def _stop_pulses(self) -> bool:
         """Stop all pulses, and write down the scans; return False if they seem to be none."""

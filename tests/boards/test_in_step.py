@@ -8,10 +8,10 @@ import random
 
 import numpy as np
 import pytest
-from tests.boards.told import MS, ToldKit
 
 from smarttouch.boards.probe import one_each
 from smarttouch.scan.safety import SafetyLimits
+from tests.boards.told import MS, ToldKit
 
 PATTERNS = int(os.environ.get("SMARTTOUCH_PATTERNS", "300"))
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
@@ -56,3 +56,81 @@ def test_every_pattern_is_scanned_once(monkeypatch, firmware, phase_us, drift):
     took = (kit.clock.time_ns - start) / (20 * MS * PATTERNS)
     print(f"{firmware} {phase_us} {drift}: {took:.3f} periods a pattern")
     assert took < 1.05
+
+
+@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+@pytest.mark.parametrize("seed", range(4))
+def test_what_a_busy_host_cannot_know_it_says(monkeypatch, firmware, seed):
+    """Waits of milliseconds too long, and frames that come when they like: none unscanned."""
+    kit = ToldKit(
+        monkeypatch, LIMITS, firmware, seed=seed, late_us=3000, phase_ns=7 * MS * seed, wire_us=2000
+    )
+    sequences = patterns(PATTERNS // 3, seed)
+    rng, time_ns, jobs = random.Random(seed), kit.clock.time_ns, []
+    for each in sequences:
+        jobs.append((time_ns, each, rng.choice([1, 1, 1, 5])))
+        time_ns += int(rng.uniform(5, 45) * MS)
+    report = kit.run(jobs)
+    shown = [scan for i, scan in enumerate(kit.scans()) if not i or scan != kit.scans()[i - 1]]
+    assert shown == [wanted(each) for each in sequences]
+    assert report.pulses <= kit.books.pulses <= report.most_pulses
+    assert report.most_pulses <= 2 * report.pulses
+
+
+@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+@pytest.mark.parametrize("times", [1, 7])
+def test_the_same_pattern_again_is_scanned_again(monkeypatch, firmware, times):
+    kit = ToldKit(monkeypatch, LIMITS, firmware, phase_ns=3 * MS, drift=60e-6)
+    (sequence,) = patterns(1)
+    start = kit.clock.time_ns
+    report = kit.run([(start + i * times * 20 * MS, sequence, times) for i in range(60)])
+    assert kit.scans() == [wanted(sequence)] * 60 * times
+    assert (report.pulses, report.most_pulses) == (kit.books.pulses, kit.books.pulses)
+
+
+def test_what_is_too_weak_to_be_measured_is_scanned_and_a_range_told(monkeypatch):
+    kit = ToldKit(monkeypatch, LIMITS, phase_ns=3 * MS)
+    weak = [
+        one_each(
+            LIMITS, 10, 100, 0.1, step * 10**9, cathodic=False, sites=[step % 8],
+            discharge_us=50, period_us=PERIOD_US,
+        )
+        for step in range(60)
+    ]  # fmt: skip
+    start = kit.clock.time_ns
+    report = kit.run([(start + i * 20 * MS, each, 1) for i, each in enumerate(weak)])
+    shown = [scan for i, scan in enumerate(kit.scans()) if not i or scan != kit.scans()[i - 1]]
+    assert shown == [wanted(each) for each in weak]
+    assert report.pulses <= kit.books.slots * 8 <= report.most_pulses
+    assert report.slots >= 60
+
+
+@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+def test_slow_writing_scans_each_pattern_once_too(monkeypatch, firmware):
+    kit = ToldKit(monkeypatch, LIMITS, firmware, phase_ns=5 * MS, drift=-80e-6)
+    kit.driver._slow = True
+    sequences = patterns(60)
+    start = kit.clock.time_ns
+    report = kit.run([(start + 20 * MS * i, each, 1) for i, each in enumerate(sequences)])
+    shown = [scan for i, scan in enumerate(kit.scans()) if not i or scan != kit.scans()[i - 1]]
+    assert shown == [wanted(each) for each in sequences]
+    assert report.pulses <= kit.books.pulses <= report.most_pulses
+
+
+@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+def test_another_polarity_and_rate_are_set_in_between(monkeypatch, firmware):
+    kit = ToldKit(monkeypatch, LIMITS, firmware, phase_ns=5 * MS)
+    sequences = []
+    for step in range(40):
+        sequences.append(
+            one_each(
+                LIMITS, 800 + 20 * step, 100, 0.5, step * 10**9, cathodic=step % 4 > 1,
+                sites=[step % 8], discharge_us=50, period_us=[20_000, 10_000][step // 8 % 2],
+            )
+        )  # fmt: skip
+    start = kit.clock.time_ns
+    report = kit.run([(start, each, 1) for each in sequences])
+    shown = [scan for i, scan in enumerate(kit.scans()) if not i or scan != kit.scans()[i - 1]]
+    assert shown == [wanted(each) for each in sequences]
+    assert report.pulses <= kit.books.pulses <= report.most_pulses
+    assert kit.books.sequences < 50

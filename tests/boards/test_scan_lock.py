@@ -81,7 +81,7 @@ def test_it_is_never_wrong_and_becomes_sharper(phase, drift, seed, step):
             scan = lock.scan(lock.first_after(int(at - T // 2)))
             assert scan.early <= at + 1
             assert at - 1 <= scan.late
-        begin, end = (sorted(rng.uniform(start, start + 5 * T) for _ in range(2)))
+        begin, end = sorted(rng.uniform(start, start + 5 * T) for _ in range(2))
         happened = sum(begin < phase + k * true < end for k in range(number - 1, number + 8))
         spread = rng.uniform(0, 1e6)
         least, most = lock.starts(

@@ -127,7 +127,7 @@ class ToldKit:
         self.driver._greet()
 
     def run(self, jobs):
-        """Let the driver serve jobs that come at times of the host's clock, (ns, sequence, times)."""
+        """Let the driver serve jobs: when they come by its clock, sequence, times."""
         jobs = [
             (time_ns, Job(number, sequence, self.driver._encode(sequence), times))
             for number, (time_ns, sequence, times) in enumerate(jobs)
