@@ -71,6 +71,7 @@ class SteppedKit(ETactileKitLine):
         self._answer_ns = 0
         # When it is time to listen again.
         self._listen_ns = 0
+        self._stopped_ns = 0
 
     @abstractmethod
     def _note_volts(
@@ -108,7 +109,8 @@ class SteppedKit(ETactileKitLine):
         """Return from when on an answer comes before the next scan can start, ns."""
         self._lock.check(now_ns)
         if not self._lock.locked:
-            return now_ns
+            # Of the newest firmware a scan may still be under way that began before the stop.
+            return max(now_ns, self._stopped_ns + self._scan_ns())
         answer_ns = min(2 * self._answer_ns, int(self._lock.period_ns[0] / 3))
         number = self._lock.first_after(now_ns) - 1
         if self._lock.scan(number).late > now_ns:
@@ -150,12 +152,15 @@ class SteppedKit(ETactileKitLine):
 
     def _over_ns(self, since: Span, times: int) -> int:
         """Return when so many scans after an event are certainly over."""
-        assert self._settings is not None
         if not self._lock.locked:
             return int(since.late + times * self._lock.period_ns[1]) + MARGIN_NS
         last = self._lock.scan(self._lock.first_after(since.late) + times - 1)
-        scan_us = self._settings.scan_us(self._outputs, self._codec.slot_extra_us)
-        return last.late + 1000 * scan_us + MARGIN_NS
+        return last.late + self._scan_ns() + MARGIN_NS
+
+    def _scan_ns(self) -> int:
+        """Return how long a scan takes."""
+        assert self._settings is not None
+        return 1000 * self._settings.scan_us(self._outputs, self._codec.slot_extra_us)
 
     def _listen(self) -> None:
         """Let a scan pass without pulses, where its readings will tell when it starts."""
@@ -186,6 +191,7 @@ class SteppedKit(ETactileKitLine):
         try:
             told = self._ask(self._codec.quiet)
         finally:
+            self._stopped_ns = self._clock.now_ns()
             felt = self._account(shown, told, begun_ns, known) if shown is not None else True
         return felt
 

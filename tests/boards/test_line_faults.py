@@ -99,7 +99,7 @@ def test_a_reply_that_is_not_whole(hosted, change):
 @ALL
 def test_a_measurement_that_is_cut_short_ends_in_zero_and_the_next_is_whole(hosted, monkeypatch):
     # Only answers are lost here: its parser needs no long silence.
-    monkeypatch.setattr("smarttouch.boards.etactilekit.FORGETS_S", 0.1)
+    monkeypatch.setattr("smarttouch.boards.etactilekit_line.FORGETS_S", 0.1)
     with hosted.board as board:
         hosted.line.to_host = every(1, cut_short)
         with pytest.raises(BoardError, match=r"again|does not|did not|silent") as error:
@@ -138,6 +138,6 @@ def test_a_port_that_stays_away_is_told_of(hosted, monkeypatch):
         pulled_out_after(4, hosted)
     text = sentence(error)
     if hosted.kind == "etactilekit":
-        assert "goes on with its last pattern" in text
+        assert "go on with its last pattern" in text
     else:
         hosted.assert_zero()

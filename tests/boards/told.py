@@ -53,6 +53,7 @@ class ToldPort:
         self.phase_ns, self.drift, self.wire_us = phase_ns, drift, wire_us
         self.is_open, self.timeout = True, 0.05
         self.coming, self.going, self.incoming = [], [], bytearray()
+        self.said = bytearray()
 
     def board_ns(self, time_ns):
         return int((time_ns + self.phase_ns) * (1 + self.drift))
@@ -65,6 +66,7 @@ class ToldPort:
         if self.going:
             arrival = max(arrival, self.going[-1][0])
         self.going.append((arrival, bytes(data)))
+        self.said += data
         self.clock.time_ns += 20 * US
         return len(data)
 
@@ -114,12 +116,20 @@ class ToldKit:
     """A driver and its board, in one thread."""
 
     def __init__(
-        self, monkeypatch, limits, firmware="71adee2", outputs=8, seed=1, late_us=200, **line
+        self,
+        monkeypatch,
+        limits,
+        firmware="71adee2",
+        seed=1,
+        late_us=200,
+        finger=None,
+        dummy_ohm=np.inf,
+        **line,
     ):
         self.clock = ToldClock(seed, late_us)
         monkeypatch.setattr(etactilekit_line.time, "sleep", self.clock.sleep)
-        self.books = ScanBooks(outputs)
-        self.board = ETactileKitFirmware(self.books, firmware=firmware, dummy_ohm=np.inf)
+        self.books = ScanBooks(limits.electrodes)
+        self.board = ETactileKitFirmware(self.books, finger, firmware=firmware, dummy_ohm=dummy_ohm)
         self.port = ToldPort(self.board, self.clock, **line)
         self.driver = ETactileKitBoard(f"told?firmware={firmware}", limits, clock=self.clock)
         self.driver._serial = self.port
