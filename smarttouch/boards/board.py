@@ -55,15 +55,12 @@ class Capabilities:
             if self.time_to_zero_ms is None
             else f"no current {self.time_to_zero_ms:g} ms after the host falls silent"
         )
-        told = [
-            name
-            for name, has in (
-                ("acknowledgments", self.acknowledges),
-                ("voltages", self.measures),
-                ("finger force", self.force),
-            )
-            if has
-        ]
+        tells = {
+            "acknowledgments": self.acknowledges,
+            "voltages": self.measures,
+            "finger force": self.force,
+        }
+        told = [name for name, has in tells.items() if has]
         return [
             ("firmware", self.firmware),
             ("electrodes", f"{self.electrodes}, {self.output}, {' or '.join(self.polarities)}"),
@@ -91,7 +88,7 @@ class BoardReport:
     by: Literal["board", "host"] = "board"
     """Whose account it is; a host's is of what was scanned, as far as it can know."""
     most_pulses: int | None = None
-    """Pulses at most, by a host; where it knows only a range, pulses and slots are the least."""
+    """By a host that knows only a range; pulses and slots are then the least."""
 
 
 LONGEST_REPEAT = 0xFFFF

@@ -42,6 +42,8 @@ NEWEST_ZERO_MS = 520.0
 """The newest firmware takes its host for lost after 500 ms; then the scan ends."""
 IDLE_S = 0.1
 """After so long without a sequence the pattern on the board becomes zeros."""
+ATTEMPTS = 4
+"""For a pattern of which nothing was measured, though weaker ones were."""
 OPEN_SHARE = 0.95
 """Of the voltage without a finger: where every slot needs that much, there is none."""
 
@@ -144,7 +146,7 @@ class ETactileKitBoard(SteppedKit):
                 if self._waiting is not None or self._closing.is_set():
                     return
             return
-        for attempt in range(2):
+        for attempt in range(ATTEMPTS):
             with self._line:
                 if self._closing.is_set():
                     return
@@ -155,7 +157,6 @@ class ETactileKitBoard(SteppedKit):
                 self._begun(job)
             self._hold(job)
             with self._line:
-                # Where nothing was measured, the time of the scans was not known after all.
                 if self._shown is None or self._stop_pulses():
                     self._listen()
                     return

@@ -72,6 +72,8 @@ class SteppedKit(ETactileKitLine):
         # When it is time to listen again.
         self._listen_ns = 0
         self._stopped_ns = 0
+        # The weakest pattern that was measured.
+        self._seen_ua = 10**6
 
     @abstractmethod
     def _note_volts(
@@ -187,15 +189,15 @@ class SteppedKit(ETactileKitLine):
     def _stop_pulses(self) -> bool:
         """Stop all pulses, and write down the scans; return False if they seem to be none."""
         shown, self._shown = self._shown, None
-        begun_ns, known, told = self._clock.now_ns(), self._lock.locked, None
+        begun_ns, told = self._clock.now_ns(), None
         try:
             told = self._ask(self._codec.quiet)
         finally:
             self._stopped_ns = self._clock.now_ns()
-            felt = self._account(shown, told, begun_ns, known) if shown is not None else True
+            felt = self._account(shown, told, begun_ns) if shown is not None else True
         return felt
 
-    def _account(self, shown: Shown, told: Span | None, begun_ns: int, known: bool) -> bool:
+    def _account(self, shown: Shown, told: Span | None, begun_ns: int) -> bool:
         """Write down the scans of what was shown; return False if they seem to be none."""
         sequence, since, felt = shown.job.sequence, shown.since, True
         readings = None if told is None or self._before is None else self._before[1]
@@ -208,10 +210,11 @@ class SteppedKit(ETactileKitLine):
         least, most = self._lock.starts(since, told or Span(begun_ns, self._clock.now_ns()))
         if readings is not None:
             electrode, current_ua = one_against_all(sequence)
-            readings = readings[self._wiring[electrode]]
+            readings, level_ua = readings[self._wiring[electrode]], int(np.abs(current_ua).max())
             if np.any(certain):
-                least = max(1, least)
-            elif known and (readings < LOW).all():
+                least, self._seen_ua = max(1, least), min(level_ua, self._seen_ua)
+            elif level_ua >= self._seen_ua and (readings < LOW).all():
+                # Less has been measured before: the board has not kept its time.
                 self._lock.forget()
                 least, felt = 0, False
             if least and self._lock.locked:
@@ -225,7 +228,7 @@ class SteppedKit(ETactileKitLine):
         shown, self._shown = self._shown, None
         if shown is not None:
             sure_ns = shown.since.late if self._before is None else self._before[0]
-            self._account(shown, None, max(sure_ns, shown.since.late), False)
+            self._account(shown, None, max(sure_ns, shown.since.late))
 
     def _wait(self, until_ns: int) -> None:
         if until_ns > self._clock.now_ns():

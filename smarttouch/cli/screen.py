@@ -164,7 +164,7 @@ class Screen:
             f"{latency['p99'] / 1000:.1f} ms p99; own work {figures['work_share']:.1%} of it",
             f"  strongest pulse {figures['max_current_ma']:.2f} mA, "
             f"{figures['max_charge_uc']:.3f} µC; {net}",
-            "  by the host's own account: this board keeps none"
+            f"  {_range(figures)} pulses by the host's own account: this board keeps none"
             if figures["reported_by"] == "host"
             else f"  {figures['emulator_violations']} violations by the board's own books",
         ]
@@ -204,6 +204,12 @@ def _felt_ma(sent: Sent) -> NDArray[np.float32]:
         # Several share a slot.
         felt[points] = np.abs(sequence.current_ua.astype(np.float32)).max(axis=0)[points] / 1000
     return felt
+
+
+def _range(figures: dict[str, Any]) -> str:
+    """Return a number of pulses, or the two between which it is."""
+    least, most = figures["pulses"], figures["pulses_at_most"]
+    return str(least) if least == most else f"{least} to {most}"
 
 
 def _beside(sequence: ScanSequence) -> str:

@@ -5,10 +5,13 @@
 
 import os
 import random
+import time
 
 import numpy as np
 import pytest
 
+from smarttouch.boards.board import make_board
+from smarttouch.boards.emulator.books import read_slots
 from smarttouch.boards.probe import one_each
 from smarttouch.scan.safety import SafetyLimits
 from tests.boards.told import MS, ToldKit
@@ -134,3 +137,41 @@ def test_another_polarity_and_rate_are_set_in_between(monkeypatch, firmware):
     assert shown == [wanted(each) for each in sequences]
     assert report.pulses <= kit.books.pulses <= report.most_pulses
     assert kit.books.sequences < 50
+
+
+@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+def test_over_a_line_too_none_is_left_out(start_emulator, tmp_path, monkeypatch, firmware):
+    monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
+    _, port = start_emulator(
+        f"--books={tmp_path}", f"--firmware={firmware}", protocol="etactilekit"
+    )
+    # Neighbors drive different electrodes, so that each scan tells which pattern it was of.
+    sequences = [
+        one_each(
+            LIMITS, 900, 50, float(step > 0), step * 10**9, cathodic=False,
+            sites=[step % 8, (step + 3) % 8] if step else [], discharge_us=50,
+            period_us=PERIOD_US,
+        )
+        for step in range(60)
+    ]  # fmt: skip
+    with make_board(f"etactilekit:{port}?firmware={firmware}", LIMITS) as board:
+        for each in sequences:
+            board.send(each)
+        board.drain(10)
+        report = board.report()
+        assert (board.acknowledged, board.refused, board.replaced) == (60, 0, 0)
+    # The process writes its books a while after the event.
+    deadline = time.monotonic() + 10
+    while (shown := scanned(tmp_path)) != [set(each.site.tolist()) for each in sequences[1:]]:
+        assert time.monotonic() < deadline, shown
+        time.sleep(0.05)
+    assert 8 * len(read_slots(tmp_path)) <= report.most_pulses
+
+
+def scanned(folder):
+    """Return the electrodes of each scan that differs from the one before."""
+    slots = read_slots(folder)
+    scans = [
+        set(slots["site"][slots["number"] == each].tolist()) for each in np.unique(slots["number"])
+    ]
+    return [scan for i, scan in enumerate(scans) if not i or scan != scans[i - 1]]

@@ -20,22 +20,8 @@ unconnected.
 import math
 from dataclasses import dataclass
 
+from smarttouch.boards.emulator import etactilekit_generations as op
 from smarttouch.boards.emulator.books import Books
-from smarttouch.boards.emulator.etactilekit_generations import (
-    CHIPS,
-    COUNT,
-    DISCHARGE,
-    ECHO,
-    GENERATIONS,
-    MODE,
-    PATTERN,
-    POLARITY,
-    RATE,
-    READINGS,
-    SENSE_HEIGHT,
-    SENSE_WIDTH,
-    WIDTH,
-)
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.single_source import LARGEST_READING, SingleSource
 from smarttouch.boards.emulator.skin import COMPLIANCE_V
@@ -97,10 +83,10 @@ class ETactileKitFirmware:
         firmware: str = "71adee2",
         dummy_ohm: float = DUMMY_OHM,
     ) -> None:
-        self.books, self._is = books, GENERATIONS[firmware]
+        self.books, self._is = books, op.GENERATIONS[firmware]
         self._chips = math.ceil(books.electrodes / 8)
         self._source = SingleSource(books, finger, compliance_v, dummy_ohm)
-        self._set = dict.fromkeys(self._is.sizes, 0) | {POLARITY: 1, RATE: RATE_HZ}
+        self._set = dict.fromkeys(self._is.sizes, 0) | {op.POLARITY: 1, op.RATE: RATE_HZ}
         self._heights, self._readings = [0] * _MOST, [0] * _MOST
         self._received = bytearray()
         self._answers = b""
@@ -157,9 +143,9 @@ class ETactileKitFirmware:
 
     def _stop_all(self) -> None:
         self._heights = [0] * _MOST
-        self._set[SENSE_HEIGHT] = 0
+        self._set[op.SENSE_HEIGHT] = 0
         if not self._is.has_modes:
-            self._set[MODE] = 0
+            self._set[op.MODE] = 0
 
     # -- commands ----------------------------------------------------------
 
@@ -177,7 +163,7 @@ class ETactileKitFirmware:
         if not received:
             return None
         length = 1 + self._payload(received[0])
-        if length == 1 and received[0] == PATTERN and not self._is.forgets:
+        if length == 1 and received[0] == op.PATTERN and not self._is.forgets:
             # It waits for the last of no bytes: for ever.
             self._stuck = True
             return None
@@ -189,38 +175,38 @@ class ETactileKitFirmware:
         return command
 
     def _knows(self, code: int) -> bool:
-        return code >= ECHO and (code > ECHO or self._is.echoes)
+        return code >= op.ECHO and (code > op.ECHO or self._is.echoes)
 
     def _payload(self, code: int) -> int:
-        if code == PATTERN:
-            return self._is.height_bytes * self._set[COUNT]
+        if code == op.PATTERN:
+            return self._is.height_bytes * self._set[op.COUNT]
         return self._is.sizes.get(code, 0)
 
     def _obey(self, command: bytes, now_ns: int) -> bytes:
         code, value = command[0], int.from_bytes(command[1:], "little")
-        count = self._set[COUNT]
-        if code == PATTERN:
+        count = self._set[op.COUNT]
+        if code == op.PATTERN:
             size = self._is.height_bytes
             for electrode in range(count):
                 height = command[1 + size * electrode : 1 + size * (electrode + 1)]
                 self._heights[electrode] = min(int.from_bytes(height, "little"), LARGEST)
-        elif code == READINGS:
+        elif code == op.READINGS:
             size = self._is.reading_bytes
             # In one byte, the upper bits of the twelve.
             told = (each >> (4 if size == 1 else 0) for each in self._readings[:count])
             return b"".join(each.to_bytes(size, "little") for each in told)
-        elif code in (CHIPS, ECHO):
-            return bytes([self._chips if code == CHIPS else count])
-        elif code == RATE:
-            self._set[RATE] = value or self._set[RATE]
+        elif code in (op.CHIPS, op.ECHO):
+            return bytes([self._chips if code == op.CHIPS else count])
+        elif code == op.RATE:
+            self._set[op.RATE] = value or self._set[op.RATE]
             if self._is.waits:
                 self._next_ns = max(now_ns, self._started_ns + self._period_ns())
-        elif code == COUNT:
+        elif code == op.COUNT:
             if self._is.silence_ns is not None:
                 # Of the newest, electrodes that join the scan begin at zero.
                 self._heights[count:value] = [0] * max(0, value - count)
-            self._set[COUNT] = value
-        elif code != WIDTH or value or self._is.has_modes:
+            self._set[op.COUNT] = value
+        elif code != op.WIDTH or value or self._is.has_modes:
             self._set[code] = value
         return b""
 
@@ -228,33 +214,35 @@ class ETactileKitFirmware:
 
     def _pulse_of(self, electrode: int) -> tuple[int, float, tuple[int, ...]]:
         """Return an electrode's height in counts, width in µs, and the signs of its phases."""
-        sense, height = self._set[SENSE_HEIGHT], self._heights[electrode]
-        own = -1 if self._set[POLARITY] else 1
+        sense, height = self._set[op.SENSE_HEIGHT], self._heights[electrode]
+        own = -1 if self._set[op.POLARITY] else 1
         if self._is.has_modes:
-            senses, biphasic = self._set[MODE] == SENSE_ONLY, self._set[MODE] == BIPHASIC
+            senses, biphasic = self._set[op.MODE] == SENSE_ONLY, self._set[op.MODE] == BIPHASIC
             phases = (own, -own) if biphasic else (own,)
         else:
             code, sense = height, 4 * sense
-            one_byte = self._is.sizes[MODE] == 1
+            one_byte = self._is.sizes[op.MODE] == 1
             senses = code == 0 if one_byte else code not in (1, 2)
             phases = (-1, 1) if code == 2 and not one_byte else (own,)
-            height = 4 * min(self._set[MODE], 250) if one_byte else min(self._set[MODE], LARGEST)
+            height = (
+                4 * min(self._set[op.MODE], 250) if one_byte else min(self._set[op.MODE], LARGEST)
+            )
         if senses:
-            return sense, max(float(self._set[SENSE_WIDTH]), SHORTEST_US), (own,)
-        return height, max(float(self._set[WIDTH]), SHORTEST_US), phases
+            return sense, max(float(self._set[op.SENSE_WIDTH]), SHORTEST_US), (own,)
+        return height, max(float(self._set[op.WIDTH]), SHORTEST_US), phases
 
     def _silent(self) -> bool:
         """Whether no slot of a scan that starts now has a pulse."""
-        return not any(self._pulse_of(each)[0] for each in range(self._set[COUNT]))
+        return not any(self._pulse_of(each)[0] for each in range(self._set[op.COUNT]))
 
     def _settle(self, reason: str) -> None:
         if self.books.state == "driving" and self._scan is None and self._silent():
             self.books.state, self.books.reason = "shorted", reason
 
     def _period_ns(self) -> int:
-        if self._is.sizes[RATE] == 1:
-            return round(1000 / self._set[RATE]) * 1_000_000
-        return 1_000_000 // self._set[RATE] * 1000
+        if self._is.sizes[op.RATE] == 1:
+            return round(1000 / self._set[op.RATE]) * 1_000_000
+        return 1_000_000 // self._set[op.RATE] * 1000
 
     def _scan_until(self, now_ns: int) -> None:
         while True:
@@ -267,8 +255,8 @@ class ETactileKitFirmware:
                 self._begin(now_ns)
 
     def _begin(self, now_ns: int) -> None:
-        pulses = [self._pulse_of(each) for each in range(self._set[COUNT])]
-        discharge_us = self._set[DISCHARGE]
+        pulses = [self._pulse_of(each) for each in range(self._set[op.COUNT])]
+        discharge_us = self._set[op.DISCHARGE]
         lengths_ns = [
             int(len(phases) * (1000 * width_us + SWITCHING_NS))
             + 1000 * discharge_us + self._is.slot_ns - SWITCHING_NS
