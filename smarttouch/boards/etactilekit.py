@@ -19,6 +19,7 @@ from smarttouch.boards.etactilekit_wire import (
     SENSE_US,
     Settings,
     settings_of,
+    slots_of,
 )
 from smarttouch.boards.impedance import Impedance, judge
 from smarttouch.boards.probe import one_each
@@ -83,9 +84,10 @@ class ETactileKitBoard(SteppedKit):
         firmware, capacity = self._find_out()
         self._give_up()
         self._on_board, self._settings, self._before = b"", None, None
+        self._waits = firmware != "newest"
         self._zero()
         self._note_round_trip(lambda: self._exchange(b""))
-        one_height = ", one height for all" if firmware == "936c6c0" else ""
+        one_height = ", a scan for each height" if firmware == "936c6c0" else ""
         self.capabilities = Capabilities(
             electrodes=self._gate.limits.electrodes,
             output="one-against-all",
@@ -139,27 +141,50 @@ class ETactileKitBoard(SteppedKit):
 
     def _perform(self, job: Job) -> None:
         """Let a sequence be scanned as often as it wants, or until a newer one waits."""
-        if not job.sequence.slots or job.data == self._codec.nothing:
+        parts = self._parts(job)
+        if not parts:
             self._begun(job)
             for _ in range(job.times):
                 self._wait(self._clock.now_ns() + 1000 * job.sequence.period_us)
                 if self._waiting is not None or self._closing.is_set():
                     return
-            return
+        for turn in range(job.times if len(parts) > 1 else bool(parts)):
+            for part in parts:
+                if not self._scan(part, first=turn == 0 and part is parts[0]):
+                    return
+            if self._waiting is not None:
+                return
+
+    def _parts(self, job: Job) -> list[Job]:
+        """Return what is scanned after one another for a sequence; none if nothing pulses."""
+        sequence, nothing = job.sequence, self._codec.nothing
+        payloads = [each for each in self._codec.parts(job.data) if each != nothing]
+        if not sequence.slots or len(payloads) <= 1:
+            return [job] if sequence.slots and payloads else []
+        outputs = self._wiring[sequence.site]
+        chosen = [np.frombuffer(each, np.uint8)[outputs] == 1 for each in payloads]
+        return [
+            Job(job.number, slots_of(sequence, each), payload, 1)
+            for each, payload in zip(chosen, payloads, strict=True)
+        ]
+
+    def _scan(self, job: Job, *, first: bool) -> bool:
+        """Let what one pattern holds be scanned; return False if it cannot go on."""
         for attempt in range(ATTEMPTS):
             with self._line:
                 if self._closing.is_set():
-                    return
+                    return False
                 if not self._show(job):
-                    self.refused += attempt == 0
-                    return
-            if attempt == 0:
+                    self.refused += first and attempt == 0
+                    return False
+            if first and attempt == 0:
                 self._begun(job)
             self._hold(job)
             with self._line:
                 if self._shown is None or self._stop_pulses():
                     self._listen()
-                    return
+                    break
+        return not self._closing.is_set()
 
     def _show(self, job: Job) -> bool:
         """Let a sequence's pulses come; return whether the board has it."""

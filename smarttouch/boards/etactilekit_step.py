@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards.etactilekit_line import ETactileKitLine
-from smarttouch.boards.etactilekit_wire import Settings
+from smarttouch.boards.etactilekit_wire import SHORTEST_US, Settings
 from smarttouch.boards.scan_lock import WIDEST, ScanLock, Span
 from smarttouch.boards.streamed import Job, one_against_all
 from smarttouch.clock import Clock
@@ -26,6 +26,8 @@ from smarttouch.scan.safety import SafetyLimits
 LOW, HIGH = 4, 12
 """Readings below the one had no pulse, from the other on they had: .3 and 1 V."""
 POLL_NS, MARGIN_NS = 1_000_000, 100_000
+LATE_SCANS = 3
+"""So many more are waited for where no time is found that is certainly between two scans."""
 WIDE_NS = 1_000_000
 """If it is less well known than that when a scan starts, a question in its middle tells."""
 LISTEN_NS = 1_000_000_000
@@ -44,6 +46,8 @@ class Shown:
     """Readings of the scan before."""
     unseen_ns: int = 0
     """When the readings were last asked for and told of none of its pulses."""
+    risen: bool = False
+    """Whether they have told of some."""
 
     def felt(self, readings: NDArray[np.uint16]) -> NDArray[np.bool_]:
         """Return which outputs it has certainly pulsed, by readings from now."""
@@ -63,6 +67,8 @@ class SteppedKit(ETactileKitLine):
         super().__init__(port, limits, output, clock)
         # What it pulses with; None if that is not certain.
         self._settings: Settings | None = None
+        # Whether its parser stands still while it scans.
+        self._waits = True
         self._lock = ScanLock(1)
         self._shown: Shown | None = None
         # The last readings, and when they were asked for.
@@ -90,22 +96,38 @@ class SteppedKit(ETactileKitLine):
             return None
         span, readings = found
         assert readings is not None
-        self._answer_ns = max(span.late - span.early, self._answer_ns * 7 // 8)
+        # Those during a scan take as long as that.
+        took_ns = span.late - span.early
+        self._answer_ns = min(took_ns, self._answer_ns * 9 // 8 or took_ns)
         if self._before is not None and self._settings is not None:
-            asked_ns, before = self._before
-            turned = ((before < LOW) & (readings >= HIGH)) | ((before >= HIGH) & (readings < LOW))
-            if turned.any():
-                # That slot passed between the two questions; its scan began so much earlier.
-                slots = int(turned.argmax())
-                shortest_us, longest_us = self._settings.discharge_us, self._settings.scan_us(1, 25)
-                self._lock.learn(
-                    Span(
-                        asked_ns - 1000 * slots * longest_us,
-                        span.late - 1000 * slots * shortest_us,
-                    )
-                )
+            self._learn(self._settings, self._before, span.late, readings)
         self._before = span.early, readings
         return span
+
+    def _learn(
+        self,
+        settings: Settings,
+        last: tuple[int, NDArray[np.uint16]],
+        answered_ns: int,
+        readings: NDArray[np.uint16],
+    ) -> None:
+        """Learn from two readings when a scan passed, if it did."""
+        asked_ns, before = last
+        rises, falls = (before < LOW) & (readings >= HIGH), (before >= HIGH) & (readings < LOW)
+        if not (rises | falls).any():
+            return
+        # A pulse whose discharge is short, or one without a width, as in scans without pulses.
+        rest_us = max(0, settings.discharge_us - SHORTEST_US)
+        if self._waits:
+            # A question asked during a scan is answered after it: it passed as a whole.
+            pulsed = rises.any() and self._codec.even
+            slot_us = rest_us + (settings.width_us if pulsed else SHORTEST_US)
+            self._lock.learn(Span(asked_ns, answered_ns - 1000 * self._outputs * slot_us))
+            return
+        # That slot passed between the two questions; its scan began so much earlier.
+        slots = int((rises | falls).argmax())
+        early_ns = asked_ns - 1000 * slots * settings.scan_us(1, 25)
+        self._lock.learn(Span(early_ns, answered_ns - 1000 * slots * rest_us))
 
     def _free_of_scans(self, now_ns: int) -> int:
         """Return from when on an answer comes before the next scan can start, ns."""
@@ -113,7 +135,8 @@ class SteppedKit(ETactileKitLine):
         if not self._lock.locked:
             # Of the newest firmware a scan may still be under way that began before the stop.
             return max(now_ns, self._stopped_ns + self._scan_ns())
-        answer_ns = min(2 * self._answer_ns, int(self._lock.period_ns[0] / 3))
+        between_ns = self._lock.nominal_ns - self._scan_ns()
+        answer_ns = min(3 * self._answer_ns, between_ns // 3)
         number = self._lock.first_after(now_ns) - 1
         if self._lock.scan(number).late > now_ns:
             return self._lock.scan(number).late + MARGIN_NS
@@ -122,15 +145,16 @@ class SteppedKit(ETactileKitLine):
 
     def _hold(self, job: Job) -> None:
         """Wait until as many scans of what is shown are over as are wanted."""
-        shown, asked_ns = self._shown, self._clock.now_ns()
+        shown, asked_ns, late = self._shown, self._clock.now_ns(), 0
         while shown is self._shown and not self._closing.is_set():
             now_ns = self._clock.now_ns()
             assert shown is not None
             due_ns = self._over_ns(shown.since, 1 if self._waiting is not None else job.times)
             if now_ns >= due_ns:
                 due_ns = self._free_of_scans(now_ns)
-                if now_ns >= due_ns:
+                if now_ns >= due_ns or late >= LATE_SCANS:
                     return
+                late += 1
             ask_ns = self._worth_asking(now_ns, asked_ns)
             # Something newer may come meanwhile.
             until_ns = min(due_ns, ask_ns, now_ns + self._lock.nominal_ns)
@@ -140,8 +164,19 @@ class SteppedKit(ETactileKitLine):
                     if shown is self._shown and not self._closing.is_set():
                         asked_ns = self._clock.now_ns()
                         told = self._ask(b"") and self._before
-                        if told and not shown.felt(told[1]).any():
-                            shown.unseen_ns = asked_ns
+                        if told:
+                            self._look(shown, asked_ns, told[1])
+
+    def _look(self, shown: Shown, asked_ns: int, readings: NDArray[np.uint16]) -> None:
+        """Keep what readings tell of the first scan of what is shown."""
+        if not shown.felt(readings).any():
+            shown.unseen_ns = asked_ns
+            return
+        scan = self._lock.last
+        if not shown.risen and scan is not None and scan.late >= shown.since.early:
+            # It was in that scan that its readings rose.
+            shown.since = Span(scan.early - 1, scan.early - 1)
+        shown.risen = True
 
     def _worth_asking(self, now_ns: int, asked_ns: int) -> int:
         """Return when a question will tell more of the board's scans, or keep it awake."""
@@ -202,7 +237,7 @@ class SteppedKit(ETactileKitLine):
         sequence, since, felt = shown.job.sequence, shown.since, True
         readings = None if told is None or self._before is None else self._before[1]
         certain = False if readings is None else shown.felt(readings)
-        if np.any(certain) and self._settings is not None:
+        if np.any(certain) and not shown.risen and self._settings is not None:
             # Nor had it any scan whose slot would have passed when it was last unseen.
             slots = int(np.argmax(certain))
             unseen_ns = shown.unseen_ns - 1000 * slots * self._settings.scan_us(1, 25)

@@ -25,7 +25,7 @@ make none), and with `HeightCodec` the answer says that all has arrived, not wha
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -91,6 +91,8 @@ class Codec(ABC):
     slot_extra_us: ClassVar[int]
     forgets: ClassVar[bool]
     """Whether silence ends half a command."""
+    even: ClassVar[bool]
+    """Whether a slot takes as long without a pulse as with one."""
     quiet: ClassVar[bytes]
     """Stops all pulses from the next scan on."""
     sense: ClassVar[bytes]
@@ -105,6 +107,10 @@ class Codec(ABC):
         self, sequence: ScanSequence, wiring: NDArray[np.intp], ua_per_count: float, most: int
     ) -> bytes:
         """Return what a sequence asks of the outputs; raise BoardError if it is impossible."""
+
+    def parts(self, payload: bytes) -> list[bytes]:
+        """Return the patterns that a payload is made of, each for a scan of its own."""
+        return [payload]
 
     @abstractmethod
     def load(self, payload: bytes) -> bytes:
@@ -149,7 +155,7 @@ class ModeCodec(Codec):
     """The firmware of commit 71adee2, and later ones."""
 
     slot_extra_us = 10
-    forgets = True
+    forgets = even = True
     quiet = b"\xfb\x02\xfb\x02"
     sense = quiet + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, SENSE_US, 0xF9, SENSE_COUNTS])
     question, answer_bytes = PING, 1
@@ -177,11 +183,14 @@ class ModeCodec(Codec):
 
 
 class HeightCodec(Codec):
-    """The firmware of commit 936c6c0: one height for all, and no echo but its readings."""
+    """The firmware of commit 936c6c0: one height for all, and no echo but its readings.
+
+    A sequence of several heights is as many patterns, one scan each.
+    """
 
     lead = _END
     slot_extra_us = 17
-    forgets = False
+    forgets = even = False
     quiet = (b"\xfb\0\0" + _END) * 2
     # Four counts to a unit; what has no pulse of a pattern has one of these.
     sense = quiet + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, SENSE_US, 0xF9, SENSE_COUNTS // 4])
@@ -198,17 +207,21 @@ class HeightCodec(Codec):
     def payload(
         self, sequence: ScanSequence, wiring: NDArray[np.intp], ua_per_count: float, most: int
     ) -> bytes:
-        codes = np.zeros(self.outputs, np.uint8)
         electrode, counts = _counts(sequence, ua_per_count, most)
-        if len(counts) and np.ptp(counts) > 1:
-            raise BoardError(
-                f"slots of {int(counts.min() * ua_per_count)} to "
-                f"{int(counts.max() * ua_per_count)} µA in one sequence, and this board's firmware "
-                "(936c6c0) has one height for all: give all electrodes one threshold, or update it"
-            )
-        height = int(counts.min(initial=LARGEST)) if len(counts) else 0
-        codes[wiring[electrode]] = height > 0
-        return codes.tobytes() + height.to_bytes(2, "little")
+        output, parts = wiring[electrode], []
+        while counts.any():
+            # What rounding makes of one current is not two: the lower one is never too much.
+            height = int(counts[counts > 0].min())
+            chosen = (counts == height) | (counts == height + 1)
+            codes = np.zeros(self.outputs, np.uint8)
+            codes[output[chosen]] = 1
+            parts.append(codes.tobytes() + height.to_bytes(2, "little"))
+            counts = np.where(chosen, 0, counts).astype(np.uint16)
+        return b"".join(parts) or self.nothing
+
+    def parts(self, payload: bytes) -> list[bytes]:
+        size = self.outputs + 2
+        return [payload[start : start + size] for start in range(0, len(payload), size)]
 
     def load(self, payload: bytes) -> bytes:
         return self.quiet + b"\xfe" + payload[:-2]
@@ -247,6 +260,18 @@ def settings_of(sequence: ScanSequence) -> Settings:
         raise BoardError(f"a discharge of {discharge} µs is too long: at most {FIRST_COMMAND - 1}")
     rate_hz = max(1, round(1e6 / sequence.period_us))
     return Settings(width, discharge, rate_hz, bool((current_ua < 0).any()))
+
+
+def slots_of(sequence: ScanSequence, chosen: NDArray[np.bool_]) -> ScanSequence:
+    """Return a sequence with some of its slots only, (S,)."""
+    return replace(
+        sequence,
+        current_ua=sequence.current_ua[chosen],
+        width_us=sequence.width_us[chosen],
+        discharge_us=sequence.discharge_us[chosen],
+        site=sequence.site[chosen],
+        proof=None,
+    )
 
 
 def _counts(

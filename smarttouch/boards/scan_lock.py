@@ -29,6 +29,8 @@ class ScanLock:
     ----------
     period_ns : tuple of (float, float)
         The shortest and the longest that the board's period can be by the host's clock.
+    last : Span or None
+        The scan that was learned of last.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -37,7 +39,7 @@ class ScanLock:
 
     @property
     def locked(self) -> bool:
-        return self._last is not None
+        return self.last is not None
 
     def forget(self) -> None:
         """Know nothing any more but the nominal period."""
@@ -45,17 +47,17 @@ class ScanLock:
         self.period_ns = (nominal_ns * (1 - TOLERANCE), nominal_ns * (1 + TOLERANCE))
         # Scan 0, and the one that the last bracket was of.
         self._first: Span | None = None
-        self._last: Span | None = None
+        self.last: Span | None = None
         self._number = 0
 
     def scan(self, number: int) -> Span:
         """Return when a scan starts; the lock must be `locked`."""
-        assert self._last is not None
+        assert self.last is not None
         away = number - self._number
         shortest, longest = self.period_ns if away >= 0 else self.period_ns[::-1]
         return Span(
-            math.floor(self._last.early + away * shortest),
-            math.ceil(self._last.late + away * longest),
+            math.floor(self.last.early + away * shortest),
+            math.ceil(self.last.late + away * longest),
         )
 
     def first_after(self, time_ns: int) -> int:
@@ -67,7 +69,7 @@ class ScanLock:
 
     def starts(self, begin: Span, end: Span) -> tuple[int, int]:
         """Return the least and the most scans that started between two events."""
-        if self._last is None:
+        if self.last is None:
             shortest, longest = self.period_ns
             least = math.floor(max(0, end.early - begin.late) / longest)
             return least, math.floor(max(0, end.late - begin.early) / shortest) + 1
@@ -82,9 +84,9 @@ class ScanLock:
     def learn(self, bracket: Span) -> None:
         """Take in that a scan started within a bracket; what is too wide says nothing."""
         width_ns = bracket.late - bracket.early
-        if self._last is None:
+        if self.last is None:
             if width_ns <= WIDEST * self.period_ns[0]:
-                self._first, self._last, self._number = bracket, bracket, 0
+                self._first, self.last, self._number = bracket, bracket, 0
             return
         if width_ns >= self.period_ns[0]:
             return
@@ -101,24 +103,24 @@ class ScanLock:
         if len(possible) != 1:
             return
         self._number = possible[0]
-        self._last = spans[self._number]
+        self.last = spans[self._number]
         assert self._first is not None
         if self._number > 0:
             shortest, longest = self.period_ns
             self.period_ns = (
-                max(shortest, (self._last.early - self._first.late) / self._number),
-                min(longest, (self._last.late - self._first.early) / self._number),
+                max(shortest, (self.last.early - self._first.late) / self._number),
+                min(longest, (self.last.late - self._first.early) / self._number),
             )
 
     def check(self, time_ns: int) -> None:
         """Forget what has become too vague by now."""
-        if self._last is None:
+        if self.last is None:
             return
         span = self.scan(self._near(time_ns))
         if span.late - span.early > WIDEST * self.period_ns[0]:
             self.forget()
 
     def _near(self, time_ns: int) -> int:
-        assert self._last is not None
-        middle = (self._last.early + self._last.late) / 2
+        assert self.last is not None
+        middle = (self.last.early + self.last.late) / 2
         return self._number + round((time_ns - middle) / self.nominal_ns)

@@ -80,16 +80,19 @@ def test_wiring_puts_each_electrode_on_its_output(codec):
     )
 
 
-def test_one_height_for_all_is_all_that_the_older_firmware_has():
+def test_several_heights_are_several_patterns_of_the_older_firmware():
     codec = HeightCodec(4)
-    sequence = anodic(2000, (1, 2))
+    sequence = anodic(2000, (0, 1, 2))
     sequence.current_ua[1] //= 2
-    with pytest.raises(BoardError, match=r"one height for all"):
-        codec.payload(sequence, WIRING, 9.99, 500)
+    payload = codec.payload(sequence, WIRING, 9.99, 500)
+    low, high = codec.parts(payload)
+    assert low == b"\0\x01\0\0" + heights(100)
+    assert high == b"\x01\0\x01\0" + heights(200)
     # What rounding makes of one current is not two.
     sequence = anodic(2000, (1, 2))
     sequence.current_ua[1] += np.array([-2, -2, 6, -2], np.int16)
     assert codec.payload(sequence, WIRING, 9.99, 500)[-2:] == heights(200)
+    assert ModeCodec(4).parts(bytes(8)) == [bytes(8)]
 
 
 @given(levels=st.lists(st.integers(0, 5000), min_size=4, max_size=4))

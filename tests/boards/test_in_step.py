@@ -62,6 +62,27 @@ def test_every_pattern_is_scanned_once(monkeypatch, firmware, phase_us, drift):
 
 
 @pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+@pytest.mark.parametrize("width_us", [100, 200])
+def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_us):
+    """48 electrodes fill 39 % of the period, or 64 %."""
+    limits = SafetyLimits(48, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
+    kit = ToldKit(monkeypatch, limits, firmware, phase_ns=3 * MS, drift=70e-6)
+    rng, start = random.Random(1), kit.clock.time_ns
+    sequences = [
+        one_each(
+            limits, 900, width_us, 0.5, step, cathodic=False, sites=rng.sample(range(48), 2),
+            discharge_us=50, period_us=PERIOD_US,
+        )
+        for step in range(60)
+    ]  # fmt: skip
+    report = kit.run([(start + 20 * MS * i, each, 1) for i, each in enumerate(sequences)])
+    assert kit.scans() == [wanted(each) for each in sequences]
+    assert (report.pulses, report.most_pulses) == (48 * 120, 48 * 120)
+    assert kit.clock.time_ns - start < 1.15 * 20 * MS * 60
+    assert not kit.board._stuck
+
+
+@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
 @pytest.mark.parametrize("seed", range(4))
 def test_what_a_busy_host_cannot_know_it_says(monkeypatch, firmware, seed):
     """Waits of milliseconds too long, and frames that come when they like: none unscanned."""
@@ -89,6 +110,24 @@ def test_the_same_pattern_again_is_scanned_again(monkeypatch, firmware, times):
     report = kit.run([(start + i * times * 20 * MS, sequence, times) for i in range(60)])
     assert kit.scans() == [wanted(sequence)] * 60 * times
     assert (report.pulses, report.most_pulses) == (kit.books.pulses, kit.books.pulses)
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_each_height_has_a_scan_of_its_own_where_there_is_one_for_all(monkeypatch, times):
+    kit = ToldKit(monkeypatch, LIMITS, "936c6c0", phase_ns=3 * MS)
+    sequence = one_each(
+        LIMITS, 1200, 100, 0.5, 0, cathodic=False, sites=[1, 3, 4, 6], discharge_us=50,
+        period_us=PERIOD_US,
+    )  # fmt: skip
+    sequence.current_ua[1] //= 2
+    sequence.current_ua[2] //= 3
+    start = kit.clock.time_ns
+    report = kit.run([(start + 100 * i * MS, sequence, times) for i in range(5)])
+    low, middle, high = {(4, 40)}, {(3, 60)}, {(1, 120), (6, 120)}
+    assert kit.scans() == [low, middle, high] * 5 * times
+    assert (report.sequences, report.slots) == (5, 20 * times)
+    assert (report.pulses, report.most_pulses) == (kit.books.pulses, kit.books.pulses)
+    assert (kit.driver.acknowledged, kit.driver.refused) == (5, 0)
 
 
 def test_what_is_too_weak_to_be_measured_is_scanned_and_a_range_told(monkeypatch):

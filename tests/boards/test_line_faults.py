@@ -65,7 +65,9 @@ def pulled_out_after(count, hosted):
 
 # Nothing on an eTactileKit's wire can tell a doubled byte, and USB and TCP make none.
 MISHAPS = [
-    *itertools.product(("link", "kajimoto61", "etactilekit"), (drop_one, cut_short)),
+    *itertools.product(
+        ("link", "kajimoto61", "etactilekit", "etactilekit 936c6c0"), (drop_one, cut_short)
+    ),
     ("link", double_one),
     ("kajimoto61", double_one),
 ]
@@ -85,7 +87,9 @@ def test_bytes_lost_or_doubled_on_the_way_to_the_board(hosted, change):
     hosted.assert_zero()
 
 
-@pytest.mark.parametrize("hosted", ["link", "etactilekit"], indirect=True)
+@pytest.mark.parametrize(
+    "hosted", ["link", "etactilekit", "etactilekit 936c6c0", "etactilekit newest"], indirect=True
+)
 @pytest.mark.parametrize("change", [double_one, cut_short])
 def test_a_reply_that_is_not_whole(hosted, change):
     with hosted.board:

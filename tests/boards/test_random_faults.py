@@ -39,7 +39,9 @@ class Weather:
         }[kind]
 
 
-@pytest.mark.parametrize("hosted", ["link", "kajimoto61", "etactilekit"], indirect=True)
+@pytest.mark.parametrize(
+    "hosted", ["link", "kajimoto61", "etactilekit", "etactilekit 936c6c0"], indirect=True
+)
 def test_nothing_unsafe_flows(hosted):
     # USB and TCP lose bytes only by whole pieces or at their end; they never double one.
     weather = Weather(1, doubles=hosted.kind != "etactilekit")

@@ -75,6 +75,9 @@ class ETactileKitFirmware:
         Load beside the skin; infinite for none.
     """
 
+    longest_step_ns = 400_000_000
+    """Its scans go on by its own clock, whatever keeps its process waiting."""
+
     def __init__(
         self,
         books: Books,
