@@ -12,6 +12,11 @@ are no pulses: a host that is lost is a board at zero.
 A byte that is lost or doubled on the line shifts one scan by an electrode, and
 nothing on this wire can tell; the packet after the next is whole again, as no
 intensity looks like the start of one.
+
+After power-on the board tests its source, and any first packet ends that: ours is
+zeros. They load nothing into its converter, though: what the test left there, at most
+1,024 counts or 2.5 mA, flows for some 3 µs through the electrode that pulses first,
+before its own value does. No packet can prevent that; it is 8 nC, once after power-on.
 """
 
 import time
