@@ -1,5 +1,6 @@
 """The line to an eTactileKit: which firmware is there, questions and answers, lost bytes."""
 
+import contextlib
 import time
 from typing import ClassVar
 
@@ -20,7 +21,7 @@ from smarttouch.boards.etactilekit_wire import (
 from smarttouch.boards.scan_lock import Span
 from smarttouch.boards.streamed import StreamedBoard
 from smarttouch.clock import Clock, MonotonicClock
-from smarttouch.errors import BoardError
+from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.wire.port import open_port
@@ -35,6 +36,7 @@ FORGETS_S = 2.15
 PIECE, PAUSE_S = 8, 0.003
 """What USB of older firmware takes without losing bytes."""
 LOSSES_UNTIL_SLOW = 2
+TRIES = 3
 LOOKS = 5
 """So many answers in a row without an echo mean that the firmware knows none."""
 AWAY_S, AWAY_MOST_S = 0.6, 1.8
@@ -76,6 +78,13 @@ class ETactileKitLine(StreamedBoard):
 
         The codec is chosen by it, and the board told its number of electrodes.
         """
+        for _ in range(TRIES - 1):
+            # Bytes may be lost here too.
+            with contextlib.suppress(LineLostError):
+                return self._identify()
+        return self._identify()
+
+    def _identify(self) -> tuple[str, int]:
         chips = self._wake()
         capacity = 8 * chips
         if self._outputs > capacity:
@@ -119,9 +128,9 @@ class ETactileKitLine(StreamedBoard):
             if answer == b"\0" and self._read(1, CHIPS_S) == bytes([chips]):
                 return True
             if answer != bytes([chips]):
-                raise BoardError(
-                    f"the board at {self._port_name} answers in a way that no known eTactileKit "
-                    f"does ({answer.hex() or 'not at all'}): switch it off and on, or update it"
+                raise self._lost(
+                    "answers in a way that no known eTactileKit does "
+                    f"({answer.hex() or 'not at all'}): switch it off and on, or update it"
                 )
         return False
 

@@ -76,7 +76,7 @@ def test_nothing_unsafe_flows(hosted):
         f"{weather.counts}; opened {opened}, restarts {restarts}, faults {len(sentences)}; "
         f"unsafe slots {state['unsafe']}"
     )
-    assert sent > 2 * SECONDS
+    assert sent > SECONDS
     assert not any("\n" in sentence for sentence in sentences)
     assert state["unsafe"] == 0
 
