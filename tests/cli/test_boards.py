@@ -46,15 +46,17 @@ def state_of(books):
 
 
 @on(*KITS)
-def test_live_end_to_end_ends_in_zero(program_here, tmp_path, kit):
+def test_live_end_to_end_ends_in_zero(request, program_here, tmp_path, kit):
     url, books = kit
     done = program_here("live", "--board", url, "--seconds", 1.7, "--json", "run.json")
     assert done.returncode == 0, done.stderr
     assert "all electrodes off" in done.stdout
     assert ("goes on with its last pattern" in done.stderr) == url.startswith("etactilekit")
     figures = json.loads((tmp_path / "run.json").read_text())
-    assert figures["frames"] > 50
+    # Of 936c6c0 a sequence of several heights takes as many scans.
+    assert figures["frames"] > (15 if "936c6c0" in request.node.name else 50)
     assert figures["acknowledged"] >= 0.5 * figures["frames"]
+    assert figures["pulses"] <= figures["pulses_at_most"]
     assert (figures["reported_by"], figures["restarts"]) == ("host", 0)
     state = state_of(books)
     assert (state["state"], state["unsafe"]) == ("shorted", 0)
