@@ -36,7 +36,7 @@ class Capabilities:
     max_current_ma: float
     max_slots: int
     time_to_zero_ms: float | None
-    """Longest time from the host's silence to no current; None if it goes on for ever."""
+    """Longest time from the host's silence to no current; None if it may go on for ever."""
     firmware: str
     polarities: tuple[Polarity, ...] = BOTH
     clock: Literal["board", "host"] = "board"
@@ -92,7 +92,9 @@ class BoardReport:
     refused_packets: int = 0
     """Old packets, and those of other sessions, that reached the board."""
     by: Literal["board", "host"] = "board"
-    """Whose account it is; a host's is of what it sent."""
+    """Whose account it is; a host's is of what was scanned, as far as it can know."""
+    most_pulses: int | None = None
+    """By a host that knows only a range; pulses and slots are then the least."""
 
 
 LONGEST_REPEAT = 0xFFFF

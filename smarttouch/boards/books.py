@@ -1,4 +1,4 @@
-"""The host's own account of what it sent."""
+"""The host's own account of what a board has scanned."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from smarttouch.scan.sequence import ScanSequence
 
 
 class HostBooks:
-    """What was sent, for boards that keep no account of their own.
+    """What was scanned, for boards that keep no account of their own.
 
     Parameters
     ----------
@@ -17,22 +17,38 @@ class HostBooks:
     """
 
     def __init__(self, electrodes: int) -> None:
-        self._sequences = self._slots = self._pulses = 0
-        self._current_ma = self._charge_uc = self._net_uc = 0.0
+        self._sequences = self._slots = self._pulses = self._most_pulses = 0
+        self._current_ma = self._charge_uc = self._net_uc = self._unsure_uc = 0.0
         self._ledger = ChargeLedger(electrodes)
 
-    def add(self, sequence: ScanSequence, times: int = 1, again: bool = False) -> None:
-        """Write down a sequence that was sent, or was repeated."""
+    def add(
+        self, sequence: ScanSequence, times: int = 1, again: bool = False, most: int | None = None
+    ) -> None:
+        """Write down a sequence that was scanned.
+
+        Parameters
+        ----------
+        times : int
+            How often, at least.
+        again : bool
+            Whether the sequence itself has been counted before.
+        most : int, optional
+            How often at most, where that is not known exactly.
+        """
+        most = times if most is None else most
         self._sequences += not again
-        if not sequence.slots:
+        if not sequence.slots or not most:
             return
+        pulses = int(np.count_nonzero(sequence.current_ua))
         self._slots += times * sequence.slots
-        self._pulses += times * int(np.count_nonzero(sequence.current_ua))
+        self._pulses += times * pulses
+        self._most_pulses += most * pulses
         peaks = np.abs(sequence.current_ua.astype(np.int32)).max(axis=1)
         self._current_ma = max(self._current_ma, float(peaks.max()) / 1000)
         self._charge_uc = max(self._charge_uc, float((peaks * sequence.width_us).max()) / 1e6)
         self._ledger.add(sequence, times)
-        self._net_uc = max(self._net_uc, self._ledger.worst_uc)
+        self._unsure_uc += (most - times) * float((peaks * sequence.width_us).sum()) / 1e6
+        self._net_uc = max(self._net_uc, self._ledger.worst_uc + self._unsure_uc)
 
     def report(self) -> BoardReport:
         """Return the account so far."""
@@ -45,4 +61,5 @@ class HostBooks:
             self._charge_uc,
             self._net_uc,
             by="host",
+            most_pulses=self._most_pulses,
         )

@@ -1,6 +1,7 @@
-"""Driver of the eTactileKit, version 2: the board loops the last pattern, the host sends changes.
+"""Driver of the eTactileKit: the board scans on its own clock, the host puts patterns before it.
 
-What goes over the wire, and what guards it, stands in `etactilekit_wire`.
+What goes over the wire, and what guards it, stands in `etactilekit_wire`, and how each
+pattern is scanned a known number of times in `etactilekit_step`.
 """
 
 import time
@@ -10,285 +11,231 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards.board import BOTH, Capabilities
+from smarttouch.boards.etactilekit_step import MARGIN_NS, Shown, SteppedKit
 from smarttouch.boards.etactilekit_wire import (
-    CHIPS,
     COMPLIANCE_V,
     DUMMY_KOHM,
     LARGEST,
     NO_SENSE,
-    ON,
-    PING,
-    QUIET,
-    READINGS,
-    SENSE,
     SENSE_COUNTS,
     SENSE_US,
     VOLTS_PER_COUNT,
-    ZEROS,
     Settings,
-    heights_of,
-    pattern,
     settings_of,
-    zero_anywhere,
+    slots_of,
 )
 from smarttouch.boards.impedance import Impedance, judge
-from smarttouch.boards.keeper import PAUSE_S, PIECE
-from smarttouch.boards.kept_board import KEPT_MS, KeptBoard
+from smarttouch.boards.kept_board import KEPT_MS
 from smarttouch.boards.probe import one_each
 from smarttouch.boards.scale import scale_of
-from smarttouch.boards.streamed import Job, one_against_all
+from smarttouch.boards.scan_lock import ScanLock
+from smarttouch.boards.streamed import Job
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
 from smarttouch.scan.timing import ScanTiming
 
-ECHO_S = 0.1
-CHIPS_S = 0.5
-"""The longest that it takes to answer anything."""
-FORGETS_S = 2.15
-"""After such a silence it has dropped whatever half command it had."""
-GRACE_S = 0.1
-"""How much longer than its time a sequence may loop before it is taken away."""
-LOSSES_UNTIL_SLOW = 2
+NEWEST_ZERO_MS = 520.0
+"""The newest firmware takes its host for lost after 500 ms; then the scan ends."""
+IDLE_S = 0.1
+"""After so long without a sequence the pattern on the board becomes zeros."""
+ATTEMPTS = 4
+"""For a pattern of which nothing was measured, though weaker ones were."""
 OPEN_SHARE = 0.95
 """Of the voltage without a finger: where every slot needs that much, there is none."""
 
 
-class ETactileKitBoard(KeptBoard):
+class ETactileKitBoard(SteppedKit):
     """An eTactileKit: ``etactilekit:PORT`` or ``etactilekit:tcp://HOST:8080``.
 
-    ``?slow`` after the port writes 8 bytes every 3 ms from the start, for USB of
-    older firmware; the driver goes over to it by itself when frames get lost.
+    After the port, ``?slow`` writes 8 bytes every 3 ms from the start, for USB of
+    older firmware (the driver goes over to it by itself when frames get lost), and
+    ``?firmware=936c6c0``, ``71adee2`` or ``newest`` says which one it is, where asking
+    the board does not. Both: ``?slow&firmware=936c6c0``.
     """
 
-    kind = "etactilekit"
     usual_profile: ClassVar[str] = "etactilekit-32"
-    takes_wiring: ClassVar[bool] = True
-    can_be_asked: ClassVar[bool] = True
+    room_s = 0.5
     timing = ScanTiming(
         slot_extra_us=10, every_electrode=True, own_widths=False, whole_hz=True, load=0.9
     )
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
-        port, _, option = port.partition("?")
-        if option not in ("", "slow"):
-            raise BoardError(f"etactilekit: knows the option ?slow, not ?{option}")
         super().__init__(port, limits, output)
-        wiring = None if output is None else output.wiring
-        self._wiring = np.arange(limits.electrodes) if wiring is None else np.asarray(wiring)
-        self._outputs = int(self._wiring.max()) + 1
-        if self._outputs > 253:
-            raise BoardError(
-                f"output {self._outputs - 1} is out of reach: an eTactileKit counts to 253 outputs"
-            )
         self._scale = scale_of(self.kind, None if output is None else output.ua_per_count)
         self.ua_per_count = self._scale.measured_ua
-        self._nothing = bytes(2 * self._outputs)
-        self._slow = option == "slow"
-        self._lost_frames = 0
         self._on_board = b""
-        self._settings: Settings | None = None
-        self._sent: ScanSequence | None = None
         self._volts: list[tuple[ScanSequence, NDArray[np.float32]]] = []
 
     # -- opening and closing -----------------------------------------------
 
     def _greet(self) -> None:
-        self._on_board, self._settings, self._sent = b"", None, None
-        # A host before us may have left half a pattern: any other byte would complete it, as a
-        # current. What zeros do not end, it forgets in silence.
-        self._write_out(ZEROS)
-        answer = b""
-        for pause_s in (0.01, FORGETS_S):
-            time.sleep(pause_s)
-            self._flush()
-            self._write(CHIPS)
-            if answer := self._read(1, CHIPS_S):
-                break
-        if not answer:
-            raise BoardError(
-                f"the board at {self._port_name} does not answer as an eTactileKit v2 does: check "
-                "that it is on and its firmware is v2 (v1 cannot be told from other boards)"
-            )
-        self._chips, capacity = answer, 8 * answer[0]
-        if self._outputs > capacity:
-            raise BoardError(
-                f"the eTactileKit at {self._port_name} has {capacity} outputs, the profile needs "
-                f"{self._outputs}: use the profile of this board"
-            )
-        # No sense pulses: the guard of every change counts on that.
-        self._write_out(NO_SENSE + bytes([0xFC, self._outputs]) + PING)
-        if self._read(1, ECHO_S) != bytes([self._outputs]):
-            raise BoardError(
-                f"the board at {self._port_name} does not echo its number of electrodes: its "
-                "firmware is not eTactileKit v2; update it"
-            )
-        self._promise_zero(zero_anywhere(self._outputs), self._slow)
-        if not self._transmit(self._nothing, None):
-            raise self._lost("does not answer to a pattern of zeros")
-        self._note_round_trip(self._ping)
+        firmware, capacity = self._find_out()
+        self._promise_zero(self._codec.zero_anywhere, self._slow)
+        self._give_up()
+        self._on_board, self._settings, self._before = b"", None, None
+        self._waits = firmware != "newest"
+        self._zero()
+        self._note_round_trip(lambda: self._exchange(b""))
+        one_height = ", a scan for each height" if firmware == "936c6c0" else ""
         self.capabilities = Capabilities(
             electrodes=self._gate.limits.electrodes,
             output="one-against-all",
             max_current_ma=LARGEST * self._scale.measured_ua / 1000,
             max_slots=self._gate.limits.electrodes,
-            time_to_zero_ms=None,
+            time_to_zero_ms=NEWEST_ZERO_MS if firmware == "newest" else None,
             kept_ms=KEPT_MS,
-            firmware=f"eTactileKit v2, {capacity} outputs",
+            firmware=f"eTactileKit {firmware}, {capacity} outputs{one_height}",
             polarities=BOTH,
             acknowledges=True,
             measures=True,
             compliance_v=COMPLIANCE_V,
         )
 
-    def _recognize(self) -> None:
-        self._ask_again(CHIPS, self._chips, CHIPS_S, FORGETS_S)
-
-    def _ping(self) -> bytes:
-        self._write(PING)
-        return self._read(1, ECHO_S)
-
     def _zero(self) -> None:
-        if not (self._transmit(self._nothing, None) or self._transmit(self._nothing, None)):
+        self._stop_pulses()
+        nothing = self._codec.nothing
+        if not (self._load(nothing) or self._load(nothing)):
             raise self._lost("does not confirm a pattern of zeros")
 
     # -- sequences ---------------------------------------------------------
 
     def _encode(self, sequence: ScanSequence) -> bytes:
-        settings_of(sequence)
-        return heights_of(sequence, self._wiring, self._scale, self._gate.limits)
+        settings = settings_of(sequence)
+        codec = self._codec
+        busy_us = settings.scan_us(self._outputs, codec.slot_extra_us)
+        if sequence.slots and 1000 * busy_us > 0.97 * settings.period_ns:
+            # Its parser would never get a turn again.
+            raise BoardError(
+                f"a scan of {self._outputs} outputs takes {busy_us} µs, which does not fit "
+                f"{settings.period_ns // 1000} µs: lower pulse.discharge_us or the rate"
+            )
+        return codec.payload(sequence, self._wiring, self._scale, self._gate.limits)
 
     def _serve(self) -> None:
-        until_s: float | None = None
+        idle = False
         while not self._closing.is_set():
             self._rest()
-            job = self._take(until_s)
-            if self._closing.is_set():
+            job = self._take(None if idle else time.monotonic() + IDLE_S)
+            if job is not None:
+                self._perform(job)
+            elif not self._closing.is_set():
+                with self._line:
+                    self._zero()
+            idle = job is None
+
+    def _perform(self, job: Job) -> None:
+        """Let a sequence be scanned as often as it wants, or until a newer one waits."""
+        parts = self._parts(job)
+        if not parts:
+            self._begun(job)
+            for _ in range(job.times):
+                self._wait(self._clock.now_ns() + 1000 * job.sequence.period_us)
+                if self._waiting is not None or self._closing.is_set():
+                    return
+        for turn in range(job.times if len(parts) > 1 else bool(parts)):
+            for part in parts:
+                if not self._scan(part, first=turn == 0 and part is parts[0]):
+                    return
+            if self._waiting is not None:
                 return
+
+    def _parts(self, job: Job) -> list[Job]:
+        """Return what is scanned after one another for a sequence; none if nothing pulses."""
+        sequence, nothing = job.sequence, self._codec.nothing
+        payloads = [each for each in self._codec.parts(job.data) if each != nothing]
+        if not sequence.slots or len(payloads) <= 1:
+            return [job] if sequence.slots and payloads else []
+        outputs = self._wiring[sequence.site]
+        chosen = [np.frombuffer(each, np.uint8)[outputs] == 1 for each in payloads]
+        return [
+            Job(job.number, slots_of(sequence, each), payload, 1)
+            for each, payload in zip(chosen, payloads, strict=True)
+        ]
+
+    def _scan(self, job: Job, *, first: bool) -> bool:
+        """Let what one pattern holds be scanned; return False if it cannot go on."""
+        for attempt in range(ATTEMPTS):
             with self._line:
                 if self._closing.is_set():
-                    return
-                if job is None:
-                    self._zero()
-                    until_s = None
-                    continue
-                began = time.monotonic()
-                done = self._show(job)
-            period_s = job.sequence.period_us / 1e6
-            until_s = time.monotonic() + job.times * period_s + GRACE_S
-            if done:
-                self._delivered(job, job.times)
-            else:
-                self.refused += 1
-            if self._slow:
-                # Pulses pause while a change is written: leave them as much time as it took.
-                self._closing.wait(time.monotonic() - began)
+                    return False
+                if not self._show(job):
+                    self.refused += first and attempt == 0
+                    return False
+            if first and attempt == 0:
+                self._begun(job)
+            self._hold(job)
+            with self._line:
+                if self._shown is None or self._stop_pulses():
+                    self._listen()
+                    break
+        return not self._closing.is_set()
 
     def _show(self, job: Job) -> bool:
-        """Put a sequence on the board if it is another; return whether the board has it."""
-        sequence = job.sequence
-        settings = settings_of(sequence)
-        if sequence.slots and settings != self._settings:
-            if not self._set(settings):
-                return False
-        elif job.data == self._on_board:
-            return True
-        return self._transmit(job.data, sequence)
+        """Let a sequence's pulses come; return whether the board has it."""
+        settings = settings_of(job.sequence)
+        if settings != self._settings and not self._set(settings):
+            return False
+        if job.data != self._on_board and not self._load(job.data):
+            return False
+        self._wait(self._free_of_scans(self._clock.now_ns()))
+        if self._closing.is_set() or (told := self._ask(self._codec.go(job.data))) is None:
+            self._on_board = b""
+            return False
+        assert self._before is not None
+        self._shown = Shown(job, told, self._before[1])
+        return True
 
     def _set(self, settings: Settings) -> bool:
         """Set pulse and rate while nothing flows; return whether the board has them."""
-        commands = pattern(self._nothing)[:-1] + settings.commands() + PING
-        self._on_board, self._settings = b"", None
-        self._flush()
-        self._write_out(commands)
-        if self._read(1, ECHO_S + self._wire_s(commands)) == bytes([self._outputs]):
-            self._settings = settings
-            return True
-        self._resync()
-        return False
-
-    def _transmit(self, heights: bytes, sequence: ScanSequence | None) -> bool:
-        """Send a pattern under guard; return whether the board has it and pulses again."""
-        self._on_board = b""
-        # The voltages are those of the pattern before: ask while it is still there.
-        ask = self._sent is not None and self._sent.slots > 0
-        frame = (READINGS if ask else b"") + pattern(heights)
-        # An echo that was late must not pass for that of this pattern.
-        self._flush()
-        self._write_out(frame)
-        expected = 2 * self._outputs * ask + 1
-        answer = self._read(expected, ECHO_S + self._wire_s(frame))
-        if len(answer) != expected or answer[-1] != self._outputs:
-            self._resync()
-            return False
-        if ask and self._sent is not None:
-            self._note_volts(self._sent, answer[:-1])
-        self._write_out(ON)
-        self._on_board, self._sent = heights, sequence
+        longest = max(
+            each.scan_us(self._outputs, 20) for each in (settings, self._settings) if each
+        )
+        before_hz = 10 if self._settings is None else self._settings.rate_hz
+        between_hz = max(1, min(settings.rate_hz, before_hz, 800_000 // longest))
+        self._on_board, self._settings, self._before = b"", None, None
+        codec = self._codec
+        self._lock = ScanLock(settings.period_ns)
+        for commands in (codec.load(codec.nothing), codec.settings(settings, between_hz)):
+            if self._exchange(commands) is None:
+                self._resync()
+                return False
+        if settings.rate_hz != before_hz:
+            # The newest firmware ends the period that it has begun.
+            self._wait(self._clock.now_ns() + 10**9 // before_hz + MARGIN_NS)
+        self._settings = settings
         return True
 
-    def _note_volts(self, sequence: ScanSequence, readings: bytes) -> None:
-        adc = np.frombuffer(readings, "<u2")
-        electrode, current_ua = one_against_all(sequence)
-        volts = (adc[self._wiring[electrode]] * VOLTS_PER_COUNT).astype(np.float32)
+    def _load(self, payload: bytes) -> bool:
+        """Put a pattern on the board while nothing flows; return whether it has it."""
+        self._on_board = b""
+        if self._exchange(self._codec.load(payload)) is None:
+            self._resync()
+            return False
+        self._on_board = payload
+        return True
+
+    def _note_volts(
+        self, job: Job, current_ua: NDArray[np.int64], readings: NDArray[np.uint16]
+    ) -> None:
+        volts = (readings * VOLTS_PER_COUNT).astype(np.float32)
         with self._news:
-            self._volts = [*self._volts[-63:], (sequence, volts)]
+            self._volts = [*self._volts[-63:], (job.sequence, volts)]
         if volts.any():
             # Without a finger all of it goes through the load beside the skin.
             alone_v = np.minimum(np.abs(current_ua) / 1000 * DUMMY_KOHM, COMPLIANCE_V)
             self.lifted = bool((volts >= OPEN_SHARE * alone_v).all())
 
+    def _begun(self, job: Job) -> None:
+        with self._news:
+            self._books.add(job.sequence, 0)
+            self.acknowledged += 1
+
     def take_volts(self) -> list[tuple[ScanSequence, NDArray[np.float32]]]:
         with self._news:
             taken, self._volts = self._volts, []
         return taken
-
-    # -- a byte was lost ---------------------------------------------------
-
-    def _resync(self) -> None:
-        """Bring the board's parser back to where a command begins; nothing flows meanwhile.
-
-        Raises
-        ------
-        LineLostError
-            If it does not echo any more.
-        """
-        self._note_loss()
-        self._sent = None
-        # Zeros complete any half pattern, and are no commands; if not, silence does.
-        for zeros, pause_s in ((ZEROS, 0.01), (b"", FORGETS_S)):
-            self._write_out(zeros)
-            time.sleep(pause_s)
-            self._flush()
-            self._write_out(QUIET + bytes(4) + PING)
-            # It may only have been late, and silence costs far more than waiting here.
-            if self._read(1, CHIPS_S) == bytes([self._outputs]):
-                return
-        raise self._lost("does not echo any more")
-
-    def _note_loss(self) -> None:
-        self._lost_frames += 1
-        if self._slow or "://" in self._port_name:
-            return
-        if self._lost_frames >= LOSSES_UNTIL_SLOW:
-            self._slow = True
-            self._promise_zero(zero_anywhere(self._outputs), True)
-            self.notes.append(
-                f"{self._lost_frames} patterns were lost on the way to the board: from then on "
-                f"{PIECE} bytes went every {1000 * PAUSE_S:g} ms (?slow)"
-            )
-
-    def _write_out(self, data: bytes) -> None:
-        if not self._slow:
-            self._write(data)
-            return
-        for start in range(0, len(data), PIECE):
-            self._write(data[start : start + PIECE])
-            time.sleep(PAUSE_S)
-
-    def _wire_s(self, data: bytes) -> float:
-        return len(data) / PIECE * PAUSE_S if self._slow else 0.0
 
     # -- measuring ---------------------------------------------------------
 
@@ -302,21 +249,22 @@ class ETactileKitBoard(KeptBoard):
             )
         )  # fmt: skip
         self.drain()
+        codec = self._codec
         with self._line:
             self._zero()
             # Ten scans a second; two of them are over when the readings are asked for.
-            self._write_out(SENSE)
+            self._write_out(codec.lead + codec.sense)
             time.sleep(0.25)
-            self._write_out(READINGS + NO_SENSE + PING)
-            answer = self._read(2 * self._outputs + 1, 0.5)
-            self._settings = None
+            found = self._exchange(NO_SENSE, ask=True)
+            self._settings = self._before = None
+            if found is None:
+                self._resync()
             self._zero()
-        if len(answer) != 2 * self._outputs + 1:
+        if found is None or found[1] is None:
             raise LineLostError(
-                f"the board at {self._port_name} told {len(answer) // 2} of {self._outputs} "
-                "readings: measure again"
+                f"the board at {self._port_name} did not tell all of its {self._outputs} readings: "
+                "measure again"
             )
-        adc = np.frombuffer(answer[:-1], "<u2")[self._wiring].astype(np.float64)
-        volts = adc * VOLTS_PER_COUNT
+        volts = found[1][self._wiring].astype(np.float64) * VOLTS_PER_COUNT
         through_skin = np.maximum(level_ua / 1000 - volts / DUMMY_KOHM, 1e-6)
         return judge(volts, through_skin, COMPLIANCE_V)

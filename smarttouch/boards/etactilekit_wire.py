@@ -1,4 +1,4 @@
-"""The commands of an eTactileKit, version 2, and what of a sequence goes into them.
+"""The commands of an eTactileKit, and what of a sequence goes into them.
 
 On the wire (native USB, or TCP port 8080; little endian, no framing, no checksum)::
 
@@ -6,19 +6,27 @@ On the wire (native USB, or TCP port 8080; little endian, no framing, no checksu
     FD u8   1 anodic 0 cathodic FA u16  pulse width µs
     F9 u8   sense height        F8 u8   sense width µs
     F7 u8   discharge µs        F6 u16  scans per second
-    FE N×u16 heights in counts  FF      reply N×u16: ADC of the last finished scan
+    FE N×u16 heights in counts  FF      reply N×u16: ADC of each electrode's last slot
     F5      reply: chips        F4      reply: N, the only echo
+
+So speaks the firmware of commit 71adee2 and later (`ModeCodec`). That of commit 936c6c0
+("hardware version 2") has one height for all, FB u16, and FE N×u8 says which electrodes
+have it; it knows no F4, F9 counts fourfold, and half a command waits for ever
+(`HeightCodec`).
 
 A byte lost inside FE would leave the board waiting, and the next byte sent would
 complete a pattern shifted by eight bits: up to 41 mA. So every change is guarded:
-impedance-only with a sense height of zero (no pulses) goes before it, F4 after it,
-and pulses come back only when its echo has come. A lost byte eats the F4: no echo,
-no pulses, and the driver starts the board's parser afresh. Heights avoid bytes that
-look like commands. A *doubled* byte cannot be told by anything on this wire; USB and
-TCP do not double bytes.
+what stops all pulses goes before it (a mode without any, or a height of zero), a question
+after it, and pulses come back only when it has been answered. A lost byte eats the
+question: no answer, no pulses, and the driver starts the board's parser afresh. Numbers
+avoid bytes that look like commands, and where one byte of a word may be lost, zeros that
+follow make it smaller, never larger. What cannot be guarded: a *doubled* byte (USB and TCP
+make none), and with `HeightCodec` the answer says that all has arrived, not what.
 """
 
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,14 +46,22 @@ DUMMY_KOHM = 66.0
 COMPLIANCE_V = 300.0
 """Of its switches (HV513), the most a reading can be worth."""
 FIRST_COMMAND = 0xF4
+SHORTEST_US = 7
+"""Switching on and off takes 6.6 µs: a shorter pulse would be as long as that."""
 SENSE_COUNTS, SENSE_US = 100, 50
 ZEROS = bytes(2 * 255 + 4)
 """More than any command waits for."""
-QUIET, ON = bytes([0xFB, 2]), bytes([0xFB, 0])
 PING, CHIPS, READINGS = b"\xf4", b"\xf5", b"\xff"
 NO_SENSE = b"\xf9\0\0\xf8\0\0"
-SENSE = QUIET + b"\xfd\x01\xf7\x64\xf6\x0a\0" + bytes([0xF8, SENSE_US, 0xF9, SENSE_COUNTS])
-"""Ten anodic sense scans a second."""
+_END = bytes(3)
+"""Ends any command that has lost a byte."""
+AT_REST = (
+    b"\xfc\0" + _END, NO_SENSE, b"\xfb\0\0" + _END, b"\xfa\x01\0" + _END,
+    b"\xf7\0" + _END, b"\xf6\x0a\0" + _END,
+)  # fmt: skip
+"""Puts every published firmware at zero, whichever it is: no electrodes, no sense pulses, no
+height (or the mode 0), the shortest pulses, ten scans a second. No byte of it is a question to,
+or a pattern for, any other board that we know."""
 
 
 @dataclass(frozen=True)
@@ -57,20 +73,205 @@ class Settings:
     rate_hz: int
     anodic: bool
 
-    def commands(self) -> bytes:
+    @property
+    def period_ns(self) -> int:
+        """Of its timer, which counts whole µs."""
+        return 1_000_000 // self.rate_hz * 1000
+
+    def scan_us(self, outputs: int, slot_extra_us: int) -> int:
+        """Return how long a scan takes."""
+        return outputs * (self.width_us + self.discharge_us + slot_extra_us)
+
+
+class Codec(ABC):
+    """The bytes of one generation.
+
+    Attributes
+    ----------
+    outputs : int
+        The N electrodes that it was told of.
+    nothing : bytes
+        Payload of a pattern without any pulse.
+    """
+
+    lead: ClassVar[bytes] = b""
+    """Goes before all else: ends a command whose end was lost."""
+    slot_extra_us: ClassVar[int]
+    forgets: ClassVar[bool]
+    """Whether silence ends half a command."""
+    even: ClassVar[bool]
+    """Whether a slot takes as long without a pulse as with one."""
+    quiet: ClassVar[bytes]
+    """Stops all pulses from the next scan on."""
+    sense: ClassVar[bytes]
+    """Ten anodic sense scans a second, of `SENSE_COUNTS` and `SENSE_US`."""
+    nothing: bytes
+
+    def __init__(self, outputs: int) -> None:
+        self.outputs = outputs
+
+    @abstractmethod
+    def payload(
+        self,
+        sequence: ScanSequence,
+        wiring: NDArray[np.intp],
+        scale: Scale,
+        limits: SafetyLimits,
+    ) -> bytes:
+        """Return what a sequence asks of the outputs; raise BoardError if it is impossible."""
+
+    def parts(self, payload: bytes) -> list[bytes]:
+        """Return the patterns that a payload is made of, each for a scan of its own."""
+        return [payload]
+
+    @abstractmethod
+    def load(self, payload: bytes) -> bytes:
+        """Return what puts a pattern on the board while nothing flows."""
+
+    @abstractmethod
+    def go(self, payload: bytes) -> bytes:
+        """Return what lets its pulses come from the next scan on."""
+
+    @property
+    @abstractmethod
+    def question(self) -> bytes: ...
+
+    @property
+    @abstractmethod
+    def answer_bytes(self) -> int: ...
+
+    @abstractmethod
+    def is_answer(self, answer: bytes) -> bool: ...
+
+    @property
+    @abstractmethod
+    def zero_anywhere(self) -> bytes:
+        """What puts the board at zero, wherever its parser stands.
+
+        Zeros first: they end any half command as a smaller one, and no pulse flows while a
+        pattern is half written. A byte that is lost eats a spare one after it, never the
+        next command.
+        """
+
+    @property
+    def readings_bytes(self) -> int:
+        return 2 * self.outputs
+
+    def settings(self, settings: Settings, between_hz: int) -> bytes:
         """Return what sets them, twice over, each command followed by zeros that end it.
 
         Were the first byte of a word lost, the zeros would make it zero, not a longer pulse.
+        ``between_hz`` is a rate at which scans of the old and of the new pulses fit.
         """
-        end = bytes(3)
         once = (
-            QUIET + end + b"\xf9\0" + end + b"\xf8\0" + end
-            + bytes([0xFD, self.anodic]) + end
-            + b"\xfa" + self.width_us.to_bytes(2, "little") + end
-            + bytes([0xF7, self.discharge_us]) + end
-            + b"\xf6" + self.rate_hz.to_bytes(2, "little") + end
+            self.quiet + _END + b"\xf9\0" + _END + b"\xf8\0" + _END
+            + b"\xf6" + between_hz.to_bytes(2, "little") + _END
+            + bytes([0xFD, settings.anodic]) + _END
+            + b"\xfa" + settings.width_us.to_bytes(2, "little") + _END
+            + bytes([0xF7, settings.discharge_us]) + _END
         )  # fmt: skip
-        return once * 2
+        return once * 2 + (b"\xf6" + settings.rate_hz.to_bytes(2, "little") + _END) * 2
+
+
+class ModeCodec(Codec):
+    """The firmware of commit 71adee2, and later ones."""
+
+    slot_extra_us = 10
+    forgets = even = True
+    quiet = b"\xfb\x02\xfb\x02"
+    sense = quiet + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, SENSE_US, 0xF9, SENSE_COUNTS])
+    question, answer_bytes = PING, 1
+
+    def __init__(self, outputs: int) -> None:
+        super().__init__(outputs)
+        self.nothing = bytes(2 * outputs)
+
+    def payload(
+        self,
+        sequence: ScanSequence,
+        wiring: NDArray[np.intp],
+        scale: Scale,
+        limits: SafetyLimits,
+    ) -> bytes:
+        heights = np.zeros(self.outputs, np.uint16)
+        electrode, counts = _counts(sequence, scale, limits)
+        heights[wiring[electrode]] = counts
+        return heights.astype("<u2").tobytes()
+
+    def load(self, payload: bytes) -> bytes:
+        return b"\xfb\x02\xfe" + payload
+
+    def go(self, payload: bytes) -> bytes:
+        return b"\xfb\0"
+
+    @property
+    def zero_anywhere(self) -> bytes:
+        # No sense pulses, no pulses at all, and a pattern of zeros.
+        end = bytes(2 * self.outputs + 4)
+        return end + NO_SENSE + b"\xfb\x02\x02\x02\xfe" + bytes(2 * self.outputs)
+
+    def is_answer(self, answer: bytes) -> bool:
+        return answer == bytes([self.outputs])
+
+
+class HeightCodec(Codec):
+    """The firmware of commit 936c6c0: one height for all, and no echo but its readings.
+
+    A sequence of several heights is as many patterns, one scan each.
+    """
+
+    lead = _END
+    slot_extra_us = 17
+    forgets = even = False
+    quiet = (b"\xfb\0\0" + _END) * 2
+    # Four counts to a unit; what has no pulse of a pattern has one of these.
+    sense = quiet + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, SENSE_US, 0xF9, SENSE_COUNTS // 4])
+    question = READINGS
+
+    def __init__(self, outputs: int) -> None:
+        super().__init__(outputs)
+        self.nothing = bytes(outputs + 2)
+
+    @property
+    def answer_bytes(self) -> int:
+        return 2 * self.outputs
+
+    def payload(
+        self,
+        sequence: ScanSequence,
+        wiring: NDArray[np.intp],
+        scale: Scale,
+        limits: SafetyLimits,
+    ) -> bytes:
+        electrode, counts = _counts(sequence, scale, limits)
+        output, parts = wiring[electrode], []
+        while counts.any():
+            # What rounding makes of one current is not two: the lower one is never too much.
+            height = int(counts[counts > 0].min())
+            chosen = (counts == height) | (counts == height + 1)
+            codes = np.zeros(self.outputs, np.uint8)
+            codes[output[chosen]] = 1
+            parts.append(codes.tobytes() + height.to_bytes(2, "little"))
+            counts = np.where(chosen, 0, counts).astype(np.uint16)
+        return b"".join(parts) or self.nothing
+
+    def parts(self, payload: bytes) -> list[bytes]:
+        size = self.outputs + 2
+        return [payload[start : start + size] for start in range(0, len(payload), size)]
+
+    def load(self, payload: bytes) -> bytes:
+        return self.quiet + b"\xfe" + payload[:-2]
+
+    def go(self, payload: bytes) -> bytes:
+        return b"\xfb" + payload[-2:] + _END
+
+    @property
+    def zero_anywhere(self) -> bytes:
+        # Without electrodes in the end: nothing may follow, and nothing does.
+        return bytes(2 * self.outputs + 4) + b"".join(AT_REST)
+
+    def is_answer(self, answer: bytes) -> bool:
+        return len(answer) == self.answer_bytes
 
 
 def settings_of(sequence: ScanSequence) -> Settings:
@@ -79,7 +280,7 @@ def settings_of(sequence: ScanSequence) -> Settings:
     Raises
     ------
     BoardError
-        If its slots want more than one polarity or width.
+        If its slots want more than one polarity or width, or one that is out of reach.
     """
     _, current_ua = one_against_all(sequence)
     if len(np.unique(np.sign(current_ua))) > 1:
@@ -92,52 +293,40 @@ def settings_of(sequence: ScanSequence) -> Settings:
             f"slots of {int(sequence.width_us.min())} to {int(sequence.width_us.max())} µs in "
             "one sequence, and this board has one pulse width for all"
         )
+    width = int(sequence.width_us.max(initial=0))
+    if sequence.slots and width < SHORTEST_US:
+        raise BoardError(f"pulses of {width} µs are too short: at least {SHORTEST_US} µs")
     discharge = int(sequence.discharge_us.max(initial=0))
     if discharge >= FIRST_COMMAND:
         raise BoardError(f"a discharge of {discharge} µs is too long: at most {FIRST_COMMAND - 1}")
-    return Settings(
-        int(sequence.width_us.max(initial=0)),
-        discharge,
-        max(1, round(1e6 / sequence.period_us)),
-        bool((current_ua < 0).any()),
+    rate_hz = max(1, round(1e6 / sequence.period_us))
+    return Settings(width, discharge, rate_hz, bool((current_ua < 0).any()))
+
+
+def slots_of(sequence: ScanSequence, chosen: NDArray[np.bool_]) -> ScanSequence:
+    """Return a sequence with some of its slots only, (S,)."""
+    return replace(
+        sequence,
+        current_ua=sequence.current_ua[chosen],
+        width_us=sequence.width_us[chosen],
+        discharge_us=sequence.discharge_us[chosen],
+        site=sequence.site[chosen],
+        proof=None,
     )
 
 
-def heights_of(
-    sequence: ScanSequence, wiring: NDArray[np.intp], scale: Scale, limits: SafetyLimits
-) -> bytes:
-    """Return the payload of a pattern: a height in counts for each output, little endian.
+def _counts(
+    sequence: ScanSequence, scale: Scale, limits: SafetyLimits
+) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
+    """Return which electrode each slot drives, and its height in counts.
 
-    Parameters
-    ----------
-    wiring : ndarray, (E,)
-        The output of each electrode.
-    limits : SafetyLimits
-        That neither rounding nor a scale that is wrong may pass.
+    Neither rounding nor a scale that is wrong may pass the limits.
     """
     electrode, current_ua = one_against_all(sequence)
     most = scale.most_counts(limits, sequence.width_us.max(initial=0))
-    counts = np.rint(np.abs(current_ua) / scale.measured_ua)
-    counts = np.minimum(np.minimum(counts, most[electrode]), LARGEST)
-    heights = np.zeros(int(wiring.max()) + 1, np.uint16)
-    heights[wiring[electrode]] = counts.astype(np.uint16)
-    # A byte that looks like a command would be one, if the FE before it were lost.
-    low = heights & 0xFF
-    heights -= np.where(low >= FIRST_COMMAND, low - (FIRST_COMMAND - 1), 0).astype(np.uint16)
-    return heights.astype("<u2").tobytes()
-
-
-def zero_anywhere(outputs: int) -> bytes:
-    """Return what puts the board at zero, wherever its parser stands.
-
-    Zeros first: they end any half command as a smaller one, and no pulse flows while a pattern is
-    half written (`pattern`). Then no sense pulses, no pulses at all, and a pattern of zeros. A
-    byte that is lost eats a spare one after it, never the next command.
-    """
-    end = bytes(2 * outputs + 4)
-    return end + NO_SENSE + QUIET + 2 * QUIET[1:] + b"\xfe" + bytes(2 * outputs)
-
-
-def pattern(heights: bytes) -> bytes:
-    """Return a pattern under guard: no pulses from before it until `ON`, then the echo."""
-    return QUIET + b"\xfe" + heights + PING
+    nearest = np.rint(np.abs(current_ua) / scale.measured_ua)
+    counts = np.minimum(np.minimum(nearest, most[electrode]), LARGEST).astype(np.uint16)
+    # A byte that looks like a command would be one, if that before it were lost.
+    low = counts & 0xFF
+    counts -= np.where(low >= FIRST_COMMAND, low - (FIRST_COMMAND - 1), 0).astype(np.uint16)
+    return electrode, counts

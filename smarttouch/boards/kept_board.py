@@ -17,7 +17,7 @@ class KeptBoard(StreamedBoard):
     A driver calls `_promise_zero` before anything that can become a current.
     """
 
-    def _hold(self, port: Port) -> Port:
+    def _wrap(self, port: Port) -> Port:
         return KeptLine(port)
 
     def _promise_zero(self, zero: bytes, slow: bool) -> None:

@@ -63,6 +63,9 @@ class StreamedBoard(Board):
     """Name of the driver, for messages."""
     can_be_asked: ClassVar[bool] = False
     """Whether a question that does nothing tells such a board from other devices."""
+    room_s: ClassVar[float] = 0.0
+    """How long a sequence waits for that before it to be taken, beside a few of its periods,
+    rather than replace it; 0 if it does not."""
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         super().__init__(limits, output)
@@ -97,7 +100,7 @@ class StreamedBoard(Board):
         self._start(port)
 
     def _start(self, port: Port, *, again: bool = False) -> None:
-        self._serial = self._hold(port)
+        self._serial = self._wrap(port)
         self._fault, self._waiting, self._busy = None, None, False
         self._closing.clear()
         try:
@@ -127,7 +130,12 @@ class StreamedBoard(Board):
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         data = self._encode(sequence)
+        patience_s = self.room_s and self.room_s + 4e-6 * sequence.period_us
         with self._news:
+            self._news.wait_for(
+                lambda: self._waiting is None or self._fault is not None or self._closing.is_set(),
+                patience_s,
+            )
             if self._fault is not None:
                 raise self._fault
             self._number += 1
@@ -178,7 +186,7 @@ class StreamedBoard(Board):
 
     # -- what a driver adds ------------------------------------------------
 
-    def _hold(self, port: Port) -> Port:
+    def _wrap(self, port: Port) -> Port:
         """Return what stands for an open port."""
         return port
 
@@ -232,6 +240,7 @@ class StreamedBoard(Board):
             )
             job, self._waiting = self._waiting, None
             self._busy = job is not None and not self._closing.is_set()
+            self._news.notify_all()
             return job if self._busy else None
 
     def _delivered(self, job: Job, scans: int = 1) -> None:

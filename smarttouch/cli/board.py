@@ -161,6 +161,10 @@ def emulate(
     output: Annotated[
         str, typer.Option(metavar="KIND", help="Of a link board: weighted, three-state, ...")
     ] = "weighted",
+    firmware: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Of an eTactileKit: v1.0, 936c6c0, 71adee2 or newest."),
+    ] = None,
     tcp: Annotated[bool, typer.Option("--tcp", help="Serve TCP instead of a serial port.")] = False,
     event: Annotated[
         list[str] | None,
@@ -171,6 +175,7 @@ def emulate(
     ] = None,
 ) -> None:
     """Play a board on skin, behind a port whose name is printed, until Ctrl-C."""
+    from smarttouch.boards.emulator.etactilekit_generations import GENERATIONS
     from smarttouch.cli.emulation import play_emulator
     from smarttouch.errors import BoardError, SmartTouchError
 
@@ -181,8 +186,15 @@ def emulate(
         raise SmartTouchError(f"--electrodes {electrodes} must be from 1 to {_MOST_EMULATED}")
     if books is not None and not books.is_dir():
         raise SmartTouchError(f"--books {books} is no folder: make it first")
+    if firmware is not None and name != "etactilekit":
+        raise SmartTouchError(
+            f"--firmware is for etactilekit, and a {name} has only one: leave it out"
+        )
+    if firmware is not None and firmware not in GENERATIONS:
+        raise SmartTouchError(f"no firmware {firmware!r}: choose {', '.join(GENERATIONS)}")
     arguments = [f"--protocol={name}", f"--electrodes={electrodes or usual[name]}"]
     arguments += [f"--output={output}"] if name == "link" else []
+    arguments += [f"--firmware={firmware}"] if firmware else []
     arguments += ["--tcp"] if tcp else []
     arguments += [f"--event={each}" for each in event or ()]
     arguments += [f"--books={books}"] if books is not None else []

@@ -27,6 +27,7 @@ def run_figures(
         "worst_other": tally.worst_other or None,
         "worst_spill": tally.worst_spill or None,
         "pulses": report and report.pulses,
+        "pulses_at_most": report and (report.most_pulses or report.pulses),
         "acknowledged": board.acknowledged,
         "refused": board.refused,
         "late_frames": tally.late,

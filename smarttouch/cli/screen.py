@@ -172,7 +172,7 @@ class Screen:
             f"{figures['max_charge_uc']:.3f} µC; {net}",
             f"  dose of this session: {figures['dose_s']:.1f} s of current, "
             f"{figures['dose_mc']:.2f} mC through one electrode at most",
-            "  by the host's own account: this board keeps none"
+            f"  {_range(figures)} pulses by the host's own account: this board keeps none"
             if figures["reported_by"] == "host"
             else f"  {figures['emulator_violations']} violations by the board's own books",
         ]
@@ -212,6 +212,12 @@ def _felt_ma(sent: Sent) -> NDArray[np.float32]:
         # Several share a slot.
         felt[points] = np.abs(sequence.current_ua.astype(np.float32)).max(axis=0)[points] / 1000
     return felt
+
+
+def _range(figures: dict[str, Any]) -> str:
+    """Return a number of pulses, or the two between which it is."""
+    least, most = figures["pulses"], figures["pulses_at_most"]
+    return str(least) if least == most else f"{least} to {most}"
 
 
 def _beside(sequence: ScanSequence) -> str:

@@ -263,13 +263,17 @@ class Hosted:
     def __init__(self, kind, start_emulator, faulty_line, folder, monkeypatch):
         monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
         self.electrodes = {"kajimoto61": 61}.get(kind, 8)
+        # An eTactileKit may have another firmware than the usual one.
+        kind, _, firmware = kind.partition(" ")
+        more = [f"--firmware={firmware}"] if firmware else []
         _, port = start_emulator(
-            f"--books={folder}", "--linger=2", protocol=kind, electrodes=self.electrodes
+            f"--books={folder}", "--linger=2", *more, protocol=kind, electrodes=self.electrodes
         )
         self.line, self.folder, self.kind = faulty_line(port), folder, kind
         self.limits = SafetyLimits(self.electrodes, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.8)
         output = Output(kind="weighted" if kind == "link" else "one-against-all")
-        self.board = make_board(f"{kind}:{self.line.path}", self.limits, output)
+        option = f"?firmware={firmware or '71adee2'}" if kind == "etactilekit" else ""
+        self.board = make_board(f"{kind}:{self.line.path}{option}", self.limits, output)
         self.step = 0
 
     def send(self, times=1, level_ua=1000):

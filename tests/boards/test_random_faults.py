@@ -47,7 +47,9 @@ class Weather:
         }[kind]
 
 
-@pytest.mark.parametrize("hosted", ["link", "kajimoto61", "etactilekit"], indirect=True)
+@pytest.mark.parametrize(
+    "hosted", ["link", "kajimoto61", "etactilekit", "etactilekit 936c6c0"], indirect=True
+)
 def test_nothing_unsafe_flows(hosted):
     # USB and TCP lose bytes only by whole pieces or at their end; they never double one.
     weather = Weather(1, doubles=hosted.kind != "etactilekit", replays=hosted.kind == "link")
@@ -82,7 +84,7 @@ def test_nothing_unsafe_flows(hosted):
         f"{weather.counts}; opened {opened}, restarts {restarts}, faults {len(sentences)}; "
         f"unsafe slots {state['unsafe']}, old packets {state['old_packets']}"
     )
-    assert sent > 2 * SECONDS
+    assert sent > SECONDS
     assert not any("\n" in sentence for sentence in sentences)
     assert state["unsafe"] == 0
 

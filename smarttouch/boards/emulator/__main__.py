@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from smarttouch.boards.emulator import serve
 from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
+from smarttouch.boards.emulator.etactilekit_generations import GENERATIONS
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.kajimoto61 import ELECTRODES, Kajimoto61Firmware
 from smarttouch.boards.emulator.link import LinkFirmware
@@ -73,7 +74,7 @@ def _make(options: argparse.Namespace) -> serve.Firmware:
     if protocol == "kajimoto61":
         return Kajimoto61Firmware(books, finger, options.compliance)
     if protocol == "etactilekit":
-        return ETactileKitFirmware(books, finger, options.compliance, options.variant)
+        return ETactileKitFirmware(books, finger, options.compliance, options.firmware)
     return LinkFirmware(electrodes, options.output, books, finger, options.compliance)
 
 
@@ -98,7 +99,7 @@ def _parser() -> argparse.ArgumentParser:
         "'0 drift 12 4 60', '5 peel 7 0.3', '5 open 7', '5 short 7', '5 heal 7'",
     )
     parser.add_argument(
-        "--variant", type=int, choices=(1, 2), default=2, help="version of an etactilekit"
+        "--firmware", choices=GENERATIONS, default="71adee2", help="which of an etactilekit"
     )
     parser.add_argument(
         "--compliance", type=float, default=COMPLIANCE_V, help="most volts of its sources"

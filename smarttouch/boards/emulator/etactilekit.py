@@ -1,18 +1,26 @@
-"""The firmware of the eTactileKit, version 2, to the byte, its faults included.
+"""The firmware of the eTactileKit, to the byte and to the scan, its faults included.
 
-It refuses nothing: a wrong byte is a wrong current. It goes on with its last
-pattern for ever, also without a host, and a scan that takes longer than its
-period simply takes longer. Without a pulse width there are no pulses.
+It refuses nothing: a wrong byte is a wrong current. What a scan does is settled
+when it starts; commands that come later count from the next one. All generations
+but the newest parse nothing while they scan, so a scan that takes longer than its
+period is followed by the next at once and ends their parser for good. A pulse
+without a width still takes the time of switching on and off. Voltages are those
+of the slots as they pass, not of a finished scan.
 
-Where its source does not say: at power-on there are no electrodes, all heights,
-times and modes are 0, and it is anodic; an unknown mode is monophasic; each
-change counts from the next slot; outputs are grounded between pulses if there is
-a discharge at all, else left unconnected; outputs beyond the electrode count are
+All go on with their last pattern for ever, but the newest: it puts every amplitude
+at zero half a second after the host fell silent. (On USB that one counts as silence
+that the host's port is closed. A pseudo-terminal cannot tell; here it is that no
+byte comes.)
+
+Where its source does not say: outputs are grounded between pulses if there is a
+discharge at all, else left unconnected; outputs beyond the electrode count are
 unconnected.
 """
 
 import math
+from dataclasses import dataclass
 
+from smarttouch.boards.emulator import etactilekit_generations as op
 from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.single_source import LARGEST_READING, SingleSource
@@ -27,21 +35,28 @@ FORGETS_NS = 2_000_000_000
 DUMMY_OHM = 66e3
 """Load fitted beside the skin."""
 RATE_HZ = 100
-PATTERN, READINGS, COUNT, MODE, POLARITY, WIDTH = 0xFE, 0xFF, 0xFC, 0xFB, 0xFD, 0xFA
-SENSE_HEIGHT, SENSE_WIDTH, DISCHARGE, RATE, CHIPS, ECHO = 0xF9, 0xF8, 0xF7, 0xF6, 0xF5, 0xF4
 BIPHASIC, SENSE_ONLY = 1, 2
 _MOST = 255
-_SETTINGS = {
-    COUNT: 1,
-    MODE: 1,
-    POLARITY: 1,
-    WIDTH: 2,
-    SENSE_HEIGHT: 1,
-    SENSE_WIDTH: 1,
-    DISCHARGE: 1,
-    RATE: 2,
-}
-"""Bytes after each op-code that sets a number."""
+
+
+@dataclass
+class _Scan:
+    """What a scan does, settled at its start.
+
+    Attributes
+    ----------
+    pulses : list of (int, float, tuple of int)
+        For each electrode height in counts, width in µs, and the sign of each phase (positive
+        cathodic).
+    starts_ns : list of int
+        When each slot begins; the last is the end.
+    """
+
+    pulses: list[tuple[int, float, tuple[int, ...]]]
+    starts_ns: list[int]
+    discharge_us: int
+    done: int = 0
+    pulsed: bool = False
 
 
 class ETactileKitFirmware:
@@ -54,55 +69,53 @@ class ETactileKitFirmware:
     finger : Finger, optional
         What happens to the skin while it runs.
     compliance_v : float, V
-    variant : int
-        1 is silent to the questions that version 1 does not know.
+    firmware : str
+        Which of `GENERATIONS`.
     dummy_ohm : float
         Load beside the skin; infinite for none.
     """
+
+    longest_step_ns = 400_000_000
+    """Its scans go on by its own clock, whatever keeps its process waiting."""
 
     def __init__(
         self,
         books: Books,
         finger: Finger | None = None,
         compliance_v: float = COMPLIANCE_V,
-        variant: int = 2,
+        firmware: str = "71adee2",
         dummy_ohm: float = DUMMY_OHM,
     ) -> None:
-        self.books, self._variant = books, variant
+        self.books, self._is = books, op.GENERATIONS[firmware]
         self._chips = math.ceil(books.electrodes / 8)
         self._source = SingleSource(books, finger, compliance_v, dummy_ohm)
-        self._set = dict.fromkeys(_SETTINGS, 0) | {POLARITY: 1, RATE: RATE_HZ}
-        self._heights = [0] * _MOST
-        self._readings, self._finished = [0] * _MOST, [0] * _MOST
+        self._set = dict.fromkeys(self._is.sizes, 0) | {op.POLARITY: 1, op.RATE: RATE_HZ}
+        self._heights, self._readings = [0] * _MOST, [0] * _MOST
         self._received = bytearray()
-        self._begun_ns = self._fed_ns = 0
-        self._slot = self._scan_ns = self._next_ns = 0
-        self._pulsed = False
+        self._answers = b""
+        self._begun_ns = self._fed_ns = self._started_ns = self._next_ns = 0
+        self._scan: _Scan | None = None
+        self._stuck = self._hushed = False
 
     @property
     def busy(self) -> bool:
-        return not self._silent()
+        return bool(self._received) or not self._silent()
 
     def feed(self, data: bytes, now_ns: int) -> bytes:
         """Take bytes from the host; return what there is to answer."""
-        self.advance(now_ns)
-        self._fed_ns = now_ns
+        self._pass_time(now_ns)
+        self._fed_ns, self._hushed = now_ns, False
         if not self._received:
             self._begun_ns = now_ns
         self._received += data
-        answer = b""
-        while (command := self._next_command(now_ns)) is not None:
-            answer += self._obey(command)
-        if self.books.state == "driving" and self._silent():
-            self.books.state, self.books.reason = "shorted", "pattern"
-        return answer
+        if self._scan is None or not self._is.waits:
+            self._parse(now_ns)
+        return self._take_answers()
 
     def advance(self, now_ns: int) -> bytes:
-        """Do all that is due; it has nothing to say unasked."""
-        self._scan_until(now_ns)
-        if self._received and now_ns - self._begun_ns >= FORGETS_NS:
-            self._received.clear()
-        return b""
+        """Do all that is due; return what there is to answer."""
+        self._pass_time(now_ns)
+        return self._take_answers()
 
     def hang_up(self, now_ns: int) -> None:
         """The host has closed the line, which this board does not notice."""
@@ -110,22 +123,53 @@ class ETactileKitFirmware:
 
     def zero(self, reason: str, now_ns: int) -> None:
         """Forget the pattern, as without power."""
-        self._heights = [0] * _MOST
-        self._set[SENSE_HEIGHT] = 0
+        self._stop_all()
+        self._scan = None
         self.books.state, self.books.reason = "shorted", reason
         self.books.zero_after_ms = (now_ns - self._fed_ns) / 1e6
 
+    def _take_answers(self) -> bytes:
+        answers, self._answers = self._answers, b""
+        return answers
+
+    def _pass_time(self, now_ns: int) -> None:
+        silence_ns = self._is.silence_ns
+        if silence_ns is not None and not self._hushed and now_ns - self._fed_ns >= silence_ns:
+            self._scan_until(self._fed_ns + silence_ns)
+            self._stop_all()
+            self._received.clear()
+            self._hushed = True
+            self._settle("silence")
+        self._scan_until(now_ns)
+        if self._received and self._is.forgets and now_ns - self._begun_ns >= FORGETS_NS:
+            self._received.clear()
+
+    def _stop_all(self) -> None:
+        self._heights = [0] * _MOST
+        self._set[op.SENSE_HEIGHT] = 0
+        if not self._is.has_modes:
+            self._set[op.MODE] = 0
+
     # -- commands ----------------------------------------------------------
+
+    def _parse(self, now_ns: int) -> None:
+        while not self._stuck and (command := self._next_command(now_ns)) is not None:
+            self._answers += self._obey(command, now_ns)
+        self._settle("pattern")
 
     def _next_command(self, now_ns: int) -> bytes | None:
         received = self._received
         skipped = 0
-        while skipped < len(received) and received[skipped] < ECHO:
+        while skipped < len(received) and not self._knows(received[skipped]):
             skipped += 1
         del received[:skipped]
         if not received:
             return None
         length = 1 + self._payload(received[0])
+        if length == 1 and received[0] == op.PATTERN and not self._is.forgets:
+            # It waits for the last of no bytes: for ever.
+            self._stuck = True
+            return None
         if len(received) < length:
             return None
         command = bytes(received[:length])
@@ -133,110 +177,144 @@ class ETactileKitFirmware:
         self._begun_ns = now_ns
         return command
 
-    def _payload(self, code: int) -> int:
-        return 2 * self._set[COUNT] if code == PATTERN else _SETTINGS.get(code, 0)
+    def _knows(self, code: int) -> bool:
+        return code >= op.ECHO and (code > op.ECHO or self._is.echoes)
 
-    def _obey(self, command: bytes) -> bytes:
+    def _payload(self, code: int) -> int:
+        if code == op.PATTERN:
+            return self._is.height_bytes * self._set[op.COUNT]
+        return self._is.sizes.get(code, 0)
+
+    def _obey(self, command: bytes, now_ns: int) -> bytes:
         code, value = command[0], int.from_bytes(command[1:], "little")
-        count = self._set[COUNT]
-        if code == PATTERN:
+        count = self._set[op.COUNT]
+        if code == op.PATTERN:
+            size = self._is.height_bytes
             for electrode in range(count):
-                height = int.from_bytes(command[1 + 2 * electrode : 3 + 2 * electrode], "little")
-                self._heights[electrode] = min(height, LARGEST)
-        elif code == READINGS:
-            return b"".join(each.to_bytes(2, "little") for each in self._finished[:count])
-        elif code in (CHIPS, ECHO):
-            if self._variant < 2:
-                return b""
-            return bytes([self._chips if code == CHIPS else count])
-        elif code != RATE or value:
+                height = command[1 + size * electrode : 1 + size * (electrode + 1)]
+                self._heights[electrode] = min(int.from_bytes(height, "little"), LARGEST)
+        elif code == op.READINGS:
+            size = self._is.reading_bytes
+            # In one byte, the upper bits of the twelve.
+            told = (each >> (4 if size == 1 else 0) for each in self._readings[:count])
+            return b"".join(each.to_bytes(size, "little") for each in told)
+        elif code in (op.CHIPS, op.ECHO):
+            return bytes([self._chips if code == op.CHIPS else count])
+        elif code == op.RATE:
+            self._set[op.RATE] = value or self._set[op.RATE]
+            if self._is.waits:
+                self._next_ns = max(now_ns, self._started_ns + self._period_ns())
+        elif code == op.COUNT:
+            if self._is.silence_ns is not None:
+                # Of the newest, electrodes that join the scan begin at zero.
+                self._heights[count:value] = [0] * max(0, value - count)
+            self._set[op.COUNT] = value
+        elif code != op.WIDTH or value or self._is.has_modes:
             self._set[code] = value
         return b""
 
     # -- scanning ----------------------------------------------------------
 
-    def _pulse_of(self, electrode: int) -> tuple[int, float]:
-        """Return height in counts and width in µs of an electrode's pulse; 0 for none."""
-        if self._set[MODE] == SENSE_ONLY:
-            height, width = self._set[SENSE_HEIGHT], self._set[SENSE_WIDTH]
+    def _pulse_of(self, electrode: int) -> tuple[int, float, tuple[int, ...]]:
+        """Return an electrode's height in counts, width in µs, and the signs of its phases."""
+        sense, height = self._set[op.SENSE_HEIGHT], self._heights[electrode]
+        own = -1 if self._set[op.POLARITY] else 1
+        if self._is.has_modes:
+            senses, biphasic = self._set[op.MODE] == SENSE_ONLY, self._set[op.MODE] == BIPHASIC
+            phases = (own, -own) if biphasic else (own,)
         else:
-            height, width = self._heights[electrode], self._set[WIDTH]
-        return height, max(float(width), SHORTEST_US) if width else 0.0
+            code, sense = height, 4 * sense
+            one_byte = self._is.sizes[op.MODE] == 1
+            senses = code == 0 if one_byte else code not in (1, 2)
+            phases = (-1, 1) if code == 2 and not one_byte else (own,)
+            height = (
+                4 * min(self._set[op.MODE], 250) if one_byte else min(self._set[op.MODE], LARGEST)
+            )
+        if senses:
+            return sense, max(float(self._set[op.SENSE_WIDTH]), SHORTEST_US), (own,)
+        return height, max(float(self._set[op.WIDTH]), SHORTEST_US), phases
 
     def _silent(self) -> bool:
-        """Whether no slot of a scan has a pulse."""
-        count = self._set[COUNT]
-        if self._set[MODE] == SENSE_ONLY:
-            return not (count and self._set[SENSE_HEIGHT] and self._set[SENSE_WIDTH])
-        return not (self._set[WIDTH] and any(self._heights[:count]))
+        """Whether no slot of a scan that starts now has a pulse."""
+        return not any(self._pulse_of(each)[0] for each in range(self._set[op.COUNT]))
 
-    def _slot_ns(self) -> int:
-        _, width = self._pulse_of(0)
-        pulses = 2 if self._set[MODE] == BIPHASIC else 1
-        return int(pulses * (1000 * width + SWITCHING_NS) + 1000 * self._set[DISCHARGE])
-
-    def _scan_until(self, now_ns: int) -> None:
-        silent = self._silent()
-        while self._next_ns <= now_ns:
-            count, slot_ns = self._set[COUNT], self._slot_ns()
-            if silent and self._slot == 0 and self._pass(count * slot_ns, now_ns):
-                continue
-            if self._slot >= count:
-                self._end_scan()
-            else:
-                self._execute(self._slot)
-                self._slot += 1
-                self._next_ns += slot_ns
+    def _settle(self, reason: str) -> None:
+        if self.books.state == "driving" and self._scan is None and self._silent():
+            self.books.state, self.books.reason = "shorted", reason
 
     def _period_ns(self) -> int:
-        return 10**9 // self._set[RATE]
+        if self._is.sizes[op.RATE] == 1:
+            return round(1000 / self._set[op.RATE]) * 1_000_000
+        return 1_000_000 // self._set[op.RATE] * 1000
 
-    def _end_scan(self) -> None:
-        count = self._set[COUNT]
-        self._finished[:count] = self._readings[:count]
-        self.books.sequences += self._pulsed
-        self._pulsed = False
-        # A scan that took too long is followed by the next at once.
-        self._scan_ns = max(self._scan_ns + self._period_ns(), self._next_ns)
-        self._next_ns, self._slot = self._scan_ns, 0
+    def _scan_until(self, now_ns: int) -> None:
+        while True:
+            if self._scan is not None:
+                if not self._go_on(self._scan, now_ns):
+                    return
+            elif self._next_ns > now_ns:
+                return
+            else:
+                self._begin(now_ns)
 
-    def _pass(self, scan_ns: int, now_ns: int) -> bool:
-        """Let all whole scans without pulses pass at once; return whether there were any."""
-        each_ns = max(scan_ns, self._period_ns())
-        scans = (now_ns - self._next_ns) // each_ns
-        if not scans:
+    def _begin(self, now_ns: int) -> None:
+        pulses = [self._pulse_of(each) for each in range(self._set[op.COUNT])]
+        discharge_us = self._set[op.DISCHARGE]
+        lengths_ns = [
+            int(len(phases) * (1000 * width_us + SWITCHING_NS))
+            + 1000 * discharge_us + self._is.slot_ns - SWITCHING_NS
+            for _, width_us, phases in pulses
+        ]  # fmt: skip
+        if not any(height for height, _, _ in pulses) and not any(self._readings):
+            # Scans without pulses need not be gone through one by one.
+            each_ns = max(self._period_ns(), sum(lengths_ns))
+            self._next_ns += (now_ns - self._next_ns) // each_ns * each_ns
+        starts_ns = [self._next_ns]
+        for length_ns in lengths_ns:
+            starts_ns.append(starts_ns[-1] + length_ns)
+        self._started_ns = self._next_ns
+        self._scan = _Scan(pulses, starts_ns, discharge_us)
+
+    def _go_on(self, scan: _Scan, now_ns: int) -> bool:
+        """Do the slots that are due; return whether the scan is over."""
+        while scan.done < len(scan.pulses):
+            if scan.starts_ns[scan.done] > now_ns:
+                return False
+            self._execute(scan, scan.done)
+            scan.done += 1
+        end_ns = scan.starts_ns[-1]
+        if end_ns > now_ns:
             return False
-        count = self._set[COUNT]
-        self._readings[:count] = self._finished[:count] = [0] * count
-        self._next_ns += scans * each_ns
-        self._scan_ns = self._next_ns
+        self._scan = None
+        self.books.sequences += scan.pulsed
+        self._next_ns = max(self._started_ns + self._period_ns(), end_ns)
+        if self._is.waits:
+            self._stuck |= self._next_ns == end_ns
+            self._parse(end_ns)
+        self._settle("pattern")
         return True
 
-    def _execute(self, electrode: int) -> None:
-        height, width_us = self._pulse_of(electrode)
-        if not height or not width_us:
-            self._readings[electrode] = 0
+    def _execute(self, scan: _Scan, electrode: int) -> None:
+        height, width_us, phases = scan.pulses[electrode]
+        self._readings[electrode] = 0
+        if not height:
             return
-        current_ua = height * UA_PER_COUNT * (-1 if self._set[POLARITY] else 1)
-        discharge = self._set[DISCHARGE]
-        biphasic = self._set[MODE] == BIPHASIC
-        start_ns = self._next_ns
-        phases = (current_ua, -current_ua) if biphasic else (current_ua,)
-        for phase, phase_ua in enumerate(phases):
+        start_ns = scan.starts_ns[electrode]
+        for phase, sign in enumerate(phases):
             last = phase == len(phases) - 1
             reading = self._source.pulse(
                 self.books.sequences,
                 electrode,
-                phase_ua,
+                sign * height * UA_PER_COUNT,
                 width_us,
                 start_ns,
-                among=min(self._set[COUNT], self.books.electrodes),
-                rest_us=discharge if last else 0,
-                grounded=bool(discharge) and phase == 0,
+                among=min(len(scan.pulses), self.books.electrodes),
+                rest_us=scan.discharge_us if last else 0,
+                grounded=bool(scan.discharge_us) and phase == 0,
                 more=not last,
             )
             if phase == 0:
                 self._readings[electrode] = reading
             start_ns += int(1000 * width_us) + SWITCHING_NS
-        self._pulsed = True
+        scan.pulsed = True
         self.books.state = "driving"

@@ -2,7 +2,10 @@
 
 It waits for ever for the rest of a short packet, checks nothing, and its
 readings wrap. After power-on it tests its source, which then drives into no
-electrode, until the first whole packet of zeros; until then it does nothing else.
+electrode, until the first STIMULATE, which it does, whatever it holds; a MEASURE
+is answered meanwhile. What the test left in the converter stays there until the
+end of the first pulse or MEASURE, also behind a packet of zeros: the electrode
+that pulses first is connected to it until its own value has been loaded.
 """
 
 from collections import deque
@@ -20,6 +23,8 @@ LARGEST = 200
 UA_PER_STEP = 16 * 10_000 / 4096
 """DAC counts of one step of intensity; 4096 counts are nominally 10 mA."""
 WIDTH_US, GROUNDED_US, SWITCHING_US = 50, 150, 8
+TEST_UA, LOADING_US = 898 * 10_000 / 4096, 3
+"""What the self-test left in the converter when it was seen, and how long loading takes there."""
 MEASURE_UA, MEASURE_US = 2500, 25
 MEASURE_NS, WIRE_NS = 1_400_000, 670_000
 """From a MEASURE to its reply, and that on the wire."""
@@ -71,6 +76,7 @@ class Kajimoto61Firmware:
         self._scan: _Scan | None = None
         self._replies: deque[tuple[int, bytes]] = deque()
         self._commands = 0
+        self._loaded_ua = TEST_UA
 
     @property
     def busy(self) -> bool:
@@ -121,7 +127,7 @@ class Kajimoto61Firmware:
             start_ns = max(self._free_ns, self._fed_ns)
             if command[0] == STIMULATE:
                 self._stimulate(command[1:], start_ns)
-            elif not self._testing:
+            else:
                 pulses = [(electrode, -float(MEASURE_UA)) for electrode in range(ELECTRODES)]
                 self._begin(pulses, start_ns, measures=True)
 
@@ -139,8 +145,6 @@ class Kajimoto61Firmware:
         return command
 
     def _stimulate(self, intensities: bytes, start_ns: int) -> None:
-        if self._testing and any(intensities):
-            return
         self._testing = False
         pulses = [
             (electrode, -UA_PER_STEP * value)
@@ -163,6 +167,9 @@ class Kajimoto61Firmware:
             if start_ns > now_ns:
                 return
             electrode, current_ua = scan.pulses[done]
+            if self._loaded_ua and not scan.measures:
+                start_ns += self._connect_early(scan, electrode, start_ns)
+            self._loaded_ua = 0.0
             reading = self._source.pulse(
                 scan.number,
                 electrode,
@@ -177,10 +184,27 @@ class Kajimoto61Firmware:
         if scan.end_ns > now_ns:
             return
         self._scan, self._free_ns = None, scan.end_ns
-        self.books.state, self.books.reason = "shorted", "end"
+        self.books.state, self.books.reason = ("self-test" if self._testing else "shorted"), "end"
+        if self._testing:
+            self._loaded_ua = TEST_UA
         if scan.measures:
             wrapped = bytes(min(254, (reading >> 2) % 256) for reading in scan.readings)
             ready_ns = scan.start_ns + MEASURE_NS + WIRE_NS
             self._replies.append((ready_ns, wrapped + bytes([0xFF])))
         else:
             self.books.sequences += 1
+
+    def _connect_early(self, scan: _Scan, electrode: int, start_ns: int) -> int:
+        """Let flow what the converter still holds; return for how long, ns."""
+        self._source.pulse(
+            scan.number,
+            electrode,
+            -self._loaded_ua,
+            LOADING_US,
+            start_ns,
+            among=ELECTRODES,
+            rest_us=0,
+            grounded=False,
+            more=True,
+        )
+        return 1000 * LOADING_US

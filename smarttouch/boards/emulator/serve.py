@@ -129,7 +129,7 @@ def serve(firmware: Firmware, line: Line, linger_s: float = 2.0) -> None:
     signal.signal(signal.SIGINT, end if math.isinf(linger_s) else signal.SIG_IGN)
     # Who reads the name may signal at once.
     print(line.name, flush=True)
-    clock = BoardClock()
+    clock = BoardClock(getattr(firmware, "longest_step_ns", _LONGEST_STEP_NS))
     alone_since: float | None = FIRST_HOST_S * 1e9
     had_host = False
     written_ns, pending = 0, b""
@@ -166,14 +166,20 @@ class BoardClock:
 
     Hardware is never kept waiting; what plays it is, and must not take its own
     absence for the host's silence, nor for pulses delivered.
+
+    Parameters
+    ----------
+    longest_step_ns : int
+        How long it may have been away without standing still.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, longest_step_ns: int = _LONGEST_STEP_NS) -> None:
+        self._longest_step_ns = longest_step_ns
         self._begun = self._last = time.monotonic_ns()
         self.stood_still_ns = 0
 
     def now_ns(self) -> int:
         now = time.monotonic_ns()
-        self.stood_still_ns += max(0, now - self._last - _LONGEST_STEP_NS)
+        self.stood_still_ns += max(0, now - self._last - self._longest_step_ns)
         self._last = now
         return now - self._begun - self.stood_still_ns

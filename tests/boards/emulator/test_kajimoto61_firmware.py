@@ -30,9 +30,10 @@ def books(tmp_path):
 
 @pytest.fixture
 def board(books):
-    """A board whose self-test is over."""
+    """A board whose self-test is over, and what it left in the converter."""
     board = Kajimoto61Firmware(books)
     assert board.feed(ZERO, 0) == b""
+    board._loaded_ua = 0.0
     return board
 
 
@@ -132,19 +133,42 @@ def test_other_bytes_are_ignored(board, books, junk):
     assert (books.slots, delivered(books)["site"].tolist()) == (1, [7])
 
 
-def test_until_the_first_zero_frame_it_tests_itself():
+def test_in_the_self_test_it_measures_and_any_first_packet_stimulates():
     books = Books(ELECTRODES)
     board = Kajimoto61Firmware(books)
     assert books.state == "self-test"
-    assert board.feed(frame(e1=50), 0) == b""
     board.feed(b"\xfe", 1 * MS)
-    assert board.advance(100 * MS) == b""
-    assert (books.slots, books.state) == (0, "self-test")
-    board.feed(ZERO, 101 * MS)
-    assert books.state == "shorted"
-    board.feed(frame(e1=50), 102 * MS)
+    assert len(board.advance(100 * MS)) == 62
+    assert (books.slots, books.state) == (61, "self-test")
+    board.feed(frame(e1=50), 101 * MS)
     board.advance(110 * MS)
-    assert books.slots == 1
+    assert (books.slots, books.state) == (62, "shorted")
+
+
+@pytest.mark.parametrize("first", [b"", ZERO, ZERO * 3])
+def test_what_the_self_test_left_flows_for_a_moment_in_the_first_pulse(tmp_path, first):
+    books = Books(ELECTRODES, tmp_path)
+    board = Kajimoto61Firmware(books)
+    board.feed(first, 0)
+    board.feed(frame(e1=1, e2=1), 10 * MS)
+    board.feed(frame(e1=1), 20 * MS)
+    board.advance(30 * MS)
+    slots = delivered(books)
+    assert slots["site"].tolist() == [1, 1, 2, 1]
+    # 898 counts for 3 µs, then its own value: no zero packet loads anything.
+    own = -slots["current_ua"][range(4), slots["site"]]
+    assert own.tolist() == [2192, 39, 39, 39]
+    charge = np.abs(slots["charge_uc"]).max(axis=1)
+    assert charge[0] == pytest.approx(2.192e-3 * 3, rel=1e-2)
+    assert (books.slots, books.unsafe) == (3, 0)
+
+
+def test_after_a_measurement_the_converter_is_empty(tmp_path):
+    books = Books(ELECTRODES, tmp_path)
+    board = Kajimoto61Firmware(books)
+    board.feed(ZERO + b"\xfe" + frame(e1=1), 0)
+    board.advance(30 * MS)
+    assert delivered(books)["site"].tolist() == [*range(61), 1]
 
 
 def test_a_measurement_takes_its_time_and_its_readings_are_volts(board, books):

@@ -92,11 +92,11 @@ def test_an_etactilekit_goes_on_without_its_host(start, tmp_path):
     assert lasted_us[-1] - lasted_us[0] > 400_000
 
 
-def test_version_1_does_not_answer(start):
-    _, name = start("--protocol=etactilekit", "--tcp", "--variant=1")
+def test_another_firmware_answers_otherwise(start):
+    _, name = start("--protocol=etactilekit", "--tcp", "--firmware=936c6c0")
     with connect(name) as host:
-        host.sendall(b"\xf5\xf4\xfc\x02\xff")
-        assert host.recv(10) == bytes(4)
+        host.sendall(b"\xf4\xf5")
+        assert host.recv(10) == b"\x04"
 
 
 def test_one_host_after_another_and_discovery(start):

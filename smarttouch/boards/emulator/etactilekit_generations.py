@@ -1,0 +1,69 @@
+"""The published firmwares of the eTactileKit, as far as they differ on the wire and in time."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+PATTERN, READINGS, COUNT, MODE, POLARITY, WIDTH = 0xFE, 0xFF, 0xFC, 0xFB, 0xFD, 0xFA
+SENSE_HEIGHT, SENSE_WIDTH, DISCHARGE, RATE, CHIPS, ECHO = 0xF9, 0xF8, 0xF7, 0xF6, 0xF5, 0xF4
+_SIZES = {
+    COUNT: 1,
+    MODE: 1,
+    POLARITY: 1,
+    WIDTH: 2,
+    SENSE_HEIGHT: 1,
+    SENSE_WIDTH: 1,
+    DISCHARGE: 1,
+    RATE: 2,
+}
+
+
+@dataclass(frozen=True)
+class Generation:
+    """One published firmware.
+
+    Attributes
+    ----------
+    sizes : mapping
+        Bytes after each op-code that sets a number.
+    height_bytes : int
+        Of each electrode in a pattern: 2 for its height, 1 for a code (0 sense, 1 monophasic,
+        2 biphasic) where one height counts for all.
+    reading_bytes : int
+        Of each electrode in the answer to `READINGS`.
+    echoes : bool
+        Whether it knows `ECHO`.
+    forgets : bool
+        Whether half a command is dropped after two seconds.
+    waits : bool
+        Whether its parser stands still during a scan: both run on one processor core.
+    slot_ns : int
+        Time that switching adds to each slot's pulse and discharge.
+    silence_ns : int, optional
+        After so long without a byte it puts all amplitudes at zero.
+    """
+
+    sizes: Mapping[int, int]
+    height_bytes: int
+    reading_bytes: int = 2
+    echoes: bool = True
+    forgets: bool = True
+    waits: bool = True
+    slot_ns: int = 10_000
+    silence_ns: int | None = None
+
+    @property
+    def has_modes(self) -> bool:
+        """Whether `MODE` sets a mode; else a height for all electrodes."""
+        return self.height_bytes == 2
+
+
+GENERATIONS = {
+    "v1.0": Generation(
+        dict.fromkeys(_SIZES, 1), 1, reading_bytes=1, echoes=False, forgets=False, waits=False
+    ),
+    "936c6c0": Generation(_SIZES | {MODE: 2}, 1, echoes=False, forgets=False, slot_ns=17_000),
+    "71adee2": Generation(_SIZES, 2),
+    "newest": Generation(_SIZES, 2, waits=False, silence_ns=500_000_000),
+}
+"""By the commit of its repository that first had them; the last one has a second processor core
+for its parser."""

@@ -1,0 +1,276 @@
+"""The line to an eTactileKit: which firmware is there, questions and answers, lost bytes."""
+
+import contextlib
+import time
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.boards.etactilekit_wire import (
+    AT_REST,
+    CHIPS,
+    NO_SENSE,
+    PING,
+    READINGS,
+    ZEROS,
+    Codec,
+    HeightCodec,
+    ModeCodec,
+)
+from smarttouch.boards.keeper import PAUSE_S, PIECE
+from smarttouch.boards.kept_board import KeptBoard
+from smarttouch.boards.scan_lock import Span
+from smarttouch.clock import Clock, MonotonicClock
+from smarttouch.errors import BoardError, LineLostError
+from smarttouch.profile.device import Output
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.wire.port import open_port
+
+FIRMWARES = ("936c6c0", "71adee2", "newest")
+"""By the commit of the public repository that first had each."""
+ECHO_S = 0.1
+CHIPS_S = 0.5
+"""The longest that it takes to answer anything."""
+FORGETS_S = 2.15
+"""After such a silence it has dropped whatever half command it had; that of 936c6c0 has not."""
+LOSSES_UNTIL_SLOW = 2
+TRIES = 3
+LOOKS = 5
+"""So many answers in a row without an echo mean that the firmware knows none."""
+AWAY_S, AWAY_MOST_S = 0.6, 1.8
+"""A port closed for that long is a lost host to the newest firmware; half a command that waited
+longer may have been dropped by any."""
+
+
+class ETactileKitLine(KeptBoard):
+    """Finds out which eTactileKit is at a port, and exchanges bytes with it."""
+
+    kind = "etactilekit"
+    takes_wiring: ClassVar[bool] = True
+    can_be_asked: ClassVar[bool] = True
+    _codec: Codec
+
+    def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
+        port, _, options = port.partition("?")
+        self._slow, self._wanted = _parse(options)
+        super().__init__(port, limits, output)
+        self._clock: Clock = MonotonicClock()
+        wiring = None if output is None else output.wiring
+        self._wiring = np.arange(limits.electrodes) if wiring is None else np.asarray(wiring)
+        self._outputs = int(self._wiring.max()) + 1
+        if self._outputs > 253:
+            raise BoardError(
+                f"output {self._outputs - 1} is out of reach: an eTactileKit counts to 253 outputs"
+            )
+        self._lost_frames = 0
+
+    # -- which it is ---------------------------------------------------------
+
+    def _find_out(self) -> tuple[str, int]:
+        """Put whatever firmware it is at zero; return which it is, and how many outputs it has.
+
+        The codec is chosen by it, and the board told its number of electrodes.
+        """
+        for _ in range(TRIES - 1):
+            # Bytes may be lost here too.
+            with contextlib.suppress(LineLostError):
+                return self._identify()
+        return self._identify()
+
+    def _identify(self) -> tuple[str, int]:
+        chips = self._chips = self._wake()
+        capacity = 8 * chips
+        if self._outputs > capacity:
+            raise BoardError(
+                f"the eTactileKit at {self._port_name} has {capacity} outputs, the profile needs "
+                f"{self._outputs}: use the profile of this board"
+            )
+        firmware = self._meet_modes() if self._echoes(chips) else self._meet_heights()
+        if self._wanted not in (None, firmware) and {self._wanted, firmware} != set(FIRMWARES[1:]):
+            raise BoardError(
+                f"the board at {self._port_name} answers as firmware {firmware} does, not as "
+                f"{self._wanted}: leave ?firmware out"
+            )
+        return self._wanted or firmware, capacity
+
+    def _wake(self) -> int:
+        """Put the board at zero and its parser where a command begins; return its chips."""
+        for pause_s in (0.01, FORGETS_S):
+            # A host before us may have left half a pattern: any other byte would complete it,
+            # as a current. What zeros do not end, it forgets in silence.
+            self._write_out(ZEROS)
+            time.sleep(pause_s)
+            for command in AT_REST:
+                self._write_out(command)
+            self._flush()
+            self._write(CHIPS)
+            if answer := self._read(1, CHIPS_S):
+                return answer[0]
+        raise BoardError(
+            f"the board at {self._port_name} does not answer as an eTactileKit does: check that "
+            "it is on, and switch it off and on"
+        )
+
+    def _echoes(self, chips: int) -> bool:
+        """Return whether it knows the echo; its number of electrodes is zero meanwhile."""
+        for _ in range(LOOKS):
+            self._flush()
+            # Whether the first byte was a question, the answer to the second tells.
+            self._write(PING + CHIPS)
+            answer = self._read(1, CHIPS_S)
+            if answer == b"\0" and self._read(1, CHIPS_S) == bytes([chips]):
+                return True
+            if answer != bytes([chips]):
+                raise self._lost(
+                    "answers in a way that no known eTactileKit does "
+                    f"({answer.hex() or 'not at all'}): switch it off and on, or update it"
+                )
+        return False
+
+    def _meet_modes(self) -> str:
+        codec = self._codec = ModeCodec(self._outputs)
+        # No sense pulses: the guard of every change counts on that.
+        self._write_out(codec.quiet + NO_SENSE + bytes([0xFC, self._outputs]) + PING)
+        if not codec.is_answer(self._read(1, ECHO_S)):
+            raise self._lost("does not echo its number of electrodes")
+        if self._wanted is None and self._forgets_hosts() and self._forgets_hosts():
+            return "newest"
+        return "71adee2"
+
+    def _meet_heights(self) -> str:
+        codec = self._codec = HeightCodec(self._outputs)
+        # Its electrodes come back with whatever pattern it had: not before the height is zero.
+        self._write_out(codec.quiet + CHIPS)
+        if not self._read(1, CHIPS_S):
+            raise self._lost("does not confirm a height of zero")
+        self._write_out(bytes([0xFC, self._outputs]) + codec.question)
+        answer = self._read(codec.answer_bytes + 1, ECHO_S)
+        if codec.is_answer(answer):
+            return "936c6c0"
+        self._write_out(AT_REST[0])
+        if len(answer) == self._outputs:
+            raise BoardError(
+                f"the firmware of the board at {self._port_name} is eTactileKit v1.0, which is "
+                "not spoken: update it"
+            )
+        raise self._lost(f"told {len(answer)} bytes of readings, not {codec.answer_bytes}")
+
+    def _forgets_hosts(self) -> bool:
+        """Return whether it drops half a command when its host was away for a while."""
+        began = time.monotonic()
+        self._write(b"\xfd")
+        time.sleep(0.05)
+        self._reconnect(AWAY_S)
+        self._write(PING)
+        forgets = self._codec.is_answer(self._read(1, ECHO_S))
+        in_time = time.monotonic() - began < AWAY_MOST_S
+        self._flush()
+        self._write(bytes(3) + PING)
+        if not self._codec.is_answer(self._read(1, CHIPS_S)):
+            self._resync()
+        return forgets and in_time
+
+    def _reconnect(self, away_s: float) -> None:
+        assert self._serial is not None
+        self._serial.close()
+        time.sleep(away_s)
+        self._serial = self._wrap(open_port(self._port_name))
+
+    def _recognize(self) -> None:
+        self._ask_again(CHIPS, bytes([self._chips]), CHIPS_S, FORGETS_S)
+
+    # -- questions and answers -----------------------------------------------
+
+    def _exchange(
+        self, body: bytes, *, ask: bool = False
+    ) -> tuple[Span, NDArray[np.uint16] | None] | None:
+        """Send commands and wait until they have been obeyed.
+
+        Parameters
+        ----------
+        ask : bool
+            Also for the readings, as they are before the commands are obeyed.
+
+        Returns
+        -------
+        span : Span, ns
+            Within which the commands were obeyed, by the clock.
+        readings : ndarray, (N,), or None
+            In the board's own order.
+        """
+        codec = self._codec
+        data = codec.lead + READINGS * ask + body + codec.question
+        expected = codec.readings_bytes * ask + codec.answer_bytes
+        # An answer that was late must not pass for that to this.
+        self._flush()
+        begun_ns = self._clock.now_ns()
+        self._write_out(data)
+        answer = self._read(expected, ECHO_S + self._wire_s(data))
+        span = Span(begun_ns, self._clock.now_ns())
+        if len(answer) != expected or not codec.is_answer(answer[expected - codec.answer_bytes :]):
+            return None
+        readings = np.frombuffer(answer[: codec.readings_bytes], "<u2") if ask else None
+        return span, readings
+
+    def _resync(self) -> None:
+        """Bring the board's parser back to where a command begins; nothing flows meanwhile.
+
+        Raises
+        ------
+        LineLostError
+            If it does not answer any more.
+        """
+        self._note_loss()
+        codec = self._codec
+        # Zeros complete any half pattern, and are no commands; if not, silence does.
+        second = (b"", FORGETS_S) if codec.forgets else (ZEROS, 0.1)
+        for zeros, pause_s in ((ZEROS, 0.01), second):
+            self._write_out(zeros)
+            time.sleep(pause_s)
+            self._flush()
+            self._write_out(codec.quiet + bytes(4) + codec.question)
+            # It may only have been late, and silence costs far more than waiting here.
+            if codec.is_answer(self._read(codec.answer_bytes, CHIPS_S)):
+                return
+        raise self._lost("does not answer any more")
+
+    def _note_loss(self) -> None:
+        self._lost_frames += 1
+        if self._slow or "://" in self._port_name:
+            return
+        if self._lost_frames >= LOSSES_UNTIL_SLOW:
+            self._slow = True
+            self.notes.append(
+                f"{self._lost_frames} patterns were lost on the way to the board: from then on "
+                f"{PIECE} bytes went every {1000 * PAUSE_S:g} ms (?slow)"
+            )
+
+    def _write_out(self, data: bytes) -> None:
+        if not self._slow:
+            self._write(data)
+            return
+        for start in range(0, len(data), PIECE):
+            self._write(data[start : start + PIECE])
+            time.sleep(PAUSE_S)
+
+    def _wire_s(self, data: bytes) -> float:
+        return len(data) / PIECE * PAUSE_S if self._slow else 0.0
+
+
+def _parse(options: str) -> tuple[bool, str | None]:
+    """Return whether to write slowly, and the firmware that a user named."""
+    slow, firmware = False, None
+    for option in options.split("&") if options else ():
+        name, _, value = option.partition("=")
+        if option == "slow":
+            slow = True
+        elif name == "firmware":
+            if value not in FIRMWARES:
+                raise BoardError(
+                    f"etactilekit: knows no firmware {value!r}: choose {', '.join(FIRMWARES)}"
+                )
+            firmware = value
+        else:
+            raise BoardError(f"etactilekit: knows the options ?slow and ?firmware, not ?{option}")
+    return slow, firmware

@@ -1,0 +1,263 @@
+"""In step with the scans of an eTactileKit, which runs on its own clock.
+
+What a scan does is settled when it starts, so a pattern is felt only if it is there at
+that moment. Pulses are let come, one scan or as many as are wanted start, and pulses are
+stopped again: in between the next pattern is put on the board. The board does not say
+when it scans; but its readings change with each scan, so two questions bracket one, and
+from then on all others are known (`ScanLock`). As long as they are not (nothing is felt
+or measured yet, or the line is too slow), a pattern stays for longer than a whole
+period: then it is scanned at least once, perhaps twice, and the account says so.
+"""
+
+from abc import abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.boards.etactilekit_line import ETactileKitLine
+from smarttouch.boards.etactilekit_wire import SHORTEST_US, Settings
+from smarttouch.boards.scan_lock import WIDEST, ScanLock, Span
+from smarttouch.boards.streamed import Job, one_against_all
+from smarttouch.profile.device import Output
+from smarttouch.scan.safety import SafetyLimits
+
+LOW, HIGH = 4, 12
+"""Readings below the one had no pulse, from the other on they had: .3 and 1 V."""
+POLL_NS, MARGIN_NS = 1_000_000, 100_000
+LATE_SCANS = 3
+"""So many more are waited for where no time is found that is certainly between two scans."""
+WIDE_NS = 1_000_000
+"""If it is less well known than that when a scan starts, a question in its middle tells."""
+LISTEN_NS = 1_000_000_000
+"""No scan in so long, and one only, is given away to learn when it starts."""
+KEEP_NS = 100_000_000
+"""The newest firmware must hear something that often."""
+
+
+@dataclass
+class Shown:
+    """What pulses, and since when."""
+
+    job: Job
+    since: Span
+    before: NDArray[np.uint16]
+    """Readings of the scan before."""
+    unseen_ns: int = 0
+    """When the readings were last asked for and told of none of its pulses."""
+    risen: bool = False
+    """Whether they have told of some."""
+
+    def felt(self, readings: NDArray[np.uint16]) -> NDArray[np.bool_]:
+        """Return which outputs it has certainly pulsed, by readings from now."""
+        return (self.before < LOW) & (readings >= HIGH)
+
+
+class SteppedKit(ETactileKitLine):
+    """Lets patterns be scanned a known number of times."""
+
+    def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
+        super().__init__(port, limits, output)
+        # What it pulses with; None if that is not certain.
+        self._settings: Settings | None = None
+        # Whether its parser stands still while it scans.
+        self._waits = True
+        self._lock = ScanLock(1)
+        self._shown: Shown | None = None
+        # The last readings, and when they were asked for.
+        self._before: tuple[int, NDArray[np.uint16]] | None = None
+        # How long answers have taken of late.
+        self._answer_ns = 0
+        # When it is time to listen again.
+        self._listen_ns = 0
+        self._stopped_ns = 0
+        # The weakest pattern that was measured.
+        self._seen_ua = 10**6
+
+    @abstractmethod
+    def _note_volts(
+        self, job: Job, current_ua: NDArray[np.int64], readings: NDArray[np.uint16]
+    ) -> None:
+        """Take what was measured of a sequence's slots, in counts."""
+
+    def _ask(self, body: bytes) -> Span | None:
+        """Send commands and learn from the readings before them; return when they were obeyed."""
+        found = self._exchange(body, ask=True)
+        if found is None:
+            self._before = None
+            self._resync()
+            return None
+        span, readings = found
+        assert readings is not None
+        # Those during a scan take as long as that.
+        took_ns = span.late - span.early
+        self._answer_ns = min(took_ns, self._answer_ns * 9 // 8 or took_ns)
+        if self._before is not None and self._settings is not None:
+            self._learn(self._settings, self._before, span.late, readings)
+        self._before = span.early, readings
+        return span
+
+    def _learn(
+        self,
+        settings: Settings,
+        last: tuple[int, NDArray[np.uint16]],
+        answered_ns: int,
+        readings: NDArray[np.uint16],
+    ) -> None:
+        """Learn from two readings when a scan passed, if it did."""
+        asked_ns, before = last
+        rises, falls = (before < LOW) & (readings >= HIGH), (before >= HIGH) & (readings < LOW)
+        if not (rises | falls).any():
+            return
+        # A pulse whose discharge is short, or one without a width, as in scans without pulses.
+        rest_us = max(0, settings.discharge_us - SHORTEST_US)
+        if self._waits:
+            # A question asked during a scan is answered after it: it passed as a whole.
+            pulsed = rises.any() and self._codec.even
+            slot_us = rest_us + (settings.width_us if pulsed else SHORTEST_US)
+            self._lock.learn(Span(asked_ns, answered_ns - 1000 * self._outputs * slot_us))
+            return
+        # That slot passed between the two questions; its scan began so much earlier.
+        slots = int((rises | falls).argmax())
+        early_ns = asked_ns - 1000 * slots * settings.scan_us(1, 25)
+        self._lock.learn(Span(early_ns, answered_ns - 1000 * slots * rest_us))
+
+    def _free_of_scans(self, now_ns: int) -> int:
+        """Return from when on an answer comes before the next scan can start, ns."""
+        self._lock.check(now_ns)
+        if not self._lock.locked:
+            # Of the newest firmware a scan may still be under way that began before the stop.
+            return max(now_ns, self._stopped_ns + self._scan_ns())
+        between_ns = self._lock.nominal_ns - self._scan_ns()
+        answer_ns = min(3 * self._answer_ns, between_ns // 3)
+        number = self._lock.first_after(now_ns) - 1
+        if self._lock.scan(number).late > now_ns:
+            return self._lock.scan(number).late + MARGIN_NS
+        following = self._lock.scan(number + 1)
+        return now_ns if now_ns + answer_ns < following.early else following.late + MARGIN_NS
+
+    def _hold(self, job: Job) -> None:
+        """Wait until as many scans of what is shown are over as are wanted."""
+        shown, asked_ns, late = self._shown, self._clock.now_ns(), 0
+        while shown is self._shown and not self._closing.is_set():
+            now_ns = self._clock.now_ns()
+            assert shown is not None
+            due_ns = self._over_ns(shown.since, 1 if self._waiting is not None else job.times)
+            if now_ns >= due_ns:
+                due_ns = self._free_of_scans(now_ns)
+                if now_ns >= due_ns or late >= LATE_SCANS:
+                    return
+                late += 1
+            ask_ns = self._worth_asking(now_ns, asked_ns)
+            # Something newer may come meanwhile.
+            until_ns = min(due_ns, ask_ns, now_ns + self._lock.nominal_ns)
+            self._wait(until_ns)
+            if until_ns == ask_ns:
+                with self._line:
+                    if shown is self._shown and not self._closing.is_set():
+                        asked_ns = self._clock.now_ns()
+                        told = self._ask(b"") and self._before
+                        if told:
+                            self._look(shown, asked_ns, told[1])
+
+    def _look(self, shown: Shown, asked_ns: int, readings: NDArray[np.uint16]) -> None:
+        """Keep what readings tell of the first scan of what is shown."""
+        if not shown.felt(readings).any():
+            shown.unseen_ns = asked_ns
+            return
+        scan = self._lock.last
+        if not shown.risen and scan is not None and scan.late >= shown.since.early:
+            # It was in that scan that its readings rose.
+            shown.since = Span(scan.early - 1, scan.early - 1)
+        shown.risen = True
+
+    def _worth_asking(self, now_ns: int, asked_ns: int) -> int:
+        """Return when a question will tell more of the board's scans, or keep it awake."""
+        if not self._lock.locked:
+            return now_ns + POLL_NS
+        coming = self._lock.scan(self._lock.first_after(now_ns))
+        if coming.late - coming.early > WIDE_NS:
+            return min(asked_ns + KEEP_NS, (coming.early + coming.late) // 2)
+        return asked_ns + KEEP_NS
+
+    def _over_ns(self, since: Span, times: int) -> int:
+        """Return when so many scans after an event are certainly over."""
+        if not self._lock.locked:
+            return int(since.late + times * self._lock.period_ns[1]) + MARGIN_NS
+        last = self._lock.scan(self._lock.first_after(since.late) + times - 1)
+        return last.late + self._scan_ns() + MARGIN_NS
+
+    def _scan_ns(self) -> int:
+        """Return how long a scan takes."""
+        assert self._settings is not None
+        return 1000 * self._settings.scan_us(self._outputs, self._codec.slot_extra_us)
+
+    def _listen(self) -> None:
+        """Let a scan pass without pulses, where its readings will tell when it starts."""
+        now_ns, before = self._clock.now_ns(), self._before
+        self._lock.check(now_ns)
+        if before is None or now_ns < self._listen_ns or not (before[1] >= HIGH).any():
+            return
+        end_ns = now_ns + int(self._lock.period_ns[1])
+        if self._lock.locked:
+            coming = self._lock.scan(self._lock.first_after(now_ns))
+            if coming.late - coming.early <= min(2 * WIDE_NS, WIDEST * self._lock.nominal_ns / 2):
+                return
+            self._wait(coming.early - POLL_NS)
+            end_ns = coming.late
+        assert self._settings is not None
+        end_ns += 1000 * self._settings.scan_us(self._outputs, 25) + POLL_NS
+        while self._before is not None and (self._before[1] >= HIGH).any():
+            if self._clock.now_ns() > end_ns or self._closing.is_set():
+                break
+            self._wait(self._clock.now_ns() + POLL_NS // 2)
+            self._ask(b"")
+        self._listen_ns = self._clock.now_ns() + LISTEN_NS
+
+    def _stop_pulses(self) -> bool:
+        """Stop all pulses, and write down the scans; return False if they seem to be none."""
+        shown, self._shown = self._shown, None
+        begun_ns, told = self._clock.now_ns(), None
+        try:
+            told = self._ask(self._codec.quiet)
+        finally:
+            self._stopped_ns = self._clock.now_ns()
+            felt = self._account(shown, told, begun_ns) if shown is not None else True
+        return felt
+
+    def _account(self, shown: Shown, told: Span | None, begun_ns: int) -> bool:
+        """Write down the scans of what was shown; return False if they seem to be none."""
+        sequence, since, felt = shown.job.sequence, shown.since, True
+        readings = None if told is None or self._before is None else self._before[1]
+        certain = False if readings is None else shown.felt(readings)
+        if np.any(certain) and not shown.risen and self._settings is not None:
+            # Nor had it any scan whose slot would have passed when it was last unseen.
+            slots = int(np.argmax(certain))
+            unseen_ns = shown.unseen_ns - 1000 * slots * self._settings.scan_us(1, 25)
+            since = Span(max(since.early, unseen_ns), max(since.late, unseen_ns))
+        least, most = self._lock.starts(since, told or Span(begun_ns, self._clock.now_ns()))
+        if readings is not None:
+            electrode, current_ua = one_against_all(sequence)
+            readings, level_ua = readings[self._wiring[electrode]], int(np.abs(current_ua).max())
+            if np.any(certain):
+                least, self._seen_ua = max(1, least), min(level_ua, self._seen_ua)
+            elif level_ua >= self._seen_ua and (readings < LOW).all():
+                # Less has been measured before: the board has not kept its time.
+                self._lock.forget()
+                least, felt = 0, False
+            if least and self._lock.locked:
+                self._note_volts(shown.job, current_ua, readings)
+        with self._news:
+            self._books.add(sequence, least, again=True, most=max(least, most))
+        return felt
+
+    def _give_up(self) -> None:
+        """Write down what may have been scanned when a board was lost and is back, at zero."""
+        shown, self._shown = self._shown, None
+        if shown is not None:
+            sure_ns = shown.since.late if self._before is None else self._before[0]
+            self._account(shown, None, max(sure_ns, shown.since.late))
+
+    def _wait(self, until_ns: int) -> None:
+        if until_ns > self._clock.now_ns():
+            self._clock.wait_until(until_ns, self._closing)

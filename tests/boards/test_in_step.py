@@ -1,0 +1,216 @@
+"""Every pattern is scanned, as often as it should be, and the host knows how often.
+
+``SMARTTOUCH_PATTERNS=2000 pytest tests/boards/test_in_step.py`` for the long run, and figures.
+"""
+
+import os
+import random
+import time
+
+import numpy as np
+import pytest
+
+from smarttouch.boards.board import make_board
+from smarttouch.boards.emulator.books import read_slots
+from smarttouch.boards.probe import one_each
+from smarttouch.scan.safety import SafetyLimits
+from tests.boards.told import MS, ToldKit
+
+PATTERNS = int(os.environ.get("SMARTTOUCH_PATTERNS", "300"))
+LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
+PERIOD_US = 20_000
+
+
+def patterns(count, seed=1, period_us=PERIOD_US):
+    """Return sequences, each another set of electrodes or another height than that before."""
+    rng = random.Random(seed)
+    found = []
+    for step in range(count):
+        sites = sorted(rng.sample(range(8), rng.randint(1, 4)))
+        found.append(
+            one_each(
+                LIMITS, 500 + 10 * (step % 150), 100, 0.5, step * 10**9, cathodic=False,
+                sites=sites, discharge_us=50, period_us=period_us,
+            )
+        )  # fmt: skip
+    return found
+
+
+def wanted(sequence):
+    own = np.abs(sequence.current_ua[np.arange(sequence.slots), sequence.site].astype(int))
+    counts = np.rint(own / 9.99).astype(int)
+    counts -= np.where((counts & 0xFF) >= 0xF4, (counts & 0xFF) - 0xF3, 0)
+    return frozenset(zip(sequence.site.tolist(), counts.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+@pytest.mark.parametrize("phase_us", [0, 4_900, 11_300, 19_500])
+@pytest.mark.parametrize("drift", [-100e-6, 0.0, 100e-6])
+def test_every_pattern_is_scanned_once(monkeypatch, firmware, phase_us, drift):
+    kit = ToldKit(monkeypatch, LIMITS, firmware, phase_ns=1000 * phase_us, drift=drift)
+    sequences = patterns(PATTERNS)
+    start = kit.clock.time_ns
+    report = kit.run([(start + 20 * MS * i, each, 1) for i, each in enumerate(sequences)])
+    assert kit.scans() == [wanted(each) for each in sequences]
+    assert (report.slots, report.pulses) == (kit.books.slots, kit.books.pulses)
+    assert report.most_pulses == report.pulses
+    assert (kit.driver.acknowledged, kit.driver.refused, kit.driver.replaced) == (PATTERNS, 0, 0)
+    assert kit.books.unsafe == 0
+    took = (kit.clock.time_ns - start) / (20 * MS * PATTERNS)
+    print(f"{firmware} {phase_us} {drift}: {took:.3f} periods a pattern")
+    assert took < 1.05
+
+
+@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+@pytest.mark.parametrize("width_us", [100, 200])
+def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_us):
+    """48 electrodes fill 39 % of the period, or 64 %."""
+    limits = SafetyLimits(48, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
+    kit = ToldKit(monkeypatch, limits, firmware, phase_ns=3 * MS, drift=70e-6)
+    rng, start = random.Random(1), kit.clock.time_ns
+    sequences = [
+        one_each(
+            limits, 900, width_us, 0.5, step, cathodic=False, sites=rng.sample(range(48), 2),
+            discharge_us=50, period_us=PERIOD_US,
+        )
+        for step in range(60)
+    ]  # fmt: skip
+    report = kit.run([(start + 20 * MS * i, each, 1) for i, each in enumerate(sequences)])
+    assert kit.scans() == [wanted(each) for each in sequences]
+    assert (report.pulses, report.most_pulses) == (48 * 120, 48 * 120)
+    assert kit.clock.time_ns - start < 1.15 * 20 * MS * 60
+    assert not kit.board._stuck
+
+
+@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+@pytest.mark.parametrize("seed", range(4))
+def test_what_a_busy_host_cannot_know_it_says(monkeypatch, firmware, seed):
+    """Waits of milliseconds too long, and frames that come when they like: none unscanned."""
+    kit = ToldKit(
+        monkeypatch, LIMITS, firmware, seed=seed, late_us=3000, phase_ns=7 * MS * seed, wire_us=2000
+    )
+    sequences = patterns(PATTERNS // 3, seed)
+    rng, time_ns, jobs = random.Random(seed), kit.clock.time_ns, []
+    for each in sequences:
+        jobs.append((time_ns, each, rng.choice([1, 1, 1, 5])))
+        time_ns += int(rng.uniform(5, 45) * MS)
+    report = kit.run(jobs)
+    shown = [scan for i, scan in enumerate(kit.scans()) if not i or scan != kit.scans()[i - 1]]
+    assert shown == [wanted(each) for each in sequences]
+    assert report.pulses <= kit.books.pulses <= report.most_pulses
+    assert report.most_pulses <= 2 * report.pulses
+
+
+@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+@pytest.mark.parametrize("times", [1, 7])
+def test_the_same_pattern_again_is_scanned_again(monkeypatch, firmware, times):
+    kit = ToldKit(monkeypatch, LIMITS, firmware, phase_ns=3 * MS, drift=60e-6)
+    (sequence,) = patterns(1)
+    start = kit.clock.time_ns
+    report = kit.run([(start + i * times * 20 * MS, sequence, times) for i in range(60)])
+    assert kit.scans() == [wanted(sequence)] * 60 * times
+    assert (report.pulses, report.most_pulses) == (kit.books.pulses, kit.books.pulses)
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_each_height_has_a_scan_of_its_own_where_there_is_one_for_all(monkeypatch, times):
+    kit = ToldKit(monkeypatch, LIMITS, "936c6c0", phase_ns=3 * MS)
+    sequence = one_each(
+        LIMITS, 1200, 100, 0.5, 0, cathodic=False, sites=[1, 3, 4, 6], discharge_us=50,
+        period_us=PERIOD_US,
+    )  # fmt: skip
+    sequence.current_ua[1] //= 2
+    sequence.current_ua[2] //= 3
+    start = kit.clock.time_ns
+    report = kit.run([(start + 100 * i * MS, sequence, times) for i in range(5)])
+    low, middle, high = {(4, 40)}, {(3, 60)}, {(1, 120), (6, 120)}
+    assert kit.scans() == [low, middle, high] * 5 * times
+    assert (report.sequences, report.slots) == (5, 20 * times)
+    assert (report.pulses, report.most_pulses) == (kit.books.pulses, kit.books.pulses)
+    assert (kit.driver.acknowledged, kit.driver.refused) == (5, 0)
+
+
+def test_what_is_too_weak_to_be_measured_is_scanned_and_a_range_told(monkeypatch):
+    kit = ToldKit(monkeypatch, LIMITS, phase_ns=3 * MS)
+    weak = [
+        one_each(
+            LIMITS, 10, 100, 0.1, step * 10**9, cathodic=False, sites=[step % 8],
+            discharge_us=50, period_us=PERIOD_US,
+        )
+        for step in range(60)
+    ]  # fmt: skip
+    start = kit.clock.time_ns
+    report = kit.run([(start + i * 20 * MS, each, 1) for i, each in enumerate(weak)])
+    shown = [scan for i, scan in enumerate(kit.scans()) if not i or scan != kit.scans()[i - 1]]
+    assert shown == [wanted(each) for each in weak]
+    assert report.pulses <= kit.books.slots * 8 <= report.most_pulses
+    assert report.slots >= 60
+
+
+@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+def test_slow_writing_scans_each_pattern_once_too(monkeypatch, firmware):
+    kit = ToldKit(monkeypatch, LIMITS, firmware, phase_ns=5 * MS, drift=-80e-6)
+    kit.driver._slow = True
+    sequences = patterns(60)
+    start = kit.clock.time_ns
+    report = kit.run([(start + 20 * MS * i, each, 1) for i, each in enumerate(sequences)])
+    shown = [scan for i, scan in enumerate(kit.scans()) if not i or scan != kit.scans()[i - 1]]
+    assert shown == [wanted(each) for each in sequences]
+    assert report.pulses <= kit.books.pulses <= report.most_pulses
+
+
+@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+def test_another_polarity_and_rate_are_set_in_between(monkeypatch, firmware):
+    kit = ToldKit(monkeypatch, LIMITS, firmware, phase_ns=5 * MS)
+    sequences = []
+    for step in range(40):
+        sequences.append(
+            one_each(
+                LIMITS, 800 + 20 * step, 100, 0.5, step * 10**9, cathodic=step % 4 > 1,
+                sites=[step % 8], discharge_us=50, period_us=[20_000, 10_000][step // 8 % 2],
+            )
+        )  # fmt: skip
+    start = kit.clock.time_ns
+    report = kit.run([(start, each, 1) for each in sequences])
+    shown = [scan for i, scan in enumerate(kit.scans()) if not i or scan != kit.scans()[i - 1]]
+    assert shown == [wanted(each) for each in sequences]
+    assert report.pulses <= kit.books.pulses <= report.most_pulses
+    assert kit.books.sequences < 50
+
+
+@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+def test_over_a_line_too_none_is_left_out(start_emulator, tmp_path, monkeypatch, firmware):
+    monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
+    _, port = start_emulator(
+        f"--books={tmp_path}", f"--firmware={firmware}", protocol="etactilekit"
+    )
+    # Neighbors drive different electrodes, so that each scan tells which pattern it was of.
+    sequences = [
+        one_each(
+            LIMITS, 900, 50, float(step > 0), step * 10**9, cathodic=False,
+            sites=[step % 8, (step + 3) % 8] if step else [], discharge_us=50,
+            period_us=PERIOD_US,
+        )
+        for step in range(60)
+    ]  # fmt: skip
+    with make_board(f"etactilekit:{port}?firmware={firmware}", LIMITS) as board:
+        for each in sequences:
+            board.send(each)
+        board.drain(10)
+        report = board.report()
+        assert (board.acknowledged, board.refused, board.replaced) == (60, 0, 0)
+    # The process writes its books a while after the event.
+    deadline = time.monotonic() + 10
+    while (shown := scanned(tmp_path)) != [set(each.site.tolist()) for each in sequences[1:]]:
+        assert time.monotonic() < deadline, shown
+        time.sleep(0.05)
+    assert 8 * len(read_slots(tmp_path)) <= report.most_pulses
+
+
+def scanned(folder):
+    """Return the electrodes of each scan that differs from the one before."""
+    slots = read_slots(folder)
+    scans = [
+        set(slots["site"][slots["number"] == each].tolist()) for each in np.unique(slots["number"])
+    ]
+    return [scan for i, scan in enumerate(scans) if not i or scan != scans[i - 1]]

@@ -1,0 +1,91 @@
+"""What brackets tell of the scans of a board with a clock of its own."""
+
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.boards.scan_lock import ScanLock, Span
+
+T = 20_000_000
+
+
+def test_without_a_bracket_only_ranges_are_known():
+    lock = ScanLock(T)
+    assert not lock.locked
+    assert lock.starts(Span(0, 0), Span(T // 2, T // 2)) == (0, 1)
+    assert lock.starts(Span(0, 0), Span(5 * T, 5 * T)) == (4, 6)
+    assert lock.starts(Span(0, T), Span(3 * T + T // 2, 4 * T)) == (2, 5)
+
+
+def test_one_bracket_tells_of_all_scans_around_it():
+    lock = ScanLock(T)
+    lock.learn(Span(0, 1_000_000))
+    assert lock.locked
+    assert lock.scan(0) == Span(0, 1_000_000)
+    assert lock.scan(10) == Span(10 * T - 40_000, 10 * T + 1_000_000 + 40_000)
+    assert lock.scan(-10) == Span(-10 * T - 40_000, -10 * T + 1_000_000 + 40_000)
+    assert lock.first_after(0) == 1
+    assert lock.first_after(-1) == 0
+    assert lock.starts(Span(-1000, -1), Span(2_000_000, 2_000_001)) == (1, 1)
+    assert lock.starts(Span(2_000_000, 3_000_000), Span(18_000_000, 19_000_000)) == (0, 0)
+    assert lock.starts(Span(500_000, 600_000), Span(18_000_000, 19_000_000)) == (0, 1)
+    assert lock.starts(Span(2_000_000, 3_000_000), Span(20_500_000, 20_600_000)) == (0, 1)
+
+
+def test_wide_brackets_do_not_lock():
+    lock = ScanLock(T)
+    lock.learn(Span(0, T // 4 + 5000))
+    assert not lock.locked
+
+
+def test_a_contradiction_ends_all_knowledge():
+    lock = ScanLock(T)
+    lock.learn(Span(0, 1_000_000))
+    lock.learn(Span(8_000_000, 9_000_000))
+    assert not lock.locked
+    assert lock.period_ns == pytest.approx((T * 0.9998, T * 1.0002))
+
+
+def test_what_is_not_renewed_is_forgotten():
+    lock = ScanLock(T)
+    lock.learn(Span(0, 1_000_000))
+    lock.check(400 * T)
+    assert lock.locked
+    lock.check(600 * T)
+    assert not lock.locked
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    phase=st.integers(0, T - 1),
+    drift=st.floats(-200e-6, 200e-6),
+    seed=st.integers(0, 1000),
+    step=st.integers(1, 30),
+)
+def test_it_is_never_wrong_and_becomes_sharper(phase, drift, seed, step):
+    rng = random.Random(seed)
+    true = T * (1 + drift)
+    lock = ScanLock(T)
+    for number in range(0, 40 * step, step):
+        start = phase + number * true
+        bracket = Span(int(start - rng.uniform(0, 1e6)), int(start + rng.uniform(1, 1e6)))
+        lock.learn(bracket)
+        assert lock.locked
+        shortest, longest = lock.period_ns
+        assert shortest <= true * (1 + 1e-12)
+        assert true * (1 - 1e-12) <= longest
+        for other in range(-3, 4):
+            at = start + other * true
+            scan = lock.scan(lock.first_after(int(at - T // 2)))
+            assert scan.early <= at + 1
+            assert at - 1 <= scan.late
+        begin, end = sorted(rng.uniform(start, start + 5 * T) for _ in range(2))
+        happened = sum(begin < phase + k * true < end for k in range(number - 1, number + 8))
+        spread = rng.uniform(0, 1e6)
+        least, most = lock.starts(
+            Span(int(begin - spread), int(begin + spread)), Span(int(end), int(end + spread))
+        )
+        assert least <= happened <= most
+    assert lock.period_ns[1] - lock.period_ns[0] <= T * 400e-6

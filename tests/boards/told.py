@@ -1,0 +1,167 @@
+"""An eTactileKit in this process, on a clock of its own that is told, not waited for."""
+
+import random
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from smarttouch.boards import etactilekit_line
+from smarttouch.boards.books import HostBooks
+from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
+from smarttouch.boards.etactilekit import ETactileKitBoard
+from smarttouch.boards.streamed import Job
+
+US, MS = 1000, 1_000_000
+
+
+class ToldClock:
+    """Time that passes only by being waited for, and then a little more, as on a computer."""
+
+    def __init__(self, seed=1, late_us=200):
+        self.time_ns = 0
+        self.late_us = late_us
+        self.random = random.Random(seed)
+
+    def now_ns(self):
+        return self.time_ns
+
+    def wait_until(self, deadline_ns, stop):
+        late_ns = US * self.random.expovariate(1 / self.late_us) if self.late_us else 0
+        self.time_ns = max(self.time_ns, deadline_ns) + int(late_ns)
+
+    def sleep(self, seconds):
+        self.time_ns += int(1e9 * seconds)
+
+    def monotonic(self):
+        return self.time_ns / 1e9
+
+
+class ToldPort:
+    """A line to a firmware: bytes take a while each way, and the board's clock runs differently.
+
+    Parameters
+    ----------
+    phase_ns, drift : int, float
+        The board's time is that of the host plus the one, times 1 plus the other.
+    wire_us : float
+        Mean time of a message on its way, beside a fixed 100 µs.
+    """
+
+    def __init__(self, firmware, clock, phase_ns=0, drift=0.0, wire_us=100.0):
+        self.firmware, self.clock = firmware, clock
+        self.phase_ns, self.drift, self.wire_us = phase_ns, drift, wire_us
+        self.is_open, self.at_zero, self.timeout = True, False, 0.05
+        self.coming, self.going, self.incoming = [], [], bytearray()
+        self.said = bytearray()
+
+    def promise_zero(self, zero, slow=False):
+        """Nothing keeps it: this program ends with the board."""
+
+    def board_ns(self, time_ns):
+        return int((time_ns + self.phase_ns) * (1 + self.drift))
+
+    def _wire_ns(self):
+        return int(US * (100 + self.clock.random.expovariate(1 / self.wire_us)))
+
+    def write(self, data):
+        arrival = self.clock.time_ns + self._wire_ns()
+        if self.going:
+            arrival = max(arrival, self.going[-1][0])
+        self.going.append((arrival, bytes(data)))
+        self.said += data
+        self.clock.time_ns += 20 * US
+        return len(data)
+
+    def _let_pass(self):
+        now = self.clock.time_ns
+        while self.going and self.going[0][0] <= now:
+            arrival, data = self.going.pop(0)
+            self._say(self.firmware.feed(data, self.board_ns(arrival)), arrival)
+        self._say(self.firmware.advance(self.board_ns(now)), now)
+        while self.coming and self.coming[0][0] <= now:
+            self.incoming += self.coming.pop(0)[1]
+
+    def _say(self, answer, time_ns):
+        if answer:
+            self.coming.append((time_ns + self._wire_ns(), answer))
+
+    def read(self, count=1):
+        end = self.clock.time_ns + int(1e9 * self.timeout)
+        while True:
+            self._let_pass()
+            if len(self.incoming) >= count or self.clock.time_ns >= end:
+                taken = bytes(self.incoming[:count])
+                del self.incoming[:count]
+                return taken
+            self.clock.time_ns += 100 * US
+
+    def reset_input_buffer(self):
+        self._let_pass()
+        self.incoming.clear()
+
+    def close(self):
+        self.is_open = False
+
+
+@dataclass
+class ScanBooks(Books):
+    """Books that keep what each scan did: the height in counts of each electrode it pulsed."""
+
+    scans: dict = field(default_factory=dict)
+
+    def enter(self, number, slot, site, delivered, width_us, residual_uc, time_us, *, more=False):
+        super().enter(number, slot, site, delivered, width_us, residual_uc, time_us, more=more)
+        self.scans.setdefault(number, {})[site] = round(abs(delivered.current_ua[site]) / 9.99)
+
+
+class ToldKit:
+    """A driver and its board, in one thread."""
+
+    def __init__(
+        self,
+        monkeypatch,
+        limits,
+        firmware="71adee2",
+        seed=1,
+        late_us=200,
+        finger=None,
+        dummy_ohm=np.inf,
+        **line,
+    ):
+        self.clock = ToldClock(seed, late_us)
+        monkeypatch.setattr(etactilekit_line.time, "sleep", self.clock.sleep)
+        self.books = ScanBooks(limits.electrodes)
+        self.board = ETactileKitFirmware(self.books, finger, firmware=firmware, dummy_ohm=dummy_ohm)
+        self.port = ToldPort(self.board, self.clock, **line)
+        self.driver = ETactileKitBoard(f"told?firmware={firmware}", limits)
+        self.driver._clock = self.clock
+        self.driver._serial = self.port
+        self.driver._books = HostBooks(limits.electrodes)
+        self.driver._greet()
+
+    def run(self, jobs):
+        """Let the driver serve jobs: when they come by its clock, sequence, times."""
+        jobs = [
+            (time_ns, Job(number, sequence, self.driver._encode(sequence), times))
+            for number, (time_ns, sequence, times) in enumerate(jobs)
+        ]
+
+        def take(until_s):
+            if not jobs:
+                self.driver._closing.set()
+                return None
+            time_ns, job = jobs.pop(0)
+            self.clock.time_ns = max(self.clock.time_ns, time_ns)
+            return job
+
+        self.driver._take = take
+        self.driver._serve()
+        self.driver._closing.clear()
+        with self.driver._line:
+            self.driver._zero()
+        return self.driver.report()
+
+    def scans(self):
+        """Return what each scan with pulses did, in order."""
+        return [frozenset(each.items()) for _, each in sorted(self.books.scans.items())]
