@@ -160,6 +160,6 @@ def test_a_port_that_stays_away_is_told_of(hosted, monkeypatch):
         pulled_out_after(4, hosted)
     text = sentence(error)
     if hosted.kind == "etactilekit":
-        assert "go on with its last pattern" in text
+        assert "goes on with its last pattern" in text
     else:
         hosted.assert_zero()
