@@ -1,24 +1,71 @@
 """An electrode's impedance drifts while a board runs: what was measured keeps the charge.
 
+The board is in this thread and its time passes as it is sent to: nothing depends on the machine.
 ``SMARTTOUCH_DRIFT_SECONDS=60 pytest tests/boards/test_drift.py --timeout 0 -s`` for the figures.
 """
 
 import functools
 import os
+from collections import deque
 
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.books import read_slots
-from smarttouch.boards.emulator.driver import EmulatorBoard
+from smarttouch.boards.emulator.books import Books, read_slots
+from smarttouch.boards.emulator.finger import Finger
+from smarttouch.boards.emulator.link import LinkFirmware
+from smarttouch.boards.emulator.skin import COMPLIANCE_V
+from smarttouch.boards.link_protocol import Kind
+from smarttouch.boards.link_sequence import decode_volts, encode_sequence
+from smarttouch.boards.link_session import HostSession
 from smarttouch.boards.probe import one_each
 from smarttouch.profile import load_profile
 from smarttouch.scan.adaptation import Adaptation
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.scan.safety import SafetyGate, SafetyLimits
+from smarttouch.wire.framing import Deframer
 
 SECONDS = float(os.environ.get("SMARTTOUCH_DRIFT_SECONDS", "1.2"))
 DRIFTING, STEADY = 6, 9
 LEVEL_MA, WIDTH_US, PERIOD_S = 2.2, 100, 0.02
+LATE = 2
+"""Sequences that have been sent before the voltages of one are back: one runs, one waits."""
+
+
+class ToldLink:
+    """A link board that measures, one thread with its host: a sequence takes the time it says."""
+
+    def __init__(self, limits, kind, folder, events):
+        self.books = Books(limits.electrodes, folder)
+        finger = Finger(limits.electrodes, events)
+        self._firmware = LinkFirmware(limits.electrodes, kind, self.books, finger)
+        self._gate, self._kind = SafetyGate(limits), kind
+        self._session, self._deframer = HostSession(), Deframer()
+        self._now_ns = self._number = 0
+        self._say(Kind.HELLO)
+        self._say(Kind.BEGIN)
+
+    def send(self, sequence):
+        """Deliver a sequence; return what each of its slots needed, V."""
+        sequence = self._gate.prove(sequence)
+        self._number += 1
+        payload = encode_sequence(
+            self._kind, sequence.period_us, sequence.width_us, sequence.discharge_us,
+            sequence.site, sequence.current_ua, measure=True,
+        )  # fmt: skip
+        heard = self._say(Kind.SEQUENCE, self._number, payload)
+        self._now_ns += 1000 * sequence.period_us
+        heard += self._hear(self._firmware.advance(self._now_ns))
+        assert [each.kind for each in heard if each.kind in (Kind.ACK, Kind.NAK)] == [Kind.ACK]
+        (volts,) = (each.payload for each in heard if each.kind == Kind.VOLTAGES)
+        return decode_volts(volts)
+
+    def _say(self, kind, about=0, payload=b""):
+        packet = self._session.encode(kind, about, payload)
+        return self._hear(self._firmware.feed(packet, self._now_ns))
+
+    def _hear(self, answers):
+        heard = [self._session.take(each) for each in self._deframer.feed(answers)]
+        return [each for each in heard if each is not None]
 
 
 @pytest.fixture(scope="module")
@@ -34,28 +81,26 @@ def _run(tmp_path_factory, watch, kind, hold):
     table["output"]["kind"] = kind
     profile = type(profile).model_validate(table)
     limits = SafetyLimits.of(profile)
-    books = tmp_path_factory.mktemp("books")
-    event = f"1 drift {DRIFTING} 4 {SECONDS}"
-    with EmulatorBoard("", limits, profile.output, books, [event]) as board:
-        adaptation = None
-        if hold is not None:
-            adaptation = Adaptation(profile, hold, board.capabilities.compliance_v)
-        for step in range(int((SECONDS + 1) / PERIOD_S)):
-            part = min(1.0, step / 40)
-            sequence = one_each(
-                limits, round(1000 * LEVEL_MA * part), WIDTH_US, part * LEVEL_MA / limits.full_ma,
-                step * int(PERIOD_S * 1e9), cathodic=False, sites=[DRIFTING, STEADY],
-                period_us=int(PERIOD_S * 1e6),
-            )  # fmt: skip
-            if adaptation is not None:
-                for given, volts in board.take_volts():
-                    adaptation.observe(given, volts)
-                sequence = adaptation.apply(sequence)
-            board.send(sequence)
-        board.drain()
-        assert board.report().violations == 0
-    watch.judge_books(books, profile, period_us=int(PERIOD_S * 1e6))
-    slots = read_slots(books)
+    folder = tmp_path_factory.mktemp("books")
+    board = ToldLink(limits, kind, folder, [f"1 drift {DRIFTING} 4 {SECONDS}"])
+    adaptation = None if hold is None else Adaptation(profile, hold, COMPLIANCE_V)
+    measured = deque()
+    for step in range(int((SECONDS + 1) / PERIOD_S)):
+        part = min(1.0, step / 40)
+        sequence = one_each(
+            limits, round(1000 * LEVEL_MA * part), WIDTH_US, part * LEVEL_MA / limits.full_ma,
+            step * int(PERIOD_S * 1e9), cathodic=False, sites=[DRIFTING, STEADY],
+            period_us=int(PERIOD_S * 1e6),
+        )  # fmt: skip
+        if adaptation is not None:
+            if len(measured) > LATE:
+                adaptation.observe(*measured.popleft())
+            sequence = adaptation.apply(sequence)
+        measured.append((sequence, board.send(sequence)))
+    assert board.books.violations == 0
+    board.books.write()
+    watch.judge_books(folder, profile, period_us=int(PERIOD_S * 1e6))
+    slots = read_slots(folder)
     return slots[slots["number"] > slots["number"].min() + 42]
 
 
