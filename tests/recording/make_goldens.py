@@ -1,10 +1,11 @@
 """Makes the recordings that replay is tested with: ``python tests/recording/make_goldens.py``.
 
-Each is a run of the real loop over a printed page, into a board in memory, by a clock of its own.
+With names it makes these alone: ``make_goldens.py shared frame``. Each is a run of the real loop over a printed page, into a board in memory, by a clock of its own.
 Make them anew only where sequences are meant to change, and say so.
 """
 
 import json
+import sys
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from smarttouch.recording import recorder as recorder_module
 from smarttouch.recording.recorder import Recorder, about_run
 from smarttouch.regulator import Regulator
 from smarttouch.scan.adaptation import Adaptation
+from smarttouch.scan.frames import NO_SHARING, Sharing
 from smarttouch.scan.ledger import ChargeLedger
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.timing import ScanTiming
@@ -58,6 +60,7 @@ class Golden:
     wishes: tuple[tuple[float, Wish], ...] = ()
     lost_at: int | None = None
     asks: bool = False
+    sharing: Sharing = NO_SHARING
 
 
 GOLDENS = (
@@ -78,6 +81,16 @@ GOLDENS = (
     ),
     Golden("pc", "electric-mouse", Mode.PC, "up", 1.0, rate_hz=20),
     Golden("color", "electric-mouse", Mode.COLOR, "o", 0.9, asks=True),
+    # As --scan auto: kernels of RA are added up, those of SAI stand alone behind them.
+    Golden(
+        "shared", "electric-mouse", Mode.NATURAL, "t", 0.9, wishes=((0.7, Wish(Mode.RA)),),
+        sharing=Sharing((Primary.RA,), planned=False),
+    ),
+    # As --scan frame: each frame's currents are found anew, for both classes together.
+    Golden(
+        "frame", "electric-mouse", Mode.NATURAL, "h", 0.9, wishes=((0.7, Wish(Mode.SAI)),),
+        sharing=Sharing(tuple(Primary), planned=True),
+    ),
 )  # fmt: skip
 
 
@@ -167,11 +180,16 @@ def make(golden, path):
         "subject": "nobody",
         "note": "a golden of the tests",
     }
+    if golden.sharing != NO_SHARING:
+        settings["sharing"] = {
+            "primaries": [each.name for each in golden.sharing.primaries],
+            "planned": golden.sharing.planned,
+        }
     about = about_run(profile, settings, STARTED_UNIX_NS)
     about["versions"] = json.dumps({"smarttouch": __version__})
     pipeline = Pipeline(
         profile, load_bank(profile), golden.mode, golden.rate_hz, golden.light_on_dark,
-        golden.timing, golden.softness,
+        golden.timing, golden.softness, sharing=golden.sharing,
     )  # fmt: skip
     regulator = Regulator(
         Adaptation(profile, golden.hold, 100.0, golden.timing) if golden.hold else None,
@@ -192,11 +210,13 @@ def make(golden, path):
     recorder.close()
 
 
-def main():
+def main(names):
     # One chunk compresses better, and depends on no clock.
     recorder_module.FLUSH_S = 3600.0
     FOLDER.mkdir(exist_ok=True)
     for golden in GOLDENS:
+        if names and golden.name not in names:
+            continue
         path = FOLDER / f"{golden.name}.mcap"
         path.unlink(missing_ok=True)
         make(golden, path)
@@ -204,4 +224,4 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

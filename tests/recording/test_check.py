@@ -53,10 +53,23 @@ def test_goldens_hold_what_they_are_for(goldens):
     assert {each.step.level for each in steps["sai-levels"]} == {0.0, 0.4, 0.8, 1.0}
     restarts = [each.index for each in steps["natural"] if each.step.restarted]
     assert len(restarts) == 2
+    proved = {
+        name: [each.step.sequence.proof for each in steps[name] if each.step.sequence.proof]
+        for name in ("shared", "frame")
+    }
+    for proofs in proved.values():
+        assert max(int(each.points.max(initial=0)) for each in proofs) >= 4
+    # RA shares slots, and SAI follows with a slot for each point, of which nothing is proved.
+    assert any(each.shared and not each.points.all() for each in proved["shared"])
+    both = [each for each in steps["frame"] if each.step.mode is Mode.NATURAL]
+    assert max(each.step.sequence.points / max(1, each.step.sequence.slots) for each in both) >= 4
 
 
 def test_one_weight_changed_by_a_thousandth_is_told_with_its_place(goldens):
     for path in goldens:
+        if path.stem == "frame":
+            # Its currents are found from what is to be felt, not added up of kernels.
+            continue
         recorded, slot = strongest_slot(path)
         step = recorded.step
         site = int(step.sequence.site[slot])
@@ -90,6 +103,13 @@ def test_another_profile_is_told(goldens, changed):
     assert report.describe().endswith(f"and {report.different - KEPT:,} more")
     with pytest.raises(AssertionError, match="differences"):
         assert_replays(path, profile=profile)
+
+
+def test_another_bound_on_slots_that_are_shared_is_told(goldens, changed):
+    path = next(path for path in goldens if path.stem == "frame")
+    profile = changed(Recording(path).profile, {"frames.other": 0.1})
+    report = check_recording(path, profile=profile)
+    assert {each.what for each in report.differences} >= {"slots", "current"}
 
 
 def test_a_sequence_without_its_slots_is_one_difference(goldens, changed):

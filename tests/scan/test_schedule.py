@@ -12,6 +12,7 @@ from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.modes.bank import design_bank, load_bank
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile, profile_names
+from smarttouch.scan.frames import NO_SHARING, Sharing
 from smarttouch.scan.points import felt_at, spread_order
 from smarttouch.scan.safety import SafetyGate, SafetyLimits
 from smarttouch.scan.schedule import PointScan
@@ -157,3 +158,88 @@ def test_spread_order_is_a_permutation(count):
 def test_successive_points_are_apart(count):
     steps = np.abs(np.diff(spread_order(count)))
     assert steps.min() >= count // 4
+
+
+def natural_image(every=3):
+    """RA and SAI here and there, each point at a strength of its own, so that no slot is another's."""
+    rows = np.zeros((3, 64), np.float32)
+    rows[Primary.RA, ::every] = np.linspace(1, 0.3, len(rows[0, ::every]))
+    rows[Primary.SAI, 1::5] = np.linspace(0.2, 0.9, len(rows[1, 1::5]))
+    return TactileImage(rows, 10**9, 1.0)
+
+
+@pytest.mark.parametrize("carrier", ["height", "width"])
+def test_classes_that_are_due_together_follow_one_another(profile, bank, changed, carrier):
+    """Each slot is, column by column, what its class alone has in this place."""
+    profile = changed(profile, {"pulse.carrier": carrier})
+    both = (Primary.RA, Primary.SAI)
+    joined = PointScan(profile, bank, both).schedule(natural_image(), 0.7)
+    first, second = (
+        PointScan(profile, bank, (each,), 10.0).schedule(natural_image(), 0.7) for each in both
+    )
+    assert (first.slots, second.slots) == (22, 13)
+    for name in ("site", "current_ua", "width_us", "discharge_us"):
+        alone = [getattr(each, name) for each in (first, second)]
+        assert getattr(joined, name).tolist() == np.concatenate(alone).tolist(), name
+    assert len(set(joined.width_us.tolist())) > 30 or carrier == "height"
+    assert joined.proof is None
+    started(profile).prove_measurement(joined)
+
+
+@pytest.mark.parametrize(
+    ("sharing", "proved"),
+    [
+        (Sharing((Primary.RA,), planned=False), (True, False)),
+        (Sharing((Primary.SAI,), planned=True), (False, True)),
+        (Sharing((Primary.RA, Primary.SAI), planned=False), (True, True)),
+    ],
+)
+def test_proofs_stay_with_their_slots_where_classes_are_joined(profile, bank, sharing, proved):
+    both = (Primary.RA, Primary.SAI)
+    joined = PointScan(profile, bank, both, sharing=sharing).schedule(natural_image(), 0.7)
+    parts = [
+        PointScan(profile, bank, (each,), 10.0, sharing=sharing).schedule(natural_image(), 0.7)
+        for each in both
+    ]
+    assert [each.proof is not None for each in parts] == list(proved)
+    assert joined.slots == sum(each.slots for each in parts)
+    for name in ("site", "current_ua", "width_us"):
+        alone = [getattr(each, name) for each in parts]
+        assert getattr(joined, name).tolist() == np.concatenate(alone).tolist(), name
+    slot = 0
+    for part in parts:
+        mine = slice(slot, slot := slot + part.slots)
+        points, other, spill = (
+            getattr(joined.proof, name)[mine] for name in ("points", "worst_other", "worst_spill")
+        )
+        if part.proof is None:
+            assert not points.any()
+            assert np.isnan([other, spill]).all()
+            continue
+        assert points.tolist() == part.proof.points.tolist()
+        assert other.tolist() == part.proof.worst_other.tolist()
+        assert spill.tolist() == part.proof.worst_spill.tolist()
+        assert not np.array_equal(other, spill)
+    assert joined.points == 22 + 13
+
+
+def test_three_classes_are_joined_as_two_are(profile, bank):
+    rows = natural_image().activation.copy()
+    rows[Primary.PC, 2::11] = 0.5
+    image = TactileImage(rows, 10**9, 1.0)
+    for sharing in (NO_SHARING, Sharing(tuple(Primary), planned=True)):
+        scan = PointScan(profile, bank, tuple(Primary), sharing=sharing)
+        joined = scan.schedule(image, 0.7, period_us=200_000)
+        together = (Primary.RA, Primary.SAI)
+        groups = [together, (Primary.PC,)] if sharing.primaries else [(each,) for each in Primary]
+        parts = [
+            PointScan(profile, bank, group, sharing=sharing).schedule(
+                TactileImage(np.where(np.isin(range(3), group)[:, None], rows, 0), 10**9, 1.0),
+                0.7,
+                period_us=200_000,
+            )
+            for group in groups
+        ]
+        for name in ("site", "current_ua"):
+            alone = [getattr(each, name) for each in parts]
+            assert getattr(joined, name).tolist() == np.concatenate(alone).tolist(), name
