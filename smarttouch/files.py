@@ -1,5 +1,6 @@
 """Files that users name: opened without waiting, read up to a limit, parsed to a bounded depth."""
 
+import contextlib
 import errno
 import fcntl
 import json
@@ -169,6 +170,16 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
     except OSError as failure:
         reason = "nobody reads from it" if failure.errno == errno.ENXIO else failure.strerror
         raise error(f"cannot write {path}: {reason}") from None
+
+
+def sync_folder(folder: Path) -> None:
+    """Have the names of a folder's files on the disk, where its file system offers that."""
+    with contextlib.suppress(OSError):
+        number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)
 
 
 def _check(

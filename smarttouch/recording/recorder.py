@@ -1,6 +1,8 @@
 """A run kept in one MCAP file, written while it goes."""
 
 import json
+import math
+import os
 import platform
 import queue
 import threading
@@ -18,6 +20,7 @@ from mcap.writer import Writer
 
 from smarttouch import __version__
 from smarttouch.errors import RecordingError
+from smarttouch.files import sync_folder
 from smarttouch.live import Sent
 from smarttouch.profile import Profile
 from smarttouch.recording.encoder import Message, StepEncoder
@@ -25,6 +28,8 @@ from smarttouch.recording.schemas import FORMAT, METADATA, SCHEMAS, schema
 
 FLUSH_S = 0.04
 """Nothing waits longer than this for the system to have it: what a killed program loses."""
+SYNC_S = 1.0
+"""Nothing that the system has waits longer than this for the disk: what a power cut loses."""
 MOST_WAITING = 1000
 """Steps that may wait for a slow disk."""
 
@@ -36,6 +41,7 @@ class Recorder:
 
     What was handed over is with the system at most `FLUSH_S` and the time to
     write it later, and is then safe from the end of this program, whatever it is.
+    At most `SYNC_S` and as long as the disk takes later it is safe from a power cut.
 
     Parameters
     ----------
@@ -80,7 +86,8 @@ class Recorder:
         self._writer.start(profile=METADATA, library=f"smarttouch {__version__}")
         self._writer.add_metadata(METADATA, {"format": FORMAT, **about})
         self._channels = {topic: self._register(topic) for topic in SCHEMAS}
-        self._flush()
+        self._sync()
+        sync_folder(self._path.absolute().parent)
 
     def record(self, sent: Sent, acknowledged: int, refused: int) -> None:
         """Hand one step over; the writing is done elsewhere.
@@ -115,6 +122,7 @@ class Recorder:
             self._queue.put(None)
             self._thread.join()
         self._guarded(self._writer.finish)
+        self._guarded(self._to_disk)
         self._guarded(self._file.close)
         if self._failure is not None and not self._told:
             raise self._complaint()
@@ -143,25 +151,40 @@ class Recorder:
             self._fail(error)
 
     def _write_all(self) -> None:
-        """Write what comes, and flush before anything has waited too long."""
-        flush_at: float | None = None
+        """Write what comes; flush, and have it on the disk, before it has waited too long."""
+        flush_at = sync_at = math.inf
         while True:
+            due = min(flush_at, sync_at)
+            wait_s = None if math.isinf(due) else max(0.0, due - time.monotonic())
             try:
-                wait_s = None if flush_at is None else max(0.0, flush_at - time.monotonic())
                 item = self._queue.get(timeout=wait_s)
                 if item is None:
                     return
-                flush_at = flush_at or time.monotonic() + FLUSH_S
+                now = time.monotonic()
+                flush_at, sync_at = min(flush_at, now + FLUSH_S), min(sync_at, now + SYNC_S)
                 self._guarded(self._write, item)
             except queue.Empty:
                 pass
-            if flush_at is not None and time.monotonic() >= flush_at:
+            now = time.monotonic()
+            if now >= sync_at:
+                self._guarded(self._sync)
+                flush_at = sync_at = math.inf
+            elif now >= flush_at:
                 self._guarded(self._flush)
-                flush_at = None
+                flush_at = math.inf
 
     def _flush(self) -> None:
         self._writer.flush()
         self._file.flush()
+
+    def _sync(self) -> None:
+        self._flush()
+        self._to_disk()
+
+    def _to_disk(self) -> None:
+        """Wait until the disk has what the system was given."""
+        self._file.flush()
+        os.fsync(self._file.fileno())
 
     def _write(self, item: _Item) -> None:
         if len(item) == 2:

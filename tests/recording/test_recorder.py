@@ -2,7 +2,10 @@
 
 import contextlib
 import io
+import itertools
 import json
+import os
+import queue
 import threading
 import time
 
@@ -149,3 +152,116 @@ def test_about_says_with_what_it_was_made(profile):
         "smarttouch", "python", "numpy", "opencv", "scipy", "mcap", "platform",
     }  # fmt: skip
     assert type(profile).model_validate_json(about["profile"]) == profile
+
+
+class ToldQueue:
+    """A queue and a clock: what is handed over comes at its time, and waiting takes none.
+
+    Parameters
+    ----------
+    handed : list of (float, tuple)
+        When each comes, s, and what it is.
+    """
+
+    def __init__(self, handed):
+        self.now_s, self._handed = 0.0, list(handed)
+        self._given = threading.Event()
+
+    def monotonic(self):
+        return self.now_s
+
+    def qsize(self):
+        return 0
+
+    def put(self, item):
+        self._given.set()
+
+    def get(self, timeout=None):
+        if not self._handed:
+            # Only the end is left, whenever it comes.
+            self._given.wait()
+            return None
+        until_s = float("inf") if timeout is None else self.now_s + timeout
+        if self._handed[0][0] > until_s:
+            self.now_s = until_s
+            raise queue.Empty
+        due_s, item = self._handed.pop(0)
+        self.now_s = max(self.now_s, due_s)
+        return item
+
+
+def recorded_by_told_clock(monkeypatch, path, about, handed, takes_s=0.0):
+    """Record what comes at its times; return when the disk had how much, from the first on."""
+    told, synced, fsync = ToldQueue(handed), [], os.fsync
+
+    def waited_for(number):
+        fsync(number)
+        if os.path.samestat(os.fstat(number), path.stat()):
+            told.now_s += takes_s
+            synced.append((told.now_s, os.fstat(number).st_size))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module.queue, "SimpleQueue", lambda: told)
+        patch.setattr(module.time, "monotonic", told.monotonic)
+        patch.setattr(module.os, "fsync", waited_for)
+        Recorder(path, about, STARTED_NS).close()
+    return synced
+
+
+def test_nothing_waits_for_the_disk_longer_than_a_second(monkeypatch, tmp_path, about, steps):
+    """Twenty steps a second, then a pause, a single one, and the end an hour later."""
+    at_s = [0.05 * index for index in range(60)] + [10.0, 3600.0]
+    handed = [
+        (due_s, (sent, 0, 0)) for due_s, sent in zip(at_s, itertools.cycle(steps), strict=False)
+    ]
+    path = tmp_path / "run.mcap"
+    first, *synced = recorded_by_told_clock(monkeypatch, path, about, handed)
+    assert first[0] == 0.0, "the settings, before anything is recorded"
+    times = [time_s for time_s, _ in synced]
+    assert times[:3] == pytest.approx([1.0, 2.05, 3.1], abs=0.051)
+    assert times[3] == pytest.approx(11.0)
+    # What comes last is on the disk when the recording is closed.
+    assert len(times) == 5
+    assert synced[-1][1] == path.stat().st_size
+    for number, due_s in enumerate(at_s[:-1]):
+        after = next(time_s for time_s in times if time_s >= due_s)
+        assert after - due_s <= module.SYNC_S + 1e-6, number
+
+
+def test_a_slow_disk_is_waited_for_once_a_second_at_most(monkeypatch, tmp_path, about, steps):
+    handed = [(0.05 * index, (steps[index % 40], 0, 0)) for index in range(100)]
+    synced = recorded_by_told_clock(monkeypatch, tmp_path / "run.mcap", about, handed, takes_s=0.4)
+    times = [time_s for time_s, _ in synced]
+    assert all(after - before >= 1.3 for before, after in itertools.pairwise(times[1:-1]))
+    assert len(times) in (5, 6)
+
+
+def test_what_the_disk_had_is_readable_after_a_power_cut(monkeypatch, tmp_path, about, steps):
+    """The file cut where it ended when the disk was last waited for: nothing before is lost."""
+    handed = [(0.07 * index, (sent, 0, 0)) for index, sent in enumerate(steps)]
+    handed += [(3.0, (5_000_000, "paused"))]
+    path = tmp_path / "run.mcap"
+    synced = recorded_by_told_clock(monkeypatch, path, about, handed)
+    whole, found = path.read_bytes(), []
+    for number, (time_s, size) in enumerate(synced[:-1]):
+        cut = tmp_path / f"cut{number}.mcap"
+        cut.write_bytes(whole[:size])
+        kept = list(Recording(cut).steps()) if number else []
+        due = [index for index in range(len(steps)) if 0.07 * index <= time_s - 1e-9]
+        assert [each.index for each in kept] == due[: len(kept)]
+        assert len(due) - len(kept) <= 1
+        assert Recording(cut).about.items() >= about.items()
+        assert not Recording(cut).whole
+        found.append(len(kept))
+    assert found[0] == 0
+    assert found == sorted(set(found))
+    assert len(found) == 3
+
+
+def test_a_disk_that_does_not_take_it_ends_the_run(recorder, steps, monkeypatch):
+    monkeypatch.setattr(module.os, "fsync", full)
+    monkeypatch.setattr(module, "SYNC_S", 0.0)
+    recorder.record(steps[0], 0, 0)
+    until(lambda: recorder._failure is not None)
+    with pytest.raises(RecordingError, match="cut short"):
+        recorder.record(steps[1], 0, 0)
