@@ -172,6 +172,47 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
         raise error(f"cannot write {path}: {reason}") from None
 
 
+def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None) -> BinaryIO:
+    """Open a file for reading and writing, made if missing, for this program alone.
+
+    Another program that asks for the same is refused until this one closes the file or ends,
+    however it ends. File systems without locks let both in.
+
+    Parameters
+    ----------
+    path : Path
+    error : type of SmartTouchError
+        What to raise.
+    of : Path, optional
+        The file to name where this one only stands for it.
+
+    Raises
+    ------
+    SmartTouchError
+        Of the type given: another program has it, or it cannot be written.
+    """
+    flags = os.O_RDWR | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY
+    while True:
+        try:
+            file = os.fdopen(os.open(path, flags, 0o666), "r+b")
+        except OSError as failure:
+            raise error(f"cannot write {of or path}: {failure.strerror}") from None
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            raise error(
+                f"{of or path} is in use by another run: wait until that has ended, or give "
+                "another file"
+            ) from None
+        except OSError:
+            return file
+        # Whoever had it may have removed it just now: that lock keeps nobody out.
+        if path.exists() and os.path.samestat(path.stat(), os.fstat(file.fileno())):
+            return file
+        file.close()
+
+
 def sync_folder(folder: Path) -> None:
     """Have the names of a folder's files on the disk, where its file system offers that."""
     with contextlib.suppress(OSError):

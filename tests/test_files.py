@@ -2,12 +2,16 @@
 
 import os
 import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from smarttouch import files as module
 from smarttouch.errors import PageError, ProfileError
 from smarttouch.files import (
+    open_alone,
     open_file,
     parse_json,
     parse_toml,
@@ -152,3 +156,93 @@ def test_a_device_is_not_replaced_by_a_file(tmp_path, pipe):
     for path in (pipe, tmp_path, Path("/dev/null")):
         with pytest.raises(PageError):
             require_replaceable(path, PageError)
+
+
+HOLDER = """
+import sys
+from pathlib import Path
+from smarttouch.errors import ProfileError
+from smarttouch.files import open_alone
+
+try:
+    file = open_alone(Path(sys.argv[1]), ProfileError)
+except ProfileError as error:
+    sys.exit(str(error))
+print("has it", flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def hold(tmp_path):
+    """Return a starter of processes that open a file alone, until their input ends."""
+    started = []
+
+    def start(path):
+        process = subprocess.Popen(
+            [sys.executable, "-c", HOLDER, path],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        started.append(process)
+        return process, process.stdout.readline().strip()
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_a_file_is_one_program_s_alone_until_it_ends(tmp_path, hold, killed):
+    path = tmp_path / "a.csv"
+    path.write_bytes(b"precious")
+    first, said = hold(path)
+    assert said == "has it"
+    second, said = hold(path)
+    assert said == ""
+    assert second.wait() == 1
+    assert str(path) in second.stderr.read()
+    with pytest.raises(PageError, match=r"b\.json is in use"):
+        open_alone(path, PageError, tmp_path / "b.json")
+    if killed:
+        first.kill()
+        first.wait()
+    else:
+        first.communicate()
+    with open_alone(path, PageError) as file:
+        assert file.read() == b"precious"
+        assert not os.get_inheritable(file.fileno())
+
+
+def test_a_lock_on_a_file_that_was_removed_keeps_nobody_out(tmp_path, hold, monkeypatch):
+    """Removed by its holder between opening and locking: the next one has the new file."""
+    path, flock = tmp_path / "lock", module.fcntl.flock
+    path.write_bytes(b"old")
+    removed = []
+
+    def late(file, how):
+        if not removed:
+            removed.append(path.unlink())
+        flock(file, how)
+
+    monkeypatch.setattr(module.fcntl, "flock", late)
+    with open_alone(path, PageError) as file:
+        assert removed
+        assert file.read() == b""
+        assert os.path.samestat(os.fstat(file.fileno()), path.stat())
+        assert hold(path)[1] == ""
+
+
+def test_what_cannot_be_opened_alone(tmp_path):
+    for path in (tmp_path / "none" / "a", tmp_path):
+        with pytest.raises(PageError, match="cannot write"):
+            open_alone(path, PageError)
+
+
+def test_a_file_system_without_locks_lets_everybody_in(tmp_path, monkeypatch):
+    def without(*_):
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr(module.fcntl, "flock", without)
+    with open_alone(tmp_path / "a", PageError), open_alone(tmp_path / "a", PageError) as second:
+        assert second.writable()

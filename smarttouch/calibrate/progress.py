@@ -6,15 +6,18 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 from smarttouch.calibrate.limits import Thresholds
 from smarttouch.errors import CalibrationError
-from smarttouch.files import parse_json, read_bytes
+from smarttouch.files import open_alone, parse_json, read_bytes, sync_folder
 
 
 class Progress:
     """What has been found so far, in a file beside the profile to come.
+
+    Until it is closed no other session can go on with the same file.
 
     Parameters
     ----------
@@ -31,7 +34,8 @@ class Progress:
     Raises
     ------
     CalibrationError
-        If the file is no such thing, or from a session with other settings.
+        If the file is no such thing, from a session with other settings, or another session
+        goes on with it now.
     """
 
     def __init__(self, path: Path, settings: Mapping[str, Any]) -> None:
@@ -39,8 +43,32 @@ class Progress:
         # As JSON gives it back: a tuple becomes a list.
         self._settings = json.loads(json.dumps(settings))
         self.found: dict[int, Thresholds] = {}
-        if path.exists():
-            self.found = self._read()
+        # The file itself is another one after each electrode: one beside it keeps others out.
+        self._lock_path = path.with_name(f".{path.name}-lock")
+        self._lock = open_alone(self._lock_path, CalibrationError, path)
+        try:
+            if path.exists():
+                self.found = self._read()
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Let others go on with the file."""
+        if not self._lock.closed:
+            self._lock_path.unlink(missing_ok=True)
+            self._lock.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
 
     def keep(self, site: int, found: Thresholds) -> None:
         """Add one electrode, and write."""
@@ -54,6 +82,7 @@ class Progress:
                 file.flush()
                 os.fsync(file.fileno())
             draft.replace(self.path)
+            sync_folder(self.path.absolute().parent)
         except OSError as error:
             raise CalibrationError(
                 f"cannot keep what was measured in {self.path}: {error.strerror}"

@@ -220,6 +220,8 @@ def thresholds(
         )
     if not simulate and not sys.stdin.isatty():
         raise CalibrationError("there is no keyboard to answer on: use a terminal, or --simulate")
+    stop = StopRequest()
+    display = make_board(board, measuring_limits(chosen), chosen.output)
     progress = Progress(
         file.beside("thresholds.json"),
         {
@@ -229,10 +231,8 @@ def thresholds(
             "simulate": simulate,
         },
     )  # fmt: skip
-    stop = StopRequest()
-    display = make_board(board, measuring_limits(chosen), chosen.output)
     try:
-        with announced(), stop_on_signals(stop), display:
+        with progress, announced(), stop_on_signals(stop), display:
             feel_all(display, chosen, sites, progress, stop, adaptive, repeats, seed, simulate)
     except StoppedError:
         left = len(set(sites) - set(progress.found))

@@ -11,7 +11,7 @@ from types import NoneType, TracebackType
 from typing import Any, Self, get_args
 
 from smarttouch.errors import ExperimentError
-from smarttouch.files import MOST_TABLE_BYTES, read_bytes, require_file
+from smarttouch.files import MOST_TABLE_BYTES, open_alone, read_bytes, require_file
 
 _BOM = "\N{ZERO WIDTH NO-BREAK SPACE}".encode()
 """By which spreadsheets know UTF-8."""
@@ -117,7 +117,7 @@ class RowFile:
     """A file that rows are added to, each on disk before `append` returns.
 
     A file that is there already goes on; a line that was cut off when a program was killed is
-    dropped from it first.
+    dropped from it first. As long as it is open no other run can write to it.
 
     Parameters
     ----------
@@ -136,28 +136,35 @@ class RowFile:
     Raises
     ------
     ExperimentError
-        If it cannot be opened, is no such file, or is about something else.
+        If it cannot be opened, another run has it open, it is no such file, or it is about
+        something else.
     """
 
     def __init__(self, path: Path, about: About, overwrite: bool = False) -> None:
         self.path, self.about = path, about
         if path.suffix.lower() != ".csv":
             raise ExperimentError(f"answers go into a .csv file, not {path}: give such a name")
-        data = b""
         if path.exists():
             require_file(path, ExperimentError, MOST_TABLE_BYTES)
-            data = b"" if overwrite else read_bytes(path, ExperimentError)
+        self._file = open_alone(path, ExperimentError)
+        try:
+            self._begin(b"" if overwrite else read_bytes(path, ExperimentError))
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _begin(self, data: bytes) -> None:
+        """Take in the lines that are there, and drop one that was cut off."""
         whole = data[: data.rfind(b"\n") + 1]
-        self.rows = _parse(whole, path) if whole else []
+        self.rows = _parse(whole, self.path) if whole else []
         self._require_same(self.rows[:1] + self.rows[-1:])
         try:
-            self._file = path.open("r+b" if whole else "wb")
             self._file.truncate(len(whole))
             self._file.seek(len(whole))
             if not whole:
                 self._write(_BOM + _line(COLUMNS.values()))
         except OSError as error:
-            raise ExperimentError(f"cannot write {path}: {error.strerror}") from None
+            raise ExperimentError(f"cannot write {self.path}: {error.strerror}") from None
 
     def append(self, row: TrialRow) -> None:
         """Add one trial.

@@ -1,6 +1,8 @@
 """A session drives a board within its limits, keeps what is done, and stops at once."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -29,6 +31,22 @@ def board(profile):
         yield opened
 
 
+@pytest.fixture
+def begun():
+    """Return a beginner of sessions' progress, one after another: the one before has ended."""
+    open_ones = []
+
+    def begin(path, settings):
+        for each in open_ones:
+            each.close()
+        open_ones.append(Progress(path, settings))
+        return open_ones[-1]
+
+    yield begin
+    for each in open_ones:
+        each.close()
+
+
 def subjects(profile, **options):
     count = len(profile.electrodes)
     return Simulated([SimulatedSubject(1.1, 1.9, seed=i, **options) for i in range(count)])
@@ -44,9 +62,9 @@ def run(board, profile, subject, sites, progress, **options):
 
 @pytest.mark.parametrize("adaptive", [False, True])
 def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(
-    profile, board, tmp_path, adaptive
+    profile, board, tmp_path, begun, adaptive
 ):
-    progress = Progress(tmp_path / "p.json", {})
+    progress = begun(tmp_path / "p.json", {})
     run(board, profile, subjects(profile), [3, 9], progress, adaptive=adaptive)
     last_ma, last_ns, sites = 0.0, 0, set()
     for sequence in board.sequences:
@@ -64,8 +82,8 @@ def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(
         assert progress.found[site].comfort_ma == pytest.approx(1.9, rel=0.2)
 
 
-def test_runs_begin_at_zero_however_long_the_pause(profile, board, tmp_path):
-    run(board, profile, subjects(profile), [0], Progress(tmp_path / "p.json", {}))
+def test_runs_begin_at_zero_however_long_the_pause(profile, board, tmp_path, begun):
+    run(board, profile, subjects(profile), [0], begun(tmp_path / "p.json", {}))
     levels = np.array([float(each.source_ua.max(initial=0)) for each in board.sequences])
     starts = levels[1:][(levels[:-1] == 0) & (levels[1:] > 0)]
     assert len(starts) >= 3
@@ -73,14 +91,14 @@ def test_runs_begin_at_zero_however_long_the_pause(profile, board, tmp_path):
 
 
 @pytest.mark.parametrize("name", profile_names())
-def test_the_ceiling_of_every_profile_is_one_that_its_board_sends(name, tmp_path):
+def test_the_ceiling_of_every_profile_is_one_that_its_board_sends(name, tmp_path, begun):
     """Nothing is ever felt: the current goes up to the ceiling, and every proof holds."""
     profile = load_profile(name)
     limits = measuring_limits(profile)
     silent = Simulated([SimulatedSubject(1e3, 1e4, guess=0)] * len(profile.electrodes))
     with MemoryBoard("", limits, profile.output) as board:
         site = len(profile.electrodes) - 1
-        progress = Progress(tmp_path / "p.json", {})
+        progress = begun(tmp_path / "p.json", {})
         run(board, profile, silent, [site], progress, fast=True)
         strongest_ma = max(float(each.source_ua.max(initial=0)) for each in board.sequences) / 1000
         assert strongest_ma == pytest.approx(ceiling_ma(profile, site, board), rel=0.2)
@@ -91,18 +109,18 @@ def test_the_ceiling_of_every_profile_is_one_that_its_board_sends(name, tmp_path
     assert limits.full_ma / limits.ramp_s == pytest.approx(usual.full_ma / usual.ramp_s)
 
 
-def test_single_electrodes_keep_their_own_limit(profile, changed, tmp_path):
+def test_single_electrodes_keep_their_own_limit(profile, changed, tmp_path, begun):
     own = [2.45] * 64
     own[5] = 2.4
     limited = changed(profile, {"limits.electrode_ma": own})
     with MemoryBoard("", measuring_limits(limited), limited.output) as board:
         silent = Simulated([SimulatedSubject(1e3, 1e4, guess=0)] * 64)
-        run(board, limited, silent, [5], Progress(tmp_path / "p.json", {}))
+        run(board, limited, silent, [5], begun(tmp_path / "p.json", {}))
         assert max(float(each.source_ua.max(initial=0)) for each in board.sequences) == 2400
 
 
-def test_an_interrupted_session_goes_on_where_it_was(profile, board, tmp_path):
-    first = Progress(tmp_path / "p.json", {"repeats": 3})
+def test_an_interrupted_session_goes_on_where_it_was(profile, board, tmp_path, begun):
+    first = begun(tmp_path / "p.json", {"repeats": 3})
 
     def stop_after(count):
         return lambda: len(first.found) >= count
@@ -110,7 +128,7 @@ def test_an_interrupted_session_goes_on_where_it_was(profile, board, tmp_path):
     with pytest.raises(StoppedError):
         run(board, profile, subjects(profile), range(5), first, must_stop=stop_after(2))
     assert list(first.found) == [0, 1]
-    again = Progress(tmp_path / "p.json", {"repeats": 3})
+    again = begun(tmp_path / "p.json", {"repeats": 3})
     assert again.found == first.found
     with MemoryBoard("", measuring_limits(profile), profile.output) as second:
         shown = run(second, profile, subjects(profile), range(5), again)
@@ -118,7 +136,7 @@ def test_an_interrupted_session_goes_on_where_it_was(profile, board, tmp_path):
         assert {int(s) for each in second.sequences for s in each.site} == {2, 3, 4}
 
 
-def test_a_stop_comes_at_once_and_nothing_is_sent_after(profile, board, tmp_path):
+def test_a_stop_comes_at_once_and_nothing_is_sent_after(profile, board, tmp_path, begun):
     stopped = []
 
     def must_stop():
@@ -128,7 +146,7 @@ def test_a_stop_comes_at_once_and_nothing_is_sent_after(profile, board, tmp_path
 
     with pytest.raises(StoppedError):
         run(
-            board, profile, subjects(profile), [0], Progress(tmp_path / "p.json", {}),
+            board, profile, subjects(profile), [0], begun(tmp_path / "p.json", {}),
             must_stop=must_stop,
         )  # fmt: skip
     assert len(board.sequences) == stopped[0]
@@ -151,8 +169,8 @@ class Losing(MemoryBoard):
 
 
 @pytest.mark.parametrize("adaptive", [False, True])
-def test_a_board_that_was_lost_begins_again_at_zero(profile, tmp_path, adaptive):
-    progress = Progress(tmp_path / "p.json", {})
+def test_a_board_that_was_lost_begins_again_at_zero(profile, tmp_path, begun, adaptive):
+    progress = begun(tmp_path / "p.json", {})
     with Losing("", measuring_limits(profile), profile.output) as board:
         # In the first run, in the second, and in the trials.
         board.at = [90, 260, 1000] if adaptive else [90, 260]
@@ -163,11 +181,11 @@ def test_a_board_that_was_lost_begins_again_at_zero(profile, tmp_path, adaptive)
     assert progress.found[0].threshold_ma == pytest.approx(1.1, rel=0.2)
 
 
-def test_a_board_that_is_lost_all_the_time(profile, tmp_path):
+def test_a_board_that_is_lost_all_the_time(profile, tmp_path, begun):
     with Losing("", measuring_limits(profile), profile.output) as board:
         board.at = range(50, 90)
         with pytest.raises(BoardRestartedError):
-            run(board, profile, subjects(profile), [0], Progress(tmp_path / "p.json", {}))
+            run(board, profile, subjects(profile), [0], begun(tmp_path / "p.json", {}))
 
 
 def test_a_person_presses_keys():
@@ -238,18 +256,44 @@ def test_masked_electrodes_are_left_out(profile, changed):
         parse_electrodes("2-4", masked)
 
 
-def test_progress_is_read_back_and_its_settings_count(tmp_path):
+def test_progress_is_read_back_and_its_settings_count(tmp_path, begun):
     path = tmp_path / "p.json"
-    kept = Progress(path, {"repeats": 3, "board": "emulator:"})
+    kept = begun(path, {"repeats": 3, "board": "emulator:"})
     kept.keep(4, found())
     kept.keep(1, found(np.nan, np.nan))
-    again = Progress(path, {"repeats": 3, "board": "emulator:"})
+    again = begun(path, {"repeats": 3, "board": "emulator:"})
     assert again.found[4] == kept.found[4]
     assert not again.found[1].felt
     with pytest.raises(CalibrationError, match="begun with another repeats"):
-        Progress(path, {"repeats": 5, "board": "emulator:"})
+        begun(path, {"repeats": 5, "board": "emulator:"})
     again.forget()
-    assert Progress(path, {}).found == {}
+    assert begun(path, {}).found == {}
+
+
+def test_two_programs_do_not_go_on_with_one_session(tmp_path):
+    path = tmp_path / "p.json"
+    code = (
+        "import sys; from pathlib import Path; from smarttouch.calibrate.progress import Progress\n"
+        "with Progress(Path(sys.argv[1]), {}): print('has it', flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout.readline() == "has it\n"
+        with pytest.raises(CalibrationError, match=r"p\.json is in use"):
+            Progress(path, {})
+        other.communicate()
+    assert other.returncode == 0
+    with Progress(path, {}) as mine:
+        mine.keep(4, found())
+        # The file is another one now, and still taken.
+        with pytest.raises(CalibrationError, match="in use"):
+            Progress(path, {})
+    assert [each.name for each in tmp_path.iterdir()] == ["p.json"]
+    with Progress(path, {}) as again:
+        assert list(again.found) == [4]
+        again.forget()
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
@@ -262,11 +306,11 @@ def test_progress_is_read_back_and_its_settings_count(tmp_path):
             "threshold_ma": 3, "comfort_ma": 2, "spread": 0, "runs": 1, "false_presses": 0}}}),
     ],
 )  # fmt: skip
-def test_progress_that_is_none(tmp_path, content):
+def test_progress_that_is_none(tmp_path, begun, content):
     path = tmp_path / "p.json"
     path.write_bytes(content.encode("utf-8", "surrogatepass"))
     with pytest.raises(CalibrationError, match="not the beginning"):
-        Progress(path, {})
+        begun(path, {})
 
 
 def test_simulated_subjects_stay_below_the_ceiling(profile):

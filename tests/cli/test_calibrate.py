@@ -11,6 +11,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from smarttouch.boards.emulator.books import read_state
+from smarttouch.calibrate.progress import Progress
 from smarttouch.calibrate.simulated import SimulatedPatch
 from smarttouch.calibrate.target import target_for
 from smarttouch.calibrate.view import View
@@ -182,6 +183,13 @@ def test_thresholds_of_a_simulated_subject(run, tmp_path):
     assert {threshold[each] for each in set(range(64)) - set(measured)} == {1.2}
     assert {comfort[each] for each in set(range(64)) - set(measured)} == {2.4}
     assert not (tmp_path / "mine.thresholds.json").exists()
+
+
+def test_a_second_session_for_the_same_profile_is_refused(run, tmp_path):
+    alone = ("--simulate", "--board", "memory:", "--electrodes", "0", "--output", "mine.toml")
+    with Progress(tmp_path / "mine.thresholds.json", {}):
+        refused(run("thresholds", *alone), "mine.thresholds.json", CalibrationError)
+    assert not list(tmp_path.glob("*mine*"))
 
 
 def test_thresholds_with_trials_on_another_board(run, tmp_path):

@@ -13,7 +13,9 @@ from rich.console import Console
 
 from smarttouch.cli.blind_screen import BlindScreen
 from smarttouch.controls import Controls, Wish
+from smarttouch.errors import ExperimentError
 from smarttouch.experiments.rows import read_rows
+from smarttouch.files import open_alone
 from smarttouch.primary import Mode
 from smarttouch.recording.reader import Recording
 from smarttouch.tally import Tally
@@ -69,6 +71,18 @@ def test_a_killed_session_goes_on_and_has_each_trial_once(start_program, program
     assert f"goes on at trial {left + 1} of 60" in rest.stdout
     program_here(*many, "--output", whole)
     assert shown(killed) == shown(whole)
+
+
+def test_a_second_run_on_the_same_answers_is_refused(program, tmp_path):
+    path = tmp_path / "answers.csv"
+    with open_alone(path, ExperimentError):
+        for more in ((), ("--overwrite",)):
+            second = program(*SIMULATED, "--repetitions", "1", "--output", path, *more)
+            assert second.returncode == 2
+            assert second.stdout == ""
+            assert str(path) in second.stderr
+            assert second.stderr.count("\n") == 1
+    assert path.read_bytes() == b""
 
 
 def test_recordings_of_a_session_are_numbered(program_here, tmp_path):

@@ -2,6 +2,8 @@
 
 import dataclasses
 import os
+import subprocess
+import sys
 
 import pytest
 from hypothesis import given, settings
@@ -153,3 +155,74 @@ def test_what_no_cell_can_hold(tmp_path, change):
     with RowFile(path, ABOUT) as file, pytest.raises(ExperimentError):
         file.append(dataclasses.replace(ROW, **change))
     assert read_rows(path) == [ROW]
+
+
+WRITER = """
+import dataclasses, sys
+from pathlib import Path
+from smarttouch.errors import ExperimentError
+from smarttouch.experiments.rows import About, RowFile, TrialRow
+
+path, about, row, overwrite = (eval(each) for each in sys.argv[1:])
+try:
+    with RowFile(Path(path), About(*about), overwrite) as file:
+        print(len(file.rows), flush=True)
+        for line in sys.stdin:
+            file.append(dataclasses.replace(TrialRow(*row), number=int(line)))
+            print("kept", flush=True)
+except ExperimentError as error:
+    print(error, flush=True)
+    sys.exit(2)
+"""
+
+
+@pytest.fixture
+def start_writer():
+    """Return a starter of processes that add a row for each number they read."""
+    started = []
+
+    def start(path, overwrite=False):
+        told = [str(path), dataclasses.astuple(ABOUT), dataclasses.astuple(ROW), overwrite]
+        process = subprocess.Popen(
+            [sys.executable, "-c", WRITER, *map(repr, told)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        started.append(process)
+        return process, process.stdout.readline().strip()
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def test_two_programs_do_not_write_one_file(tmp_path, start_writer):
+    path = written(tmp_path / "a.csv", [ROW])
+    first, count = start_writer(path)
+    assert count == "1"
+    for number in (1, 2):
+        print(number, file=first.stdin, flush=True)
+        assert first.stdout.readline() == "kept\n"
+        # Neither going on nor beginning anew touches what the first one writes.
+        for overwrite in (False, True):
+            second, said = start_writer(path, overwrite)
+            assert second.wait() == 2
+            assert str(path) in said
+    with pytest.raises(ExperimentError):
+        RowFile(path, ABOUT, overwrite=True)
+    assert [row.number for row in read_rows(path)] == [3, 1, 2]
+    first.kill()
+    first.wait()
+    third, count = start_writer(path)
+    assert count == "3"
+    print(4, file=third.stdin, flush=True)
+    third.communicate()
+    assert [row.number for row in read_rows(path)] == [3, 1, 2, 4]
+
+
+def test_who_is_refused_leaves_the_file_free(tmp_path):
+    path = written(tmp_path / "a.csv", [ROW])
+    with pytest.raises(ExperimentError):
+        RowFile(path, dataclasses.replace(ABOUT, seed=8))
+    with RowFile(path, ABOUT) as file:
+        assert file.rows == [ROW]

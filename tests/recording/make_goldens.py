@@ -1,6 +1,8 @@
 """Makes the recordings that replay is tested with: ``python tests/recording/make_goldens.py``.
 
-With names it makes these alone: ``make_goldens.py shared frame``. Each is a run of the real loop over a printed page, into a board in memory, by a clock of its own.
+With names it makes these alone: ``make_goldens.py shared frame``.
+
+Each is a run of the real loop over a printed page, into a board in memory, by a clock of its own.
 Make them anew only where sequences are meant to change, and say so.
 """
 

@@ -161,7 +161,7 @@ def test_successive_points_are_apart(count):
 
 
 def natural_image(every=3):
-    """RA and SAI here and there, each point at a strength of its own, so that no slot is another's."""
+    """RA and SAI here and there, each point as strong as no other: no slot is another's."""
     rows = np.zeros((3, 64), np.float32)
     rows[Primary.RA, ::every] = np.linspace(1, 0.3, len(rows[0, ::every]))
     rows[Primary.SAI, 1::5] = np.linspace(0.2, 0.9, len(rows[1, 1::5]))
