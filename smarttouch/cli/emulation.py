@@ -1,5 +1,6 @@
 """Emulators played from the command line, until Ctrl-C."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -26,8 +27,8 @@ def play_emulator(
     error : type
         What to raise if it does not start.
     """
-    command = [sys.executable, "-m", module, "--linger=inf", *arguments]
-    # A session of its own: Ctrl-C ends it through us, in order.
+    command = [sys.executable, "-m", module, "--linger=inf", f"--parent={os.getpid()}", *arguments]
+    # A session of its own: Ctrl-C ends it through us, in order; if we are killed it ends itself.
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as process:

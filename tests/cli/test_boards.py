@@ -266,6 +266,18 @@ def test_an_emulator_is_played_until_it_is_ended(program, start_program, tmp_pat
     assert (state["state"], state["reason"]) == ("shorted", "signal")
 
 
+def test_a_player_that_is_killed_leaves_no_board_behind(start_program, tmp_path):
+    playing = start_program("board", "emulate", "link", "--books", str(tmp_path))
+    assert playing.stdout.readline()
+    playing.kill()
+    playing.wait()
+    # What it is told by goes last of all.
+    until = time.monotonic() + 60
+    while state_of(tmp_path)["reason"] != "parent gone":
+        assert time.monotonic() < until, "the board lives on"
+        time.sleep(0.01)
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

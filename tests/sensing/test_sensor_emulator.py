@@ -364,3 +364,30 @@ def test_a_cell_with_all_faults_and_orders(start, profile, changed):
         process.send_signal(signal.SIGTERM)
         assert process.wait(10) == 0
     assert json.loads(process.stdout.read())["sent"] > 0
+
+
+PARENT = """
+import os, subprocess, sys
+process = subprocess.Popen(
+    [sys.executable, *sys.argv[1:], f"--parent={os.getpid()}"], start_new_session=True
+)
+process.wait()
+"""
+
+
+def test_it_ends_with_a_parent_that_is_killed(tmp_path):
+    """Its end of a pipe that it has inherited closes: there is no trace of it left."""
+    books = tmp_path / "books.json"
+    command = ["-m", "smarttouch.sensing.emulator", "hx711", "--linger=inf", f"--books={books}"]
+    parent = subprocess.Popen(
+        [sys.executable, "-c", PARENT, *command], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert parent.stdout.readline().startswith("/dev/")
+        parent.kill()
+        parent.wait()
+        assert parent.stdout.read() == ""
+        assert json.loads(books.read_text()) == {"sent": 0, "dropped": 0, "garbage": 0}
+    finally:
+        parent.kill()
+        parent.communicate()

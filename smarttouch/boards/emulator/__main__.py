@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     firmware.books.write()
     # The circuit is small: a second thread would only take the host's processor.
     with threadpool_limits(1):
-        serve.serve(firmware, line, options.linger)
+        serve.serve(firmware, line, options.linger, options.parent)
 
 
 def _make(options: argparse.Namespace) -> serve.Firmware:
@@ -89,6 +89,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--linger", type=float, default=2.0, help="seconds to live on without a host, or inf"
     )
+    parser.add_argument("--parent", type=int, help="process that it is not to outlive")
     parser.add_argument("--tcp", action="store_true", help="serve a TCP port, not a serial one")
     parser.add_argument("--discovery-port", type=int, help="UDP port to answer ETK? on")
     parser.add_argument(

@@ -1,6 +1,7 @@
 """Keeps an emulated board on a line: as long as there is a host, and a while longer."""
 
 import math
+import os
 import select
 import signal
 import socket
@@ -114,8 +115,10 @@ class TcpLine:
             self._discovery.sendto(answer.encode(), sender)
 
 
-def serve(firmware: Firmware, line: Line, linger_s: float = 2.0) -> None:
+def serve(firmware: Firmware, line: Line, linger_s: float = 2.0, parent: int | None = None) -> None:
     """Print a line's name and run a board on it until SIGTERM, or so long without a host.
+
+    With the process id of its ``parent`` it ends too when that has, even where it was killed.
 
     Ctrl-C belongs to the host, which ends with a stop and a closed port; it ends the
     board only if that would go on for ever by itself.
@@ -134,6 +137,9 @@ def serve(firmware: Firmware, line: Line, linger_s: float = 2.0) -> None:
     had_host = False
     written_ns, pending = 0, b""
     while not ended:
+        if parent is not None and os.getppid() != parent:
+            firmware.zero("parent gone", clock.now_ns())
+            break
         data = line.read(0.001 if firmware.busy else 0.004)
         now = clock.now_ns()
         firmware.books.stood_still_ms = clock.stood_still_ns / 1e6

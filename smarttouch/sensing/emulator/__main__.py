@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         cv2.setNumThreads(1)
     server = Server(device, socket, Faults(faults), rate_hz, options.count)
     try:
-        server.serve(options.linger)
+        server.serve(options.linger, options.parent)
     finally:
         socket.close()
     account = json.dumps(asdict(server.books))
@@ -130,6 +130,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--linger", type=float, default=2.0, help="seconds to live on without a host, or inf"
     )
+    parser.add_argument("--parent", type=int, help="process that it is not to outlive")
     return parser
 
 

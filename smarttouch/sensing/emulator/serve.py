@@ -163,8 +163,11 @@ class Server:
         self._pending = b""
         self._pending_is_garbage = False
 
-    def serve(self, linger_s: float) -> None:
-        """Print the port's name and run until SIGTERM or SIGINT, or so long without a host."""
+    def serve(self, linger_s: float, parent: int | None = None) -> None:
+        """Print the port's name and run until SIGTERM or SIGINT, or so long without a host.
+
+        With the process id of its ``parent`` it ends too when that has, even where it was killed.
+        """
         ended: list[int] = []
 
         def end(number: int, _frame: FrameType | None) -> None:
@@ -176,7 +179,7 @@ class Server:
         print(self._socket.name, flush=True)
         patience_s = linger_s + FIRST_HOST_S
         alone_since = time.monotonic()
-        while not ended:
+        while not ended and parent in (None, os.getppid()):
             present = self._socket.wait(self._wait_s())
             if present:
                 patience_s = linger_s

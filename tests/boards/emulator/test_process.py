@@ -152,3 +152,38 @@ def test_what_it_cannot_do_is_one_sentence(capsys, arguments, says):
         main([each.replace("_", " ") for each in arguments.split()])
     assert ended.value.code == 2
     assert says in capsys.readouterr().err.splitlines()[-1]
+
+
+PARENT = """
+import os, subprocess, sys
+process = subprocess.Popen(
+    [sys.executable, *sys.argv[1:], f"--parent={os.getpid()}"], start_new_session=True
+)
+process.wait()
+"""
+
+
+@pytest.mark.parametrize("hosted", [False, True])
+def test_it_ends_with_a_parent_that_is_killed(tmp_path, hosted):
+    """Its end of a pipe that it has inherited closes: there is no trace of it left."""
+    command = [
+        "-m", "smarttouch.boards.emulator", "--protocol=kajimoto61", "--linger=inf",
+        f"--books={tmp_path}",
+    ]  # fmt: skip
+    parent = subprocess.Popen(
+        [sys.executable, "-c", PARENT, *command], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        name = parent.stdout.readline().strip()
+        if hosted:
+            host = os.open(name, os.O_RDWR | os.O_NOCTTY)
+        parent.kill()
+        parent.wait()
+        assert parent.stdout.read() == ""
+        state = read_state(tmp_path)
+        assert (state["state"], state["reason"]) == ("shorted", "parent gone")
+        if hosted:
+            os.close(host)
+    finally:
+        parent.kill()
+        parent.communicate()
