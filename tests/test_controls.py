@@ -4,8 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.controls import STEP, Controls, StopRequest, Wish
+from smarttouch.controls import STEP, Controls, Wish
 from smarttouch.primary import Mode
+from smarttouch.stopping import StopRequest
 
 
 @given(st.lists(st.floats(-2, 2), max_size=20))

@@ -9,7 +9,7 @@ import pytest
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.boards.probe import one_each
-from smarttouch.controls import Controls, StopRequest, Wish
+from smarttouch.controls import Controls, Wish
 from smarttouch.errors import BoardError, BoardRestartedError, LineLostError, SafetyError
 from smarttouch.live import run
 from smarttouch.pipeline import Pipeline
@@ -20,6 +20,7 @@ from smarttouch.scan.ledger import ChargeLedger
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.sensing.forces.force import ForceSource
 from smarttouch.sensing.frame import Frame, Pose, Sensor
+from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards.board import BOTH, Capabilities
+from smarttouch.boards.etactilekit_readings import COMPLIANCE_V, Readings
 from smarttouch.boards.etactilekit_wire import (
     CHIPS,
     LARGEST,
@@ -21,28 +22,22 @@ from smarttouch.boards.etactilekit_wire import (
     SENSE,
     SENSE_COUNTS,
     SENSE_US,
+    UA_PER_COUNT,
     ZEROS,
     Settings,
     heights_of,
     pattern,
     settings_of,
 )
-from smarttouch.boards.impedance import Impedance, judge
+from smarttouch.boards.impedance import Impedance
 from smarttouch.boards.probe import one_each
-from smarttouch.boards.streamed import Job, StreamedBoard, one_against_all
-from smarttouch.errors import BoardError, LineLostError
+from smarttouch.boards.streamed import Job, StreamedBoard
+from smarttouch.errors import BoardError, LineLostError, SequenceLateError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
 from smarttouch.scan.timing import ScanTiming
 
-UA_PER_COUNT = 9.99
-"""Nominal; its firmware does not cap 4095 counts, which are 41 mA."""
-VOLTS_PER_COUNT = 0.0893
-DUMMY_KOHM = 66.0
-"""A load fitted beside the skin; it takes V / 66 kΩ of the current."""
-COMPLIANCE_V = 300.0
-"""Of its switches (HV513), the most a reading can be worth."""
 ECHO_S = 0.1
 CHIPS_S = 0.5
 """The longest that it takes to answer anything."""
@@ -53,8 +48,6 @@ GRACE_S = 0.1
 PIECE, PAUSE_S = 8, 0.003
 """What USB of older firmware takes without losing bytes."""
 LOSSES_UNTIL_SLOW = 2
-OPEN_SHARE = 0.95
-"""Of the voltage without a finger: where every slot needs that much, there is none."""
 
 
 class ETactileKitBoard(StreamedBoard):
@@ -92,7 +85,7 @@ class ETactileKitBoard(StreamedBoard):
         self._on_board = b""
         self._settings: Settings | None = None
         self._sent: ScanSequence | None = None
-        self._volts: list[tuple[ScanSequence, NDArray[np.float32]]] = []
+        self._readings = Readings(self._wiring)
 
     # -- opening and closing -----------------------------------------------
 
@@ -103,7 +96,7 @@ class ETactileKitBoard(StreamedBoard):
         self._write_out(ZEROS)
         answer = b""
         for pause_s in (0.01, FORGETS_S):
-            time.sleep(pause_s)
+            self._pause(pause_s)
             self._flush()
             self._write(CHIPS)
             if answer := self._read(1, CHIPS_S):
@@ -175,7 +168,13 @@ class ETactileKitBoard(StreamedBoard):
                     until_s = None
                     continue
                 began = time.monotonic()
-                done = self._show(job)
+                try:
+                    done = self._show(job)
+                except SequenceLateError:
+                    self._zero()
+                    self._drop_late(job)
+                    until_s = None
+                    continue
             period_s = job.sequence.period_us / 1e6
             until_s = time.monotonic() + job.times * period_s + GRACE_S
             if done:
@@ -187,15 +186,21 @@ class ETactileKitBoard(StreamedBoard):
                 self._closing.wait(time.monotonic() - began)
 
     def _show(self, job: Job) -> bool:
-        """Put a sequence on the board if it is another; return whether the board has it."""
+        """Put a sequence on the board if it is another; return whether the board has it.
+
+        `SequenceLateError` if it was to begin too long ago.
+        """
         sequence = job.sequence
         settings = settings_of(sequence)
+        due_ns = job.due_ns + int(1e9 * self._wire_s(2 * settings.commands() + job.data))
+        if self._is_late(due_ns):
+            raise self._late()
         if sequence.slots and settings != self._settings:
             if not self._set(settings):
                 return False
         elif job.data == self._on_board:
             return True
-        return self._transmit(job.data, sequence)
+        return self._transmit(job.data, sequence, due_ns)
 
     def _set(self, settings: Settings) -> bool:
         """Set pulse and rate while nothing flows; return whether the board has them."""
@@ -209,8 +214,14 @@ class ETactileKitBoard(StreamedBoard):
         self._resync()
         return False
 
-    def _transmit(self, heights: bytes, sequence: ScanSequence | None) -> bool:
-        """Send a pattern under guard; return whether the board has it and pulses again."""
+    def _transmit(
+        self, heights: bytes, sequence: ScanSequence | None, due_ns: int | None = None
+    ) -> bool:
+        """Send a pattern under guard; return whether the board has it and pulses again.
+
+        With the time when it was to begin, `SequenceLateError` if that is too long ago; it
+        does not pulse then.
+        """
         self._on_board = b""
         # The voltages are those of the pattern before: ask while it is still there.
         ask = self._sent is not None and self._sent.slots > 0
@@ -224,26 +235,17 @@ class ETactileKitBoard(StreamedBoard):
             self._resync()
             return False
         if ask and self._sent is not None:
-            self._note_volts(self._sent, answer[:-1])
-        self._write_out(ON)
+            self.lifted = self._readings.note(self._sent, answer[:-1], self.lifted)
+        if due_ns is None:
+            self._write_out(ON)
+        elif not self._write_in_time(ON, due_ns):
+            self._sent = None
+            raise self._late()
         self._on_board, self._sent = heights, sequence
         return True
 
-    def _note_volts(self, sequence: ScanSequence, readings: bytes) -> None:
-        adc = np.frombuffer(readings, "<u2")
-        electrode, current_ua = one_against_all(sequence)
-        volts = (adc[self._wiring[electrode]] * VOLTS_PER_COUNT).astype(np.float32)
-        with self._news:
-            self._volts = [*self._volts[-63:], (sequence, volts)]
-        if volts.any():
-            # Without a finger all of it goes through the load beside the skin.
-            alone_v = np.minimum(np.abs(current_ua) / 1000 * DUMMY_KOHM, COMPLIANCE_V)
-            self.lifted = bool((volts >= OPEN_SHARE * alone_v).all())
-
     def take_volts(self) -> list[tuple[ScanSequence, NDArray[np.float32]]]:
-        with self._news:
-            taken, self._volts = self._volts, []
-        return taken
+        return self._readings.take()
 
     # -- a byte was lost ---------------------------------------------------
 
@@ -316,7 +318,4 @@ class ETactileKitBoard(StreamedBoard):
                 f"the board at {self._port_name} told {len(answer) // 2} of {self._outputs} "
                 "readings: measure again"
             )
-        adc = np.frombuffer(answer[:-1], "<u2")[self._wiring].astype(np.float64)
-        volts = adc * VOLTS_PER_COUNT
-        through_skin = np.maximum(level_ua / 1000 - volts / DUMMY_KOHM, 1e-6)
-        return judge(volts, through_skin, COMPLIANCE_V)
+        return self._readings.impedance(answer[:-1], level_ua / 1000)

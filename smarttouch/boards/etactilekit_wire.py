@@ -27,6 +27,8 @@ from smarttouch.boards.streamed import one_against_all
 from smarttouch.errors import BoardError
 from smarttouch.scan.sequence import ScanSequence
 
+UA_PER_COUNT = 9.99
+"""Nominal; its firmware does not cap 4095 counts, which are 41 mA."""
 LARGEST = 1000
 """Counts, about 10 mA: nothing above leaves this host, whatever the limits."""
 FIRST_COMMAND = 0xF4

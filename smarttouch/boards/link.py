@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.impedance import SATURATED, Impedance, judge
-from smarttouch.boards.link_line import AGAIN_S, ANSWER_S, LinkLine
+from smarttouch.boards.link_line import ANSWER_S, LinkLine
 from smarttouch.boards.link_protocol import Feature, Kind, Refusal
 from smarttouch.boards.link_sequence import decode_volts, encode_sequence
 from smarttouch.boards.pairs import measure_in_pairs
 from smarttouch.boards.probe import probe_sequences
-from smarttouch.errors import BoardError, LineLostError
+from smarttouch.clock import LATE_NS
+from smarttouch.errors import BoardError, BoardStoppedError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
@@ -24,6 +25,8 @@ from smarttouch.wire.port import Port, open_port, reopen_port
 
 RECOVER_S = 3.0
 """How long a port that is gone is waited for."""
+RESEND_S = 0.05
+"""After which a sequence that has no ACK is sent again, as long as it is not too late for it."""
 IN_FLIGHT = 1
 """Sequences sent but not yet begun: the board has one place for those."""
 OPEN_SHARE = 0.97
@@ -50,6 +53,7 @@ class LinkBoard(Board):
         self._line = LinkLine(port, self._hear, self._aftermath)
         self._number = 0
         self._in_flight: dict[int, bytes] = {}
+        self._in_flight_due_ns = 0
         self._sent: deque[tuple[int, ScanSequence]] = deque(maxlen=4)
         self._measured: deque[Measured] = deque(maxlen=64)
 
@@ -72,7 +76,9 @@ class LinkBoard(Board):
     def _recover(self, lost: LineLostError) -> None:
         self._line.close()
         try:
-            self._start(reopen_port(self._line.name, RECOVER_S))
+            self._start(reopen_port(self._line.name, RECOVER_S, self._pause))
+        except BoardStoppedError:
+            raise
         except BoardError:
             raise lost from None
 
@@ -90,29 +96,45 @@ class LinkBoard(Board):
             self.capabilities.measures,
         )
         self._wait_for_room()
+        self._refuse_late(self._due_ns)
         with self._line.news:
             self._in_flight[self._number] = packet
+            self._in_flight_due_ns = self._due_ns
             self._sent.append((self._number, sequence))
-        self._line.write(packet)
+        if not self._write_in_time(packet):
+            with self._line.news:
+                self._in_flight.pop(self._number, None)
+            self.dropped_late += 1
+            raise self._late()
         return self._number
+
+    def _write_in_time(self, packet: bytes) -> bool:
+        """Write the sequence that is in flight, unless it is too late for it."""
+        return self._line.write(packet, self._in_flight_due_ns + LATE_NS, self.clock.now_ns)
 
     def _wait_for_room(self) -> None:
         line, deadline = self._line, time.monotonic() + ANSWER_S
         while True:
             with line.news:
                 if line.news.wait_for(
-                    lambda: line.fault is not None or len(self._in_flight) < IN_FLIGHT, AGAIN_S
+                    lambda: (
+                        line.fault is not None
+                        or len(self._in_flight) < IN_FLIGHT
+                        or self._stopped.is_set()
+                    ),
+                    RESEND_S,
                 ):
                     line.raise_fault()
                     return
                 number, packet = next(iter(self._in_flight.items()))
+            self._go_on_unless_stopped()
             if time.monotonic() > deadline:
                 raise line.lost(f"has not acknowledged sequence {number} within {ANSWER_S:g} s")
             # It has the same number: the board knows it again if it was only the ACK that got lost.
-            line.write(packet)
+            self._write_in_time(packet)
 
     def _stop(self) -> None:
-        self._line.overtaken = True
+        self._line.overtake()
         if not self._line.opened:
             return
         if self._line.fault is not None:
@@ -169,7 +191,8 @@ class LinkBoard(Board):
     # -- what the board says -----------------------------------------------
 
     def _shake_hands(self) -> None:
-        answer = self._line.ask(Kind.HELLO, Kind.CAPABILITIES)
+        answer = self._line.ask(Kind.HELLO, Kind.CAPABILITIES, self._stopped)
+        self._go_on_unless_stopped()
         name = self._line.name
         if answer.version != protocol.VERSION:
             raise BoardError(

@@ -9,7 +9,7 @@ from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.wire.framing import Deframer, Packet
-from smarttouch.wire.port import LINE_ERRORS, Port, reason
+from smarttouch.wire.port import LINE_ERRORS, Port, reason, write_before
 
 HEARTBEAT_S = 0.03
 """Longest silence of the host: the board gives up after 0.1 s."""
@@ -47,8 +47,7 @@ class LinkLine:
         """Set by a stop: no heartbeats from then on, so the board ends by itself if need be."""
         self._hear, self._aftermath = hear, aftermath
         self._closing = threading.Event()
-        # Reentrant: a signal handler may call stop while its own thread is writing.
-        self._writing = threading.RLock()
+        self._writing = threading.Lock()
         self._port: Port | None = None
         self._answers: dict[int, Packet] = {}
         self._threads: list[threading.Thread] = []
@@ -81,23 +80,37 @@ class LinkLine:
             with contextlib.suppress(*LINE_ERRORS):
                 self._port.close()
 
-    def ask(self, question: Kind, answer: Kind) -> Packet:
+    def overtake(self) -> None:
+        """Let a stop go before everything else; who waits for an answer looks up."""
+        self.overtaken = True
+        with self.news:
+            self.news.notify_all()
+
+    def ask(self, question: Kind, answer: Kind, stopped: threading.Event | None = None) -> Packet:
         """Send a question until it is answered.
+
+        Parameters
+        ----------
+        question, answer : Kind
+        stopped : threading.Event, optional
+            Ends the waiting; see `overtake`.
 
         Raises
         ------
         BoardError
-            If nothing comes, or the line has failed.
+            If nothing comes, the line has failed, or the board was stopped.
         """
+        stopped = stopped or threading.Event()
         with self.news:
             self._answers.pop(answer, None)
         deadline = time.monotonic() + ANSWER_S
-        while time.monotonic() < deadline:
+        while time.monotonic() < deadline and not stopped.is_set():
             # The zero in front ends whatever half packet stands on the line.
             self.write(b"\0" + protocol.encode(question))
             with self.news:
                 self.news.wait_for(
-                    lambda: self.fault is not None or answer in self._answers, AGAIN_S
+                    lambda: self.fault is not None or answer in self._answers or stopped.is_set(),
+                    AGAIN_S,
                 )
                 self.raise_fault()
                 if answer in self._answers:
@@ -107,8 +120,21 @@ class LinkLine:
             f"version {protocol.VERSION}"
         )
 
-    def write(self, packet: bytes) -> None:
-        """Write a packet; a stop may come between its pieces."""
+    def write(
+        self, packet: bytes, latest_ns: int = 0, now_ns: Callable[[], int] = lambda: 0
+    ) -> bool:
+        """Write a packet, unless it is too late for it; return whether it went.
+
+        A stop may come between its pieces.
+
+        Parameters
+        ----------
+        packet : bytes
+        latest_ns : int
+            When its first byte may go at the latest, by the clock.
+        now_ns : callable
+            The clock; without one it is never too late.
+        """
         if not self._writing.acquire(timeout=ANSWER_S):
             raise BoardError(f"the line to {self.name} is blocked: check the cable")
         try:
@@ -116,13 +142,18 @@ class LinkLine:
             for start in range(0, len(packet), PIECE):
                 if self.overtaken and len(packet) > PIECE:
                     raise BoardError("the board was stopped: open it again before sending")
-                self._port.write(packet[start : start + PIECE])
+                piece = packet[start : start + PIECE]
+                if start:
+                    self._port.write(piece)
+                elif not write_before(self._port, piece, latest_ns, now_ns):
+                    return False
             self._last_written = time.monotonic()
         except LINE_ERRORS as error:
             self.fail(self.lost(f"cannot be written to ({reason(error)})"))
             self.raise_fault()
         finally:
             self._writing.release()
+        return True
 
     def write_blindly(self, packet: bytes) -> None:
         """Write to a line that has failed: it may still carry something."""

@@ -11,11 +11,19 @@ from numpy.typing import NDArray
 
 from smarttouch.boards.board import Board, BoardReport
 from smarttouch.boards.books import HostBooks
-from smarttouch.errors import BoardError, LineLostError
+from smarttouch.clock import LATE_NS
+from smarttouch.errors import BoardError, BoardStoppedError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
-from smarttouch.wire.port import LINE_ERRORS, Port, open_port, reason, reopen_port
+from smarttouch.wire.port import (
+    LINE_ERRORS,
+    Port,
+    open_port,
+    reason,
+    reopen_port,
+    write_before,
+)
 
 BOOT_S = 1.0
 """Opening the port may reset the board: it needs about this long to boot."""
@@ -31,6 +39,8 @@ class Job:
     sequence: ScanSequence
     data: bytes
     times: int
+    due_ns: int = 0
+    """When it was planned to start, by the board's clock."""
 
 
 class StreamedBoard(Board):
@@ -66,12 +76,13 @@ class StreamedBoard(Board):
         self._number = 0
         self._waiting: Job | None = None
         self._busy = False
+        self._late_since_told = False
+        self._opening = False
         self._over_s = 0.0
         self._last_begun = 0
         self._fault: BoardError | None = None
         self._closing = threading.Event()
         self._news = threading.Condition()
-        # Reentrant: a signal handler may call stop while its own thread is writing.
         self._line = threading.RLock()
         self._serial: Port | None = None
         self._thread: threading.Thread | None = None
@@ -85,11 +96,18 @@ class StreamedBoard(Board):
     def _start(self, port: Port) -> None:
         self._serial = port
         self._fault, self._waiting, self._busy = None, None, False
+        self._late_since_told = False
         self._closing.clear()
+        # From here to the end of the greeting nothing flows, and the line is this thread's.
+        self._opening = True
         try:
-            time.sleep(BOOT_S)
+            self._pause(BOOT_S)
             self._greet()
+            with self._news:
+                self._opening = False
+                self._go_on_unless_stopped()
         except BaseException:
+            self._opening = False
             self._close()
             raise
         self._thread = threading.Thread(target=self._run, name="board sender", daemon=True)
@@ -98,7 +116,9 @@ class StreamedBoard(Board):
     def _recover(self, lost: LineLostError) -> None:
         self._close()
         try:
-            self._start(reopen_port(self._port_name, RECOVER_S))
+            self._start(reopen_port(self._port_name, RECOVER_S, self._pause))
+        except BoardStoppedError:
+            raise
         except BoardError:
             raise lost from None
 
@@ -107,9 +127,13 @@ class StreamedBoard(Board):
         with self._news:
             if self._fault is not None:
                 raise self._fault
+            if self._late_since_told:
+                self._late_since_told = False
+                self.dropped_late += 1
+                raise self._late()
             self._number += 1
             self.replaced += self._waiting is not None
-            self._waiting = Job(self._number, sequence, data, times)
+            self._waiting = Job(self._number, sequence, data, times, self._due_ns)
             self._news.notify_all()
         return self._number
 
@@ -118,7 +142,8 @@ class StreamedBoard(Board):
         with self._news:
             self._waiting = None
             self._news.notify_all()
-        if self._serial is None or not self._serial.is_open:
+            opening = self._opening
+        if opening or self._serial is None or not self._serial.is_open:
             return
         with self._line:
             try:
@@ -190,6 +215,15 @@ class StreamedBoard(Board):
             self._busy = job is not None and not self._closing.is_set()
             return job if self._busy else None
 
+    def _drop_late(self, job: Job) -> None:
+        """Count a sequence that is not sent; whoever sends next is told to begin at zero."""
+        with self._news:
+            self.dropped_late += 1 + (self._waiting is not None)
+            self._waiting = None
+            self._late_since_told = True
+            self._busy = False
+            self._news.notify_all()
+
     def _delivered(self, job: Job, scans: int = 1) -> None:
         with self._news:
             self._over_s = time.monotonic() + scans * job.sequence.period_us / 1e6
@@ -208,6 +242,14 @@ class StreamedBoard(Board):
         assert self._serial is not None
         try:
             self._serial.write(data)
+        except LINE_ERRORS as error:
+            raise self._lost(f"cannot be written to ({reason(error)})") from None
+
+    def _write_in_time(self, data: bytes, due_ns: int) -> bool:
+        """Write what was due at a time, or nothing if that is too long ago."""
+        assert self._serial is not None
+        try:
+            return write_before(self._serial, data, due_ns + LATE_NS, self.clock.now_ns)
         except LINE_ERRORS as error:
             raise self._lost(f"cannot be written to ({reason(error)})") from None
 

@@ -24,6 +24,7 @@ from smarttouch.cli.replay import replay
 from smarttouch.cli.sensor import sensor
 from smarttouch.cli.stop import stop
 from smarttouch.errors import SmartTouchError
+from smarttouch.stopping import RunStopped
 
 app = typer.Typer(
     name="smarttouch",
@@ -59,6 +60,9 @@ def main() -> None:
     except SmartTouchError as error:
         _say(str(error))
         sys.exit(2)
+    except RunStopped as stopped:
+        _say(f"ended by {stopped} before it began: all electrodes are off")
+        sys.exit(128 + stopped.number)
     except KeyboardInterrupt:
         sys.exit(130)
     except BrokenPipeError:

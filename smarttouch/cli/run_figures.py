@@ -32,6 +32,7 @@ def run_figures(
         "late_frames": tally.late,
         "without_force_or_image": tally.blind,
         "replaced": board.replaced,
+        "dropped_late": board.dropped_late,
         "restarts": tally.restarts,
         "lifts": tally.lifts,
         "reported_by": report and report.by,

@@ -1,9 +1,11 @@
 """Serial lines and TCP connections by name, with errors a user can act on."""
 
 import os
+import select
 import socket
 import termios
 import time
+from collections.abc import Callable
 from urllib.parse import urlsplit
 
 import serial
@@ -11,7 +13,7 @@ from serial import SerialBase as Port
 
 from smarttouch.errors import BoardError, SmartTouchError
 
-__all__ = ["LINE_ERRORS", "Port", "open_port", "reason", "reopen_port"]
+__all__ = ["LINE_ERRORS", "Port", "open_port", "reason", "reopen_port", "write_before"]
 
 LINE_ERRORS = (OSError, serial.SerialException, termios.error, TypeError)
 """What pyserial raises when a port vanishes, or is closed by another thread."""
@@ -49,8 +51,15 @@ def open_port(
     return port
 
 
-def reopen_port(name: str, within_s: float) -> Port:
+def reopen_port(name: str, within_s: float, pause: Callable[[float], None] = time.sleep) -> Port:
     """Open a port that has gone as soon as it is back.
+
+    Parameters
+    ----------
+    name : str
+    within_s : float
+    pause : callable
+        Waits so many seconds; what it raises ends the waiting.
 
     Raises
     ------
@@ -64,7 +73,53 @@ def reopen_port(name: str, within_s: float) -> Port:
         except BoardError:
             if time.monotonic() > deadline:
                 raise
-            time.sleep(0.05)
+            pause(0.05)
+
+
+def write_before(
+    port: Port, data: bytes, latest_ns: int, now_ns: Callable[[], int], within_s: float = 0.5
+) -> bool:
+    """Write bytes unless it is too late for the first of them; return whether they went.
+
+    Between the last look at the clock and the system's write there is nothing: only a
+    process that is stopped just there still writes late.
+
+    Parameters
+    ----------
+    port : Port
+        Open.
+    data : bytes
+    latest_ns : int
+        When the first byte may go at the latest.
+    now_ns : callable
+        The clock.
+    within_s : float
+        How long a line may take nothing.
+
+    Raises
+    ------
+    OSError
+        As the port does, also if the line takes nothing for so long.
+    """
+    try:
+        number = port.fileno()
+    except (AttributeError, OSError):
+        # No line of the system's own, but one of pyserial's.
+        if now_ns() > latest_ns:
+            return False
+        port.write(data)
+        return True
+    try:
+        if now_ns() > latest_ns:
+            return False
+        sent = os.write(number, data)
+    except BlockingIOError:
+        if not select.select([], [number], [], within_s)[1]:
+            raise serial.SerialTimeoutException("it takes no bytes") from None
+        return write_before(port, data, latest_ns, now_ns, within_s)
+    if sent < len(data):
+        port.write(data[sent:])
+    return True
 
 
 def reason(error: Exception) -> str:

@@ -1,5 +1,6 @@
 """The emulated board without a process and without waiting: its time passes as it is sent to."""
 
+import threading
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -62,6 +63,7 @@ class SimulatedBoard(Board):
     """
 
     waits_for_nothing = True
+    on_a_finger = False
 
     def __init__(
         self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
@@ -70,6 +72,9 @@ class SimulatedBoard(Board):
         if rest:
             raise BoardError(f"simulated: takes nothing after the colon, not {rest!r}")
         self._kind = "weighted" if output is None else output.kind
+        # A stop comes from another thread, between two sequences.
+        self._speaking = threading.Lock()
+        self._power_up()
         self.capabilities = Capabilities(
             electrodes=limits.electrodes,
             output=self._kind,
@@ -84,11 +89,14 @@ class SimulatedBoard(Board):
         return self._books.take()
 
     def _open(self) -> None:
+        self._power_up()
+        self._say(protocol.encode(Kind.HELLO))
+
+    def _power_up(self) -> None:
         self._books = _KeptBooks(self._gate.limits.electrodes)
         self._firmware = LinkFirmware(self._books.electrodes, self._kind, self._books)
         self._deframer = Deframer()
         self._now_ns = self._number = 0
-        self._say(protocol.encode(Kind.HELLO))
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         self._number += 1
@@ -103,8 +111,9 @@ class SimulatedBoard(Board):
             times,
             False,
         )
-        self._say(packet)
-        self._wait(sequence.period_us * times * 1000)
+        with self._speaking:
+            self._say(packet)
+            self._wait(sequence.period_us * times * 1000)
         return self._number
 
     def _say(self, packet: bytes) -> None:
@@ -130,6 +139,7 @@ class SimulatedBoard(Board):
         return BoardReport(*self._firmware.account())
 
     def _stop(self) -> None:
-        self._say(protocol.encode(Kind.STOP))
+        with self._speaking:
+            self._say(protocol.encode(Kind.STOP))
 
     def _close(self) -> None: ...
