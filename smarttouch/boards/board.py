@@ -159,8 +159,9 @@ class Board(Timely, ABC):
             self.notes.append(f"{lost}: started anew")
             raise BoardRestartedError(f"{lost}, and was started anew") from None
         except BoardError:
-            # What fails on a board that was stopped, fails because of that.
-            self._go_on_unless_stopped()
+            # What fails on a board that someone has halted, fails because of that.
+            if self._halted:
+                self._go_on_unless_stopped()
             raise
 
     def take_volts(self) -> list[tuple[ScanSequence, NDArray[np.float32]]]:

@@ -80,7 +80,7 @@ class HybridBoard(Board):
     def _send(self, sequence: ScanSequence, times: int) -> int:
         try:
             number = self.electric.send(replace(sequence, vibration=None), times, self._due_ns)
-            self.shaking.send(_only_vibration(sequence), times, self._due_ns)
+            self.shaking.send(_only_vibration(sequence), times)
         except BoardRestartedError:
             self.shaking.silence()
             self._gate = SafetyGate(self._gate.limits)

@@ -25,7 +25,7 @@ from smarttouch.wire.port import Port, open_port, reopen_port
 
 RECOVER_S = 3.0
 """How long a port that is gone is waited for."""
-RESEND_S = 0.05
+AGAIN_S = 0.04
 """After which a sequence that has no ACK is sent again, as long as it is not too late for it."""
 IN_FLIGHT = 1
 """Sequences sent but not yet begun: the board has one place for those."""
@@ -50,10 +50,11 @@ class LinkBoard(Board):
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         super().__init__(limits, output)
-        self._line = LinkLine(port, self._hear, self._aftermath)
+        self._line = LinkLine(port, self._hear, self._aftermath, self._send_again)
         self._number = 0
         self._in_flight: dict[int, bytes] = {}
         self._in_flight_due_ns = 0
+        self._again_s = 0.0
         self._sent: deque[tuple[int, ScanSequence]] = deque(maxlen=4)
         self._measured: deque[Measured] = deque(maxlen=64)
 
@@ -100,6 +101,7 @@ class LinkBoard(Board):
         with self._line.news:
             self._in_flight[self._number] = packet
             self._in_flight_due_ns = self._due_ns
+            self._again_s = time.monotonic() + AGAIN_S
             self._sent.append((self._number, sequence))
         if not self._write_in_time(packet):
             with self._line.news:
@@ -113,24 +115,35 @@ class LinkBoard(Board):
         return self._line.write(packet, self._in_flight_due_ns + LATE_NS, self.clock.now_ns)
 
     def _wait_for_room(self) -> None:
-        line, deadline = self._line, time.monotonic() + ANSWER_S
-        while True:
-            with line.news:
-                if line.news.wait_for(
-                    lambda: (
-                        line.fault is not None
-                        or len(self._in_flight) < IN_FLIGHT
-                        or self._stopped.is_set()
-                    ),
-                    RESEND_S,
-                ):
-                    line.raise_fault()
+        line = self._line
+        with line.news:
+            if line.news.wait_for(
+                lambda: (
+                    line.fault is not None
+                    or len(self._in_flight) < IN_FLIGHT
+                    or self._stopped.is_set()
+                ),
+                ANSWER_S,
+            ):
+                line.raise_fault()
+                self._go_on_unless_stopped()
+                return
+            number = next(iter(self._in_flight))
+        raise line.lost(f"has not acknowledged sequence {number} within {ANSWER_S:g} s")
+
+    def _send_again(self) -> None:
+        """Send a sequence that has no ACK once more, as long as it is not too late for it.
+
+        It has the same number: the board knows it again if it was only the ACK that got lost.
+        """
+        # Nothing newer can go out between the look and the write.
+        with self._line.writing:
+            with self._line.news:
+                now_s = time.monotonic()
+                if not self._in_flight or now_s < self._again_s:
                     return
-                number, packet = next(iter(self._in_flight.items()))
-            self._go_on_unless_stopped()
-            if time.monotonic() > deadline:
-                raise line.lost(f"has not acknowledged sequence {number} within {ANSWER_S:g} s")
-            # It has the same number: the board knows it again if it was only the ACK that got lost.
+                self._again_s = now_s + AGAIN_S
+                packet = next(iter(self._in_flight.values()))
             self._write_in_time(packet)
 
     def _stop(self) -> None:

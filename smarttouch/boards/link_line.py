@@ -19,7 +19,7 @@ LISTENED_S = 0.1
 """Most that one read counts as silence: a read ends sooner, the rest is our own absence."""
 ANSWER_S = 1.0
 AGAIN_S = 0.25
-"""After which a question, or a sequence that has no ACK, is sent again."""
+"""After which a question is sent again."""
 PIECE = 4096
 """Bytes written at once: a stop waits for one piece, not for a whole packet."""
 
@@ -35,19 +35,26 @@ class LinkLine:
         Told of every packet that answers no question, with `news` held.
     aftermath : callable
         Returns what to say after a fault.
+    tend : callable
+        Called every few milliseconds, to send again what has got lost.
     """
 
     def __init__(
-        self, name: str, hear: Callable[[Packet], bool], aftermath: Callable[[], str]
+        self,
+        name: str,
+        hear: Callable[[Packet], bool],
+        aftermath: Callable[[], str],
+        tend: Callable[[], None] = lambda: None,
     ) -> None:
         self.name = name
         self.news = threading.Condition()
         self.fault: BoardError | None = None
         self.overtaken = False
         """Set by a stop: no heartbeats from then on, so the board ends by itself if need be."""
-        self._hear, self._aftermath = hear, aftermath
+        self._hear, self._aftermath, self._tend = hear, aftermath, tend
         self._closing = threading.Event()
-        self._writing = threading.Lock()
+        # Reentrant: who looks whether something is still to be written holds it too.
+        self.writing = threading.RLock()
         self._port: Port | None = None
         self._answers: dict[int, Packet] = {}
         self._threads: list[threading.Thread] = []
@@ -135,7 +142,7 @@ class LinkLine:
         now_ns : callable
             The clock; without one it is never too late.
         """
-        if not self._writing.acquire(timeout=ANSWER_S):
+        if not self.writing.acquire(timeout=ANSWER_S):
             raise BoardError(f"the line to {self.name} is blocked: check the cable")
         try:
             assert self._port is not None
@@ -152,7 +159,7 @@ class LinkLine:
             self.fail(self.lost(f"cannot be written to ({reason(error)})"))
             self.raise_fault()
         finally:
-            self._writing.release()
+            self.writing.release()
         return True
 
     def write_blindly(self, packet: bytes) -> None:
@@ -208,8 +215,9 @@ class LinkLine:
         while not self._closing.wait(HEARTBEAT_S / 4):
             if self.fault is not None or self.overtaken:
                 return
-            if time.monotonic() - self._last_written > HEARTBEAT_S:
-                try:
+            try:
+                self._tend()
+                if time.monotonic() - self._last_written > HEARTBEAT_S:
                     self.write(beat)
-                except BoardError:
-                    return
+            except BoardError:
+                return

@@ -67,13 +67,16 @@ class Plan:
                 "--hold learns from the voltage of each point, and several share a slot: choose "
                 "--scan points"
             )
+        if self.seconds is not None and not self.seconds > 0:
+            raise SmartTouchError(f"--seconds {self.seconds:g} must be above 0")
+
+    def require_a_level(self) -> None:
+        """Raise if nobody says how strong it may be on a board that a finger may be on."""
         if self.level is None and self.on_a_finger and not sys.stdin.isatty():
             raise SmartTouchError(
                 "there is no keyboard to turn the current up with, and a finger may be on the "
                 "board: say how strong it is to become with --intensity, for example 0.3"
             )
-        if self.seconds is not None and not self.seconds > 0:
-            raise SmartTouchError(f"--seconds {self.seconds:g} must be above 0")
 
     @property
     def first_level(self) -> float:

@@ -36,6 +36,7 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
     with contextlib.ExitStack() as stack:
         kept = Kept(plan, stack)
         display = _board(plan, profile, kept)
+        plan.require_a_level()
         if plan.measure:
             with opened(display, stop):
                 profile = masked_where_broken(display, profile, plan.quiet)
