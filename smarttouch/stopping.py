@@ -27,7 +27,7 @@ SIGNALS = {
 
 
 class RunStopped(BaseException):
-    """A signal ended the program before a board was open.
+    """A signal, or what counts as one, ended the program before a board was open.
 
     Attributes
     ----------
@@ -35,8 +35,8 @@ class RunStopped(BaseException):
         Of the signal.
     """
 
-    def __init__(self, number: int) -> None:
-        super().__init__(SIGNALS[signal.Signals(number)])
+    def __init__(self, number: int, by: str | None = None) -> None:
+        super().__init__(by or SIGNALS[signal.Signals(number)])
         self.number = number
 
 

@@ -167,7 +167,11 @@ class StreamedBoard(Board):
         deadline = time.monotonic() + timeout_s
         with self._news:
             self._news.wait_for(
-                lambda: self._fault is not None or (self._waiting is None and not self._busy),
+                lambda: (
+                    self._fault is not None
+                    or self._closing.is_set()
+                    or (self._waiting is None and not self._busy)
+                ),
                 timeout_s,
             )
             over = min(deadline, self._over_s)

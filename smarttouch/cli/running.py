@@ -3,6 +3,7 @@
 import contextlib
 import fcntl
 import os
+import signal
 import stat
 import tempfile
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ from platformdirs import user_state_path
 
 from smarttouch.clock import now_ns
 from smarttouch.errors import SmartTouchError
+from smarttouch.stopping import RunStopped
 
 _MARK = "stopped"
 _MARK_BYTES = 200
@@ -21,10 +23,6 @@ _OWN_STAT = Path("/proc/self/stat")
 _STARTED = 19
 """Where the process's start stands, after the name of its program."""
 _IMPORTED_NS = now_ns()
-
-
-class StoppedBeforeError(SmartTouchError):
-    """``smarttouch stop`` came after this process was started: it begins no current."""
 
 
 @contextmanager
@@ -115,15 +113,12 @@ def refuse_if_stopped() -> None:
 
     Raises
     ------
-    StoppedBeforeError
-        Then it is to begin no current.
+    RunStopped
+        As if it had been in time to be asked by a signal: no current is to begin.
     """
     mark_ns = _mark_ns()
     if mark_ns is not None and started_ns() < mark_ns <= now_ns():
-        raise StoppedBeforeError(
-            "smarttouch stop was called after this program was started: no current flows; start "
-            "it again"
-        )
+        raise RunStopped(signal.SIGTERM, "smarttouch stop")
 
 
 def started_ns() -> int:
