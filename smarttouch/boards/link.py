@@ -205,7 +205,6 @@ class LinkBoard(Board):
 
     def _shake_hands(self) -> None:
         answer = self._line.ask(Kind.HELLO, Kind.CAPABILITIES, self._stopped)
-        self._go_on_unless_stopped()
         name = self._line.name
         if answer.version != protocol.VERSION:
             raise BoardError(

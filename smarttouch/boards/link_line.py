@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.link_protocol import Kind
-from smarttouch.errors import BoardError, LineLostError
+from smarttouch.errors import BoardError, BoardStoppedError, LineLostError
 from smarttouch.wire.framing import Deframer, Packet
 from smarttouch.wire.port import LINE_ERRORS, Port, reason, write_before
 
@@ -104,8 +104,10 @@ class LinkLine:
 
         Raises
         ------
+        BoardStoppedError
+            If the board was stopped.
         BoardError
-            If nothing comes, the line has failed, or the board was stopped.
+            If nothing comes, or the line has failed.
         """
         stopped = stopped or threading.Event()
         with self.news:
@@ -122,6 +124,8 @@ class LinkLine:
                 self.raise_fault()
                 if answer in self._answers:
                     return self._answers.pop(answer)
+        if stopped.is_set():
+            raise BoardStoppedError(f"the board at {self.name} was stopped before it answered")
         raise BoardError(
             f"the board at {self.name} does not answer: check that it is on and speaks link "
             f"version {protocol.VERSION}"

@@ -77,13 +77,16 @@ def _pulses(board: Board, profile: Profile, site: int, current_ma: float) -> Ite
     """Send sequences that rise from zero to a current and stay there, one a step."""
     limits = SafetyLimits.of(profile)
     top = current_ma / limits.full_ma
-    start = now = due = board.clock.now_ns()
+    now = due = board.clock.now_ns()
+    start: int | None = None
     while True:
+        # After a pause of the computer it begins at zero again.
+        start = now if start is None else start
         part = min(1.0, (now - start) / 1e9 / (limits.ramp_s * top))
         try:
             board.send(_point(profile, limits, site, part * current_ma, now), _TIMES, due)
         except SequenceLateError:
-            start = board.clock.now_ns()
+            start = None
         yield
         time.sleep(_STEP_S)
         due, now = now + round(1e9 * _STEP_S), board.clock.now_ns()

@@ -55,7 +55,8 @@ class _Noted:
 
     def feed(self, data, now_ns):
         self._look(now_ns)
-        self._trace.write(struct.pack("<qi", now_ns, -1))
+        # By the machine's clock: the board's stands still while this process is kept waiting.
+        self._trace.write(struct.pack("<qi", time.monotonic_ns(), -1))
         answer = self.firmware.feed(data, now_ns)
         self._state()
         return answer
@@ -93,7 +94,7 @@ class _Noted:
             return
         pulses = _PAGE.unpack(self._page[: _PAGE.size])[3] + 1
         self._page[16:32] = struct.pack("<qq", int(1000 * time_us), pulses)
-        self._trace.write(struct.pack("<qi", int(1000 * time_us), peak_ua))
+        self._trace.write(struct.pack("<qi", time.monotonic_ns(), peak_ua))
 
 
 class Emulated:
