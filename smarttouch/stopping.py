@@ -15,7 +15,7 @@ from typing import Self
 
 from smarttouch.errors import SmartTouchError
 
-ENDS_WITHIN_S = 0.8
+ENDS_WITHIN_S = 0.7
 """From a signal to the end of the process, in order or not."""
 ZERO_WITHIN_S = 5.0
 """How long the end waits for a board that does not confirm that it is at zero."""

@@ -77,15 +77,19 @@ def test_a_signal_ends_in_order_and_then_by_force(forced, number, name):
 
 
 def test_a_signal_before_there_is_anything_to_end_in_order_raises_once(forced):
-    stop = StopRequest()
-    with pytest.raises(RunStopped) as caught, SignalWatch(stop, forced.append):
+    unwound = []
+
+    def start():
         try:
             os.kill(os.getpid(), signal.SIGHUP)
         finally:
             # What it unwinds is not cut short by another.
             os.kill(os.getpid(), signal.SIGINT)
-            unwound = True
-    assert unwound
+            unwound.append(True)
+
+    with pytest.raises(RunStopped) as caught, SignalWatch(StopRequest(), forced.append):
+        start()
+    assert unwound == [True]
     assert caught.value.number == signal.SIGHUP
     wait_for(lambda: forced == [signal.SIGHUP])
 

@@ -61,7 +61,6 @@ def main() -> None:
         _say(str(error))
         sys.exit(2)
     except RunStopped as stopped:
-        _say(f"ended by {stopped} before it began: all electrodes are off")
         sys.exit(128 + stopped.number)
     except KeyboardInterrupt:
         sys.exit(130)

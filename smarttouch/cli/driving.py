@@ -103,13 +103,27 @@ def _stoppable() -> Iterator[None]:
     with watch, never_waiting(stop.event.is_set):
         _watches.append((stop, watch))
         try:
-            yield
-        except BoardStoppedError:
-            if watch.number:
-                raise RunStopped(watch.number) from None
+            with _told_as_stopped(watch):
+                yield
+        except RunStopped as stopped:
+            # Here, where a terminal that has stopped reading keeps nobody waiting.
+            print(
+                f"smarttouch: ended by {stopped} before it began: all electrodes are off",
+                file=sys.stderr,
+            )
             raise
         finally:
             _watches.pop()
+
+
+@contextmanager
+def _told_as_stopped(watch: SignalWatch) -> Iterator[None]:
+    try:
+        yield
+    except BoardStoppedError:
+        if watch.number:
+            raise RunStopped(watch.number) from None
+        raise
 
 
 def _give_up(number: int) -> None:

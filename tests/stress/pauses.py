@@ -30,7 +30,7 @@ PROFILES = {"link": "electric-mouse", "kajimoto61": "kajimoto-61", "etactilekit"
 RISEN_S = 0.7
 """After a pause, until it is at its strongest again."""
 GAP_NS = 150_000_000
-"""Of a host that was stopped: what was due then is late."""
+"""After such a pause what was due is late."""
 RECORD = struct.Struct("<qi")
 STEP_UA = 50
 
@@ -82,35 +82,39 @@ def stopped_and_judged(kind, count, seed, folder):
     process = os.fork()
     if process == 0:
         run_and_exit(lambda: host(kind, board.url, folder))
+    overs_ns = []
     time.sleep(3.0)
     for _ in range(count):
         time.sleep(RISEN_S + draw.uniform(0.0, 0.1))
         os.kill(process, signal.SIGSTOP)
+        begin_ns = time.monotonic_ns()
         time.sleep(0.1 * math.exp(draw.uniform(0.0, math.log(30))))
+        over_ns = time.monotonic_ns()
         os.kill(process, signal.SIGCONT)
+        if over_ns - begin_ns > GAP_NS:
+            overs_ns.append(over_ns)
     time.sleep(RISEN_S)
     os.kill(process, signal.SIGTERM)
     os.waitpid(process, 0)
     ended = board.ended()
     profile = load_profile(PROFILES[kind])
     full_ua = 1000 * float(profile.full_ma.max())
-    found = judged(trace.read_bytes(), full_ua / profile.limits.ramp_s)
+    found = judged(trace.read_bytes(), overs_ns, full_ua / profile.limits.ramp_s)
     account = json.loads((folder / f"{kind}.json").read_text())
     return {"board": kind, "stops": count, **found, **account, "wrong": ended["wrong"]}
 
 
-def judged(trace, ua_per_s):
-    """Return how strong pulses after each gap of the host were, against the ramp."""
+def judged(trace, overs_ns, ua_per_s):
+    """Return how strong pulses were, against the ramp, from the first byte after each pause."""
     records = list(RECORD.iter_unpack(trace[: len(trace) // RECORD.size * RECORD.size]))
     strongest_ua = max(peak for _, peak in records)
     assert strongest_ua > 0, "nothing flowed"
-    gaps, above, worst, heard_ns, risen, details = 0, 0, 0.0, None, None, []
+    above, worst, risen, details, left_ns = 0, 0.0, None, [], list(overs_ns)
     for time_ns, peak_ua in sorted(records):
-        if peak_ua < 0:
-            if heard_ns is not None and time_ns - heard_ns > GAP_NS:
-                gaps, risen = gaps + 1, time_ns
-                counted = False
-            heard_ns = time_ns
+        if left_ns and time_ns >= left_ns[0]:
+            if peak_ua < 0:
+                del left_ns[0]
+                risen, counted = time_ns, False
         elif risen is not None:
             since_s = (time_ns - risen) / 1e9
             # The first packets are those of two periods; later ones may be in time by 100 ms.
@@ -120,7 +124,7 @@ def judged(trace, ua_per_s):
                 above, counted = above + 1, True
                 details.append((since_s, peak_ua, allowed))
     return {
-        "gaps": gaps, "above": above, "worst": worst, "strongest_ua": strongest_ua,
+        "pauses": len(overs_ns), "above": above, "worst": worst, "strongest_ua": strongest_ua,
         "details": details,
         "pulses": sum(peak >= 0 for _, peak in records),
     }  # fmt: skip
