@@ -55,9 +55,11 @@ class _Noted:
 
     def feed(self, data, now_ns):
         self._look(now_ns)
+        # What was due before these bytes is not of them.
+        answer = self.firmware.advance(now_ns)
         # By the machine's clock: the board's stands still while this process is kept waiting.
         self._trace.write(struct.pack("<qi", time.monotonic_ns(), -1))
-        answer = self.firmware.feed(data, now_ns)
+        answer += self.firmware.feed(data, now_ns)
         self._state()
         return answer
 
