@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import FrameType
 from typing import Self
 
@@ -17,6 +18,8 @@ from smarttouch.errors import SmartTouchError
 
 ENDS_WITHIN_S = 0.7
 """From a signal to the end of the process, in order or not."""
+RUNS_ON_S = 5.0
+"""How much longer a process may take that is not kept waiting, but slow or on a busy machine."""
 ZERO_WITHIN_S = 5.0
 """How long the end waits for a board that does not confirm that it is at zero."""
 SIGNALS = {
@@ -24,6 +27,17 @@ SIGNALS = {
     signal.SIGTERM: "SIGTERM",
     signal.SIGHUP: "SIGHUP",
 }
+
+
+_LOOKS, _LOOK_S = 5, 0.01
+
+
+def thread_states() -> Iterator[tuple[int, str]]:
+    """Yield the system's number of each thread of this process and its state, R if it runs."""
+    with contextlib.suppress(OSError):
+        for task in Path("/proc/self/task").iterdir():
+            with contextlib.suppress(OSError):
+                yield int(task.name), (task / "stat").read_text().rpartition(") ")[2][0]
 
 
 class RunStopped(BaseException):
@@ -178,9 +192,21 @@ class SignalWatch:
                 if not again:
                     self.number = self.number or number
                     threading.Thread(target=self._ask, args=(number,), daemon=True).start()
-        # By force only when boards are at zero, or nobody can know.
+        # By force only when boards are at zero, or nobody can know; and nothing goes on.
         self._at_zero.wait(ZERO_WITHIN_S)
+        last_s = time.monotonic() + RUNS_ON_S
+        while self._goes_on() and time.monotonic() < last_s:
+            pass
         self._give_up(self.number)
+
+    def _goes_on(self) -> bool:
+        """Return whether in a moment a thread of ours has run, or would if there were room."""
+        own = threading.get_native_id()
+        for _ in range(_LOOKS):
+            if any(state == "R" for thread, state in thread_states() if thread != own):
+                return True
+            time.sleep(_LOOK_S)
+        return False
 
     def _ask(self, number: int) -> None:
         try:

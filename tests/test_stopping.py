@@ -8,7 +8,7 @@ import time
 import pytest
 
 from smarttouch.errors import BoardError
-from smarttouch.stopping import RunStopped, SignalWatch, StopRequest
+from smarttouch.stopping import RunStopped, SignalWatch, StopRequest, thread_states
 
 PATIENCE_S = 20
 
@@ -124,3 +124,50 @@ def test_without_a_signal_nothing_is_left_behind(forced):
         assert threading.active_count() == threads + 1
     assert threading.active_count() == threads
     assert forced == []
+
+
+def test_a_thread_that_works_and_one_that_waits_are_told_apart():
+    over, numbers = threading.Event(), {}
+
+    def work():
+        numbers["work"] = threading.get_native_id()
+        while not over.is_set():
+            pass
+
+    def wait():
+        numbers["wait"] = threading.get_native_id()
+        over.wait()
+
+    threads = [threading.Thread(target=each, daemon=True) for each in (work, wait)]
+    for thread in threads:
+        thread.start()
+    wait_for(lambda: len(numbers) == 2)
+    seen = {"work": set(), "wait": set()}
+    for _ in range(300):
+        time.sleep(0.001)
+        states = dict(thread_states())
+        for name, number in numbers.items():
+            seen[name].add(states[number])
+    over.set()
+    for thread in threads:
+        thread.join(PATIENCE_S)
+    assert "R" in seen["work"]
+    assert "S" in seen["wait"]
+
+
+def test_who_is_slow_is_waited_for_and_who_waits_is_not(monkeypatch, forced):
+    states = [[(1, "R")]] * 3 + [[(1, "S")]] * 100
+    looks = []
+
+    def told():
+        looks.append(states[len(looks)])
+        return looks[-1]
+
+    monkeypatch.setattr("smarttouch.stopping.thread_states", told)
+    with SignalWatch(StopRequest(), forced.append) as watch:
+        watch.patience_s = 0.0
+        with watch.ending_in_order():
+            os.kill(os.getpid(), signal.SIGTERM)
+            wait_for(lambda: forced == [signal.SIGTERM])
+    assert looks[:4] == states[:4]
+    assert len(looks) >= 8

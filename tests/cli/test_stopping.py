@@ -6,6 +6,7 @@ import signal
 import subprocess
 import termios
 import time
+from pathlib import Path
 
 import pytest
 
@@ -47,12 +48,23 @@ def test_a_signal_while_a_board_is_being_opened(start_program, deaf, number, nam
     assert name in errors
 
 
-def test_a_stop_while_a_board_is_being_opened(start_program, program, deaf):
+def is_asked_to_end(process):
+    """Return whether SIGTERM waits for a process that stands still."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    pending = int(status.partition("ShdPnd:")[2].split()[0], 16)
+    return bool(pending & 1 << signal.SIGTERM - 1)
+
+
+def test_a_stop_while_a_board_is_being_opened(start_program, deaf):
     port, written = deaf
     process = start_program("board", "measure", f"link:{port}")
     wait_for(written)
-    assert program("stop").stdout == "1 stopped.\n"
+    process.send_signal(signal.SIGSTOP)
+    stop = start_program("stop")
+    wait_for(lambda: is_asked_to_end(process))
+    process.send_signal(signal.SIGCONT)
     assert process.wait(PATIENCE_S) == 128 + signal.SIGTERM
+    assert stop.communicate(timeout=PATIENCE_S)[0] == "1 stopped.\n"
 
 
 def test_a_program_that_was_started_before_a_stop_drives_nothing(start_program, program, deaf):

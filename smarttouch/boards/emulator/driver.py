@@ -111,6 +111,9 @@ class EmulatorBoard(LinkBoard):
         self._end()
 
     def _end(self) -> None:
+        if self._halted:
+            # Nobody waits until it finds out by itself.
+            self._process.terminate()
         try:
             self._process.wait(_ENDS_WITHIN_S)
         except subprocess.TimeoutExpired:
