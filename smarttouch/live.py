@@ -217,6 +217,7 @@ class _Loop:
     _shift_ns: int = 0
     _before_ns: int | None = None
     _period_ns: int = 0
+    _over_ns: int = 0
 
     def run(self, seconds: float | None) -> None:
         tally, clock, stop = self.inputs.tally, self.clock, self.stop
@@ -233,18 +234,21 @@ class _Loop:
                 stop.ask(f"{seconds:g} s are over", at_once=False)
                 break
             late_ns = now_ns - deadline_ns
-            # After a stall the plan is a new one.
-            due_ns = board_ns if late_ns > LATE_NS else board_ns - max(0, late_ns)
-            if not self._step(now_ns, late_ns, due_ns):
+            if not self._step(now_ns, late_ns, board_ns):
                 break
         self.inputs.board.drain()
         tally.seconds = (clock.now_ns() - start_ns) / 1e9
 
-    def _step(self, now_ns: int, late_ns: int, due_ns: int) -> bool:
+    def _step(self, now_ns: int, late_ns: int, board_ns: int) -> bool:
         """Let one frame be felt; return False where there is none any more."""
+        # The skin waits since the sequence before was over, whatever the plan says.
+        waits_ns = max(0, late_ns, now_ns - self._over_ns if self._over_ns else 0)
+        stalled = waits_ns > LATE_NS
+        # After a stall the plan is a new one.
+        due_ns = board_ns if stalled else board_ns - waits_ns
         inputs, clock, elapsed_ns = self.inputs, self.clock, self.elapsed_ns
         pipeline, tally = inputs.pipeline, inputs.tally
-        if late_ns > LATE_NS:
+        if stalled:
             # The board may have fallen silent.
             pipeline.restart_softly()
         frame = inputs.look(elapsed_ns)
@@ -268,8 +272,10 @@ class _Loop:
         if number is None:
             self._shift_ns += sent_ns - now_ns
             self._before_ns = None
+            self._over_ns = 0
         else:
             self._count(sent, now_ns)
+            self._over_ns = sent_ns + period_ns
             waited_ns = sent_ns - sending_ns
             if HELD_UP_NS < waited_ns < LATE_NS:
                 # The board's clock is behind: frames taken later reach the skin as soon, and

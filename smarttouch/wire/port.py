@@ -1,5 +1,7 @@
 """Serial lines and TCP connections by name, with errors a user can act on."""
 
+import ctypes
+import errno
 import os
 import select
 import socket
@@ -14,6 +16,11 @@ from serial import SerialBase as Port
 from smarttouch.errors import BoardError, SmartTouchError
 
 __all__ = ["LINE_ERRORS", "Port", "open_port", "reason", "reopen_port", "write_before"]
+
+_write = ctypes.PyDLL(None, use_errno=True).write
+"""The system's own, without letting another thread go first: that could take long."""
+_write.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
+_write.restype = ctypes.c_ssize_t
 
 LINE_ERRORS = (OSError, serial.SerialException, termios.error, TypeError)
 """What pyserial raises when a port vanishes, or is closed by another thread."""
@@ -109,15 +116,20 @@ def write_before(
             return False
         port.write(data)
         return True
-    try:
-        if now_ns() > latest_ns:
-            return False
-        sent = os.write(number, data)
-    except BlockingIOError:
+    if os.get_blocking(number):
+        os.set_blocking(number, False)
+    size = len(data)
+    if now_ns() > latest_ns:
+        return False
+    sent = int(_write(number, data, size))
+    if sent < 0:
+        failure = ctypes.get_errno()
+        if failure not in (errno.EAGAIN, errno.EINTR):
+            raise OSError(failure, os.strerror(failure))
         if not select.select([], [number], [], within_s)[1]:
-            raise serial.SerialTimeoutException("it takes no bytes") from None
+            raise serial.SerialTimeoutException("it takes no bytes")
         return write_before(port, data, latest_ns, now_ns, within_s)
-    if sent < len(data):
+    if sent < size:
         port.write(data[sent:])
     return True
 

@@ -92,7 +92,7 @@ def stopped_and_judged(kind, count, seed, folder):
         over_ns = time.monotonic_ns()
         os.kill(process, signal.SIGCONT)
         if over_ns - begin_ns > GAP_NS:
-            overs_ns.append(over_ns)
+            overs_ns.append((over_ns, over_ns - begin_ns))
     time.sleep(RISEN_S)
     os.kill(process, signal.SIGTERM)
     os.waitpid(process, 0)
@@ -111,9 +111,9 @@ def judged(trace, overs_ns, ua_per_s):
     assert strongest_ua > 0, "nothing flowed"
     above, worst, risen, details, left_ns = 0, 0.0, None, [], list(overs_ns)
     for time_ns, peak_ua in sorted(records):
-        if left_ns and time_ns >= left_ns[0]:
+        if left_ns and time_ns >= left_ns[0][0]:
             if peak_ua < 0:
-                del left_ns[0]
+                over_ns, pause_ns = left_ns.pop(0)
                 risen, counted = time_ns, False
         elif risen is not None:
             since_s = (time_ns - risen) / 1e9
@@ -122,7 +122,8 @@ def judged(trace, overs_ns, ua_per_s):
             worst = max(worst, peak_ua / allowed)
             if peak_ua > allowed and not counted:
                 above, counted = above + 1, True
-                details.append((since_s, peak_ua, allowed))
+                after_ms = (risen - over_ns) / 1e6
+                details.append((pause_ns / 1e6, after_ms, 1000 * since_s, peak_ua, allowed))
     return {
         "pauses": len(overs_ns), "above": above, "worst": worst, "strongest_ua": strongest_ua,
         "details": details,
