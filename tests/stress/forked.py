@@ -153,6 +153,9 @@ def start_host(arguments, state, *, out=os.devnull, terminal=None, delay_s=0.0):
 
 def _host(arguments, state, out, terminal, delay_s):
     os.setsid()
+    # Whoever started this in the background has them ignored, until the program heeds them.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     os.environ["XDG_STATE_HOME"] = str(state)
     os.environ["TERM"] = "xterm"
     quiet(out, terminal)
