@@ -37,6 +37,8 @@ from smarttouch.errors import BoardError
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
 
+UA_PER_COUNT = 9.99
+"""Nominal; its firmware does not cap 4095 counts, which are 41 mA."""
 LARGEST = 1000
 """Counts, about 10 mA: nothing above leaves this host, whatever the limits. Its firmware does not
 cap 4095 counts, which are 41 mA."""
