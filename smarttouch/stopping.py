@@ -168,10 +168,10 @@ class SignalWatch:
             os.close(self._write_end)
 
     def _heed(self, number: int, _frame: FrameType | None) -> None:
+        self.number = self.number or number
         if not self.orderly:
             # Only the first: what it unwinds is not to be cut short.
             self.orderly = True
-            self.number = self.number or number
             raise RunStopped(number)
 
     def _watch(self) -> None:

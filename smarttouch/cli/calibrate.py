@@ -214,7 +214,7 @@ def thresholds(
     file = _profile_file(start, output, overwrite)
     chosen = file.profile
     sites = parse_electrodes(electrodes, chosen)
-    if simulate and not board.startswith(("emulator:", "memory:")):
+    if simulate and not board.startswith(("emulator:", "simulated:", "memory:")):
         raise CalibrationError(
             f"--simulate answers for nobody: no current of its flows through {board!r}, only "
             "through emulator:"
@@ -231,7 +231,9 @@ def thresholds(
         },
     )  # fmt: skip
     stop = the_stop()
-    display = make_board(board, measuring_limits(chosen), chosen.output)
+    # A simulated subject does not wait, and the emulator's clock would refuse to be hurried.
+    url = "simulated:" if simulate and board == "emulator:" else board
+    display = make_board(url, measuring_limits(chosen), chosen.output)
     try:
         with opened(display, stop):
             feel_all(display, chosen, sites, progress, stop, adaptive, repeats, seed, simulate)

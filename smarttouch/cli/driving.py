@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 from smarttouch.cli import keyboard
 from smarttouch.cli.running import announced, refuse_if_stopped
 from smarttouch.cli.terminal import never_waiting
-from smarttouch.errors import BoardStoppedError
+from smarttouch.errors import BoardError, BoardStoppedError
 from smarttouch.stopping import RunStopped, SignalWatch, StopRequest
 
 if TYPE_CHECKING:
@@ -90,10 +90,22 @@ def opened(board: "Board", stop: StopRequest | None = None) -> Iterator["Board"]
     with ending_in_order(), (stop or the_stop()).telling(board.halt):
         if _watches:
             refuse_if_stopped()
-        with board:
+        with contextlib.ExitStack() as stack:
+            _open(board)
+            stack.push(board)
             if _watches:
                 refuse_if_stopped()
             yield board
+
+
+def _open(board: "Board") -> None:
+    """Open a board; what fails after a signal fails because of that."""
+    try:
+        board.open()
+    except BoardError as error:
+        if _watches and _watches[-1][1].number:
+            raise BoardStoppedError(str(error)) from None
+        raise
 
 
 @contextmanager

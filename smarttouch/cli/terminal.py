@@ -10,6 +10,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TextIO
 
+from smarttouch.errors import SmartTouchError
+from smarttouch.terminal import Output
+
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
@@ -127,6 +130,10 @@ def never_waiting(stopped: Callable[[], bool]) -> Iterator[None]:
             while not outlet.drain(_STEP_S) and not stopped():
                 pass
             outlet.drain(LAST_WORDS_S)
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            raise SmartTouchError(f"cannot write to standard output: {error.strerror}") from None
         finally:
             outlet.close()
 
@@ -138,9 +145,11 @@ def _through(stream: TextIO, outlet: Outlet) -> TextIO:
         stream.flush()
     except (OSError, ValueError, AttributeError):
         return stream
-    return io.TextIOWrapper(
+    ours = io.TextIOWrapper(
         io.BufferedWriter(_Stream(outlet, number)),
         stream.encoding,
         stream.errors,
         line_buffering=getattr(stream, "line_buffering", False),
     )
+    # What a terminal would obey is kept from it here too.
+    return stream.onto(ours) if isinstance(stream, Output) else ours

@@ -38,6 +38,7 @@ def test_keys_turn_intensity_and_end_the_run(start_at_a_terminal, tmp_path):
     os.write(keys, b"q")
     assert ended(process, tmp_path)["ended"] == "key q"
     words = [words for _, words in Recording(tmp_path / "run.mcap").events()]
+    assert words.pop().startswith("dose ")
     assert words.pop().startswith("by the board's account")
     assert words == [
         "intensity 0.10",
