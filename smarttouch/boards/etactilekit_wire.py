@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards.scale import Scale
-from smarttouch.boards.streamed import one_against_all
+from smarttouch.boards.single_source import one_against_all
 from smarttouch.errors import BoardError
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence

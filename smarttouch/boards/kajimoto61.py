@@ -28,7 +28,8 @@ from smarttouch.boards.board import Capabilities
 from smarttouch.boards.impedance import Impedance, judge
 from smarttouch.boards.probe import one_each
 from smarttouch.boards.scale import scale_of
-from smarttouch.boards.streamed import Job, StreamedBoard, one_against_all
+from smarttouch.boards.single_source import one_against_all
+from smarttouch.boards.streamed import Job, StreamedBoard
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits

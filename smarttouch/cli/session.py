@@ -23,6 +23,8 @@ from smarttouch.live import Tell, run, settled
 from smarttouch.modes.bank import load_bank
 from smarttouch.pipeline import Pipeline
 from smarttouch.profile import Profile
+from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2
+from smarttouch.scan.limits import rms_ma_cm2
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.sensing.forces.force import ForceSource
 from smarttouch.sensing.frame import Sensor
@@ -99,6 +101,8 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
                 display.stop()
                 report = display.report()
             display.notes += [*regulator.notes(), *_refused_packets(display, report)]
+            if plan.on_a_finger:
+                display.notes += _density(profile)
             ended = stop.reason or source.ended
             for words in [_account(report), _dose(display), *_notes(source, force, display)]:
                 tell(int(tally.seconds * 1e9), words)
@@ -175,6 +179,16 @@ def _account(report: BoardReport) -> str:
 def _dose(board: Board) -> str:
     dose = board.dose
     return f"dose {dose.seconds:.3f} s of current, {dose.most_mc:.4f} mC through one electrode"
+
+
+def _density(profile: Profile) -> list[str]:
+    rms = rms_ma_cm2(profile)
+    if rms <= ADVISORY_RMS_MA_CM2:
+        return []
+    return [
+        f"at full intensity an electrode's own pulses are {rms:.0f} mA/cm² r.m.s.: above "
+        f"{ADVISORY_RMS_MA_CM2:g}, IEC 60601-2-10 wants the operator's attention"
+    ]
 
 
 def _refused_packets(board: Board, report: BoardReport) -> list[str]:
