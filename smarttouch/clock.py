@@ -6,6 +6,16 @@ from typing import Protocol
 
 SPIN_NS = 300_000
 """The end of each wait is spun: a sleep alone wakes 0.1 to 0.2 ms late."""
+LATE_NS = 100_000_000
+"""So much after its time nothing goes to a board any more, and intensity begins at zero."""
+
+_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+"""Where there is one, the clock that goes on while the machine is suspended."""
+
+
+def now_ns() -> int:
+    """Return nanoseconds since the machine was started, those in which it slept included."""
+    return time.clock_gettime_ns(_CLOCK)
 
 
 class Clock(Protocol):
@@ -17,7 +27,10 @@ class Clock(Protocol):
 
 
 class MonotonicClock:
-    """The machine's monotonic clock: sleeps to a deadline, then spins the last bit.
+    """The machine's clock: sleeps to a deadline, then spins the last bit.
+
+    It never goes back, and runs on while the machine is suspended: what was due before
+    that is late after it.
 
     Parameters
     ----------
@@ -29,7 +42,7 @@ class MonotonicClock:
         self._spin_ns = spin_ns
 
     def now_ns(self) -> int:
-        return time.perf_counter_ns()
+        return now_ns()
 
     def wait_until(self, deadline_ns: int, stop: threading.Event) -> None:
         left = deadline_ns - self.now_ns()

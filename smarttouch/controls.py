@@ -1,49 +1,11 @@
-"""What a user may change while it runs: intensity, mode, pause and stop."""
+"""The user's own controls: intensity, mode and pause, changed while it runs."""
 
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from types import FrameType
+from dataclasses import dataclass, replace
 
 from smarttouch.primary import Mode
 
 STEP = 0.05
 """Of one press of a key, in parts of the strongest."""
-
-
-@dataclass
-class StopRequest:
-    """Set from a signal, another thread or the keyboard to end a run."""
-
-    event: threading.Event = field(default_factory=threading.Event)
-    reason: str = ""
-
-    def ask(self, reason: str) -> None:
-        # The first reason is the true one: a second Ctrl-C changes nothing.
-        self.reason = self.reason or reason
-        self.event.set()
-
-
-@contextmanager
-def stop_on_signals(stop: StopRequest) -> Iterator[None]:
-    """Let SIGINT, SIGTERM and SIGHUP end the run in order."""
-    names = {
-        signal.SIGINT: "Ctrl-C",
-        signal.SIGTERM: "SIGTERM",
-        signal.SIGHUP: "SIGHUP",
-    }
-
-    def ask(number: int, _frame: FrameType | None) -> None:
-        stop.ask(names[signal.Signals(number)])
-
-    before = {number: signal.signal(number, ask) for number in names}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @dataclass(frozen=True)
@@ -80,7 +42,14 @@ class Controls:
         To begin with.
     modes : tuple of Mode
         What `next_mode` goes through.
+
+    Attributes
+    ----------
+    most : float, in [0, 1]
+        No level is raised above it.
     """
+
+    most = 1.0
 
     def __init__(self, wish: Wish, modes: tuple[Mode, ...] = ()) -> None:
         self._wish, self._modes = wish, modes or (wish.mode,)
@@ -90,8 +59,8 @@ class Controls:
         return self._wish
 
     def change_level(self, by: float) -> None:
-        """Raise or lower the level, from 0 to the ceiling."""
-        level = min(1.0, max(0.0, round(self._wish.level + by, 6)))
+        """Raise or lower the level, from 0 to the most that is allowed."""
+        level = min(self.most, max(0.0, round(self._wish.level + by, 6)))
         self._wish = replace(self._wish, level=level)
 
     def silence(self) -> None:

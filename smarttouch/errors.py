@@ -92,6 +92,14 @@ class BoardRestartedError(BoardError):
     """A board was lost and is back, at zero: begin again at intensity 0."""
 
 
+class SequenceLateError(BoardRestartedError):
+    """A sequence was too late to be sent, and was dropped: begin again at intensity 0."""
+
+
+class BoardStoppedError(BoardError):
+    """A board was stopped, and is at zero: nothing is sent to it any more."""
+
+
 class RecordingError(SmartTouchError):
     """A recording cannot be written or read."""
 

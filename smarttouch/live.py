@@ -11,17 +11,21 @@ import cv2
 import numpy as np
 
 from smarttouch.boards.board import Board
-from smarttouch.clock import Clock, MonotonicClock
-from smarttouch.controls import Controls, StopRequest, Wish
-from smarttouch.errors import BoardRestartedError
+from smarttouch.clock import LATE_NS, Clock
+from smarttouch.controls import Controls, Wish
+from smarttouch.errors import (
+    BoardError,
+    BoardRestartedError,
+    BoardStoppedError,
+    SequenceLateError,
+)
 from smarttouch.pipeline import Pipeline, Step
 from smarttouch.regulator import Regulator
 from smarttouch.sensing.forces.force import ForceSource
 from smarttouch.sensing.frame import Frame, Sensor
+from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 
-STALL_NS = 100_000_000
-"""After such a delay the board may have fallen silent: intensity starts from zero again."""
 HELD_UP_NS = 1_000_000
 """A send that takes longer than this has waited for the board."""
 LIFT_NS = 300_000_000
@@ -102,7 +106,8 @@ def run(
     observers : sequence of callable
         Told of every step, also of one that was lost with the board.
     controls : Controls, optional
-        What the user wants; full intensity in the pipeline's mode if not given.
+        What the user wants; full intensity in the pipeline's mode if not given, which is for
+        boards that no finger is on.
     force : ForceSource, optional
         How hard the finger presses; the sensor's own word if not given.
     tell : callable, optional
@@ -110,11 +115,22 @@ def run(
     regulator : Regulator, optional
         What the board's own measurements do to the sequences.
     clock : Clock, optional
-        The machine's if not given.
+        The board's if not given.
+
+    Raises
+    ------
+    BoardError
+        If nobody says how strong it may be on a board that may have a finger on it, and
+        whatever the board raises.
     """
+    if controls is None and board.on_a_finger:
+        raise BoardError(
+            "there may be a finger on this board, and nobody says how strong it may be: give "
+            "controls, for example Controls(Wish(mode, level=0)), and raise the level from there"
+        )
     controls = controls or Controls(Wish(pipeline.mode))
     inputs = _Inputs(sensor, force, board, pipeline, controls, tally, tell)
-    loop = _Loop(inputs, regulator or Regulator(), stop, observers, clock or MonotonicClock())
+    loop = _Loop(inputs, regulator or Regulator(), stop, observers, clock or board.clock)
     loop.run(seconds)
     tell(loop.elapsed_ns, stop.reason or "the end of what the sensor sees")
 
@@ -201,6 +217,7 @@ class _Loop:
     _shift_ns: int = 0
     _before_ns: int | None = None
     _period_ns: int = 0
+    _over_ns: int = 0
 
     def run(self, seconds: float | None) -> None:
         tally, clock, stop = self.inputs.tally, self.clock, self.stop
@@ -210,21 +227,29 @@ class _Loop:
             clock.wait_until(deadline_ns, stop.event)
             if stop.event.is_set():
                 break
-            now_ns = clock.now_ns()
+            # In this order: a pause of the computer between the two makes the frame late.
+            board_ns, now_ns = self.inputs.board.clock.now_ns(), clock.now_ns()
             tally.seconds = (now_ns - start_ns) / 1e9
             if seconds is not None and tally.seconds >= seconds:
-                stop.ask(f"{seconds:g} s are over")
+                stop.ask(f"{seconds:g} s are over", at_once=False)
                 break
-            if not self._step(now_ns, now_ns - deadline_ns):
+            late_ns = now_ns - deadline_ns
+            if not self._step(now_ns, late_ns, board_ns):
                 break
         self.inputs.board.drain()
         tally.seconds = (clock.now_ns() - start_ns) / 1e9
 
-    def _step(self, now_ns: int, late_ns: int) -> bool:
+    def _step(self, now_ns: int, late_ns: int, board_ns: int) -> bool:
         """Let one frame be felt; return False where there is none any more."""
+        # The skin waits since the sequence before was over, whatever the plan says.
+        waits_ns = max(0, late_ns, now_ns - self._over_ns if self._over_ns else 0)
+        stalled = waits_ns > LATE_NS
+        # After a stall the plan is a new one.
+        due_ns = board_ns if stalled else board_ns - waits_ns
         inputs, clock, elapsed_ns = self.inputs, self.clock, self.elapsed_ns
         pipeline, tally = inputs.pipeline, inputs.tally
-        if late_ns > STALL_NS:
+        if stalled:
+            # The board may have fallen silent.
             pipeline.restart_softly()
         frame = inputs.look(elapsed_ns)
         if frame is None:
@@ -234,7 +259,12 @@ class _Loop:
         in_hand_ns, worked_ns = clock.now_ns(), time.thread_time_ns()
         step = self.regulator.regulate(pipeline.process(frame, wish.current_level), inputs.board)
         sending_ns = clock.now_ns()
-        number = self._send(step)
+        try:
+            number = self._send(step, due_ns)
+        except BoardStoppedError:
+            if not self.stop.event.is_set():
+                raise
+            return False
         sent_ns = clock.now_ns()
         work_us = (time.thread_time_ns() - worked_ns) / 1000
         sent = Sent(step, number, (sent_ns - in_hand_ns) / 1000, work_us)
@@ -242,10 +272,12 @@ class _Loop:
         if number is None:
             self._shift_ns += sent_ns - now_ns
             self._before_ns = None
+            self._over_ns = 0
         else:
             self._count(sent, now_ns)
+            self._over_ns = sent_ns + period_ns
             waited_ns = sent_ns - sending_ns
-            if HELD_UP_NS < waited_ns < STALL_NS:
+            if HELD_UP_NS < waited_ns < LATE_NS:
                 # The board's clock is behind: frames taken later reach the skin as soon, and
                 # fresher.
                 self._shift_ns += waited_ns
@@ -257,13 +289,13 @@ class _Loop:
             observe(sent)
         return True
 
-    def _send(self, step: Step) -> int | None:
-        """Send; return the board's number of the sequence, or None if it was lost and is back."""
+    def _send(self, step: Step, due_ns: int) -> int | None:
+        """Send; return the board's number of the sequence, None if it is to begin anew."""
         inputs = self.inputs
         try:
-            return inputs.board.send(step.sequence)
+            return inputs.board.send(step.sequence, due_ns=due_ns)
         except BoardRestartedError as lost:
-            inputs.tally.restarts += 1
+            inputs.tally.restarts += not isinstance(lost, SequenceLateError)
             inputs.tell(self.elapsed_ns, str(lost))
             inputs.pipeline.restart_softly()
             return None

@@ -7,7 +7,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, Self, TextIO
 
 from smarttouch.errors import SmartTouchError
 
@@ -51,6 +51,10 @@ class Output:
         self._stream, self._name = stream, name
 
         self.encoding, self.errors = stream.encoding, stream.errors
+
+    def onto(self, stream: TextIO) -> Self:
+        """Return one that writes to another stream in the same way."""
+        return type(self)(stream, self._name)
 
     @property
     def closed(self) -> bool:

@@ -27,7 +27,7 @@ def one_thread():
 
 
 @pytest.fixture(scope="session", autouse=True)
-def watch():
+def safety_watch():
     """The oracle beside every gate of this process, and its judge of books."""
     watch = Watch()
     patch = watch.installed()
@@ -45,14 +45,14 @@ def judged_books():
 
 
 @pytest.fixture(autouse=True)
-def proved_twice(request, watch, judged_books):
+def proved_twice(request, safety_watch, judged_books):
     """Fail a test if a gate accepts, or an emulator delivers, what the oracle would not."""
-    watch.on = "benchmark" not in request.fixturenames
+    safety_watch.on = "benchmark" not in request.fixturenames
     yield
     # Whoever has no folder leaves no books.
     if judged_books is not None and "tmp_path" in request.node.funcargs:
-        watch.judge_all_books(request.node.funcargs["tmp_path"], **judged_books)
-    assert watch.take() == []
+        safety_watch.judge_all_books(request.node.funcargs["tmp_path"], **judged_books)
+    assert safety_watch.take() == []
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.controls import STEP, Controls, StopRequest, Wish
+from smarttouch.controls import STEP, Controls, Wish
 from smarttouch.primary import Mode
 
 
@@ -54,9 +54,11 @@ def test_no_other_level_can_be_wished(level):
         Wish(Mode.RA, level)
 
 
-def test_the_first_reason_is_the_true_one():
-    stop = StopRequest()
-    stop.ask("key q")
-    stop.ask("Ctrl-C")
-    assert stop.reason == "key q"
-    assert stop.event.is_set()
+def test_keys_raise_it_no_higher_than_the_most():
+    controls = Controls(Wish(Mode.RA, 0.0))
+    controls.most = 0.12
+    for _ in range(5):
+        controls.change_level(STEP)
+    assert controls.wish(0).level == 0.12
+    controls.change_level(-STEP)
+    assert controls.wish(0).level == 0.07

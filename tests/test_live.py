@@ -9,7 +9,7 @@ import pytest
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.boards.probe import one_each
-from smarttouch.controls import Controls, StopRequest, Wish
+from smarttouch.controls import Controls, Wish
 from smarttouch.errors import BoardError, BoardRestartedError, LineLostError, SafetyError
 from smarttouch.live import run
 from smarttouch.pipeline import Pipeline
@@ -20,6 +20,7 @@ from smarttouch.scan.ledger import ChargeLedger
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.sensing.forces.force import ForceSource
 from smarttouch.sensing.frame import Frame, Pose, Sensor
+from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 
 
@@ -536,3 +537,76 @@ def test_the_age_of_an_image_counts(pipeline, board):
     assert tally.motion_to_bytes.largest_us == tally.latency.largest_us + 7000
     assert tally.period_error.largest_us == 0
     assert 0 < tally.work_share < 1
+
+
+def test_what_was_computed_before_a_pause_is_not_sent(monkeypatch, pipeline, board):
+    """The computer stands still between the making of a sequence and its sending."""
+    clock, tally, words = FakeClock(), Tally(), []
+    board._clock = clock
+    process = pipeline.process
+
+    def stand_still(frame, level):
+        step = process(frame, level)
+        if len(board.sequences) == 40 and not board.dropped_late:
+            clock.time_ns += 300_000_000
+        return step
+
+    monkeypatch.setattr(pipeline, "process", stand_still)
+    with board:
+        run(
+            Bars(60), pipeline, board, stop=StopRequest(), tally=tally, clock=clock,
+            tell=lambda _time_ns, said: words.append(said),
+        )  # fmt: skip
+    assert intensities(board)[39:42] == [1, 0, pytest.approx(0.04)]
+    assert (board.dropped_late, tally.restarts, tally.frames) == (1, 0, 59)
+    assert any("intensity begins at zero" in said for said in words)
+
+
+def test_a_pause_before_a_frame_is_taken_drops_nothing(pipeline, board):
+    board._clock = clock = FakeClock([0] * 40 + [300_000_000])
+    with board:
+        run(Bars(60), pipeline, board, stop=StopRequest(), tally=Tally(), clock=clock)
+    assert intensities(board)[39:42] == [1, 0, pytest.approx(0.04)]
+    assert board.dropped_late == 0
+
+
+def test_a_stop_halts_the_board_in_the_middle_of_a_step(monkeypatch, pipeline, board):
+    stop, tally = StopRequest(), Tally()
+    process = pipeline.process
+
+    def stopped_meanwhile(frame, level):
+        if len(board.sequences) == 10:
+            thread = threading.Thread(target=stop.ask, args=("key q",))
+            thread.start()
+            thread.join()
+        return process(frame, level)
+
+    monkeypatch.setattr(pipeline, "process", stopped_meanwhile)
+    with board, stop.telling(board.halt):
+        run(Bars(60), pipeline, board, stop=stop, tally=tally, clock=FakeClock())
+    assert (len(board.sequences), tally.frames, stop.reason) == (10, 10, "key q")
+
+
+def test_a_board_stopped_by_nobody_who_may_is_a_fault(pipeline, board):
+    def stops(_sent):
+        board.stop()
+
+    with board, pytest.raises(BoardError, match="stopped"):
+        run(
+            Bars(60), pipeline, board, stop=StopRequest(), tally=Tally(), observers=[stops],
+            clock=FakeClock(),
+        )  # fmt: skip
+
+
+def test_on_a_finger_somebody_must_say_how_strong(monkeypatch, pipeline, board):
+    monkeypatch.setattr(type(board), "on_a_finger", True)
+    with board:
+        with pytest.raises(BoardError, match="give controls"):
+            run(Bars(5), pipeline, board, stop=StopRequest(), tally=Tally(), clock=FakeClock())
+        assert board.sequences == []
+        controls = Controls(Wish(Mode.RA, 0.0))
+        run(
+            Bars(5), pipeline, board, stop=StopRequest(), tally=Tally(), clock=FakeClock(),
+            controls=controls,
+        )  # fmt: skip
+    assert intensities(board) == [0] * 5

@@ -8,7 +8,6 @@ import pytest
 
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.clock import SimulatedClock
-from smarttouch.controls import StopRequest
 from smarttouch.errors import MarkersError
 from smarttouch.live import Sent, run
 from smarttouch.markers import FRAMES, PULSES, Markers
@@ -16,6 +15,7 @@ from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.sensing.frame import Frame, Pose, Sensor
+from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 
 

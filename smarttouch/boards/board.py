@@ -1,20 +1,18 @@
 """The contract that every display board keeps."""
 
-import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
-from itertools import compress
 from types import TracebackType
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.boards.capabilities import BOTH, BoardReport, Capabilities, Polarity
 from smarttouch.boards.impedance import Impedance
-from smarttouch.clock import MonotonicClock
-from smarttouch.errors import BoardError, BoardRestartedError, LineLostError
+from smarttouch.boards.timely import Timely
+from smarttouch.errors import BoardError, BoardRestartedError, LineLostError, SequenceLateError
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.profile.device import Output
 from smarttouch.registry import find_opener
@@ -23,86 +21,23 @@ from smarttouch.scan.safety import Now, SafetyGate, SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
 from smarttouch.scan.timing import ScanTiming
 
-Polarity = Literal["anodic", "cathodic"]
-BOTH: tuple[Polarity, ...] = ("anodic", "cathodic")
-
-
-@dataclass(frozen=True)
-class Capabilities:
-    """What a board can do, and what it cannot."""
-
-    electrodes: int
-    output: Literal["weighted", "three-state", "one-against-all", "vibration"]
-    max_current_ma: float
-    max_slots: int
-    time_to_zero_ms: float | None
-    """Longest time from the host's silence to no current; None if it may go on for ever."""
-    firmware: str
-    polarities: tuple[Polarity, ...] = BOTH
-    clock: Literal["board", "host"] = "board"
-    """Whose clock the pulses leave on."""
-    acknowledges: bool = True
-    measures: bool = False
-    """Whether it tells the voltage that a slot needed."""
-    force: bool = False
-    """Whether it tells how hard the finger presses."""
-    compliance_v: float | None = None
-    """The most its source can give, if it is known."""
-    vibrates: bool = False
-    """Whether mechanical vibrators are part of it."""
-    recharges: bool = False
-    """Whether it can end a scan with a recharge phase."""
-    kept_ms: float | None = None
-    """Longest time from the end of this program to zero, where a process beside it sees to that."""
-
-    def describe(self) -> list[tuple[str, str]]:
-        """Return what there is to tell a user, as names and values."""
-        silence = "goes on with its last pattern for ever: lift the finger before you unplug it"
-        if self.time_to_zero_ms is not None:
-            silence = f"no current {self.time_to_zero_ms:g} ms after the host falls silent"
-        if self.kept_ms is not None:
-            silence = (
-                f"zero {self.kept_ms:g} ms after the program ends or hangs; by itself {silence}"
-            )
-        names = ("acknowledgments", "voltages", "finger force")
-        told = compress(names, (self.acknowledges, self.measures, self.force))
-        return [
-            ("firmware", self.firmware),
-            ("electrodes", f"{self.electrodes}, {self.output}, {' or '.join(self.polarities)}"),
-            ("current", f"at most {self.max_current_ma:.1f} mA"),
-            ("clock", f"the {self.clock}'s"),
-            ("host lost", silence),
-            ("while it scans", "tells of " + (", ".join(told) or "nothing")),
-        ]
-
-
-@dataclass(frozen=True)
-class BoardReport:
-    """Account of what a board delivered since it was opened."""
-
-    sequences: int
-    slots: int
-    pulses: int
-    """Electrode pulses: one for each electrode that carried current in a slot."""
-    violations: int
-    max_current_ma: float
-    max_charge_uc: float
-    max_net_charge_uc: float
-    """Most charge left on an electrode: after a discharge; by the host's books, of all pulses."""
-    refused_packets: int = 0
-    """Old packets, and those of other sessions, that reached the board."""
-    by: Literal["board", "host"] = "board"
-    """Whose account it is; a host's is of what was scanned, as far as it can know."""
-    most_pulses: int | None = None
-    """By a host that knows only a range; pulses and slots are then the least."""
-
+__all__ = [
+    "BOTH",
+    "Board",
+    "BoardReport",
+    "Capabilities",
+    "Polarity",
+    "make_board",
+    "may_touch_a_finger",
+    "usual_profile",
+]
 
 LONGEST_REPEAT = 0xFFFF
 SLOW_ANSWER_S = 0.008
 """FTDI chips keep what comes back for 16 ms unless told otherwise."""
 
 
-class Board(ABC):
+class Board(Timely, ABC):
     """A display board.
 
     A driver implements the underscored methods. `send` cannot be reached
@@ -120,8 +55,8 @@ class Board(ABC):
     usual_profile: ClassVar[str] = DEFAULT_PROFILE
     """The shipped profile of such a board."""
     takes_wiring: ClassVar[bool] = False
-    waits_for_nothing: ClassVar[bool] = False
-    """Whether its time is a simulated one, that need not be waited for."""
+    on_a_finger: ClassVar[bool] = True
+    """Whether there may be a finger on it."""
     ua_per_count: float | None = None
     """Its current scale, if it has one that can be measured."""
     timing: ScanTiming = ScanTiming()
@@ -144,10 +79,10 @@ class Board(ABC):
                 "output.wiring is for boards whose outputs are wired by the user (etactilekit:): "
                 "remove it from the profile of this one"
             )
+        super().__init__()
         self.notes: list[str] = []
         self._output = output
         self._gate = SafetyGate(limits, self._time())
-        self._stopped = threading.Event()
         self._opened = False
 
     def open(self) -> None:
@@ -156,14 +91,24 @@ class Board(ABC):
             raise BoardError("the board is open already: close it first")
         # A new run starts from zero intensity, and its time may start anew.
         self._gate.begin_session()
-        self._stopped.clear()
+        self._begin_unless_halted()
         self._open()
         self._opened = True
+        if self._stopped.is_set():
+            self.close()
+            self._go_on_unless_stopped()
 
-    def send(self, sequence: ScanSequence, times: int = 1) -> int:
+    def send(self, sequence: ScanSequence, times: int = 1, due_ns: int | None = None) -> int:
         """Prove a sequence safe, then send it.
 
         It is delivered ``times`` times, one period after another, unless a newer one comes.
+
+        Parameters
+        ----------
+        sequence : ScanSequence
+        times : int
+        due_ns : int, optional
+            When it was planned to start, by the board's clock; now if not given.
 
         Returns
         -------
@@ -176,13 +121,17 @@ class Board(ABC):
             If it breaks a limit; nothing is sent.
         BoardRestartedError
             If the board was lost and is back: begin again at intensity 0.
+        SequenceLateError
+            If it, or one before it, was too late to be sent: begin again at intensity 0.
+        BoardStoppedError
+            If the board was stopped.
         BoardError
-            If the board is closed, stopped, of another size, or gone.
+            If the board is closed, of another size, or gone.
         """
+        self._due_ns = self.clock.now_ns() if due_ns is None else due_ns
         if not self._opened:
             raise BoardError("the board is not open: open it before sending")
-        if self._stopped.is_set():
-            raise BoardError("the board was stopped: open it again before sending")
+        self._go_on_unless_stopped()
         if sequence.electrodes != self.capabilities.electrodes:
             raise BoardError(
                 f"the sequence is for {sequence.electrodes} electrodes, the board has "
@@ -201,13 +150,24 @@ class Board(ABC):
             raise BoardError(f"{times} repetitions are not possible: from 1 to {LONGEST_REPEAT}")
         proved = self._gate.prove(sequence, times)
         try:
+            self._refuse_late(self._due_ns)
             return self._send(proved, times)
+        except SequenceLateError:
+            # The skin has felt nothing for a while: what comes next begins at zero.
+            self._gate.restart()
+            raise
         except LineLostError as lost:
+            self._go_on_unless_stopped()
             self._recover(lost)
             # The skin has felt nothing for a while: what comes next begins at zero.
             self._gate.restart()
             self.notes.append(f"{lost}: started anew")
             raise BoardRestartedError(f"{lost}, and was started anew") from None
+        except BoardError:
+            # What fails on a board that someone has halted, fails because of that.
+            if self._halted:
+                self._go_on_unless_stopped()
+            raise
 
     @property
     def dose(self) -> Dose:
@@ -220,7 +180,7 @@ class Board(ABC):
         Only a board that no finger can be on has another, or none: then time is what
         sequences claim.
         """
-        return MonotonicClock()
+        return self.clock
 
     @property
     def refused_packets(self) -> int:
@@ -274,6 +234,11 @@ class Board(ABC):
         """Put all electrodes at zero now, from any thread; nothing can be sent after."""
         self._stopped.set()
         self._stop()
+
+    def halt(self) -> None:
+        """Stop for good, from any thread: also while it is being opened, which then fails."""
+        self._halted = True
+        self.stop()
 
     def close(self) -> None:
         """Put all electrodes at zero and let go of the board."""
@@ -343,6 +308,12 @@ def make_board(
     opener, rest = find_opener("smarttouch.boards", url, BoardError)
     board: Board = opener(rest, limits, output, **options)
     return board
+
+
+def may_touch_a_finger(url: str) -> bool:
+    """Return whether there may be a finger on the board of a URL."""
+    opener, _ = find_opener("smarttouch.boards", url, BoardError)
+    return bool(getattr(opener, "on_a_finger", True))
 
 
 def usual_profile(url: str) -> str:

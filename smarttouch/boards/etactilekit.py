@@ -114,16 +114,21 @@ class ETactileKitBoard(SteppedKit):
         return codec.payload(sequence, self._wiring, self._scale, self._gate.limits)
 
     def _serve(self) -> None:
-        idle = False
+        idle, free_ns = False, 0
         while not self._closing.is_set():
             self._rest()
             job = self._take(None if idle else time.monotonic() + IDLE_S)
-            if job is not None:
+            if job is not None and not self._is_late(max(job.due_ns, free_ns)):
                 self._perform(job)
+                # What waited for its turn is not late; what comes after a pause is.
+                free_ns = self._clock.now_ns()
+                idle = False
             elif not self._closing.is_set():
                 with self._line:
                     self._zero()
-            idle = job is None
+                if job is not None:
+                    self._drop_late(job)
+                idle = True
 
     def _perform(self, job: Job) -> None:
         """Let a sequence be scanned as often as it wants, or until a newer one waits."""
@@ -150,7 +155,7 @@ class ETactileKitBoard(SteppedKit):
         outputs = self._wiring[sequence.site]
         chosen = [np.frombuffer(each, np.uint8)[outputs] == 1 for each in payloads]
         return [
-            Job(job.number, slots_of(sequence, each), payload, 1)
+            Job(job.number, slots_of(sequence, each), payload, 1, job.due_ns)
             for each, payload in zip(chosen, payloads, strict=True)
         ]
 
@@ -254,7 +259,7 @@ class ETactileKitBoard(SteppedKit):
             self._zero()
             # Ten scans a second; two of them are over when the readings are asked for.
             self._write_out(codec.lead + codec.sense)
-            time.sleep(0.25)
+            self._pause(0.25)
             found = self._exchange(NO_SENSE, ask=True)
             self._settings = self._before = None
             if found is None:

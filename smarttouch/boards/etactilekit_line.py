@@ -21,7 +21,6 @@ from smarttouch.boards.etactilekit_wire import (
 from smarttouch.boards.keeper import PAUSE_S, PIECE
 from smarttouch.boards.kept_board import KeptBoard
 from smarttouch.boards.scan_lock import Span
-from smarttouch.clock import Clock, MonotonicClock
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
@@ -55,7 +54,6 @@ class ETactileKitLine(KeptBoard):
         port, _, options = port.partition("?")
         self._slow, self._wanted = _parse(options)
         super().__init__(port, limits, output)
-        self._clock: Clock = MonotonicClock()
         wiring = None if output is None else output.wiring
         self._wiring = np.arange(limits.electrodes) if wiring is None else np.asarray(wiring)
         self._outputs = int(self._wiring.max()) + 1
@@ -100,7 +98,7 @@ class ETactileKitLine(KeptBoard):
             # A host before us may have left half a pattern: any other byte would complete it,
             # as a current. What zeros do not end, it forgets in silence.
             self._write_out(ZEROS)
-            time.sleep(pause_s)
+            self._pause(pause_s)
             for command in AT_REST:
                 self._write_out(command)
             self._flush()
@@ -160,7 +158,7 @@ class ETactileKitLine(KeptBoard):
         """Return whether it drops half a command when its host was away for a while."""
         began = time.monotonic()
         self._write(b"\xfd")
-        time.sleep(0.05)
+        self._pause(0.05)
         self._reconnect(AWAY_S)
         self._write(PING)
         forgets = self._codec.is_answer(self._read(1, ECHO_S))
@@ -174,7 +172,7 @@ class ETactileKitLine(KeptBoard):
     def _reconnect(self, away_s: float) -> None:
         assert self._serial is not None
         self._serial.close()
-        time.sleep(away_s)
+        self._pause(away_s)
         self._serial = self._wrap(open_port(self._port_name))
 
     def _recognize(self) -> None:

@@ -32,11 +32,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards.scale import Scale
-from smarttouch.boards.streamed import one_against_all
+from smarttouch.boards.single_source import one_against_all
 from smarttouch.errors import BoardError
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
 
+UA_PER_COUNT = 9.99
+"""Nominal; its firmware does not cap 4095 counts, which are 41 mA."""
 LARGEST = 1000
 """Counts, about 10 mA: nothing above leaves this host, whatever the limits. Its firmware does not
 cap 4095 counts, which are 41 mA."""

@@ -52,11 +52,13 @@ class HybridBoard(Board):
     acknowledged: int = _electric("acknowledged")
     refused: int = _electric("refused")
     replaced: int = _electric("replaced")
+    dropped_late: int = _electric("dropped_late")
     force_n: float | None = _electric("force_n")
     lifted: bool = _electric("lifted")
     ua_per_count: float | None = _electric("ua_per_count")
     timing: ScanTiming = _electric("timing")
     waits_for_nothing: ClassVar[bool] = _electric("waits_for_nothing")
+    on_a_finger: ClassVar[bool] = _electric("on_a_finger")
     capabilities: Capabilities = _vibrating()
 
     def __init__(self, electric: Board, shaking: VibratorBoard) -> None:
@@ -80,7 +82,7 @@ class HybridBoard(Board):
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         try:
-            number = self.electric.send(replace(sequence, vibration=None), times)
+            number = self.electric.send(replace(sequence, vibration=None), times, self._due_ns)
             self.shaking.send(_only_vibration(sequence), times)
         except BoardRestartedError:
             self.shaking.silence()
@@ -108,17 +110,26 @@ class HybridBoard(Board):
     def report(self) -> BoardReport:
         return self.electric.report()
 
-    def _stop(self) -> None:
+    def halt(self) -> None:
+        self._halted = True
+        self._stopped.set()
         try:
-            self.shaking.stop()
+            self.electric.halt()
         finally:
+            self.shaking.halt()
+
+    def _stop(self) -> None:
+        # Current first: a file of vibrations may keep its writer waiting.
+        try:
             self.electric.stop()
+        finally:
+            self.shaking.stop()
 
     def _close(self) -> None:
         try:
-            self.shaking.close()
-        finally:
             self.electric.close()
+        finally:
+            self.shaking.close()
 
 
 def _only_vibration(sequence: ScanSequence) -> ScanSequence:

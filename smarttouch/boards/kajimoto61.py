@@ -28,8 +28,8 @@ from smarttouch.boards.board import Capabilities
 from smarttouch.boards.impedance import Impedance, judge
 from smarttouch.boards.probe import one_each
 from smarttouch.boards.scale import scale_of
-from smarttouch.boards.streamed import Job, StreamedBoard, one_against_all
-from smarttouch.clock import Clock, MonotonicClock
+from smarttouch.boards.single_source import one_against_all
+from smarttouch.boards.streamed import Job, StreamedBoard
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
@@ -82,7 +82,6 @@ class Kajimoto61Board(StreamedBoard):
         self._step_ua = COUNTS_PER_BYTE * self.ua_per_count
         most = self._scale.most_counts(limits, WIDTH_US, COUNTS_PER_BYTE)
         self._largest = np.minimum(LARGEST, most)
-        self._clock: Clock = MonotonicClock()
         self.capabilities = Capabilities(
             electrodes=ELECTRODES,
             output="one-against-all",
@@ -143,14 +142,25 @@ class Kajimoto61Board(StreamedBoard):
         deadline_ns, job = 0, None
         while (newest := self._take()) is not None:
             now = self._clock.now_ns()
+            if self._is_late(newest.due_ns):
+                self._drop_late(newest)
+                continue
             if job is None or now - deadline_ns > 1000 * job.sequence.period_us:
                 # The first of a run, or after a pause: a new grid.
                 deadline_ns = now + int(LEAD_S * 1e9)
             job, deadline_ns = self._scan(newest, deadline_ns)
             self._rest()
 
-    def _scan(self, job: Job, deadline_ns: int) -> tuple[Job, int]:
-        """Send one sequence as often as it wants; return the last one sent, and what is next."""
+    def _scan(self, job: Job, deadline_ns: int) -> tuple[Job | None, int]:
+        """Send one sequence as often as it wants.
+
+        Returns
+        -------
+        job : Job or None
+            The last one sent; None if it had become too late.
+        deadline_ns : int
+            When the next one may go.
+        """
         left = job.times
         while left:
             self._clock.wait_until(deadline_ns, self._closing)
@@ -161,7 +171,9 @@ class Kajimoto61Board(StreamedBoard):
                 if self._closing.is_set():
                     break
                 sent_ns = self._clock.now_ns()
-                self._write(job.data)
+                if not self._write_in_time(job.data, deadline_ns):
+                    self._drop_late(job)
+                    return None, deadline_ns
             self._delivered(job)
             left -= 1
             # After a packet that left late the grid moves: catching up would pass the rate that

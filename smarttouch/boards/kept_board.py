@@ -1,7 +1,5 @@
 """What drivers share whose boards go on by themselves: a keeper that puts the board at zero."""
 
-import time
-
 from smarttouch.boards.kept_line import KeptLine
 from smarttouch.boards.streamed import StreamedBoard
 from smarttouch.errors import OtherDeviceError
@@ -41,7 +39,7 @@ class KeptBoard(StreamedBoard):
         """
         # No zeros before the question: to another device they might be more than one.
         for pause_s in (0.0, silence_s):
-            time.sleep(pause_s)
+            self._pause(pause_s)
             self._flush()
             self._write(question)
             if said := self._read(len(answer) + 1, within_s):

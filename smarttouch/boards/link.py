@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.impedance import SATURATED, Impedance, judge
-from smarttouch.boards.link_line import AGAIN_S, ANSWER_S, LinkLine
+from smarttouch.boards.link_line import ANSWER_S, LinkLine
 from smarttouch.boards.link_protocol import Feature, Kind, Message, Refusal
 from smarttouch.boards.link_sequence import decode_volts, encode_sequence
 from smarttouch.boards.pairs import measure_in_pairs
 from smarttouch.boards.probe import probe_sequences
-from smarttouch.errors import BoardError, LineLostError, OtherDeviceError
+from smarttouch.clock import LATE_NS
+from smarttouch.errors import BoardError, BoardStoppedError, LineLostError, OtherDeviceError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
@@ -23,6 +24,8 @@ from smarttouch.wire.port import Port, UsbIdentity, identity_of, open_port, reop
 
 RECOVER_S = 3.0
 """How long a port that is gone is waited for."""
+AGAIN_S = 0.04
+"""After which a sequence that has no ACK is sent again, as long as it is not too late for it."""
 IN_FLIGHT = 1
 """Sequences sent but not yet begun: the board has one place for those."""
 OPEN_SHARE = 0.97
@@ -46,12 +49,15 @@ class LinkBoard(Board):
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         super().__init__(limits, output)
-        self._line = LinkLine(port, self._hear, self._aftermath)
+        self._line = LinkLine(port, self._hear, self._aftermath, self._send_again)
         self._number = 0
         self._in_flight: dict[int, bytes] = {}
         self._repeated: deque[int] = deque(maxlen=64)
         """Sequences sent more than once: they may be answered more than once."""
         self._packets_before = 0
+        self._identity: UsbIdentity | None = None
+        self._in_flight_due_ns = 0
+        self._again_s = 0.0
         self._sent: deque[tuple[int, ScanSequence]] = deque(maxlen=4)
         self._measured: deque[Measured] = deque(maxlen=64)
 
@@ -61,7 +67,7 @@ class LinkBoard(Board):
         if not self._line.name:
             raise BoardError("link: needs a port, for example link:/dev/ttyACM0")
         port = open_port(self._line.name)
-        self._identity: UsbIdentity | None = identity_of(port)
+        self._identity = identity_of(port)
         self._start(port)
         self._packets_before = sum(self._status()[-2:])
 
@@ -79,8 +85,10 @@ class LinkBoard(Board):
         self._line.stop_blindly()
         self._line.close()
         try:
-            port = reopen_port(self._line.name, RECOVER_S, self._identity)
+            port = reopen_port(self._line.name, RECOVER_S, self._identity, self._pause)
             self._start(port, self.capabilities)
+        except BoardStoppedError:
+            raise
         except OtherDeviceError as other:
             raise BoardError(f"{lost}; {other}") from None
         except BoardError:
@@ -101,30 +109,61 @@ class LinkBoard(Board):
             sequence.recharge_us,
         )
         self._wait_for_room()
+        self._refuse_late(self._due_ns)
         with self._line.news:
             self._in_flight[self._number] = payload
+            self._in_flight_due_ns = self._due_ns
+            self._again_s = self._line.now_s() + AGAIN_S
             self._sent.append((self._number, sequence))
-        self._line.send(Kind.SEQUENCE, self._number, payload)
+        if not self._write_in_time(self._number, payload):
+            with self._line.news:
+                self._in_flight.pop(self._number, None)
+            self.dropped_late += 1
+            raise self._late()
         return self._number
 
+    def _write_in_time(self, number: int, payload: bytes) -> bool:
+        """Write the sequence that is in flight, unless it is too late for it."""
+        latest_ns = self._in_flight_due_ns + LATE_NS
+        return self._line.send(
+            Kind.SEQUENCE, number, payload, latest_ns=latest_ns, now_ns=self._clock.now_ns
+        )
+
     def _wait_for_room(self) -> None:
-        line, deadline = self._line, self._line.now_s() + ANSWER_S
-        while True:
-            with line.news:
-                if line.wait(
-                    lambda: line.fault is not None or len(self._in_flight) < IN_FLIGHT, AGAIN_S
-                ):
-                    line.raise_fault()
+        line = self._line
+        with line.news:
+            if line.wait(
+                lambda: (
+                    line.fault is not None
+                    or len(self._in_flight) < IN_FLIGHT
+                    or self._stopped.is_set()
+                ),
+                ANSWER_S,
+            ):
+                line.raise_fault()
+                self._go_on_unless_stopped()
+                return
+            number = next(iter(self._in_flight))
+        raise line.lost(f"has not acknowledged sequence {number} within {ANSWER_S:g} s")
+
+    def _send_again(self) -> None:
+        """Send a sequence that has no ACK once more, as long as it is not too late for it.
+
+        It has the same number: the board knows it again if it was only the ACK that got lost.
+        """
+        # Nothing newer can go out between the look and the write.
+        with self._line.writing:
+            with self._line.news:
+                now_s = self._line.now_s()
+                if not self._in_flight or now_s < self._again_s:
                     return
+                self._again_s = now_s + AGAIN_S
                 number, payload = next(iter(self._in_flight.items()))
                 self._repeated.append(number)
-            if line.now_s() > deadline:
-                raise line.lost(f"has not acknowledged sequence {number} within {ANSWER_S:g} s")
-            # The board knows the sequence again if it was only the ACK that got lost.
-            line.send(Kind.SEQUENCE, number, payload)
+            self._write_in_time(number, payload)
 
     def _stop(self) -> None:
-        self._line.overtaken = True
+        self._line.overtake()
         if not self._line.opened:
             return
         if self._line.fault is not None or not self._line.session.begun:
@@ -190,7 +229,7 @@ class LinkBoard(Board):
     # -- what the board says -----------------------------------------------
 
     def _shake_hands(self, known: Capabilities | None) -> None:
-        self._line.begin(lambda offer: self._take_offer(offer, known))
+        self._line.begin(lambda offer: self._take_offer(offer, known), self._stopped)
         self._note_round_trip(self._status)
 
     def _take_offer(self, answer: Message, known: Capabilities | None) -> None:

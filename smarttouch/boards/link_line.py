@@ -8,9 +8,9 @@ from collections.abc import Callable
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.link_protocol import Kind, Message
 from smarttouch.boards.link_session import ANSWERS, HostSession
-from smarttouch.errors import BoardError, LineLostError
+from smarttouch.errors import BoardError, BoardStoppedError, LineLostError
 from smarttouch.wire.framing import Deframer
-from smarttouch.wire.port import LINE_ERRORS, Port, reason
+from smarttouch.wire.port import LINE_ERRORS, Port, reason, write_before
 
 HEARTBEAT_S = 0.03
 """Longest silence of the host: the board gives up after 0.1 s."""
@@ -20,7 +20,7 @@ LISTENED_S = 0.1
 """Most that one read counts as silence: a read ends sooner, the rest is our own absence."""
 ANSWER_S = 1.0
 AGAIN_S = 0.25
-"""After which a question, or a sequence that has no ACK, is sent again."""
+"""After which a question is sent again."""
 PIECE = 4096
 """Bytes written at once: a stop waits for one piece, not for a whole packet."""
 
@@ -36,6 +36,8 @@ class LinkLine:
         Takes every packet that answers no question, with `news` held.
     aftermath : callable
         Returns what to say after a fault.
+    tend : callable
+        Called every few milliseconds, to send again what has got lost.
     draw : callable
         Returns the host's half of a session, each time another.
 
@@ -50,6 +52,7 @@ class LinkLine:
         name: str,
         hear: Callable[[Message], None],
         aftermath: Callable[[], str],
+        tend: Callable[[], None] = lambda: None,
         draw: Callable[[], int] = protocol.draw_half,
     ) -> None:
         self.name = name
@@ -59,11 +62,10 @@ class LinkLine:
         self.fault: BoardError | None = None
         self.overtaken = False
         """Set by a stop: no heartbeats from then on, so the board ends by itself if need be."""
-        """Set by the handshake: no heartbeats before, as another device may be there."""
-        self._hear, self._aftermath = hear, aftermath
+        self._hear, self._aftermath, self._tend = hear, aftermath, tend
         self._closing = threading.Event()
-        # Reentrant: a signal handler may call stop while its own thread is writing.
-        self._writing = threading.RLock()
+        # Reentrant: who looks whether something is still to be written holds it too.
+        self.writing = threading.RLock()
         self._port: Port | None = None
         self._refused_before = 0
         self._deframer = Deframer()
@@ -116,7 +118,9 @@ class LinkLine:
             with contextlib.suppress(*LINE_ERRORS):
                 self._port.close()
 
-    def begin(self, accept: Callable[[Message], None]) -> None:
+    def begin(
+        self, accept: Callable[[Message], None], stopped: threading.Event | None = None
+    ) -> None:
         """Begin a session with a board that is accepted.
 
         Parameters
@@ -124,28 +128,46 @@ class LinkLine:
         accept : callable
             Given the board's CAPABILITIES, which may be of another version; raises if it is
             not to be spoken to.
+        stopped : threading.Event, optional
+            Ends the waiting; see `overtake`.
 
         Raises
         ------
+        BoardStoppedError
+            If the board was stopped.
         BoardError
             If nothing comes, or the line has failed.
         """
         deadline = self.now_s() + ANSWER_S
         offer = None
         while self.now_s() < deadline:
-            offer = self._ask_once(Kind.HELLO) or offer
+            offer = self._ask_once(Kind.HELLO, stopped=stopped) or offer
             if offer is None:
                 continue
             accept(offer)
-            if self.session.begun or self._ask_once(Kind.BEGIN):
+            if self.session.begun or self._ask_once(Kind.BEGIN, stopped=stopped):
                 return
         raise self._no_answer()
+
+    def overtake(self) -> None:
+        """Let a stop go before everything else; who waits for an answer looks up."""
+        self.overtaken = True
+        with self.news:
+            self.news.notify_all()
 
     def ask(self, question: Kind) -> Message:
         """Send a question until it is answered.
 
+        Parameters
+        ----------
+        question, answer : Kind
+        stopped : threading.Event, optional
+            Ends the waiting; see `overtake`.
+
         Raises
         ------
+        BoardStoppedError
+            If the board was stopped.
         BoardError
             If nothing comes, or the line has failed.
         """
@@ -156,7 +178,9 @@ class LinkLine:
                 return answer
         raise self._no_answer()
 
-    def _ask_once(self, question: Kind, first: int = 0) -> Message | None:
+    def _ask_once(
+        self, question: Kind, first: int = 0, stopped: threading.Event | None = None
+    ) -> Message | None:
         """Send a question; return an answer to it, or to one asked since ``first``."""
         first = first or self.session.sent + 1
         kind = ANSWERS[question]
@@ -169,8 +193,11 @@ class LinkLine:
         # The zero in front ends whatever half packet stands on the line.
         self.send(question, start=b"\0")
         with self.news:
-            self.wait(lambda: self.fault is not None or answered(), AGAIN_S)
+            halted = stopped.is_set if stopped is not None else lambda: False
+            self.wait(lambda: self.fault is not None or answered() or halted(), AGAIN_S)
             self.raise_fault()
+            if halted():
+                raise BoardStoppedError(f"the board at {self.name} was stopped before it answered")
             return self._answers.pop(kind) if answered() else None
 
     def _no_answer(self) -> BoardError:
@@ -179,9 +206,32 @@ class LinkLine:
             f"version {protocol.VERSION}"
         )
 
-    def send(self, kind: Kind, about: int = 0, payload: bytes = b"", *, start: bytes = b"") -> None:
-        """Write the next packet of the session; a stop may come between its pieces."""
-        if not self._writing.acquire(timeout=ANSWER_S):
+    def send(
+        self,
+        kind: Kind,
+        about: int = 0,
+        payload: bytes = b"",
+        *,
+        start: bytes = b"",
+        latest_ns: int = 0,
+        now_ns: Callable[[], int] = lambda: 0,
+    ) -> bool:
+        """Write the next packet of the session, unless it is too late; return whether it went.
+
+        A stop may come between its pieces.
+
+        Parameters
+        ----------
+        kind, about, payload
+            Of the packet.
+        start : bytes
+            Goes before it.
+        latest_ns : int
+            When its first byte may go at the latest, by the clock.
+        now_ns : callable
+            The clock; without one it is never too late.
+        """
+        if not self.writing.acquire(timeout=ANSWER_S):
             raise BoardError(f"the line to {self.name} is blocked: check the cable")
         try:
             # Numbered here, so that packets leave in the order of their numbers.
@@ -190,19 +240,24 @@ class LinkLine:
             for at in range(0, len(packet), PIECE):
                 if self.overtaken and len(packet) > PIECE:
                     raise BoardError("the board was stopped: open it again before sending")
-                self._port.write(packet[at : at + PIECE])
+                piece = packet[at : at + PIECE]
+                if at:
+                    self._port.write(piece)
+                elif not write_before(self._port, piece, latest_ns, now_ns):
+                    return False
             self._last_written = self.now_s()
         except LINE_ERRORS as error:
             self.fail(self.lost(f"cannot be written to ({reason(error)})"))
             self.raise_fault()
         finally:
-            self._writing.release()
+            self.writing.release()
+        return True
 
     def stop_blindly(self) -> None:
         """Write a STOP to a line that has failed: it may still carry something."""
-        assert self._port is not None
-        with contextlib.suppress(*LINE_ERRORS):
-            self._port.write(b"\0" + self.session.encode(Kind.STOP))
+        if self._port is not None:
+            with contextlib.suppress(*LINE_ERRORS):
+                self._port.write(b"\0" + self.session.encode(Kind.STOP))
 
     def fail(self, fault: BoardError) -> None:
         """Keep the first fault for the next call."""
@@ -267,6 +322,7 @@ class LinkLine:
                 return
 
     def beat(self) -> None:
-        """Send a heartbeat if one is due."""
+        """Send again what has got lost, and a heartbeat if one is due."""
+        self._tend()
         if self.session.begun and self.now_s() - self._last_written > HEARTBEAT_S:
             self.send(Kind.HEARTBEAT)

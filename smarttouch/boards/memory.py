@@ -19,6 +19,8 @@ class MemoryBoard(Board):
         All that was sent since it was opened.
     """
 
+    on_a_finger = False
+
     def __init__(
         self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
     ) -> None:

@@ -7,12 +7,10 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from smarttouch.boards.board import Board, BoardReport
 from smarttouch.boards.books import HostBooks
-from smarttouch.errors import BoardError, LineLostError, OtherDeviceError
+from smarttouch.clock import LATE_NS
+from smarttouch.errors import BoardError, BoardStoppedError, LineLostError, OtherDeviceError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
@@ -24,6 +22,7 @@ from smarttouch.wire.port import (
     open_port,
     reason,
     reopen_port,
+    write_before,
 )
 
 BOOT_S = 1.0
@@ -40,6 +39,8 @@ class Job:
     sequence: ScanSequence
     data: bytes
     times: int
+    due_ns: int = 0
+    """When it was planned to start, by the board's clock."""
 
 
 class StreamedBoard(Board):
@@ -80,12 +81,13 @@ class StreamedBoard(Board):
         self._number = 0
         self._waiting: Job | None = None
         self._busy = False
+        self._late_since_told = False
+        self._opening = False
         self._over_s = 0.0
         self._last_begun = 0
         self._fault: BoardError | None = None
         self._closing = threading.Event()
         self._news = threading.Condition()
-        # Reentrant: a signal handler may call stop while its own thread is writing.
         self._line = threading.RLock()
         self._serial: Port | None = None
         self._identity: UsbIdentity | None = None
@@ -102,13 +104,20 @@ class StreamedBoard(Board):
     def _start(self, port: Port, *, again: bool = False) -> None:
         self._serial = self._wrap(port)
         self._fault, self._waiting, self._busy = None, None, False
+        self._late_since_told = False
         self._closing.clear()
+        # From here to the end of the greeting nothing flows, and the line is this thread's.
+        self._opening = True
         try:
-            time.sleep(BOOT_S)
+            self._pause(BOOT_S)
             if again and self._identity is None:
                 self._recognize()
             self._greet()
+            with self._news:
+                self._opening = False
+                self._go_on_unless_stopped()
         except BaseException:
+            self._opening = False
             self._close()
             raise
         self._thread = threading.Thread(target=self._run, name="board sender", daemon=True)
@@ -122,7 +131,10 @@ class StreamedBoard(Board):
                 "nothing is sent to what comes back: check the cable, then start again"
             )
         try:
-            self._start(reopen_port(self._port_name, RECOVER_S, self._identity), again=True)
+            port = reopen_port(self._port_name, RECOVER_S, self._identity, self._pause)
+            self._start(port, again=True)
+        except BoardStoppedError:
+            raise
         except OtherDeviceError as other:
             raise BoardError(f"{lost}; {other}") from None
         except BoardError:
@@ -138,9 +150,13 @@ class StreamedBoard(Board):
             )
             if self._fault is not None:
                 raise self._fault
+            if self._late_since_told:
+                self._late_since_told = False
+                self.dropped_late += 1
+                raise self._late()
             self._number += 1
             self.replaced += self._waiting is not None
-            self._waiting = Job(self._number, sequence, data, times)
+            self._waiting = Job(self._number, sequence, data, times, self._due_ns)
             self._news.notify_all()
         return self._number
 
@@ -149,7 +165,8 @@ class StreamedBoard(Board):
         with self._news:
             self._waiting = None
             self._news.notify_all()
-        if self._serial is None or not self._serial.is_open:
+            opening = self._opening
+        if opening or self._serial is None or not self._serial.is_open:
             return
         with self._line:
             try:
@@ -175,7 +192,11 @@ class StreamedBoard(Board):
         deadline = time.monotonic() + timeout_s
         with self._news:
             self._news.wait_for(
-                lambda: self._fault is not None or (self._waiting is None and not self._busy),
+                lambda: (
+                    self._fault is not None
+                    or self._closing.is_set()
+                    or (self._waiting is None and not self._busy)
+                ),
                 timeout_s,
             )
             over = min(deadline, self._over_s)
@@ -243,6 +264,15 @@ class StreamedBoard(Board):
             self._news.notify_all()
             return job if self._busy else None
 
+    def _drop_late(self, job: Job) -> None:
+        """Count a sequence that is not sent; whoever sends next is told to begin at zero."""
+        with self._news:
+            self.dropped_late += 1 + (self._waiting is not None)
+            self._waiting = None
+            self._late_since_told = True
+            self._busy = False
+            self._news.notify_all()
+
     def _delivered(self, job: Job, scans: int = 1) -> None:
         with self._news:
             self._over_s = time.monotonic() + scans * job.sequence.period_us / 1e6
@@ -261,6 +291,14 @@ class StreamedBoard(Board):
         assert self._serial is not None
         try:
             self._serial.write(data)
+        except LINE_ERRORS as error:
+            raise self._lost(f"cannot be written to ({reason(error)})") from None
+
+    def _write_in_time(self, data: bytes, due_ns: int) -> bool:
+        """Write what was due at a time, or nothing if that is too long ago."""
+        assert self._serial is not None
+        try:
+            return write_before(self._serial, data, due_ns + LATE_NS, self._clock.now_ns)
         except LINE_ERRORS as error:
             raise self._lost(f"cannot be written to ({reason(error)})") from None
 
@@ -291,38 +329,3 @@ class StreamedBoard(Board):
 
     def _aftermath(self) -> str:
         return ""
-
-
-def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Return which electrode each slot drives alone, and its current.
-
-    Returns
-    -------
-    electrode : ndarray, (S,)
-    current_ua : ndarray, (S,), µA
-        Positive cathodic.
-
-    Raises
-    ------
-    BoardError
-        If a slot is anything but one electrode against others, or an electrode
-        has two slots: such a board has no way to do it.
-    """
-    current = sequence.current_ua.astype(np.int64)
-    electrode = sequence.site.astype(np.intp)
-    rows = np.arange(sequence.slots)
-    own = current[rows, electrode]
-    others = current * np.sign(own)[:, None]
-    others[rows, electrode] = 0
-    wrong = (others > 0).any(axis=1) | (np.abs(current).max(axis=1, initial=0) > np.abs(own))
-    if wrong.any():
-        raise BoardError(
-            f"slot {int(wrong.argmax())} is no pattern of one electrode against all others, and "
-            "this board can make no other: use its own profile"
-        )
-    if len(np.unique(electrode)) != len(electrode):
-        raise BoardError(
-            f"{len(electrode)} slots share {len(np.unique(electrode))} electrodes: this board "
-            "drives each once in a scan"
-        )
-    return electrode, own

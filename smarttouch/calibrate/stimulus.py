@@ -70,6 +70,8 @@ class Stimulus:
         self._slew_ma_s = slew_ma_s(profile)
         self._fast = fast
         self._time_ns = 0
+        self._next_ns = 0
+        """When the step after the one before was to begin, by the board's clock."""
         self._steps = 0
         self.level_ma = 0.0
 
@@ -81,6 +83,10 @@ class Stimulus:
         SafetyError, BoardError
             As `Board.send` does; nothing flows then.
         """
+        now_ns = self._board.clock.now_ns()
+        # Current that was to go on at a time is late by then; where none flowed, nothing waits.
+        due_ns = min(now_ns, self._next_ns) if self.level_ma > 0 else now_ns
+        self._next_ns = now_ns + round(1e9 * TICK_S)
         # What a pause has saved up is not spent: every rise is a ramp.
         elapsed_s = min((time_ns - self._time_ns) / 1e9, 2 * TICK_S) if self._steps else 0.0
         level_ma = min(level_ma, self.level_ma + self._slew_ma_s * elapsed_s)
@@ -89,14 +95,14 @@ class Stimulus:
         due = not self._fast or turned_off or self._steps % _FAST_STEPS == 0
         self._steps += 1
         if due:
-            self._send(site, level_ma, time_ns)
+            self._send(site, level_ma, time_ns, due_ns)
 
     def reset(self) -> None:
         """Begin at zero: the board is new, or was lost and is back."""
         self.level_ma = 0.0
         self._steps = 0
 
-    def _send(self, site: int, level_ma: float, time_ns: int) -> None:
+    def _send(self, site: int, level_ma: float, time_ns: int, due_ns: int) -> None:
         period_us = round(1e6 / self._pulse.rate_hz)
         sequence = one_each(
             self._limits,
@@ -111,7 +117,9 @@ class Stimulus:
             period_us=0 if self._fast else period_us,
         )
         steps = math.ceil(TICK_S * 1e6 / sequence.period_us)
-        self._board.send(sequence, 1 if self._fast else steps + _SPARE_TIMES)
+        times = 1 if self._fast else steps + _SPARE_TIMES
+        # A simulated subject waits for nothing: its computer's pauses are none of its time.
+        self._board.send(sequence, times, None if self._fast else due_ns)
 
 
 _FAST_STEPS = 20

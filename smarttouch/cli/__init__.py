@@ -25,6 +25,7 @@ from smarttouch.cli.replay import replay
 from smarttouch.cli.sensor import sensor
 from smarttouch.cli.stop import stop
 from smarttouch.errors import SmartTouchError
+from smarttouch.stopping import RunStopped
 from smarttouch.terminal import guarded_output
 
 _FEWEST_FILES = 64
@@ -75,6 +76,8 @@ def _run() -> int:
         app()
     except SystemExit as ended:
         return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
+    except RunStopped as stopped:
+        return 128 + stopped.number
     except BaseException as error:
         if os.environ.get("SMARTTOUCH_TRACEBACK"):
             raise

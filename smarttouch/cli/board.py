@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smarttouch import terminal
+from smarttouch.cli.driving import asks_a_board, drives_a_board, opened
 
 if TYPE_CHECKING:
     from smarttouch.boards.board import Board
@@ -25,11 +26,15 @@ _ProfileName = Annotated[
 ]
 
 
+_WALK_MA = 0.5
+
+
 @board.command()
+@asks_a_board
 def info(url: _Url, profile: _ProfileName = None) -> None:
     """Say what a board is and what it can and cannot do."""
     chosen, display = _driver(url, profile)
-    with display:
+    with opened(display):
         capabilities = display.capabilities
         force = display.force_n
     for name, value in capabilities.describe():
@@ -40,15 +45,17 @@ def info(url: _Url, profile: _ProfileName = None) -> None:
 
 
 @board.command()
+@asks_a_board
 def stop(url: _Url, profile: _ProfileName = None) -> None:
     """Put all electrodes of a board at zero."""
     _, display = _driver(url, profile)
-    with display:
+    with opened(display):
         display.stop()
     typer.echo("All electrodes are at zero.")
 
 
 @board.command()
+@drives_a_board
 def measure(
     url: _Url,
     profile: _ProfileName = None,
@@ -61,7 +68,7 @@ def measure(
 
     require_folder(json_file)
     _, display = _driver(url, profile)
-    with display:
+    with opened(display):
         found = display.measure()
     _print_impedance(found)
     if json_file is not None:
@@ -81,11 +88,15 @@ def measure(
 
 
 @board.command("test")
+@drives_a_board
 def try_out(
     url: _Url,
     current_ma: Annotated[
-        float, typer.Option(metavar="MA", help="Through each electrode in turn.")
-    ] = 0.5,
+        float | None,
+        typer.Option(
+            metavar="MA", help=f"Through each electrode in turn; {_WALK_MA:g} with a keyboard."
+        ),
+    ] = None,
     seconds: Annotated[
         float | None,
         typer.Option(metavar="S", help="For each electrode; waits for a key if not given."),
@@ -93,15 +104,27 @@ def try_out(
     profile: _ProfileName = None,
 ) -> None:
     """Walk through the electrodes, each against all others, from zero up to a small current."""
+    import sys
+
+    from smarttouch.boards.board import may_touch_a_finger
     from smarttouch.cli.walk import walk
+    from smarttouch.errors import SmartTouchError
 
     chosen, display = _driver(url, profile)
-    with display:
+    if current_ma is None:
+        if may_touch_a_finger(url) and not sys.stdin.isatty():
+            raise SmartTouchError(
+                "there is no keyboard to end it with, and a finger may be on the board: say how "
+                f"strong it is to become with --current-ma, for example {_WALK_MA:g}"
+            )
+        current_ma = _WALK_MA
+    with opened(display):
         felt = walk(display, chosen, current_ma, seconds)
     typer.echo(f"{felt} of {len(chosen.electrodes)} electrodes tried; all are at zero.")
 
 
 @board.command("calibrate-scale")
+@drives_a_board
 def calibrate_scale(
     url: _Url,
     ohm: Annotated[
@@ -126,7 +149,7 @@ def calibrate_scale(
     chosen, display = _driver(url, profile)
     require_site(chosen, electrode)
     if volts is None:
-        with display:
+        with opened(display):
             typer.echo(
                 f"Pulses of nominally {current_ma:g} mA go through electrode {electrode}. No "
                 f"finger on the array: {ohm:g} ohm between it and all others."

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from smarttouch.cli.driving import drives_a_board, opened, the_stop
+
 if TYPE_CHECKING:
     from smarttouch.calibrate.profile_file import ProfileFile
 
@@ -179,6 +181,7 @@ def force(
 
 
 @calibrate.command()
+@drives_a_board
 def thresholds(
     output: _Output,
     board: _BoardUrl = "emulator:",
@@ -205,23 +208,23 @@ def thresholds(
     from smarttouch.calibrate.session import StoppedError
     from smarttouch.calibrate.stimulus import measuring_limits
     from smarttouch.cli.calibrate_steps import feel_all
-    from smarttouch.cli.running import announced
-    from smarttouch.controls import StopRequest, stop_on_signals
-    from smarttouch.errors import CalibrationError
+    from smarttouch.errors import BoardStoppedError, CalibrationError
 
     start = profile or usual_profile(board)
     file = _profile_file(start, output, overwrite)
     chosen = file.profile
     sites = parse_electrodes(electrodes, chosen)
-    if simulate and not board.startswith(("emulator:", "memory:")):
+    if simulate and not board.startswith(("emulator:", "simulated:", "memory:")):
         raise CalibrationError(
             f"--simulate answers for nobody: no current of its flows through {board!r}, only "
             "through emulator:"
         )
     if not simulate and not sys.stdin.isatty():
         raise CalibrationError("there is no keyboard to answer on: use a terminal, or --simulate")
-    stop = StopRequest()
-    display = make_board(board, measuring_limits(chosen), chosen.output)
+    stop = the_stop()
+    # A simulated subject does not wait, and the emulator's clock would refuse to be hurried.
+    url = "simulated:" if simulate and board == "emulator:" else board
+    display = make_board(url, measuring_limits(chosen), chosen.output)
     progress = Progress(
         file.beside("thresholds.json"),
         {
@@ -232,9 +235,9 @@ def thresholds(
         },
     )  # fmt: skip
     try:
-        with progress, announced(), stop_on_signals(stop), display:
+        with progress, opened(display, stop):
             feel_all(display, chosen, sites, progress, stop, adaptive, repeats, seed, simulate)
-    except StoppedError:
+    except (StoppedError, BoardStoppedError):
         left = len(set(sites) - set(progress.found))
         raise CalibrationError(
             f"stopped, all electrodes are off: {left} of {len(sites)} electrodes are left, the "
@@ -249,6 +252,7 @@ def thresholds(
 
 
 @calibrate.command()
+@drives_a_board
 def contact(
     output: _Output,
     board: _BoardUrl = "emulator:",
@@ -264,7 +268,7 @@ def contact(
 
     file = _profile_file(profile or usual_profile(board), output, overwrite)
     chosen = file.profile
-    with make_board(board, SafetyLimits.of(chosen), chosen.output) as display:
+    with opened(make_board(board, SafetyLimits.of(chosen), chosen.output)) as display:
         found = judge_contact([display.measure() for _ in range(repeats)])
     show_contact(found, chosen.electrodes)
     masked = found.masked(chosen)

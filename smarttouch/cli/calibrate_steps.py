@@ -14,9 +14,9 @@ from smarttouch.calibrate.progress import Progress
 from smarttouch.calibrate.session import Person, Subject, ThresholdSession, simulated_subjects
 from smarttouch.calibrate.stimulus import ceiling_ma
 from smarttouch.cli.keyboard import keys_heeded
-from smarttouch.controls import StopRequest
 from smarttouch.errors import CalibrationError
 from smarttouch.profile import Profile
+from smarttouch.stopping import StopRequest
 
 
 def ask(what: str, yes: bool) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smarttouch import terminal
+from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.options import (
     ForceOption,
     FramesOption,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     Answers = dict[Primary, Answer]
 
 
+@drives_a_board
 def color(
     source: Annotated[
         str,

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.options import (
     ForceOption,
     IntensityOption,
@@ -45,6 +46,7 @@ def list_all() -> None:
 
 
 @experiment.command()
+@drives_a_board
 def run(
     name: Annotated[str, typer.Argument(metavar="NAME", help="See smarttouch experiment list.")],
     mode: _Mode = "RA",
@@ -170,6 +172,7 @@ def run(
 
 
 @experiment.command()
+@drives_a_board
 def free(
     mode: _Mode = "RA",
     site: _Site = None,
@@ -187,7 +190,7 @@ def free(
         str, typer.Option(metavar="NAME|FILE", help="The paper's line array if not given.")
     ] = "line-8",
     force: ForceOption = None,
-    intensity: IntensityOption = 0.0,
+    intensity: IntensityOption = None,
     seconds: SecondsOption = None,
     record: RecordOption = None,
     markers: MarkersOption = False,
@@ -199,12 +202,16 @@ def free(
     Keys: ↑ ↓ + − for the amplitude, ← → for the rate, m for the mode, [ ] for the site, 1 to 9 to
     mark what is felt; and those of live. Every change is a row of the CSV file.
     """
+    from smarttouch.boards.board import may_touch_a_finger
     from smarttouch.cli.experiment_steps import free_run
     from smarttouch.cli.files import parse_primary
     from smarttouch.cli.plan import Plan
     from smarttouch.primary import Mode
     from smarttouch.profile import load_profile
 
+    if intensity is None and not may_touch_a_finger(board):
+        # By hand from nothing here too.
+        intensity = 0.0
     plan = Plan(
         sensor_url="experiment:free",
         board_url=board,

@@ -17,10 +17,14 @@ from smarttouch.live import Sent, Tell
 from smarttouch.modes.bank import KernelBank
 from smarttouch.profile import Profile
 from smarttouch.sensing.frame import Sensor
+from smarttouch.stopping import ENDS_WITHIN_S
 
 if TYPE_CHECKING:
     from smarttouch.boards.emulator.simulated import Pulses
     from smarttouch.patterns import PatternFile
+
+DRAWN_WITHIN_S = 30.0
+"""After a signal: a second one ends it at once."""
 
 
 class Drawing(Protocol):
@@ -68,6 +72,12 @@ class Kept:
         if plan.felt is not None and plan.board_url.startswith("emulator:"):
             folder = tempfile.TemporaryDirectory(prefix="smarttouch-")
             self.board_options["books"] = Path(stack.enter_context(folder))
+
+    @property
+    def patience_s(self) -> float:
+        """Return how long the end of a run that was stopped may take: pictures take long."""
+        drawn = self._plan.felt is not None or self._plan.frames is not None
+        return DRAWN_WITHIN_S if drawn else ENDS_WITHIN_S
 
     @property
     def files(self) -> list[Path]:

@@ -8,9 +8,16 @@ import threading
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from typing import Any
 
 LOST = ""
 """What `Keys` calls a terminal that is gone."""
+JOIN_S = 0.3
+"""How long the end waits for a key that is being heeded."""
+
+
+_before: list[list[Any]] = []
+"""The terminal's own settings, while they are changed."""
 
 
 @contextmanager
@@ -19,20 +26,26 @@ def keyboard() -> Iterator[None]:
     if not sys.stdin.isatty():
         yield
         return
-    before = termios.tcgetattr(sys.stdin)
-    tty.setcbreak(sys.stdin)
+    _before.append(termios.tcgetattr(sys.stdin))
+    # Now: after what is still to be printed would be never, if it has stopped reading.
+    tty.setcbreak(sys.stdin, termios.TCSANOW)
     try:
         yield
     finally:
-        # Of a terminal that is gone there is nothing to restore.
-        with suppress(termios.error):
-            termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+        restore()
+
+
+def restore() -> None:
+    """Give the terminal its own settings back; does not wait for it."""
+    # Of a terminal that is gone there is nothing to restore.
+    with suppress(termios.error, IndexError):
+        termios.tcsetattr(sys.stdin, termios.TCSANOW, _before.pop())
 
 
 def read_key() -> str:
     """Return the key that was pressed, empty if none was; never waits."""
     if sys.stdin.isatty() and select.select([sys.stdin], [], [], 0)[0]:
-        return sys.stdin.read(1)
+        return os.read(sys.stdin.fileno(), 1).decode("utf-8", "replace")
     return ""
 
 
@@ -69,7 +82,7 @@ def keys_heeded(heed: Callable[[str], None]) -> Iterator[None]:
             yield
         finally:
             over.set()
-            thread.join()
+            thread.join(JOIN_S)
 
 
 def _keys(text: str) -> Iterator[str]:

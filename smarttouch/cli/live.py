@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.options import (
     FeltOption,
     ForceOption,
@@ -21,6 +22,7 @@ from smarttouch.cli.options import (
 )
 
 
+@drives_a_board
 def live(
     sensor: Annotated[
         str | None,

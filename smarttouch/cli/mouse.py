@@ -4,6 +4,7 @@ from typing import Annotated, Any
 
 import typer
 
+from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.options import (
     FeltOption,
     ForceOption,
@@ -17,6 +18,7 @@ from smarttouch.cli.options import (
 )
 
 
+@drives_a_board
 def mouse(
     texture: Annotated[
         str,

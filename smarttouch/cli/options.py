@@ -28,7 +28,8 @@ IntensityOption = Annotated[
     typer.Option(
         "--intensity",
         metavar="0..1",
-        help="To begin with, of the strongest; 0 with a keyboard and a real board, else 1.",
+        help="Of the strongest. On a real board a run begins at 0, and keys raise it up to this "
+        "(1); without a keyboard it must be given, and is reached slowly.",
     ),
 ]
 RateOption = Annotated[

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from smarttouch.boards.board import Board
+from smarttouch.boards.board import Board, may_touch_a_finger
 from smarttouch.cli.files import require_folder
 from smarttouch.controls import Controls, Wish
 from smarttouch.errors import SmartTouchError
@@ -16,8 +16,6 @@ from smarttouch.scan.frames import NO_SHARING, Sharing
 
 _TELL_ALL = ("emulator:", "simulated:")
 """Boards that report every pulse."""
-_NO_FINGER = (*_TELL_ALL, "memory:")
-"""Boards that no finger is on."""
 
 
 @dataclass
@@ -72,14 +70,32 @@ class Plan:
         if self.seconds is not None and not self.seconds > 0:
             raise SmartTouchError(f"--seconds {self.seconds:g} must be above 0")
 
+    def require_a_level(self) -> None:
+        """Raise if nobody says how strong it may be on a board that a finger may be on."""
+        if self.level is None and self.on_a_finger and not sys.stdin.isatty():
+            raise SmartTouchError(
+                "there is no keyboard to turn the current up with, and a finger may be on the "
+                "board: say how strong it is to become with --intensity, for example 0.3"
+            )
+
     @property
     def first_level(self) -> float:
-        """Intensity at the start: where someone can turn it up on a real board, nothing."""
-        if self.level is not None:
-            return self.level
-        return 0.0 if sys.stdin.isatty() and self.on_a_finger else 1.0
+        """Intensity to begin with: on a real board nothing, where someone can turn it up.
+
+        Where nobody can, it is what was asked for, to which it rises from zero.
+        """
+        if self.on_a_finger and sys.stdin.isatty():
+            return 0.0
+        return 1.0 if self.level is None else self.level
+
+    @property
+    def most(self) -> float:
+        """Intensity that keys cannot raise it above."""
+        if self.level is None or not self.on_a_finger:
+            return 1.0
+        return self.level
 
     @property
     def on_a_finger(self) -> bool:
         """Whether the board may have a finger on it."""
-        return not self.board_url.startswith(_NO_FINGER)
+        return may_touch_a_finger(self.board_url)

@@ -4,6 +4,7 @@ from typing import Annotated
 
 import typer
 
+from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.options import (
     AsOption,
     CellsOption,
@@ -28,6 +29,7 @@ from smarttouch.cli.options import (
 )
 
 
+@drives_a_board
 def read(
     source: Annotated[
         str,

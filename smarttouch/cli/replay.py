@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.options import (
     JsonOption,
     MarkersOption,
@@ -14,6 +15,7 @@ from smarttouch.cli.options import (
 )
 
 
+@drives_a_board
 def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, whole or cut.")],
     check: Annotated[
@@ -35,7 +37,8 @@ def replay(
         float | None,
         typer.Option(
             metavar="0..1",
-            help="To begin with, of the recorded; 0 with a keyboard and a real board, else 1.",
+            help="Of the recorded. On a real board a run begins at 0, and keys raise it up to "
+            "this (1); without a keyboard it must be given, and is reached slowly.",
         ),
     ] = None,
     seconds: SecondsOption = None,

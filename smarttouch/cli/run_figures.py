@@ -35,6 +35,7 @@ def run_figures(
         "replaced": board.replaced,
         "packets_refused_by_host": board.refused_packets,
         "packets_refused_by_board": report and report.refused_packets,
+        "dropped_late": board.dropped_late,
         "restarts": tally.restarts,
         "lifts": tally.lifts,
         "reported_by": report and report.by,

@@ -1,18 +1,28 @@
-"""Which runs there are on this machine, so that a second process can stop them."""
+"""The runs on this machine, so that a second process can stop them, also while they start."""
 
+import contextlib
 import fcntl
 import os
+import signal
+import stat
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from platformdirs import user_state_path
 
+from smarttouch.clock import now_ns
 from smarttouch.errors import SmartTouchError
+from smarttouch.stopping import RunStopped
 
-
-def _folder() -> Path:
-    return user_state_path("smarttouch", appauthor=False, ensure_exists=True)
+_MARK = "stopped"
+_MARK_BYTES = 200
+_BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+_OWN_STAT = Path("/proc/self/stat")
+_STARTED = 19
+"""Where the process's start stands, after the name of its program."""
+_IMPORTED_NS = now_ns()
 
 
 @contextmanager
@@ -26,33 +36,152 @@ def announced() -> Iterator[None]:
     """
     try:
         path = _folder() / f"{os.getpid()}.run"
-        hidden = path.with_suffix(".new")
-        file = hidden.open("w")
-        # Held as long as we live, however we end: a file that nobody holds means nothing.
-        fcntl.flock(file, fcntl.LOCK_EX)
-        hidden.replace(path)
+        number, hidden = _new_file()
+        try:
+            # Held as long as we live, however we end: a file that nobody holds means nothing.
+            fcntl.flock(number, fcntl.LOCK_EX)
+            hidden.replace(path)
+        except OSError:
+            os.close(number)
+            hidden.unlink(missing_ok=True)
+            raise
     except OSError as error:
         raise SmartTouchError(
-            f"cannot write {error.filename}, by which smarttouch stop would find this run: "
-            f"{error.strerror}"
+            f"cannot write {error.filename2 or error.filename}, by which smarttouch stop would "
+            f"find this run: {error.strerror}; move what is there out of the way"
         ) from None
     try:
         yield
     finally:
         path.unlink(missing_ok=True)
-        file.close()
+        os.close(number)
 
 
 def running() -> list[int]:
-    """Return the process numbers of all runs; files of runs that were killed are removed."""
+    """Return the process numbers of all runs; files of runs that were killed are removed.
+
+    Whatever else lies in their folder is passed over.
+    """
     found = []
-    for path in sorted(_folder().glob("*.run")):
-        try:
-            with path.open() as file:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                path.unlink(missing_ok=True)
-        except BlockingIOError:
-            found.append(int(path.stem))
-        except FileNotFoundError:
+    for path in _listed():
+        process, dot, ending = path.name.partition(".")
+        if not (process.isascii() and process.isdigit() and dot + ending == ".run"):
             continue
+        with _regular(path) as number:
+            if number is None:
+                continue
+            try:
+                fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                found.append(int(process))
+            else:
+                with contextlib.suppress(OSError):
+                    path.unlink()
     return found
+
+
+def leave_mark() -> int:
+    """Let no process that has been started until now begin current; return the time, ns.
+
+    Raises
+    ------
+    SmartTouchError
+        If there is no place for the mark.
+    """
+    time_ns = now_ns()
+    try:
+        mark = _folder() / _MARK
+        number, hidden = _new_file()
+        with os.fdopen(number, "w") as file:
+            file.write(f"{_boot()} {time_ns}")
+        try:
+            hidden.replace(mark)
+        except OSError:
+            hidden.unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise SmartTouchError(
+            f"cannot write {error.filename2 or error.filename}, which keeps runs that are just "
+            f"starting from beginning: {error.strerror}; move what is there out of the way and "
+            "stop again"
+        ) from None
+    return time_ns
+
+
+def refuse_if_stopped() -> None:
+    """Raise if ``smarttouch stop`` came after this process was started.
+
+    Raises
+    ------
+    RunStopped
+        As if it had been in time to be asked by a signal: no current is to begin.
+    """
+    mark_ns = _mark_ns()
+    if mark_ns is not None and started_ns() < mark_ns <= now_ns():
+        raise RunStopped(signal.SIGTERM, "smarttouch stop")
+
+
+def started_ns() -> int:
+    """Return when this process was started, by the clock of `now_ns`; never too late."""
+    try:
+        fields = _OWN_STAT.read_text().rpartition(")")[2].split()
+        return int(fields[_STARTED]) * 1_000_000_000 // os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError):
+        return _IMPORTED_NS
+
+
+def _mark_ns() -> int | None:
+    """Return the time of the last stop since the machine was started, None if there was none."""
+    with _regular(_folder() / _MARK) as number:
+        if number is None:
+            return None
+        words = os.read(number, _MARK_BYTES).decode("ascii", "replace").split()
+    if len(words) != 2 or words[0] != _boot() or not words[1].isdecimal():
+        return None
+    return int(words[1])
+
+
+def _boot() -> str:
+    """Return what distinguishes this start of the machine from others."""
+    try:
+        return _BOOT_ID.read_text().strip() or "-"
+    except OSError:
+        return "-"
+
+
+def _folder() -> Path:
+    try:
+        return user_state_path("smarttouch", appauthor=False, ensure_exists=True)
+    except OSError as error:
+        raise SmartTouchError(
+            f"cannot make the folder {error.filename} for the state of runs: {error.strerror}"
+        ) from None
+
+
+def _listed() -> list[Path]:
+    try:
+        return sorted(_folder().iterdir())
+    except OSError as error:
+        raise SmartTouchError(
+            f"cannot look for runs in {error.filename}: {error.strerror}"
+        ) from None
+
+
+def _new_file() -> tuple[int, Path]:
+    """Return a new file's descriptor and its path, a name that nothing else has."""
+    number, path = tempfile.mkstemp(prefix=".", suffix=".new", dir=_folder())
+    return number, Path(path)
+
+
+@contextmanager
+def _regular(path: Path) -> Iterator[int | None]:
+    """Open a file for reading; None for what is no file, cannot be read, or would block."""
+    try:
+        number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
+    except OSError:
+        yield None
+        return
+    try:
+        yield number if stat.S_ISREG(os.fstat(number).st_mode) else None
+    finally:
+        os.close(number)

@@ -7,6 +7,7 @@ import typer
 
 from smarttouch.boards.board import Board, BoardReport, make_board
 from smarttouch.cli.blind_screen import BlindScreen
+from smarttouch.cli.driving import ending_in_order, opened, the_stop
 from smarttouch.cli.files import write_json
 from smarttouch.cli.kept import Kept
 from smarttouch.cli.keyboard import LOST, keys_heeded
@@ -14,34 +15,35 @@ from smarttouch.cli.plan import Plan
 from smarttouch.cli.progress import bank_progress
 from smarttouch.cli.regulation import make_regulator, masked_where_broken
 from smarttouch.cli.run_figures import run_figures
-from smarttouch.cli.running import announced
 from smarttouch.cli.screen import Screen
 from smarttouch.clock import SimulatedClock
-from smarttouch.controls import STEP, Controls, StopRequest, Wish, stop_on_signals
-from smarttouch.errors import SensorError, SmartTouchError
+from smarttouch.controls import STEP, Controls, Wish
+from smarttouch.errors import BoardStoppedError, SensorError, SmartTouchError
 from smarttouch.live import Tell, run, settled
 from smarttouch.modes.bank import load_bank
 from smarttouch.pipeline import Pipeline
 from smarttouch.profile import Profile
+from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2
+from smarttouch.scan.limits import rms_ma_cm2
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.sensing.forces.force import ForceSource
 from smarttouch.sensing.frame import Sensor
+from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 
 
 def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile) -> None:
     """Let a finger feel what a sensor sees, until it ends or a user ends it."""
-    stop, tally = StopRequest(), Tally()
+    stop, tally = the_stop(), Tally()
     with contextlib.ExitStack() as stack:
         kept = Kept(plan, stack)
         display = _board(plan, profile, kept)
+        plan.require_a_level()
         if plan.measure:
-            with display:
+            with opened(display, stop):
                 profile = masked_where_broken(display, profile, plan.quiet)
         with bank_progress(plan.quiet) as progress:
             bank = load_bank(profile, progress)
-        # Until here an interrupt may end the program at once: no board pulses.
-        stack.enter_context(stop_on_signals(stop))
         pipeline = Pipeline(
             profile,
             bank,
@@ -58,6 +60,7 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
         wish = Wish(plan.mode, plan.first_level)
         offered = (plan.mode,) if source.asks else pipeline.offered()
         controls = plan.controls(wish, offered)
+        controls.most = plan.most
         report: BoardReport | None = None
         ended = "fault"
         shown = BlindScreen if source.hidden else Screen
@@ -65,34 +68,47 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
         kept.observers.append(screen.show)
         kept.tells.append(screen.tell)
         source.tell = tell = _told_to(kept.tells)
+        # Until here a signal ends the program anywhere: no board is open.
+        stack.enter_context(ending_in_order(kept.patience_s))
         try:
-            with settled(pipeline), display:
+            # The board is the innermost: at zero before anything else ends, or keeps us waiting.
+            with (
+                settled(pipeline),
+                screen,
+                keys_heeded(_keys(controls, stop, source)),
+                opened(display, stop),
+            ):
                 _require_force(source, force, display)
                 _warn_of_simulation(plan, profile)
                 if plan.attend is not None:
                     kept.observers.append(plan.attend(display))
                 regulator = make_regulator(display, profile, plan.hold, plan.balance, plan.quiet)
                 kept.open(source, profile, display)
-                with screen, keys_heeded(_keys(controls, stop, source)), announced():
-                    run(
-                        source,
-                        pipeline,
-                        display,
-                        stop=stop,
-                        tally=tally,
-                        seconds=plan.seconds,
-                        observers=kept.observers,
-                        controls=controls,
-                        force=force,
-                        tell=tell,
-                        regulator=regulator,
-                        clock=SimulatedClock() if display.waits_for_nothing else None,
-                    )
+                run(
+                    source,
+                    pipeline,
+                    display,
+                    stop=stop,
+                    tally=tally,
+                    seconds=plan.seconds,
+                    observers=kept.observers,
+                    controls=controls,
+                    force=force,
+                    tell=tell,
+                    regulator=regulator,
+                    clock=SimulatedClock() if display.waits_for_nothing else None,
+                )
+                display.stop()
                 report = display.report()
             display.notes += [*regulator.notes(), *_refused_packets(display, report)]
+            if plan.on_a_finger:
+                display.notes += _density(profile)
             ended = stop.reason or source.ended
             for words in [_account(report), _dose(display), *_notes(source, force, display)]:
                 tell(int(tally.seconds * 1e9), words)
+        except BoardStoppedError:
+            ended = stop.reason or ended
+            raise
         except SmartTouchError as error:
             tell(int(tally.seconds * 1e9), str(error))
             raise
@@ -165,6 +181,16 @@ def _dose(board: Board) -> str:
     return f"dose {dose.seconds:.3f} s of current, {dose.most_mc:.4f} mC through one electrode"
 
 
+def _density(profile: Profile) -> list[str]:
+    rms = rms_ma_cm2(profile)
+    if rms <= ADVISORY_RMS_MA_CM2:
+        return []
+    return [
+        f"at full intensity an electrode's own pulses are {rms:.0f} mA/cm² r.m.s.: above "
+        f"{ADVISORY_RMS_MA_CM2:g}, IEC 60601-2-10 wants the operator's attention"
+    ]
+
+
 def _refused_packets(board: Board, report: BoardReport) -> list[str]:
     by_host, by_board = board.refused_packets, report.refused_packets
     if not by_host + by_board:
@@ -195,6 +221,6 @@ def _warn_of_simulation(plan: Plan, profile: Profile) -> None:
     if simulated and not plan.quiet and plan.on_a_finger:
         typer.echo(
             f"Of the profile {', '.join(simulated)} were calibrated in simulation, on no finger: "
-            "calibrate again, or begin with --intensity 0.",
+            "calibrate again, and turn the current up slowly.",
             err=True,
         )

@@ -10,7 +10,7 @@ import typer
 from smarttouch.boards.board import Board
 from smarttouch.boards.probe import one_each
 from smarttouch.cli.keyboard import keyboard, read_key
-from smarttouch.errors import SmartTouchError
+from smarttouch.errors import SequenceLateError, SmartTouchError
 from smarttouch.profile import Profile
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
@@ -77,13 +77,19 @@ def _pulses(board: Board, profile: Profile, site: int, current_ma: float) -> Ite
     """Send sequences that rise from zero to a current and stay there, one a step."""
     limits = SafetyLimits.of(profile)
     top = current_ma / limits.full_ma
-    start = now = time.monotonic_ns()
+    now = due = board.clock.now_ns()
+    start: int | None = None
     while True:
+        # After a pause of the computer it begins at zero again.
+        start = now if start is None else start
         part = min(1.0, (now - start) / 1e9 / (limits.ramp_s * top))
-        board.send(_point(profile, limits, site, part * current_ma, now), _TIMES)
+        try:
+            board.send(_point(profile, limits, site, part * current_ma, now), _TIMES, due)
+        except SequenceLateError:
+            start = None
         yield
         time.sleep(_STEP_S)
-        now = time.monotonic_ns()
+        due, now = now + round(1e9 * _STEP_S), board.clock.now_ns()
 
 
 def _point(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.clock import SimulatedClock
-from smarttouch.controls import Controls, StopRequest, Wish
+from smarttouch.controls import Controls, Wish
 from smarttouch.live import Sent, run
 from smarttouch.modes.bank import KernelBank
 from smarttouch.mouse.felt import FeltMap
@@ -12,6 +12,7 @@ from smarttouch.mouse.sensor import MouseSensor
 from smarttouch.pipeline import Pipeline
 from smarttouch.profile import Profile
 from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 
 

@@ -9,7 +9,6 @@ from joblib import Parallel, delayed
 
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.clock import SimulatedClock
-from smarttouch.controls import StopRequest
 from smarttouch.imaging.mapping import Tone
 from smarttouch.imaging.registration import Registration
 from smarttouch.live import Sent, run
@@ -26,6 +25,7 @@ from smarttouch.reading.touch_line import TouchLine
 from smarttouch.reading.window import pixel_of, press_n
 from smarttouch.scan.frames import NO_SHARING, Sharing
 from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 
 

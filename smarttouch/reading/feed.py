@@ -10,7 +10,7 @@ AHEAD = 30
 """Lines that are prepared before they are needed: of a book not all."""
 BEHIND = 60
 """Lines that have been read and can be gone back to: of a book not all."""
-JOIN_S = 2.0
+JOIN_S = 0.3
 """How long a page that is being recognized may hold up the end."""
 
 

@@ -254,6 +254,12 @@ class SafetyLimits:
         return given if isinstance(given, tuple) else (given,) * self.electrodes
 
 
+def rms_ma_cm2(profile: Profile) -> float:
+    """Return the root mean square density of the strongest electrode's own pulses, mA/cm²."""
+    share = profile.pulse.width_us * 1e-6 * profile.pulse.rate_hz
+    return float(profile.full_ma.max()) * math.sqrt(share) / (profile.electrodes.area_mm2 / 100)
+
+
 def decimal(value: float) -> Fraction:
     """Return a number as the decimal that a person wrote: 2.4 is 12/5, not its nearest binary."""
     return Fraction(repr(float(value)))

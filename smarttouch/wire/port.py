@@ -1,9 +1,13 @@
 """Serial lines and TCP connections by name, with errors a user can act on."""
 
+import ctypes
+import errno
 import os
+import select
 import socket
 import termios
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -22,7 +26,13 @@ __all__ = [
     "open_port",
     "reason",
     "reopen_port",
+    "write_before",
 ]
+
+_write = ctypes.PyDLL(None, use_errno=True).write
+"""The system's own, without letting another thread go first: that could take long."""
+_write.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
+_write.restype = ctypes.c_ssize_t
 
 LINE_ERRORS = (OSError, serial.SerialException, termios.error, TypeError)
 """What pyserial raises when a port vanishes, or is closed by another thread."""
@@ -89,13 +99,20 @@ def _usb_identity(name: str) -> UsbIdentity | None:
     return None
 
 
-def reopen_port(name: str, within_s: float, identity: UsbIdentity | None) -> Port:
+def reopen_port(
+    name: str,
+    within_s: float,
+    identity: UsbIdentity | None,
+    pause: Callable[[float], None] = time.sleep,
+) -> Port:
     """Open a port that has gone as soon as it is back; nothing is written to it.
 
     Parameters
     ----------
     identity : UsbIdentity, optional
         Of the port before it went, as by `identity_of`; None where USB does not tell.
+    pause : callable
+        Waits so many seconds; what it raises ends the waiting.
 
     Raises
     ------
@@ -118,7 +135,58 @@ def reopen_port(name: str, within_s: float, identity: UsbIdentity | None) -> Por
         except BoardError:
             if time.monotonic() > deadline:
                 raise
-            time.sleep(0.05)
+            pause(0.05)
+
+
+def write_before(
+    port: Port, data: bytes, latest_ns: int, now_ns: Callable[[], int], within_s: float = 0.5
+) -> bool:
+    """Write bytes unless it is too late for the first of them; return whether they went.
+
+    Between the last look at the clock and the system's write there is nothing: only a
+    process that is stopped just there still writes late.
+
+    Parameters
+    ----------
+    port : Port
+        Open.
+    data : bytes
+    latest_ns : int
+        When the first byte may go at the latest.
+    now_ns : callable
+        The clock.
+    within_s : float
+        How long a line may take nothing.
+
+    Raises
+    ------
+    OSError
+        As the port does, also if the line takes nothing for so long.
+    """
+    try:
+        number = port.fileno()
+    except (AttributeError, OSError):
+        # No line of the system's own, but one of pyserial's.
+        if now_ns() > latest_ns:
+            return False
+        port.write(data)
+        return True
+    if os.get_blocking(number):
+        os.set_blocking(number, False)
+    size = len(data)
+    if now_ns() > latest_ns:
+        return False
+    sent = int(_write(number, data, size))
+    if sent < 0:
+        failure = ctypes.get_errno()
+        if failure not in (errno.EAGAIN, errno.EINTR):
+            raise OSError(failure, os.strerror(failure))
+        if not select.select([], [number], [], within_s)[1]:
+            raise serial.SerialTimeoutException("it takes no bytes")
+        return write_before(port, data, latest_ns, now_ns, within_s)
+    if sent < size:
+        port.write(data[sent:])
+    return True
 
 
 def _other(name: str) -> OtherDeviceError:

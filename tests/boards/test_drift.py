@@ -69,9 +69,9 @@ class ToldLink:
 
 
 @pytest.fixture(scope="module")
-def delivered(tmp_path_factory, watch):
+def delivered(tmp_path_factory, safety_watch):
     """Return what gives the slots of a run at full current, each run done once."""
-    return functools.lru_cache(functools.partial(_run, tmp_path_factory, watch))
+    return functools.lru_cache(functools.partial(_run, tmp_path_factory, safety_watch))
 
 
 def _run(tmp_path_factory, watch, kind, hold):

@@ -83,7 +83,7 @@ def make(monkeypatch):
     def make(output=None, option="", limits=LIMITS):
         url = "x?firmware=71adee2" + option
         board = ETactileKitBoard(url, limits, output)
-        board._clock = ToldClock(late_us=0)
+        board._clock, board._pause = ToldClock(late_us=0), lambda _: None
         return board
 
     return make

@@ -43,7 +43,7 @@ class Meeting:
         patch.setattr(etactilekit_line, "open_port", lambda _: self.port)
         patch.setattr("smarttouch.boards.kept_board.KeptLine", lambda port: port)
         self.driver = ETactileKitBoard("told" + option, LIMITS)
-        self.driver._clock = self.clock
+        self.driver._clock, self.driver._pause = self.clock, self.clock.sleep
         self.driver._serial = self.port
         self.driver._books = HostBooks(8)
 

@@ -214,7 +214,7 @@ def test_a_stop_overtakes_a_long_packet(make_limits, make_sequence, monkeypatch)
         assert board.report().slots == 0
 
 
-def test_a_signal_handler_may_stop_in_the_middle_of_a_send(make_limits, make_sequence, monkeypatch):
+def test_a_stop_in_the_middle_of_a_send(make_limits, make_sequence, monkeypatch):
     with EmulatorBoard("", make_limits()) as board:
         board.send(make_sequence(0))
         board.drain()

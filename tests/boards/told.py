@@ -1,7 +1,7 @@
 """An eTactileKit in this process, on a clock of its own that is told, not waited for."""
 
 import random
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -135,10 +135,13 @@ class ToldKit:
         self.board = ETactileKitFirmware(self.books, finger, firmware=firmware, dummy_ohm=dummy_ohm)
         self.port = ToldPort(self.board, self.clock, **line)
         self.driver = ETactileKitBoard(f"told?firmware={firmware}", limits)
-        self.driver._clock = self.clock
+        self.driver._clock, self.driver._pause = self.clock, self.clock.sleep
         self.driver._serial = self.port
         self.driver._books = HostBooks(limits.electrodes)
         self.driver._greet()
+
+    late_ns = 0
+    """How long ago each sequence was due when its turn comes."""
 
     def run(self, jobs):
         """Let the driver serve jobs: when they come by its clock, sequence, times."""
@@ -153,7 +156,8 @@ class ToldKit:
                 return None
             time_ns, job = jobs.pop(0)
             self.clock.time_ns = max(self.clock.time_ns, time_ns)
-            return job
+            # It was due when there was room for it.
+            return replace(job, due_ns=self.clock.time_ns - self.late_ns)
 
         self.driver._take = take
         self.driver._serve()

@@ -6,6 +6,7 @@ import os
 import pty
 import subprocess
 import sys
+import termios
 import time
 from pathlib import Path
 
@@ -85,7 +86,7 @@ def start_program(tmp_path):
 
 @pytest.fixture
 def start_at_a_terminal(tmp_path):
-    """Return a starter of a run with a keyboard: its process, once it runs, and the keyboard."""
+    """Return a starter of a run with a keyboard: its process, once it hears keys, and they."""
     running = []
 
     def start(*arguments):
@@ -100,7 +101,7 @@ def start_at_a_terminal(tmp_path):
         )
         os.close(terminal)
         running.append((process, keys))
-        while process.poll() is None and not list((tmp_path / "state").rglob("*.run")):
+        while process.poll() is None and termios.tcgetattr(keys)[3] & termios.ICANON:
             time.sleep(0.02)
         return process, keys
 

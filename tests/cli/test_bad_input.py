@@ -47,8 +47,11 @@ def folder(tmp_path):
         ("live --profile nobody", "no profile 'nobody'"),
         ("live --profile wrong.toml", "wrong.toml: "),
         ("live --board nobody:", "unknown board 'nobody:'"),
-        ("live --board link:", "needs a port"),
-        ("live --board link:/dev/nothing", "cannot open /dev/nothing: there is no such port"),
+        ("live --board link: --intensity 1", "needs a port"),
+        (
+            "live --board link:/dev/nothing --intensity 1",
+            "cannot open /dev/nothing: there is no such port",
+        ),
         ("live --board emulator:7", "takes nothing after the colon"),
         ("live --mode XY", "--mode 'XY' is not offered"),
         ("live --board vibrators:x.wav", "vibrators make no current"),
@@ -95,7 +98,7 @@ def test_usage(program_here, arguments):
 def test_busy_port(program_here, start_emulator):
     _, port, _ = start_emulator()
     with make_board(f"link:{port}", SafetyLimits.of(load_profile("electric-mouse"))):
-        done = program_here("live", "--board", f"link:{port}")
+        done = program_here("live", "--board", f"link:{port}", "--intensity", "1")
     assert done.returncode == 2
     assert f"cannot open {port}: it is in use by another program" in done.stderr
     assert done.stderr.count("\n") == 1
@@ -103,7 +106,7 @@ def test_busy_port(program_here, start_emulator):
 
 def test_the_profile_of_another_board(program_here, start_emulator):
     _, port, _ = start_emulator(electrodes=16)
-    done = program_here("live", "--board", f"link:{port}")
+    done = program_here("live", "--board", f"link:{port}", "--intensity", "1")
     assert done.returncode == 2
     assert "has 16 electrodes, the profile 64" in done.stderr
 

@@ -14,7 +14,9 @@ def live(program_here, tmp_path):
     """Return a runner of ``live`` over a short word: how it ended, and its figures."""
 
     def run(*options):
-        done = program_here("live", "--sensor", "text:touch", "--json", "run.json", *options)
+        done = program_here(
+            "live", "--sensor", "text:touch", "--json", "run.json", "--intensity", 1, *options
+        )
         path = tmp_path / "run.json"
         figures = json.loads(path.read_text()) if done.returncode == 0 else {}
         return done, figures

@@ -50,7 +50,9 @@ def state_of(books):
 @on(*KITS)
 def test_live_end_to_end_ends_in_zero(request, program_here, tmp_path, kit):
     url, books = kit
-    done = program_here("live", "--board", url, "--seconds", 1.7, "--json", "run.json")
+    done = program_here(
+        "live", "--board", url, "--intensity", 1, "--seconds", 1.7, "--json", "run.json"
+    )
     assert done.returncode == 0, done.stderr
     assert "all electrodes off" in done.stdout
     assert ("goes on with its last pattern" in done.stderr) == url.startswith("etactilekit")
@@ -89,7 +91,7 @@ def test_packets_that_come_twice_are_told_of(program_here, monkeypatch, tmp_path
 def test_a_signal_ends_in_zero(start_program, kit):
     url, books = kit
     how = signal.SIGTERM if url.startswith("kajimoto61") else signal.SIGINT
-    running = start_program("live", "--board", url)
+    running = start_program("live", "--board", url, "--intensity", "1")
     wait_for_pulses(books)
     running.send_signal(how)
     out, _ = running.communicate(timeout=20)
@@ -110,7 +112,7 @@ def wait_for_pulses(books):
 def test_a_killed_host(start_program, kit):
     """The host-clocked board is at zero by itself, the other by its keeper."""
     url, books = kit
-    running = start_program("board", "test", url, "--seconds", 30)
+    running = start_program("board", "test", url, "--seconds", 30, "--current-ma", 0.5)
     wait_for_pulses(books)
     # By then its current has risen, and nothing changes any more.
     time.sleep(0.5)
@@ -151,7 +153,7 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(
     assert found["masked"] == [5, 9]
     assert "masked = [5, 9]" in done.stdout
     assert found["impedance_kohm"][5] is None
-    done = program_here("live", "--board", url, "--measure", "--seconds", 1.5)
+    done = program_here("live", "--board", url, "--intensity", 1, "--measure", "--seconds", 1.5)
     assert done.returncode == 0, done.stderr
     assert "30 of 32 electrodes are good; planned without [5, 9]" in done.stdout
     time.sleep(0.3)
@@ -167,7 +169,7 @@ def test_measuring_without_a_finger_says_so(program_here, start_emulator):
     done = program_here("board", "measure", f"link:{port}")
     assert done.returncode == 0, done.stderr
     assert "No electrode touches anything" in done.stdout
-    done = program_here("live", "--board", f"link:{port}", "--measure", "--seconds", 1)
+    done = program_here("live", "--board", f"link:{port}", "--measure", "--intensity", 1)
     assert done.returncode == 2
     assert "put the finger on the array first" in done.stderr
 

@@ -127,15 +127,17 @@ def test_without_force_there_is_no_current(run_color):
 
 
 def test_a_finger_on_the_board_needs_a_word_on_force(run_color, monkeypatch):
-    monkeypatch.setattr("smarttouch.cli.plan._NO_FINGER", ())
+    monkeypatch.setattr("smarttouch.boards.emulator.simulated.SimulatedBoard.on_a_finger", True)
     with pytest.raises(SmartTouchError, match="nobody knows how hard the finger presses"):
-        run_color("tone:30Hz,9um", "--board", "simulated:")
+        run_color("tone:30Hz,9um", "--intensity", "1", "--board", "simulated:")
 
 
 def test_what_is_missing_for_a_picture_is_said_before_anything_is_felt(program_here, monkeypatch):
     for name in [each for each in sys.modules if each.partition(".")[0] == "matplotlib"]:
         monkeypatch.setitem(sys.modules, name, None)
-    done = program_here("color", "tone:30Hz,8um", "--board", "simulated:", "--plot", "a.png")
+    done = program_here(
+        "color", "tone:30Hz,8um", "--intensity", 1, "--board", "simulated:", "--plot", "a.png"
+    )
     assert done.returncode == 2
     assert "smarttouch[plot]" in done.stderr
     assert done.stdout == ""

@@ -10,7 +10,13 @@ from PIL import Image
 
 from smarttouch.recording.reader import Recording
 
-RUN = ("live", "--seconds", "60", "--json", "run.json")
+RUN = ("live", "--seconds", "60", "--json", "run.json", "--record", "run.mcap")
+
+
+def wait_for_the_run(process, folder):
+    """The recording begins when the board is open."""
+    while process.poll() is None and not (folder / "run.mcap").exists():
+        time.sleep(0.02)
 
 
 def ended(process, folder):
@@ -23,7 +29,8 @@ def ended(process, folder):
 
 
 def test_keys_turn_intensity_and_end_the_run(start_at_a_terminal, tmp_path):
-    process, keys = start_at_a_terminal(*RUN, "--intensity", "0.1", "--record", "run.mcap")
+    process, keys = start_at_a_terminal(*RUN, "--intensity", "0.1")
+    wait_for_the_run(process, tmp_path)
     for key in (b"+", b"\x1b[A", b"-", b" ", b" ", b"m", b"0"):
         time.sleep(0.1)
         os.write(keys, key)
@@ -31,6 +38,7 @@ def test_keys_turn_intensity_and_end_the_run(start_at_a_terminal, tmp_path):
     os.write(keys, b"q")
     assert ended(process, tmp_path)["ended"] == "key q"
     words = [words for _, words in Recording(tmp_path / "run.mcap").events()]
+    assert words.pop().startswith("dose ")
     assert words.pop().startswith("by the board's account")
     assert words == [
         "intensity 0.10",
@@ -49,7 +57,7 @@ def test_keys_turn_intensity_and_end_the_run(start_at_a_terminal, tmp_path):
 @pytest.mark.parametrize("end", ["Esc", "terminal", "SIGHUP"])
 def test_a_run_ends_in_order(start_at_a_terminal, tmp_path, end):
     process, keys = start_at_a_terminal(*RUN)
-    time.sleep(0.3)
+    wait_for_the_run(process, tmp_path)
     if end == "SIGHUP":
         process.send_signal(signal.SIGHUP)
     elif end == "Esc":
@@ -62,6 +70,7 @@ def test_a_run_ends_in_order(start_at_a_terminal, tmp_path, end):
 
 def test_another_process_stops_all_runs(start_at_a_terminal, program, tmp_path):
     first, _ = start_at_a_terminal(*RUN)
+    wait_for_the_run(first, tmp_path)
     (tmp_path / "state" / "left behind").mkdir()
     stopped = program("stop")
     assert (stopped.returncode, stopped.stdout) == (0, "1 stopped.\n")

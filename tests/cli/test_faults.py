@@ -27,7 +27,9 @@ def wait_for(condition):
 def running(start_program, start_emulator):
     """A run that delivers pulses to an emulator of its own."""
     emulator, port, books = start_emulator()
-    host = start_program("live", "--board", f"link:{port}", "--json", "run.json")
+    host = start_program(
+        "live", "--board", f"link:{port}", "--intensity", "1", "--json", "run.json"
+    )
     wait_for(lambda: read_state(books)["slots"] > 50)
     return host, emulator, books
 
@@ -80,7 +82,9 @@ def test_the_board_dies_and_its_port_with_it(start_program, start_emulator, tmp_
     # A name of its own: that of the system goes to whoever opens the next port.
     name = tmp_path / "port"
     name.symlink_to(port)
-    host = start_program("live", "--board", f"link:{name}", "--json", "run.json")
+    host = start_program(
+        "live", "--board", f"link:{name}", "--intensity", "1", "--json", "run.json"
+    )
     wait_for(lambda: read_state(books)["slots"] > 50)
     name.unlink()
     emulator.kill()
@@ -115,7 +119,9 @@ def test_an_exception_in_a_stage(monkeypatch, capsys, start_emulator, stage):
         monkeypatch.setattr(Pipeline, "process", broken)
     else:
         monkeypatch.setattr("smarttouch.cli.screen.Screen.show", broken)
-    monkeypatch.setattr(sys, "argv", ["smarttouch", "live", "--board", f"link:{port}"])
+    monkeypatch.setattr(
+        sys, "argv", ["smarttouch", "live", "--board", f"link:{port}", "--intensity", "1"]
+    )
     with pytest.raises(SystemExit) as caught:
         cli.main()
     errors = capsys.readouterr().err

@@ -56,7 +56,7 @@ def refused(done):
 def test_closed_streams_lead_nowhere(shell, closed):
     done = shell(f"smarttouch {SHORT} --json f.json --record r.mcap {closed}")
     assert (done.returncode, done.stderr) == (0, b"")
-    done = shell(f"smarttouch live --board link:/dev/nothing {closed}")
+    done = shell(f"smarttouch live --intensity 1 --board link:/dev/nothing {closed}")
     assert done.returncode == 2
     assert (b"/dev/nothing" in done.stderr) == ("2>&-" not in closed)
     assert b"Traceback" not in done.stderr
@@ -84,7 +84,7 @@ def test_a_full_disk_behind_a_file(shell, option):
 
 
 def test_errors_that_cannot_be_told_change_nothing(shell):
-    done = shell("smarttouch live --board link:/dev/nothing 2> /dev/full")
+    done = shell("smarttouch live --intensity 1 --board link:/dev/nothing 2> /dev/full")
     assert (done.returncode, done.stdout) == (2, b"")
 
 

@@ -11,11 +11,11 @@ from smarttouch.color.mix import mix_colors
 from smarttouch.color.recover import recover
 from smarttouch.color.sensor import ColorSensor
 from smarttouch.color.spec import open_trace
-from smarttouch.controls import StopRequest
 from smarttouch.live import run
 from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Primary
 from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 
 RISEN_S = 0.55

@@ -6,7 +6,7 @@ import numpy as np
 
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.clock import SimulatedClock
-from smarttouch.controls import Controls, StopRequest, Wish
+from smarttouch.controls import Controls, Wish
 from smarttouch.experiments.course import Course
 from smarttouch.experiments.rows import About, RowFile
 from smarttouch.experiments.sensor import ExperimentSensor
@@ -17,6 +17,7 @@ from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode
 from smarttouch.reading.window import press_n
 from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 
 DATE = "2026-01-01T00:00:00+00:00"

@@ -7,7 +7,7 @@ import pytest
 
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.clock import SimulatedClock
-from smarttouch.controls import StopRequest, Wish
+from smarttouch.controls import Wish
 from smarttouch.errors import ExperimentError
 from smarttouch.experiments.free import FreeLog, FreeSensor, HandControls, up_to_the_ceiling
 from smarttouch.live import run
@@ -16,6 +16,7 @@ from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 
 ALL = tuple(Primary)

@@ -17,7 +17,7 @@ from smarttouch import __version__
 from smarttouch.boards.kajimoto61 import Kajimoto61Board
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.clock import SimulatedClock
-from smarttouch.controls import Controls, StopRequest, Wish
+from smarttouch.controls import Controls, Wish
 from smarttouch.errors import LineLostError
 from smarttouch.live import run
 from smarttouch.modes.bank import load_bank
@@ -34,6 +34,7 @@ from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.timing import ScanTiming
 from smarttouch.sensing import open_sensor
 from smarttouch.sensing.frame import Frame, PulseRequest, Sensor
+from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 
 FOLDER = Path(__file__).parent / "goldens"

@@ -22,9 +22,9 @@ def gate(limits=LIMITS):
 
 
 @pytest.fixture
-def blind(watch):
+def blind(safety_watch):
     """A watch in whose time gates accept everything, and the usual one looks away."""
-    watch.on = False
+    safety_watch.on = False
     watch = Watch()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(SafetyGate, "prove", lambda _gate, sequence, *_: sequence)

@@ -276,7 +276,7 @@ def test_a_port_whose_name_stays():
         (["hx711", "--event=1 dance"], "is none: write a time in s and one of garbage"),
         (["hx711", "--noise=-1"], "--noise -1 is no good number"),
         (["hx711", "--force=nan"], "--force nan is no good number"),
-        (["hx711", "--path=/nowhere.csv"], "cannot read the force /nowhere.csv"),
+        (["hx711", "--path=/nowhere.csv"], "/nowhere.csv"),
         (["hx711", "--linger=-1"], "is no time"),
         (["hx711", "--profile=none"], "no profile 'none'"),
         (["hx711", "--books=/nowhere/books"], "is in no folder"),

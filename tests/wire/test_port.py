@@ -1,5 +1,6 @@
 """Ports are opened, or the reason is one a user can act on."""
 
+import contextlib
 import os
 import socket
 import threading
@@ -7,7 +8,14 @@ import threading
 import pytest
 
 from smarttouch.errors import BoardError, OtherDeviceError
-from smarttouch.wire.port import UsbIdentity, identity_of, open_port, reopen_port
+from smarttouch.wire.port import (
+    LINE_ERRORS,
+    UsbIdentity,
+    identity_of,
+    open_port,
+    reopen_port,
+    write_before,
+)
 
 
 @pytest.mark.parametrize(
@@ -129,3 +137,86 @@ def test_a_network_address_is_nobodys_identity():
         port = open_port(f"tcp://127.0.0.1:{server.getsockname()[1]}")
         assert identity_of(port) is None
         port.close()
+
+
+class Pipe:
+    """The port of a pipe."""
+
+    def __init__(self):
+        self.end, self._number = os.pipe()
+        os.set_blocking(self._number, False)
+        self.rest = b""
+
+    def fileno(self):
+        return self._number
+
+    def write(self, data):
+        self.rest += data
+
+    def close(self):
+        os.close(self.end)
+        os.close(self._number)
+
+
+@pytest.fixture
+def pipe():
+    pipe = Pipe()
+    yield pipe
+    pipe.close()
+
+
+@pytest.mark.parametrize(("now_ns", "goes"), [(4, True), (5, True), (6, False)])
+def test_bytes_go_in_time_or_not_at_all(pipe, now_ns, goes):
+    assert write_before(pipe, b"packet", 5, lambda: now_ns) is goes
+    write_before(pipe, b".", 1, lambda: 0)
+    assert os.read(pipe.end, 100) == (b"packet." if goes else b".")
+
+
+def test_a_port_without_a_descriptor_is_written_to_in_time(monkeypatch, pipe):
+    def none():
+        raise OSError("no descriptor")
+
+    monkeypatch.setattr(pipe, "fileno", none)
+    assert [write_before(pipe, b"packet", 5, lambda now=now: now) for now in (5, 6)] == [
+        True,
+        False,
+    ]
+    assert pipe.rest == b"packet"
+
+
+def fill(pipe):
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(pipe.fileno(), bytes(4096))
+
+
+def test_a_line_that_takes_nothing_is_a_fault(pipe):
+    fill(pipe)
+    with pytest.raises(LINE_ERRORS):
+        write_before(pipe, b"packet", 5, lambda: 0, 0.01)
+
+
+def test_what_had_to_wait_for_the_line_is_looked_at_again(pipe):
+    """It was in time when it began to wait, and is too late when there is room."""
+    fill(pipe)
+    times = iter([0, 6])
+
+    def now_ns():
+        now = next(times)
+        if now == 0:
+            threading.Timer(0.05, os.read, (pipe.end, 1 << 20)).start()
+        return now
+
+    assert write_before(pipe, b"packet", 5, now_ns, 20.0) is False
+    assert pipe.rest == b""
+
+
+def test_waiting_for_a_port_ends_when_the_waiter_is_stopped():
+    class StoppedError(Exception):
+        pass
+
+    def stop(_seconds):
+        raise StoppedError
+
+    with pytest.raises(StoppedError):
+        reopen_port("/dev/nowhere", 600.0, None, stop)

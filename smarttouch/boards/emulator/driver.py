@@ -1,7 +1,10 @@
 """Starts the emulator and speaks to it as to any board on a serial line."""
 
+import os
+import select
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +13,8 @@ from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 
+_STARTS_WITHIN_S = 30.0
+"""On a busy computer too."""
 _ENDS_WITHIN_S = 3.0
 
 
@@ -29,6 +34,8 @@ class EmulatorBoard(LinkBoard):
     events : sequence of str
         What happens to the finger, as for ``smarttouch board emulate --event``.
     """
+
+    on_a_finger = False
 
     def __init__(
         self,
@@ -66,24 +73,47 @@ class EmulatorBoard(LinkBoard):
     def _open(self) -> None:
         # A session of its own: the terminal's Ctrl-C must not reach the board.
         self._process = subprocess.Popen(
-            self._command, stdout=subprocess.PIPE, text=True, start_new_session=True
+            self._command, stdout=subprocess.PIPE, start_new_session=True
         )
-        assert self._process.stdout is not None
-        with self._process.stdout as output:
-            self._line.name = output.readline().strip()
-        if not self._line.name:
-            raise BoardError(f"the emulator did not start (exit {self._process.wait()})")
         try:
+            self._line.name = self._port_of_process()
             super()._open()
         except BaseException:
+            # It has nobody to wait for.
+            self._process.terminate()
             self._end()
             raise
+
+    def _port_of_process(self) -> str:
+        """Return what the process calls its port, as soon as it does."""
+        assert self._process.stdout is not None
+        deadline, said = time.monotonic() + _STARTS_WITHIN_S, b""
+        with self._process.stdout as output:
+            while not said.endswith(b"\n") and time.monotonic() < deadline:
+                if select.select([output], [], [], 0)[0]:
+                    piece = os.read(output.fileno(), 256)
+                    if not piece:
+                        raise BoardError(
+                            f"the emulator did not start (exit {self._process.wait()})"
+                        )
+                    said += piece
+                else:
+                    self._pause(0.01)
+        if not said.endswith(b"\n"):
+            raise BoardError(
+                f"the emulator has not started within {_STARTS_WITHIN_S:g} s: this computer is "
+                "too busy, try again"
+            )
+        return said.decode().strip()
 
     def _close(self) -> None:
         super()._close()
         self._end()
 
     def _end(self) -> None:
+        if self._halted:
+            # Nobody waits until it finds out by itself.
+            self._process.terminate()
         try:
             self._process.wait(_ENDS_WITHIN_S)
         except subprocess.TimeoutExpired:

@@ -1,5 +1,6 @@
 """The emulated board without a process and without waiting: its time passes as it is sent to."""
 
+import threading
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -63,6 +64,7 @@ class SimulatedBoard(Board):
     """
 
     waits_for_nothing = True
+    on_a_finger = False
 
     def __init__(
         self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
@@ -71,6 +73,9 @@ class SimulatedBoard(Board):
         if rest:
             raise BoardError(f"simulated: takes nothing after the colon, not {rest!r}")
         self._kind = "weighted" if output is None else output.kind
+        # A stop comes from another thread, between two sequences.
+        self._speaking = threading.Lock()
+        self._power_up()
         self.capabilities = Capabilities(
             electrodes=limits.electrodes,
             output=self._kind,
@@ -89,13 +94,17 @@ class SimulatedBoard(Board):
         return self._books.take()
 
     def _open(self) -> None:
+        self._power_up()
+        with self._speaking:
+            self._say(Kind.HELLO)
+            self._say(Kind.BEGIN)
+
+    def _power_up(self) -> None:
         self._books = _KeptBooks(self._gate.limits.electrodes)
         self._firmware = LinkFirmware(self._books.electrodes, self._kind, self._books)
         self._deframer = Deframer()
         self._session = HostSession()
         self._now_ns = self._number = 0
-        self._say(Kind.HELLO)
-        self._say(Kind.BEGIN)
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         self._number += 1
@@ -111,8 +120,9 @@ class SimulatedBoard(Board):
             sequence.recharge_ua,
             sequence.recharge_us,
         )
-        self._say(Kind.SEQUENCE, self._number, payload)
-        self._wait(sequence.period_us * times * 1000)
+        with self._speaking:
+            self._say(Kind.SEQUENCE, self._number, payload)
+            self._wait(sequence.period_us * times * 1000)
         return self._number
 
     def _say(self, kind: Kind, about: int = 0, payload: bytes = b"") -> None:
@@ -142,6 +152,7 @@ class SimulatedBoard(Board):
         return BoardReport(*self._firmware.account())
 
     def _stop(self) -> None:
-        self._say(Kind.STOP)
+        with self._speaking:
+            self._say(Kind.STOP)
 
     def _close(self) -> None: ...

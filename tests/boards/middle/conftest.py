@@ -150,7 +150,8 @@ class World:
 
     def make_board(self):
         """Return the driver of a host that comes to this board."""
-        board = LinkBoard("the middle", LIMITS, Output(kind="weighted"))
+        board = ToldBoard("the middle", LIMITS, Output(kind="weighted"))
+        board._clock = WorldClock(self)
         board._line = ToldLine(self, board)
         return board
 
@@ -217,11 +218,33 @@ class World:
             assert self.host.refused == before + 1, "a replay was not counted"
 
 
+class WorldClock:
+    """The world's time."""
+
+    def __init__(self, world):
+        self._world = world
+
+    def now_ns(self):
+        return self._world.now_ns
+
+
+class ToldBoard(LinkBoard):
+    """A driver whose sequences are due as they are sent, and that is opened from within."""
+
+    def _open(self):
+        self._stopped.clear()
+        super()._open()
+
+    def _send(self, sequence, times):
+        self._due_ns = self._clock.now_ns()
+        return super()._send(sequence, times)
+
+
 class ToldLine(LinkLine):
     """The host's line: while it waits, the world goes on."""
 
     def __init__(self, world, board):
-        super().__init__("the middle", board._hear, board._aftermath, world.draw)
+        super().__init__("the middle", board._hear, board._aftermath, board._send_again, world.draw)
         self._world = world
 
     def _listen(self):

@@ -1,0 +1,42 @@
+"""Scan sequences as a board with one source plays them: one electrode against all others."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import BoardError
+from smarttouch.scan.sequence import ScanSequence
+
+
+def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Return which electrode each slot drives alone, and its current.
+
+    Returns
+    -------
+    electrode : ndarray, (S,)
+    current_ua : ndarray, (S,), µA
+        Positive cathodic.
+
+    Raises
+    ------
+    BoardError
+        If a slot is anything but one electrode against others, or an electrode
+        has two slots: such a board has no way to do it.
+    """
+    current = sequence.current_ua.astype(np.int64)
+    electrode = sequence.site.astype(np.intp)
+    rows = np.arange(sequence.slots)
+    own = current[rows, electrode]
+    others = current * np.sign(own)[:, None]
+    others[rows, electrode] = 0
+    wrong = (others > 0).any(axis=1) | (np.abs(current).max(axis=1, initial=0) > np.abs(own))
+    if wrong.any():
+        raise BoardError(
+            f"slot {int(wrong.argmax())} is no pattern of one electrode against all others, and "
+            "this board can make no other: use its own profile"
+        )
+    if len(np.unique(electrode)) != len(electrode):
+        raise BoardError(
+            f"{len(electrode)} slots share {len(np.unique(electrode))} electrodes: this board "
+            "drives each once in a scan"
+        )
+    return electrode, own

@@ -1,0 +1,125 @@
+"""A board that is halted from another thread is at zero, also while it is being opened."""
+
+import os
+import threading
+
+import pytest
+
+from smarttouch.boards.board import make_board
+from smarttouch.boards.emulator.driver import EmulatorBoard
+from smarttouch.boards.hybrid import HybridBoard
+from smarttouch.boards.memory import MemoryBoard
+from smarttouch.boards.vibrators import VibratorBoard
+from smarttouch.errors import BoardError, BoardStoppedError
+from smarttouch.profile.device import Output
+from smarttouch.scan.safety import SafetyLimits
+from smarttouch.wire.pty_line import PtyLine
+
+PATIENCE_S = 20
+LIMITS = SafetyLimits(61, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
+OUTPUT = Output(kind="one-against-all")
+
+
+@pytest.fixture
+def deaf_port():
+    """A port on which nobody answers."""
+    line = PtyLine()
+    # Held open, so that what is written is kept and nobody hangs up.
+    end = os.open(line.name, os.O_RDWR | os.O_NOCTTY)
+    yield line.name
+    os.close(end)
+    os.close(line._master)
+
+
+class Opening(threading.Thread):
+    """Opens a board, and keeps what that raised."""
+
+    def __init__(self, board):
+        super().__init__(daemon=True)
+        self.board, self.raised = board, None
+        self.start()
+
+    def run(self):
+        try:
+            self.board.open()
+        except BoardError as error:
+            self.raised = error
+
+    def halted(self):
+        self.board.halt()
+        self.join(PATIENCE_S)
+        assert not self.is_alive()
+        return self.raised
+
+
+@pytest.mark.parametrize("url", ["memory:", "simulated:", "emulator:", "kajimoto61:/dev/null"])
+def test_a_board_that_was_halted_is_never_opened(url):
+    board = make_board(url, LIMITS, OUTPUT)
+    board.halt()
+    for _ in range(2):
+        with pytest.raises(BoardStoppedError):
+            board.open()
+
+
+@pytest.mark.parametrize("kind", ["kajimoto61", "etactilekit", "link"])
+def test_halting_ends_the_wait_for_a_board_that_does_not_answer(monkeypatch, deaf_port, kind):
+    monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 600.0)
+    monkeypatch.setattr("smarttouch.boards.link_line.ANSWER_S", 600.0)
+    board = make_board(f"{kind}:{deaf_port}", LIMITS, OUTPUT)
+    assert isinstance(Opening(board).halted(), BoardStoppedError)
+
+
+def test_halting_ends_the_silence_that_an_etactilekit_is_given(monkeypatch, deaf_port):
+    monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
+    monkeypatch.setattr("smarttouch.boards.etactilekit_line.FORGETS_S", 600.0)
+    monkeypatch.setattr("smarttouch.boards.etactilekit_line.CHIPS_S", 0.01)
+    board = make_board(f"etactilekit:{deaf_port}", LIMITS, OUTPUT)
+    waiting, pause = threading.Event(), board._pause
+
+    def tell_and_pause(seconds):
+        if seconds == 600.0:
+            waiting.set()
+        pause(seconds)
+
+    board._pause = tell_and_pause
+    opening = Opening(board)
+    assert waiting.wait(PATIENCE_S)
+    assert isinstance(opening.halted(), BoardStoppedError)
+
+
+def test_halting_ends_the_start_of_an_emulator():
+    board = EmulatorBoard("", LIMITS)
+    board._command = ["sleep", "600"]
+    opening = Opening(board)
+    assert isinstance(opening.halted(), BoardStoppedError)
+    if hasattr(board, "_process"):
+        assert board._process.poll() is not None
+
+
+def test_halting_ends_the_wait_for_a_port_that_is_gone(monkeypatch, deaf_port):
+    """The line breaks in a send, and does not come back."""
+    monkeypatch.setattr("smarttouch.boards.link.RECOVER_S", 600.0)
+    board = make_board("link:/dev/nowhere", LIMITS, OUTPUT)
+    board.capabilities = None
+    thread = threading.Thread(target=recover, args=(board, raised := []), daemon=True)
+    thread.start()
+    board.halt()
+    thread.join(PATIENCE_S)
+    assert [type(error) for error in raised] == [BoardStoppedError]
+
+
+def recover(board, raised):
+    try:
+        board._recover(BoardError("the line broke"))
+    except BoardError as error:
+        raised.append(error)
+
+
+def test_both_boards_of_a_hybrid_are_halted(tmp_path):
+    electric = MemoryBoard("", LIMITS)
+    shaking = VibratorBoard(str(tmp_path / "out.wav"), LIMITS)
+    board = HybridBoard(electric, shaking)
+    board.halt()
+    for each in (board, electric, shaking):
+        with pytest.raises(BoardStoppedError):
+            each.open()

@@ -1,0 +1,165 @@
+"""Runs are found by who wants to stop them, whatever lies beside them."""
+
+import os
+import signal
+import time
+
+import pytest
+
+from smarttouch.cli import running as module
+from smarttouch.cli.running import announced, leave_mark, refuse_if_stopped, running, started_ns
+from smarttouch.clock import now_ns
+from smarttouch.errors import SmartTouchError
+from smarttouch.stopping import RunStopped
+
+
+@pytest.fixture
+def folder(tmp_path):
+    path = tmp_path / "state" / "smarttouch"
+    path.mkdir(parents=True)
+    return path
+
+
+def test_a_run_is_found_as_long_as_it_lasts(folder):
+    assert running() == []
+    with announced():
+        assert running() == [os.getpid()]
+    assert running() == []
+    assert list(folder.iterdir()) == []
+
+
+def litter(folder):
+    """Leave whatever may lie there; return what must still be there."""
+    (folder / "notes.txt").write_text("stray")
+    (folder / "abc.run").write_text("no number")
+    (folder / "-1.run").write_text("no number")
+    (folder / "٣.run").write_text("a number of other digits")
+    (folder / "12.run.old").write_text("")
+    (folder / "13.run").mkdir()
+    os.mkfifo(folder / "14.run")
+    (folder / "15.run").symlink_to(folder / "14.run")
+    (folder / "16.run").symlink_to(folder / "nowhere")
+    (folder / "17.run").write_text("unreadable")
+    (folder / "17.run").chmod(0)
+    (folder / "18.run").symlink_to("/dev/zero")
+    os.mkfifo(folder / ".new")
+    # Of a run that was killed, or readable all the same: nobody holds it.
+    return {each.name for each in folder.iterdir()} - {"17.run"}
+
+
+def test_whatever_lies_beside_them_is_passed_over(folder):
+    left = litter(folder)
+    with announced():
+        assert running() == [os.getpid()]
+        leave_mark()
+    assert {each.name for each in folder.iterdir()} - {"17.run"} == left | {"stopped"}
+
+
+def test_files_of_runs_that_were_killed_are_removed(folder):
+    (folder / "4194305.run").write_text("")
+    assert running() == []
+    assert list(folder.iterdir()) == []
+
+
+def test_what_stands_in_the_way_of_the_announcement_is_named(folder):
+    (folder / f"{os.getpid()}.run").mkdir()
+    with pytest.raises(SmartTouchError, match=f"{os.getpid()}.run"), announced():
+        pass
+    assert [each.name for each in folder.iterdir()] == [f"{os.getpid()}.run"]
+
+
+@pytest.mark.parametrize("kind", ["fifo", "link", "file"])
+def test_an_announcement_replaces_what_has_its_name(folder, kind):
+    path = folder / f"{os.getpid()}.run"
+    if kind == "fifo":
+        os.mkfifo(path)
+    elif kind == "link":
+        path.symlink_to("/dev/null")
+    else:
+        path.write_text("left behind")
+    with announced():
+        assert running() == [os.getpid()]
+
+
+def test_a_process_older_than_the_mark_does_not_begin(folder):
+    refuse_if_stopped()
+    leave_mark()
+    with pytest.raises(RunStopped) as caught:
+        refuse_if_stopped()
+    assert caught.value.number == signal.SIGTERM
+
+
+def test_a_process_younger_than_the_mark_begins(folder):
+    leave_mark()
+    time.sleep(0.03)
+    child = os.fork()
+    if child == 0:
+        try:
+            refuse_if_stopped()
+            os._exit(0)
+        finally:
+            os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+def test_the_start_of_this_process_is_never_told_too_late():
+    before = now_ns()
+    child = os.fork()
+    if child == 0:
+        began = started_ns()
+        os._exit(not (before - 20_000_000 < began <= now_ns()))
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    assert started_ns() < before
+
+
+def test_where_the_system_does_not_tell_it_is_the_import(monkeypatch, tmp_path):
+    monkeypatch.setattr(module, "_OWN_STAT", tmp_path / "nothing")
+    assert started_ns() == module._IMPORTED_NS
+    assert started_ns() < now_ns()
+
+
+@pytest.mark.parametrize("text", ["", "x", "x y", "x -5", "x 1 2", "\udce4 5", "9" * 1000])
+def test_a_mark_that_says_nothing_is_none(folder, text):
+    (folder / "stopped").write_bytes(text.encode("utf-8", "surrogateescape"))
+    refuse_if_stopped()
+
+
+def test_marks_of_another_start_of_the_machine_and_of_the_future_do_not_count(folder):
+    (folder / "stopped").write_text(f"another {now_ns()}")
+    refuse_if_stopped()
+    (folder / "stopped").write_text(f"{module._boot()} {now_ns() + 10**12}")
+    refuse_if_stopped()
+    (folder / "stopped").write_text(f"{module._boot()} {now_ns()}")
+    with pytest.raises(RunStopped):
+        refuse_if_stopped()
+
+
+@pytest.mark.parametrize("kind", ["fifo", "link"])
+def test_a_mark_replaces_what_has_its_name_and_is_read_from_no_such_thing(folder, kind):
+    if kind == "fifo":
+        os.mkfifo(folder / "stopped")
+    else:
+        (folder / "stopped").symlink_to("/dev/zero")
+    refuse_if_stopped()
+    leave_mark()
+    with pytest.raises(RunStopped):
+        refuse_if_stopped()
+
+
+def test_without_a_place_for_the_mark_runs_are_stopped_and_it_is_told(folder, program_here):
+    (folder / "stopped").mkdir()
+    (folder / "stopped" / "full").write_text("")
+    child = os.fork()
+    if child == 0:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        with announced():
+            signal.pause()
+        os._exit(1)
+    while not running():
+        time.sleep(0.005)
+    # Reaped, or it would be a run until we end.
+    done = program_here("stop")
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGTERM
+    assert done.returncode == 2
+    assert "stopped" in done.stderr
+    assert done.stderr.count("\n") == 1

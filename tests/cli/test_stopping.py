@@ -1,0 +1,125 @@
+"""Programs are stopped while they open a board, while they wait, and with a terminal that hangs."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import termios
+import time
+from pathlib import Path
+
+import pytest
+
+from smarttouch.boards.emulator.books import read_state
+from smarttouch.wire.pty_line import PtyLine
+
+from .conftest import PROGRAM
+
+PATIENCE_S = 30
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def deaf():
+    """A port on which nobody answers, and what was written to it until now."""
+    line = PtyLine()
+    yield line.name, lambda: line.read(0) or b""
+    os.close(line._master)
+
+
+@pytest.mark.parametrize(
+    ("number", "name"),
+    [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP")],
+)
+def test_a_signal_while_a_board_is_being_opened(start_program, deaf, number, name):
+    port, written = deaf
+    process = start_program("live", "--board", f"link:{port}", "--intensity", "1")
+    wait_for(written)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 128 + number
+    assert errors.count("\n") == 1
+    assert name in errors
+
+
+def is_asked_to_end(process):
+    """Return whether SIGTERM waits for a process that stands still."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    pending = int(status.partition("ShdPnd:")[2].split()[0], 16)
+    return bool(pending & 1 << signal.SIGTERM - 1)
+
+
+def test_a_stop_while_a_board_is_being_opened(start_program, deaf):
+    port, written = deaf
+    process = start_program("board", "measure", f"link:{port}")
+    wait_for(written)
+    process.send_signal(signal.SIGSTOP)
+    stop = start_program("stop")
+    wait_for(lambda: is_asked_to_end(process))
+    process.send_signal(signal.SIGCONT)
+    assert process.wait(PATIENCE_S) == 128 + signal.SIGTERM
+    assert stop.communicate(timeout=PATIENCE_S)[0] == "1 stopped.\n"
+
+
+def test_a_program_that_was_started_before_a_stop_drives_nothing(start_program, program, deaf):
+    """Stopped while it imports, when nobody can know of it yet."""
+    port, written = deaf
+    process = start_program("live", "--board", f"link:{port}", "--intensity", "1")
+    process.send_signal(signal.SIGSTOP)
+    time.sleep(0.02)
+    assert program("stop").stdout == "Nothing runs.\n"
+    process.send_signal(signal.SIGCONT)
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 128 + signal.SIGTERM
+    assert "smarttouch stop" in errors
+    assert written() == b""
+
+
+@pytest.fixture
+def stuck_terminal():
+    """A terminal that has stopped reading: the end of its keyboard, and its name."""
+    keys, terminal = os.openpty()
+    settings = termios.tcgetattr(terminal)
+    settings[3] &= ~termios.ECHO
+    termios.tcsetattr(terminal, termios.TCSANOW, settings)
+    os.set_blocking(terminal, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(terminal, b"." * 64)
+    os.set_blocking(terminal, True)
+    yield keys, terminal
+    for end in (keys, terminal):
+        os.close(end)
+
+
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, b"q"])
+def test_a_terminal_that_has_stopped_reading_keeps_nobody(
+    start_emulator, stuck_terminal, tmp_path, end
+):
+    keys, terminal = stuck_terminal
+    emulator, port, books = start_emulator()
+    process = subprocess.Popen(
+        [PROGRAM, "live", "--board", f"link:{port}", "--json", "run.json"],
+        cwd=tmp_path, stdin=terminal, stdout=terminal, stderr=terminal,
+    )  # fmt: skip
+    os.write(keys, b"+" * 20)
+    wait_for(lambda: read_state(books)["slots"] > 50)
+    if isinstance(end, bytes):
+        os.write(keys, end)
+        # What is printed last would be waited for: only someone who stops it ends that.
+        emulator.wait(PATIENCE_S)
+        assert read_state(books)["state"] == "shorted"
+        process.send_signal(signal.SIGTERM)
+    else:
+        process.send_signal(end)
+    process.wait(PATIENCE_S)
+    emulator.wait(PATIENCE_S)
+    state = read_state(books)
+    assert (state["state"], state["reason"]) == ("shorted", "stop")
+    assert (tmp_path / "run.json").exists()

@@ -1,0 +1,57 @@
+"""Stops, signals and pauses at random instants.
+
+A few of each by default; ``SMARTTOUCH_STRESS=100`` makes it 300 signals (100 of them with a
+terminal that has stopped reading), 100 starting runs and 100 pauses on each driver.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COUNT = int(os.environ.get("SMARTTOUCH_STRESS", "2"))
+WORKERS = int(os.environ.get("SMARTTOUCH_STRESS_WORKERS", "2"))
+WITHIN_S = float(os.environ.get("SMARTTOUCH_STRESS_WITHIN_S", "inf"))
+"""Give 1 on a quiet machine: only there it is the run that takes the time."""
+SEED = int(os.environ.get("SMARTTOUCH_STRESS_SEED", "1"))
+WIRE_MS = 1.0
+pytestmark = pytest.mark.timeout(120 + 60 * COUNT)
+
+
+def stress(script, *numbers):
+    """Run one of the scripts beside this one; return what it found."""
+    done = subprocess.run(
+        [sys.executable, Path(__file__).with_name(script), *map(str, numbers)],
+        stdout=subprocess.PIPE,
+        check=True,
+    )
+    return json.loads(done.stdout)
+
+
+def test_signals_end_runs_with_the_board_at_zero():
+    runs = stress("signals.py", 3 * COUNT, COUNT, WORKERS, SEED)["runs"]
+    assert len(runs) == 3 * COUNT
+    for run in runs:
+        assert run["code"] is not None, run
+        assert run["took_s"] <= WITHIN_S, run
+        assert (run["driving"], run["wrong"]) == (False, 0), run
+        if run["zero_after_ms"] is not None:
+            assert run["zero_after_ms"] <= 100 + WIRE_MS, run
+
+
+def test_no_starting_run_survives_a_stop():
+    runs = stress("stops.py", max(5, COUNT), WORKERS, SEED)
+    assert len(runs) >= min(COUNT, 5)
+    for run in runs:
+        assert run["stop"] == 0, run
+        assert run["code"] in (0, 143, -15), run
+        assert (run["driving"], run["wrong"]) == (False, 0), run
+
+
+def test_after_a_pause_no_pulse_is_above_the_ramp():
+    for board in stress("pauses.py", COUNT, SEED):
+        assert board["pulses"] > 100, board
+        assert (board["above"], board["wrong"]) == (0, 0), board
