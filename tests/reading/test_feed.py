@@ -14,7 +14,7 @@ def test_lines_are_there_before_all_are_ready(make_line):
 
     def slowly():
         yield lines[0]
-        go_on.wait(10)
+        go_on.wait(60)
         yield lines[1]
 
     feed = LineFeed(slowly()).start()
@@ -70,7 +70,7 @@ def test_closed_it_prepares_no_more(make_line):
         while True:
             made.append(make_line())
             yield made[-1]
-            go_on.wait(10)
+            go_on.wait(60)
 
     feed = LineFeed(endless()).start()
     feed.wait_for(0, 10)

@@ -1,6 +1,5 @@
 """Steps of real runs, and recordings of them."""
 
-import time
 import tracemalloc
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -10,6 +9,7 @@ import pytest
 
 from smarttouch.live import Sent
 from smarttouch.pipeline import Pipeline
+from smarttouch.recording import recorder as recorder_module
 from smarttouch.recording.recorder import Recorder, about_run
 from smarttouch.scan.timing import ScanTiming
 from smarttouch.sensing.frame import Frame, Pose
@@ -78,13 +78,12 @@ def with_volts():
 def record(about):
     """Return a writer of recordings from steps and events."""
 
-    def write(path, steps, events=(), about=about, pause_s=0.0):
+    def write(path, steps, events=(), about=about):
         recorder = Recorder(path, about, STARTED_NS)
         for words in events:
             recorder.event(5_000_000, words)
         for sent in steps:
             recorder.record(sent, (sent.number or 1) - 1, 0)
-            time.sleep(pause_s)
         recorder.close()
         return path
 
@@ -95,7 +94,10 @@ def record(about):
 def recording(record, steps, tmp_path_factory):
     """A short recording in several chunks."""
     path = tmp_path_factory.mktemp("recording") / "run.mcap"
-    return record(path, steps, ["paused", "goes on"], pause_s=0.005)
+    with pytest.MonkeyPatch.context() as patch:
+        # One for each step: what waits for no longer is not put together.
+        patch.setattr(recorder_module, "FLUSH_S", 0.0)
+        return record(path, steps, ["paused", "goes on"])
 
 
 @pytest.fixture

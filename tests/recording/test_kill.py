@@ -1,4 +1,4 @@
-"""A program that is killed, or has its disk filled, loses a tenth of a second at most."""
+"""A program that is killed, or has its disk filled, loses nothing that the system was given."""
 
 import os
 import random
@@ -17,7 +17,6 @@ from smarttouch.recording.repair import repair
 
 CHILD = Path(__file__).with_name("child.py")
 KILLS = int(os.environ.get("SMARTTOUCH_KILLS", "3"))
-MOST_LOST_MS = 100
 
 
 @contextmanager
@@ -36,20 +35,21 @@ def child(*arguments):
 @pytest.mark.parametrize("seed", range(KILLS))
 def test_a_killed_program_loses_little(tmp_path, seed):
     path = tmp_path / "run.mcap"
+    draw, told = random.Random(seed), []
     with child(path) as process:
-        first = process.stdout.readline()
-        time.sleep(random.Random(seed).uniform(0.2, 0.7))
+        # At any time after the first few flushes, in whatever it does then.
+        while sum(given > 0 for _, given in told) < 3:
+            told.append([int(each) for each in process.stdout.readline().split()])
+        time.sleep(draw.uniform(0.0, 0.5))
         process.kill()
-        told = [[int(each) for each in line.split()] for line in [first, *process.stdout]]
-    last_ns = told[-1][0]
-    # Where the machine did not let it run, its writer did not run either.
-    held_up_ms = max(late_ns for _, late_ns in told[-15:]) / 1e6
+        told += [[int(each) for each in line.split()] for line in process.stdout]
+    last_ns, given = (max(each) for each in zip(*told, strict=True))
     kept = list(Recording(path).steps())
     lost_ms = (last_ns - kept[-1].step.frame.time_ns) / 1e6
-    print(f"killed at {last_ns / 1e6:.0f} ms: {lost_ms:.1f} ms lost, held up {held_up_ms:.1f} ms")
+    print(f"killed at {last_ns / 1e6:.0f} ms: {lost_ms:.1f} ms lost")
     assert [each.index for each in kept] == list(range(len(kept)))
-    assert len(kept) > 5
-    assert lost_ms <= MOST_LOST_MS + held_up_ms
+    # What the system was given is kept; how soon it is given is asked of a clock that is told.
+    assert len(kept) >= given > 2
     assert not Recording(path).whole
     check = check_recording(path)
     assert check.exact, check.describe()
@@ -70,7 +70,7 @@ def test_a_killed_program_loses_little(tmp_path, seed):
 def test_a_disk_that_fills_up_is_one_sentence_and_what_it_took_stays(tmp_path):
     path = tmp_path / "run.mcap"
     with child(path, 60_000) as process:
-        *_, sentence, closed = process.communicate(timeout=60)[0].splitlines()
+        *_, sentence, closed = process.communicate(timeout=110)[0].splitlines()
         assert process.returncode == 0
     assert sentence == f"{path} is cut short: File too large; what was written is kept"
     assert closed == "closed"

@@ -34,7 +34,7 @@ def full(*_, **__):
     raise OSError(28, "No space left on device")
 
 
-def until(true, within_s=20.0):
+def until(true, within_s=60.0):
     """Wait for something; the deadline is for a test that would fail anyway."""
     deadline = time.monotonic() + within_s
     while not true():
@@ -226,6 +226,28 @@ def test_nothing_waits_for_the_disk_longer_than_a_second(monkeypatch, tmp_path, 
     for number, due_s in enumerate(at_s[:-1]):
         after = next(time_s for time_s in times if time_s >= due_s)
         assert after - due_s <= module.SYNC_S + 1e-6, number
+
+
+def test_nothing_waits_for_the_system_longer_than_a_moment(monkeypatch, tmp_path, about, steps):
+    """What a killed program loses: it is given to the system within `FLUSH_S`."""
+    at_s = [0.01 * index for index in range(50)] + [5.0]
+    told, given = ToldQueue([(due_s, (steps[0], 0, 0)) for due_s in at_s]), []
+    flush = Recorder._flush
+
+    def flush_and_tell(recorder):
+        flush(recorder)
+        given.append((told.now_s, recorder._index))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module.queue, "SimpleQueue", lambda: told)
+        patch.setattr(module.time, "monotonic", told.monotonic)
+        patch.setattr(Recorder, "_flush", flush_and_tell)
+        Recorder(tmp_path / "run.mcap", about, STARTED_NS).close()
+    assert len(given) < 20, "several steps share a chunk"
+    # The last one goes with the end of the file.
+    for number, due_s in enumerate(at_s[:-1]):
+        after = next(time_s for time_s, count in given if count > number)
+        assert after - due_s <= module.FLUSH_S + 0.011
 
 
 def test_a_slow_disk_is_waited_for_once_a_second_at_most(monkeypatch, tmp_path, about, steps):

@@ -241,10 +241,10 @@ def test_thirty_images_a_second_if_not_told(profile, folder):
 
 def test_slow_slides_are_not_stale(profile, folder):
     with open_sensor(f"frames:{folder}", profile, fps=0.5) as sensor:
-        sensor._now_ns = lambda: time.perf_counter_ns() + 3 * SECOND
-        assert not sensor.read(0).stale
-        sensor._now_ns = lambda: time.perf_counter_ns() + 5 * SECOND
-        assert sensor.read(0).stale
+        sensor.read(0)
+        for after_s, stale in ((3, False), (5, True)):
+            sensor._now_ns = lambda after_s=after_s: sensor._newest.taken_ns + after_s * SECOND
+            assert sensor.read(0).stale is stale
 
 
 @pytest.mark.parametrize("fps", [0.0, -1.0, float("nan"), 1e6])
