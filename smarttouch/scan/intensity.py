@@ -36,8 +36,11 @@ class SoftStart:
         self._time_ns: int | None = None
 
     def follow(self, wanted: float, time_ns: int) -> float:
-        """Return the intensity allowed at ``time_ns``; the first is always zero."""
-        elapsed_s = 0.0 if self._time_ns is None else (time_ns - self._time_ns) / 1e9
+        """Return the intensity allowed at ``time_ns``; the first is always zero.
+
+        Where time goes back, as in a file that was changed, nothing rises.
+        """
+        elapsed_s = 0.0 if self._time_ns is None else max(0.0, (time_ns - self._time_ns) / 1e9)
         self._time_ns = time_ns
         self._intensity = min(wanted, self._intensity + elapsed_s / self._ramp_s)
         return self._intensity

@@ -48,3 +48,11 @@ def test_rise_is_bounded_and_fall_is_immediate(steps):
         assert now <= wanted
         assert now - before <= wait / 1e9 / 0.5 + 1e-12
         before = now
+
+
+def test_time_that_goes_back_lets_nothing_rise_or_turn_over():
+    start = SoftStart(0.5)
+    assert [start.follow(1.0, time_ns) for time_ns in (0, 250_000_000)] == [0, 0.5]
+    assert start.follow(1.0, -(2**62)) == 0.5
+    assert start.follow(1.0, -(2**62) + 125_000_000) == 0.75
+    assert start.follow(0.2, -(2**63)) == 0.2
