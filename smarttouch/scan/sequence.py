@@ -203,4 +203,8 @@ def whole_ua(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
     current_ua : ndarray, (S, E) µA
     """
     carried = np.cumsum(current_ua, axis=1)
-    return np.diff(np.rint(carried), axis=1, prepend=0.0).astype(np.int16)
+    np.rint(carried, out=carried)
+    whole = np.empty(carried.shape, np.int16)
+    whole[:, :1] = carried[:, :1]
+    np.subtract(carried[:, 1:], carried[:, :-1], out=whole[:, 1:], casting="unsafe")
+    return whole

@@ -65,9 +65,7 @@ def prove_fields(sequence: ScanSequence, limits: SafetyLimits) -> None:
         )
 
 
-def prove_slots(
-    sequence: ScanSequence, limits: SafetyLimits, ppb: int, adder: SlotAdder
-) -> Load:
+def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int, adder: SlotAdder) -> Load:
     """Return what slots that keep every limit bring each electrode, (2, E).
 
     Parameters
