@@ -172,26 +172,32 @@ class FrameSlots:
             What all currents are scaled with.
         """
         plan = self._planned(activation if intensity > 0 else 0 * activation)
-        current_ua, proof = self._finished(plan, intensity)
-        broken = self._broken(current_ua, proof)
-        if broken.any():
-            plan = self._one_by_one(plan, broken)
-            current_ua, proof = self._finished(plan, intensity)
+        current_ua, proof, certain = self._finished(plan, intensity)
+        if not certain:
+            broken = self._broken(current_ua, proof)
+            if broken.any():
+                plan = self._one_by_one(plan, broken)
+                current_ua, proof, _ = self._finished(plan, intensity)
         return Slots(plan.site, current_ua, self._widths_us[: len(plan.site)], proof)
 
-    def _finished(self, plan: Plan, intensity: float) -> tuple[NDArray[np.int16], Proof]:
-        """Return currents as they are sent, and what these do; of single points as designed."""
+    def _finished(self, plan: Plan, intensity: float) -> tuple[NDArray[np.int16], Proof, bool]:
+        """Return currents as they are sent, what these do, and whether all is kept for certain.
+
+        What single points do is that of their kernels, as designed.
+        """
         current_ua = whole_ua(1000 * intensity * plan.current_ma)
-        do = plan.do.copy()
+        found, do = plan.found, plan.do.copy()
         if self._sums is not None and intensity >= self._sums.certain_from:
-            do[:, : len(plan.found.owner)] = self._sums.figures(intensity)[:, plan.found.owner]
-            return current_ua, Proof(plan.points, *do)
+            do[:, : len(found.owner)] = self._sums.figures(intensity)[:, found.owner]
+            # All that rounding can add is half a µA for each electrode.
+            most_ua = 1000 * intensity * found.most_ma + len(self._driven) / 2
+            return current_ua, Proof(plan.points, *do), most_ua < 1000 * self._limit_ma
         shared = np.flatnonzero(plan.points > 1)
         with self._one_thread():
             do[:, shared] = _selectivity(
-                self._judge, current_ua[shared] / 1000, plan.found.level[shared]
+                self._judge, current_ua[shared] / 1000, found.level[shared]
             )
-        return current_ua, Proof(plan.points, *do)
+        return current_ua, Proof(plan.points, *do), False
 
     def _broken(self, current_ua: NDArray[np.int16], proof: Proof) -> NDArray[np.bool_]:
         """Return which slots of several points break a bound or carry too much in all."""
@@ -220,12 +226,14 @@ class FrameSlots:
         return self._plans[key]
 
     def _plan(self, activation: NDArray[np.float32]) -> Plan:
-        asked = np.array(
-            [
-                row if felt is None else np.append(row, np.float32(0))[felt]
-                for row, felt in zip(activation, self._felt_at, strict=True)
-            ]
-        )
+        asked = activation
+        if any(felt is not None for felt in self._felt_at):
+            asked = np.array(
+                [
+                    row if felt is None else np.append(row, np.float32(0))[felt]
+                    for row, felt in zip(activation, self._felt_at, strict=True)
+                ]
+            )
         active = (asked > 0) & self._driven
         level = np.where(active, self._faintest + (1 - self._faintest) * asked, 0.0).ravel()
         # Slots aim a little low, which saves current; the faintest would not be felt then.
@@ -249,7 +257,8 @@ class FrameSlots:
         for row, current_ma, slot in zip(levels, currents_ma, slots, strict=True):
             row[slot.sites], current_ma[:] = level[slot.sites], slot.current
         do = [[each.figures.worst_other, each.figures.worst_spill] for each in slots]
-        return Found(levels, currents_ma, np.array(do, np.float32).reshape(-1, 2).T)
+        points = np.array([len(each.sites) for each in slots], np.intp)
+        return Found(levels, currents_ma, points, np.array(do, np.float32).reshape(-1, 2).T)
 
     def _one_by_one(self, plan: Plan, broken: NDArray[np.bool_]) -> Plan:
         """Return a plan in which the points of some slots have slots of their own."""
@@ -266,8 +275,12 @@ class FrameSlots:
         """Return a plan with a slot more for each of some points, by its own kernel."""
         count = len(found.level)
         points = np.ones(count + len(alone), np.uint16)
-        points[:count] = np.count_nonzero(found.level, axis=1)
-        strongest = np.concatenate([found.level.argmax(axis=1), alone])
+        points[:count] = found.points
+        strongest = found.level.argmax(axis=1)
+        if not len(alone):
+            site = (strongest % len(self._driven)).astype(np.uint16)
+            return Plan(found, alone, level, found.current_ma, found.do, points, site)
+        strongest = np.concatenate([strongest, alone])
         return Plan(
             found,
             alone,

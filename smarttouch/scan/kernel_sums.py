@@ -21,22 +21,35 @@ class Found:
     level : ndarray, (S, P)
         What is wished at each point of a slot, 0 at all others.
     current_ma : ndarray, (S, E) mA
+    points : ndarray, (S,) intp
+        How many each slot has.
     do : ndarray, (2, S) float32
         What the currents do to other classes, and to their own elsewhere; of sums of kernels
         see `KernelSums.figures`.
     owner : ndarray, (S,) intp
         Of which proved set the points of each slot are; empty where there are none.
+    most_ma : float, mA
+        No slot carries more in all.
     """
 
     level: Array
     current_ma: Array
+    points: NDArray[np.intp]
     do: NDArray[np.float32]
     owner: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
+    most_ma: float = np.inf
 
     def without(self, broken: NDArray[np.bool_]) -> "Found":
         """Return the others."""
-        owner = self.owner[~broken] if len(self.owner) else self.owner
-        return Found(self.level[~broken], self.current_ma[~broken], self.do[:, ~broken], owner)
+        kept = ~broken
+        return Found(
+            self.level[kept],
+            self.current_ma[kept],
+            self.points[kept],
+            self.do[:, kept],
+            self.owner[kept] if len(self.owner) else self.owner,
+            self.most_ma,
+        )
 
 
 class KernelSums:
@@ -98,28 +111,39 @@ class KernelSums:
         totals_ma = aimed * self._totals_ma
         active = np.flatnonzero(totals_ma)
         # Set after set, the strongest of each first.
-        active = active[np.lexsort((-totals_ma[active], self._owner[active]))]
-        parts = _parts(totals_ma[active].tolist(), self._owner[active].tolist(), self._most_ma)
-        chosen = active[np.array([each for part in parts for each in part], np.intp)]
-        sizes = [len(part) for part in parts]
-        levels = np.zeros((len(parts), self._points_n))
-        slot = np.repeat(np.arange(len(parts)), sizes)
+        order = np.lexsort((-totals_ma[active], self._owner[active]))
+        active = active[order]
+        owner = self._owner[active]
+        parts, most_ma = _parts(totals_ma[active].tolist(), owner.tolist(), self._most_ma)
+        count = len(parts)
+        size = np.array([len(part) for part in parts], np.intp)
+        slot = np.arange(count).repeat(size)
+        index = np.array([each for part in parts for each in part], np.intp)
+        chosen = active[index]
+        levels = np.zeros((count, self._points_n))
         levels[slot, self._points[chosen]] = wanted[chosen]
         aimed, kernels_ma = aimed[chosen], self._kernels_ma.take(chosen, axis=0)
-        current_ma = np.empty((len(parts), self._electrodes))
-        end = 0
-        for row, size in zip(current_ma, sizes, strict=True):
-            begin, end = end, end + size
+        current_ma = np.empty((count, self._electrodes))
+        ends = size.cumsum()
+        begin = 0
+        for row, end in zip(current_ma, ends.tolist(), strict=True):
             aimed[begin:end].dot(kernels_ma[begin:end], out=row)
-        unknown = np.full((2, len(parts)), np.nan, np.float32)
-        owner = self._owner[chosen[np.cumsum(sizes) - sizes]] if parts else self._owner[:0]
-        return Found(levels, current_ma, unknown, owner)
+            begin = end
+        first = owner[index[ends - size]]
+        return Found(levels, current_ma, size, np.zeros((2, count), np.float32), first, most_ma)
 
 
-def _parts(totals_ma: list[float], owners: list[int], most_ma: float) -> list[list[int]]:
+def _parts(
+    totals_ma: list[float], owners: list[int], most_ma: float
+) -> tuple[list[list[int]], float]:
     """Cut what is of one owner into parts of several that stay below a total.
 
     One after the other, each into the first part of its owner that has room.
+
+    Returns
+    -------
+    list of list of int, float
+        And the largest total of one part.
     """
     parts: list[list[int]] = []
     sums_ma: list[float] = []
@@ -135,4 +159,4 @@ def _parts(totals_ma: list[float], owners: list[int], most_ma: float) -> list[li
         else:
             parts.append([index])
             sums_ma.append(total_ma)
-    return [part for part in parts if len(part) > 1]
+    return [part for part in parts if len(part) > 1], max(sums_ma, default=0.0)
