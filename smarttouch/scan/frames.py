@@ -3,6 +3,7 @@
 from collections import OrderedDict
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from importlib import import_module
 from typing import NamedTuple
 
 import numpy as np
@@ -124,6 +125,9 @@ class FrameSlots:
         judge: SlotJudge = judges[0] if len(judges) == 1 else MixedJudge(judges)
         self._judge = judge
         self._operator = FrameOperator(judge) if planned else None
+        if planned:
+            # Not by the first frame that breaks a bound: that takes longer than ten frames.
+            import_module("scipy.optimize")
         full_ma = np.minimum(profile.full_ma, judge.full_ma)
         self._points_ma = np.concatenate([own * full_ma[:, None] for own in kernels])
         self._driven = np.isin(np.arange(len(full_ma)), profile.driven)
