@@ -1,7 +1,6 @@
 """Slots with many points each, of one afferent class or two: the same frame in fewer slots."""
 
 from collections import OrderedDict
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from importlib import import_module
 from typing import NamedTuple
@@ -116,6 +115,7 @@ class FrameSlots:
         reason = why_not(profile)
         if reason is not None:
             raise ScheduleError(f"a whole frame cannot be shown at once: {reason}: choose points")
+        # Matrices are small: with other work on the machine, a second thread costs a hundredfold.
         self._blas = ThreadpoolController()
         kernels = [np.asarray(bank.kernels(each), np.float64) for each in primaries]
         judges = [
@@ -197,7 +197,7 @@ class FrameSlots:
             most_ua = 1000 * intensity * found.most_ma + len(self._driven) / 2
             return current_ua, Proof(plan.points, *do), most_ua < 1000 * self._limit_ma
         shared = np.flatnonzero(plan.points > 1)
-        with self._one_thread():
+        with self._blas.limit(limits=1, user_api="blas"):
             do[:, shared] = _selectivity(
                 self._judge, current_ua[shared] / 1000, found.level[shared]
             )
@@ -207,18 +207,11 @@ class FrameSlots:
         """Return which slots of several points break a bound or carry too much in all."""
         # In balance: what flows in is half of all that flows.
         total_ua = np.abs(current_ua).sum(axis=1, dtype=np.int64)
-        broken = total_ua > 2000 * self._limit_ma
-        broken |= proof.worst_other > self._bounds.other
+        broken = np.asarray(proof.worst_other > self._bounds.other)
         broken |= proof.worst_spill > self._bounds.spill
+        broken |= total_ua > 2000 * self._limit_ma
         broken &= proof.points > 1
         return broken
-
-    def _one_thread(self) -> AbstractContextManager[object]:
-        """Keep products of matrices to one thread.
-
-        They are small: with other work on the machine, a second one costs a hundredfold.
-        """
-        return self._blas.limit(limits=1, user_api="blas")
 
     def _planned(self, activation: NDArray[np.float32]) -> Plan:
         key = activation.tobytes()
@@ -245,7 +238,7 @@ class FrameSlots:
         if self._sums is not None:
             found = self._sums.add_up(level)
         else:
-            with self._one_thread():
+            with self._blas.limit(limits=1, user_api="blas"):
                 found = self._found(level)
         alone = np.flatnonzero(np.where(found.level.any(axis=0), 0.0, level))
         return self._completed(found, alone, level[alone])

@@ -142,13 +142,13 @@ class PointSlots:
         level *= self._range[site]
         level += self._faintest[site]
         level *= intensity
-        width_us = None
+        width_us = felt = None
         if self._by_width:
             width_us = self._widths_us(level)
             level = np.where(width_us >= SHORTEST_PULSE_US, np.float32(1), np.float32(0))
             felt = level > 0
-        else:
-            felt = None if self._always_switches else level >= self._weakest_level[site]
+        elif not self._always_switches:
+            felt = level >= self._weakest_level[site]
         if felt is not None and not felt.all():
             site, level = site[felt], level[felt]
             width_us = None if width_us is None else width_us[felt]
