@@ -135,12 +135,12 @@ class PointSlots:
         if self._felt_at is not None:
             # The last one stands for nowhere.
             activation = np.append(activation, np.float32(0))[self._felt_at]
-        site = np.flatnonzero(activation) if intensity > 0 else np.empty(0, np.intp)
+        site = activation.nonzero()[0] if intensity > 0 else np.empty(0, np.intp)
         if not self._in_index_order:
-            site = site[spread_order(len(site))]
-        level = activation[site]
-        level *= self._range[site]
-        level += self._faintest[site]
+            site = site.take(spread_order(len(site)))
+        level = activation.take(site)
+        level *= self._range.take(site)
+        level += self._faintest.take(site)
         level *= intensity
         width_us = felt = None
         if self._by_width:
@@ -156,7 +156,7 @@ class PointSlots:
         if width_us is None:
             width_us = self._widths_all_us[:slots]
         current_ua, surplus = self._rounded(site, level)
-        strongest = self._row_starts[:slots] + self._strongest[site]
+        strongest = self._row_starts[:slots] + self._strongest.take(site)
         flat = current_ua.reshape(-1)
         flat[strongest] -= surplus
         if self._tight and (over := np.abs(flat[strongest]) > self._most_ua[site]).any():
