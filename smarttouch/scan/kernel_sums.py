@@ -90,6 +90,7 @@ class KernelSums:
         self._kernels_ma = np.concatenate(
             [np.empty((0, self._electrodes)), *(each.kernels for _, each in every)]
         )
+        self._scratch_ma = np.empty_like(self._kernels_ma)
         self._totals_ma = np.concatenate([np.empty(0), *(each.totals_ma for _, each in every)])
         self._owner = np.repeat(np.arange(len(every)), [len(each.sites) for _, each in every])
         self._certain = [Certainty.of(each, aim, faintest) for _, each in every]
@@ -122,7 +123,9 @@ class KernelSums:
         chosen = active[index]
         levels = np.zeros((count, self._points_n))
         levels[slot, self._points[chosen]] = wanted[chosen]
-        aimed, kernels_ma = aimed[chosen], self._kernels_ma.take(chosen, axis=0)
+        aimed, kernels_ma = aimed[chosen], self._scratch_ma[: len(chosen)]
+        # With "raise", numpy would fill a copy first.
+        self._kernels_ma.take(chosen, axis=0, out=kernels_ma, mode="clip")
         current_ma = np.empty((count, self._electrodes))
         ends = size.cumsum()
         begin = 0

@@ -15,8 +15,9 @@ _INT16, _UINT16, _FLOAT32 = (np.dtype(each) for each in (np.int16, np.uint16, np
 class Proof:
     """What the finished currents of each slot do beside what they are for.
 
-    Of several points computed from the currents as they are sent, after all rounding;
-    of a single one that of its kernel. Activation is a ratio to that of the slot's
+    Of several points computed from the currents as they are sent, after all rounding, or,
+    of kernels that are proved for all frames, what no sum of them is above; of a single
+    one that of its kernel. Activation is a ratio to that of the slot's
     weakest target, scaled to level 1.
 
     Attributes

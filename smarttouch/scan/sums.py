@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from smarttouch.scan.exposure import PER_PC, PER_PULSE, Load
 
-BLOCK = 65_536
-"""Currents that are added up at once: their scratch stays in the processor's own cache."""
+BLOCK = 131_072
+"""Currents that are worked on at once: in single precision half a megabyte, which stays in a
+processor's own cache."""
 _EXACT_SINGLE = 2**24
 """Whole numbers below are exact in single precision."""
 
