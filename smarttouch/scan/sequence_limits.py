@@ -105,7 +105,7 @@ def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int, adder: S
         if (magnitude > limits.current_ua).any():
             raise _above("current_ma", magnitude, limits.current_ua, 1000, "mA")
     # In balance: what flows in is half of all that flows.
-    if total_ua.max() > 2 * limits.total_ua:
+    if np.maximum.reduce(total_ua) > 2 * limits.total_ua:
         slot = int(total_ua.argmax())
         raise SafetyError(
             f"slot {slot}: {total_ua[slot] / 2000:.3f} mA flow in all, above the limit of "
@@ -178,7 +178,7 @@ def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int
             allowed=LEAST_DISCHARGE_US,
             slot=slot,
         )
-    if (site := int(sequence.site.max())) >= limits.electrodes:
+    if (site := int(np.maximum.reduce(sequence.site))) >= limits.electrodes:
         raise SafetyError(
             f"site {site} is none of {limits.electrodes} electrodes",
             limit="site",
