@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from smarttouch.modes.frames.bound import proved_sets
+from smarttouch.modes.frames.operator import AIM, FrameOperator
 from smarttouch.primary import Primary
 from smarttouch.scan.frames import FrameSlots
 from smarttouch.scan.kernel_sums import _parts
+from smarttouch.scan.sequence import whole_ua
 
 INTENSITIES = (1.0, 0.6, 0.3, 0.1, 0.03, 0.01, 0.003)
 
@@ -68,3 +71,34 @@ def test_no_slot_carries_more_than_is_stated(slots):
         total_ma = np.abs(found.current_ma).sum(axis=1) / 2
         assert (total_ma <= found.most_ma + 1e-9).all()
         assert found.most_ma <= slots._planned_ma
+
+
+def by_definition(slots, level):
+    """Set by set and part by part: the strongest first, each into the first part with room."""
+    bounds, aim = slots._planned_bounds, 1 - AIM * slots._planned_bounds.uneven
+    rows = []
+    for each in proved_sets(FrameOperator(slots._judge), bounds):
+        wanted = level[each.sites]
+        totals_ma = wanted * aim * each.totals_ma
+        parts, sums_ma = [], []
+        for index in np.argsort(-totals_ma, kind="stable")[: np.count_nonzero(totals_ma)]:
+            room = [sum_ma + totals_ma[index] <= slots._planned_ma for sum_ma in sums_ma]
+            part = room.index(True) if any(room) else len(parts)
+            if part == len(parts):
+                parts.append([])
+                sums_ma.append(0.0)
+            parts[part].append(index)
+            sums_ma[part] += totals_ma[index]
+        rows += [aim * wanted[part] @ each.kernels[part] for part in parts if len(part) > 1]
+    return np.array(rows).reshape(-1, len(level))
+
+
+def test_currents_are_those_by_definition(slots):
+    for activation in activations(30):
+        level = np.where(activation[0] > 0, 0.5 + 0.5 * activation[0].astype(np.float64), 0)
+        found = slots._sums.add_up(level)
+        expected_ma = by_definition(slots, level)
+        assert found.current_ma == pytest.approx(expected_ma, abs=1e-12)
+        for intensity in INTENSITIES:
+            sent = whole_ua(1000 * intensity * found.current_ma)
+            assert np.array_equal(sent, whole_ua(1000 * intensity * expected_ma))
