@@ -41,11 +41,12 @@ class Binarizer:
         self._inverted = np.empty(shape, np.uint8) if light_on_dark else None
         self._smooth = np.empty(shape, np.uint8)
         self._ink = np.empty(shape, np.uint8)
-        steps = [max(1, side // _SAMPLES) for side in shape]
-        self._sampled = (slice(None, None, steps[0]), slice(None, None, steps[1]))
-        count = self._smooth[self._sampled].size
-        self._darkest = int(0.02 * count)
-        self._brightest = int(0.95 * count)
+        down, across = (max(1, side // _SAMPLES) for side in shape)
+        self._sample = self._smooth[::down, ::across]
+        self._levels = np.empty(self._sample.shape, np.intp)
+        count = self._sample.size
+        # Of the darkest and of the brightest.
+        self._ranks = np.array([int(0.02 * count), int(0.95 * count)])
         self._white = 0.0
         self._time_ns = 0
 
@@ -66,8 +67,9 @@ class Binarizer:
         smooth = self._smooth
         cv2.blur(image, (3, 3), dst=smooth)
         # Counts of all that is no brighter: quicker than sorting, and as good.
-        counts = np.bincount(smooth[self._sampled].ravel(), minlength=256).cumsum()
-        dark, bright = counts.searchsorted((self._darkest, self._brightest), "right").tolist()
+        np.copyto(self._levels, self._sample)
+        counts = np.bincount(self._levels.reshape(-1), minlength=256).cumsum()
+        dark, bright = counts.searchsorted(self._ranks, "right").tolist()
         white = self._track_white(bright, time_ns, touching)
         if white - dark < CONTRAST_GUARD or _between(counts, dark, bright) > GREY_GUARD:
             self._ink.fill(0)

@@ -67,7 +67,9 @@ class NaturalDrive:
         change[change < 0] *= -LEAVING
         change -= FAINTEST_CHANGE
         change *= 1 / (1 - FAINTEST_CHANGE)
-        np.clip(change, 0, 1, out=change)
+        # On a few numbers, quicker than np.clip.
+        np.maximum(change, 0, out=change)
+        np.minimum(change, 1, out=change)
 
     def forget(self) -> None:
         """Take the next image as all new."""

@@ -60,7 +60,7 @@ class Registration:
             _reduced_side(columns, _whole(width_mm / finest)),
         )
         self._reduced = np.empty(self.working_shape, np.uint8)
-        self._flat = np.empty(self.working_shape[0] * self.working_shape[1], np.float32)
+        self._ink = np.empty(self.working_shape, np.float32)
         self._weights = _aperture_matrix(electrodes, optics, self.working_shape)
 
     def reduce(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -76,8 +76,8 @@ class Registration:
 
     def sample(self, ink: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the mean of ``ink`` (0 or 255) under each electrode, (E,) in [0, 1]."""
-        self._flat[:] = ink.ravel()
-        return np.asarray(self._weights @ self._flat, np.float32)
+        np.copyto(self._ink, ink)
+        return np.asarray(self._weights @ self._ink.reshape(-1), np.float32)
 
 
 def _whole(side: float) -> int:

@@ -25,34 +25,6 @@ Load = NDArray[np.float64]
 all far below 2^53, where doubles are exact."""
 
 
-def load_of(
-    magnitude_ua: NDArray[np.floating], width_us: NDArray[np.uint16], felt_ua: NDArray[np.float32]
-) -> Load:
-    """Return what slots bring each electrode, (2, E).
-
-    Parameters
-    ----------
-    magnitude_ua : ndarray, (S, E) float, µA
-        Whole numbers, of a precision that holds the sum over all slots.
-    width_us : ndarray, (S,) uint16, µs
-    felt_ua : ndarray, (E,) float32, µA
-        Current from which a pulse counts as felt.
-    """
-    kind, slots = magnitude_ua.dtype, len(width_us)
-    load = np.empty((2, magnitude_ua.shape[1]))
-    ones = np.ones(slots, kind)
-    load[0] = ones.dot((magnitude_ua >= felt_ua).astype(kind))
-    data = width_us.tobytes()
-    if data == data[:2] * slots:
-        # One width for all: the sum of currents is exact, and so is its multiple in double.
-        load[1] = ones.dot(magnitude_ua)
-        load *= ((PER_PULSE,), (PER_PC * int(width_us[0]) if slots else 0,))
-    else:
-        load[0] *= PER_PULSE
-        load[1] = PER_PC * width_us.astype(np.float64).dot(magnitude_ua)
-    return load
-
-
 def shortest_period_us(load: Load) -> int:
     """Return the shortest period that a schedule plans for a load, µs.
 
@@ -90,6 +62,7 @@ class _Sent:
     times: int
     flows: bool
     load: Load
+    most: float
     begun: int = 1
 
     @property
@@ -137,8 +110,8 @@ class Exposure:
         self._window.clear()
         self._second_at_most = 0.0
 
-    def check(self, now_ns: int, period_us: int, times: int, load: Load, *, flows: bool) -> None:
-        """Raise unless a sequence may begin now.
+    def enter(self, now_ns: int, period_us: int, times: int, load: Load, *, flows: bool) -> None:
+        """Enter a sequence that may begin now; it ends the repetitions of the one before.
 
         Parameters
         ----------
@@ -147,7 +120,7 @@ class Exposure:
         period_us, times : int
             Length of one pass, and how many of them.
         load : ndarray, (2, E)
-            Of one pass, see `load_of`.
+            Of one pass, see `SlotAdder`.
         flows : bool
             Whether it has slots: its time then counts to the session.
 
@@ -165,6 +138,15 @@ class Exposure:
             if second.max() > MOST_PER_US * 1_000_000:
                 raise _too_much(second, 1_000_000, "within a second: send less often")
         self._check_session(period_us, times, load, times * most, flows)
+        if (last := self._last) is not None and last.left:
+            self._session_ns -= last.left * last.period_ns * last.flows
+            self._session -= last.left * last.load
+            self._session_at_most -= last.left * last.most
+        self._last = _Sent(now_ns, 1000 * period_us, times, flows, load, most)
+        self._remember(now_ns, load, most)
+        self._session_ns += 1000 * period_us * times * flows
+        self._session += load if times == 1 else times * load
+        self._session_at_most += times * most
 
     def _check_session(
         self, period_us: int, times: int, load: Load, most: float, flows: bool
@@ -200,19 +182,6 @@ class Exposure:
                 electrode=electrode,
             )
 
-    def add(self, now_ns: int, period_us: int, times: int, load: Load, *, flows: bool) -> None:
-        """Enter a sequence that was let through; it ends the repetitions of the one before."""
-        most = float(load.max())
-        if (last := self._last) is not None and last.left:
-            self._session_ns -= last.left * last.period_ns * last.flows
-            self._session -= last.left * last.load
-            self._session_at_most -= last.left * float(last.load.max())
-        self._last = _Sent(now_ns, 1000 * period_us, times, flows, load)
-        self._enter(now_ns, load, most)
-        self._session_ns += 1000 * period_us * times * flows
-        self._session += load if times == 1 else times * load
-        self._session_at_most += times * most
-
     def _settle(self, now_ns: int) -> None:
         """Enter the repetitions that have begun since, and drop what is a second old."""
         if (last := self._last) is not None and last.left:
@@ -221,12 +190,12 @@ class Exposure:
             first = max(last.begun, begun - WINDOW_NS // last.period_ns - 1)
             for index in range(first, begun):
                 start_ns = last.start_ns + index * last.period_ns
-                self._enter(start_ns, last.load, float(last.load.max()))
+                self._remember(start_ns, last.load, last.most)
             last.begun = begun
         while self._window and self._window[0][0] <= now_ns - WINDOW_NS:
             self._second_at_most -= self._window.popleft()[2]
 
-    def _enter(self, start_ns: int, load: Load, most: float) -> None:
+    def _remember(self, start_ns: int, load: Load, most: float) -> None:
         self._window.append((start_ns, load, most))
         self._second_at_most += most
 

@@ -2,6 +2,7 @@
 
 from collections import OrderedDict
 from dataclasses import dataclass
+from importlib import import_module
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,8 @@ from smarttouch.modes.frames.slots import plan_slots
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA
-from smarttouch.scan.points import Slots, felt_at
+from smarttouch.scan.kernel_sums import Found, KernelSums
+from smarttouch.scan.points import Slots, constant_us, felt_at
 from smarttouch.scan.sequence import Proof, whole_ua
 
 Array = NDArray[np.float64]
@@ -52,21 +54,30 @@ intensity. Nothing is felt below, and what breaks a bound there is shown point b
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Slots at full intensity.
+    """Slots at full intensity: N that were found for the frame, then those of M points alone.
 
     Attributes
     ----------
-    level : ndarray, (S, K·E)
-        What is wished at each point of a slot, 0 at all others.
-    current_ma : ndarray, (S, E) mA
-    other, spill : ndarray, (S,)
+    found : Found
+        The first N.
+    alone : ndarray, (M,) intp
+        Points that have a slot by themselves, with their own kernels.
+    alone_level : ndarray, (M,)
+        What is wished at each of them.
+    current_ma : ndarray, (N + M, E) mA
+    do : ndarray, (2, N + M) float32
         What the currents do to other classes, and to their own elsewhere.
+    points, site : ndarray, (N + M,) uint16
+        How many points each slot has, and the electrode of the strongest.
     """
 
-    level: Array
+    found: Found
+    alone: NDArray[np.intp]
+    alone_level: Array
     current_ma: Array
-    other: Array
-    spill: Array
+    do: NDArray[np.float32]
+    points: NDArray[np.uint16]
+    site: NDArray[np.uint16]
 
 
 class FrameSlots:
@@ -114,6 +125,9 @@ class FrameSlots:
         judge: SlotJudge = judges[0] if len(judges) == 1 else MixedJudge(judges)
         self._judge = judge
         self._operator = FrameOperator(judge) if planned else None
+        if planned:
+            # Not by the first frame that breaks a bound: that takes longer than ten frames.
+            import_module("scipy.optimize")
         full_ma = np.minimum(profile.full_ma, judge.full_ma)
         self._points_ma = np.concatenate([own * full_ma[:, None] for own in kernels])
         self._driven = np.isin(np.arange(len(full_ma)), profile.driven)
@@ -132,11 +146,18 @@ class FrameSlots:
         self._planned_ma = self._limit_ma - 0.002 * np.sqrt(len(full_ma))
         self._felt_at = [felt_at(profile, each) for each in primaries]
         self._faintest = profile.threshold_ma / profile.full_ma
-        self._width_us = profile.pulse.width_us
+        self._widths_us = constant_us(len(self._points_ma), profile.pulse.width_us)
         self._plans: OrderedDict[bytes, Plan] = OrderedDict()
-        bounds = self._planned_bounds
-        proving = () if planned else judges
-        self._sets = [proved_sets(FrameOperator(each), bounds) for each in proving]
+        self._sums = None
+        if not planned:
+            self._sums = KernelSums(
+                [proved_sets(FrameOperator(each), self._planned_bounds) for each in judges],
+                len(self._points_ma),
+                1 - AIM * frames.uneven,
+                self._planned_ma,
+                self._bounds,
+                float(self._faintest[self._driven].min()),
+            )
 
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
         """Return the slots of the classes' rows of a tactile image, with their proof.
@@ -154,27 +175,43 @@ class FrameSlots:
         intensity : float, in [0, 1]
             What all currents are scaled with.
         """
-        with self._blas.limit(limits=1, user_api="blas"):
-            plan = self._planned(activation if intensity > 0 else 0 * activation)
-            current_ua, proof = self._finished(plan, intensity)
-            broken = (proof.worst_other > self._bounds.other) | (
-                proof.worst_spill > self._bounds.spill
-            )
-            broken |= current_ua.sum(axis=1, where=current_ua > 0) > 1000 * self._limit_ma
-            broken &= proof.points > 1
+        plan = self._planned(activation if intensity > 0 else 0 * activation)
+        current_ua, proof, certain = self._finished(plan, intensity)
+        if not certain:
+            broken = self._broken(current_ua, proof)
             if broken.any():
                 plan = self._one_by_one(plan, broken)
-                current_ua, proof = self._finished(plan, intensity)
-        site = (plan.level.argmax(axis=1) % activation.shape[1]).astype(np.uint16)
-        return Slots(site, current_ua, np.full(len(site), self._width_us, np.uint16), proof)
+                current_ua, proof, _ = self._finished(plan, intensity)
+        return Slots(plan.site, current_ua, self._widths_us[: len(plan.site)], proof)
 
-    def _finished(self, plan: Plan, intensity: float) -> tuple[NDArray[np.int16], Proof]:
-        """Return currents as they are sent, and what these do; of single points as designed."""
+    def _finished(self, plan: Plan, intensity: float) -> tuple[NDArray[np.int16], Proof, bool]:
+        """Return currents as they are sent, what these do, and whether all is kept for certain.
+
+        What single points do is that of their kernels, as designed.
+        """
         current_ua = whole_ua(1000 * intensity * plan.current_ma)
-        points = np.count_nonzero(plan.level, axis=1).astype(np.uint16)
-        do, shared = np.array([plan.other, plan.spill], np.float32), points > 1
-        do[:, shared] = _selectivity(self._judge, current_ua[shared] / 1000, plan.level[shared])
-        return current_ua, Proof(points, *do)
+        found, do = plan.found, plan.do.copy()
+        if self._sums is not None and intensity >= self._sums.certain_from:
+            do[:, : len(found.owner)] = self._sums.figures(intensity)[:, found.owner]
+            # All that rounding can add is half a µA for each electrode.
+            most_ua = 1000 * intensity * found.most_ma + len(self._driven) / 2
+            return current_ua, Proof(plan.points, *do), most_ua < 1000 * self._limit_ma
+        shared = np.flatnonzero(plan.points > 1)
+        with self._blas.limit(limits=1, user_api="blas"):
+            do[:, shared] = _selectivity(
+                self._judge, current_ua[shared] / 1000, found.level[shared]
+            )
+        return current_ua, Proof(plan.points, *do), False
+
+    def _broken(self, current_ua: NDArray[np.int16], proof: Proof) -> NDArray[np.bool_]:
+        """Return which slots of several points break a bound or carry too much in all."""
+        # In balance: what flows in is half of all that flows.
+        total_ua = np.abs(current_ua).sum(axis=1, dtype=np.int64)
+        broken = np.asarray(proof.worst_other > self._bounds.other)
+        broken |= proof.worst_spill > self._bounds.spill
+        broken |= total_ua > 2000 * self._limit_ma
+        broken &= proof.points > 1
+        return broken
 
     def _planned(self, activation: NDArray[np.float32]) -> Plan:
         key = activation.tobytes()
@@ -186,75 +223,70 @@ class FrameSlots:
         return self._plans[key]
 
     def _plan(self, activation: NDArray[np.float32]) -> Plan:
-        asked = np.array(
-            [
-                row if felt is None else np.append(row, np.float32(0))[felt]
-                for row, felt in zip(activation, self._felt_at, strict=True)
-            ]
-        )
+        asked = activation
+        if any(felt is not None for felt in self._felt_at):
+            asked = np.array(
+                [
+                    row if felt is None else np.append(row, np.float32(0))[felt]
+                    for row, felt in zip(activation, self._felt_at, strict=True)
+                ]
+            )
         active = (asked > 0) & self._driven
         level = np.where(active, self._faintest + (1 - self._faintest) * asked, 0.0).ravel()
         # Slots aim a little low, which saves current; the faintest would not be felt then.
         level = np.minimum(level / (1 - AIM * self._bounds.uneven), 1.0)
-        plan = self._found(self._operator, level) if self._operator else self._added_up(level)
-        return self._with_points(plan, np.where(plan.level.any(axis=0), 0.0, level))
+        if self._sums is not None:
+            found = self._sums.add_up(level)
+        else:
+            with self._blas.limit(limits=1, user_api="blas"):
+                found = self._found(level)
+        alone = np.flatnonzero(np.where(found.level.any(axis=0), 0.0, level))
+        return self._completed(found, alone, level[alone])
 
-    def _found(self, operator: FrameOperator[SlotJudge], level: Array) -> Plan:
-        """Return a plan with currents of this frame's own."""
-        slots = plan_slots(operator, level, self._planned_bounds, self._planned_ma, self._points_ma)
+    def _found(self, level: Array) -> Found:
+        """Return slots with currents of this frame's own."""
+        assert self._operator is not None
+        slots = plan_slots(
+            self._operator, level, self._planned_bounds, self._planned_ma, self._points_ma
+        )
         levels = np.zeros((len(slots), len(level)))
         currents_ma = np.zeros((len(slots), self._points_ma.shape[1]))
         for row, current_ma, slot in zip(levels, currents_ma, slots, strict=True):
             row[slot.sites], current_ma[:] = level[slot.sites], slot.current
-        other, spill = (
-            np.array([getattr(slot.figures, key) for slot in slots], np.float64)
-            for key in ("worst_other", "worst_spill")
-        )
-        return Plan(levels, currents_ma, other, spill)
-
-    def _added_up(self, level: Array) -> Plan:
-        """Return a plan with sums of kernels that are proved for all subsets of their sets."""
-        levels: list[Array] = []
-        currents_ma: list[Array] = []
-        aim = 1 - AIM * self._bounds.uneven
-        count = self._points_ma.shape[1]
-        for index, sets in enumerate(self._sets):
-            for kernels in sets:
-                points = kernels.sites + index * count
-                wanted = level[points]
-                parts = _parts(wanted * aim * kernels.totals_ma, self._planned_ma)
-                for part in parts:
-                    row = np.zeros(len(level))
-                    row[points[part]] = wanted[part]
-                    levels.append(row)
-                    currents_ma.append(aim * wanted[part] @ kernels.kernels[part])
-        nothing = np.zeros(len(levels))
-        return Plan(
-            np.array(levels).reshape(-1, len(level)),
-            np.array(currents_ma).reshape(-1, count),
-            nothing,
-            nothing,
-        )
+        do = [[each.figures.worst_other, each.figures.worst_spill] for each in slots]
+        points = np.array([len(each.sites) for each in slots], np.intp)
+        return Found(levels, currents_ma, points, np.array(do, np.float32).reshape(-1, 2).T)
 
     def _one_by_one(self, plan: Plan, broken: NDArray[np.bool_]) -> Plan:
         """Return a plan in which the points of some slots have slots of their own."""
-        kept = Plan(
-            plan.level[~broken], plan.current_ma[~broken], plan.other[~broken], plan.spill[~broken]
+        broken = broken[: len(plan.found.level)]
+        level = plan.found.level[broken].sum(axis=0)
+        added = np.flatnonzero(level)
+        return self._completed(
+            plan.found.without(broken),
+            np.concatenate([plan.alone, added]),
+            np.concatenate([plan.alone_level, level[added]]),
         )
-        return self._with_points(kept, plan.level[broken].sum(axis=0))
 
-    def _with_points(self, plan: Plan, level: Array) -> Plan:
-        """Return a plan with a slot more for each point that has a level, by its own kernel."""
-        point = np.flatnonzero(level)
-        alone = np.zeros((len(point), len(level)))
-        alone[np.arange(len(point)), point] = level[point]
-        # A faint point does so much less: figures are scaled to level 1.
-        other, spill = self._points_do[:, point] * level[point]
+    def _completed(self, found: Found, alone: NDArray[np.intp], level: Array) -> Plan:
+        """Return a plan with a slot more for each of some points, by its own kernel."""
+        count = len(found.level)
+        points = np.ones(count + len(alone), np.uint16)
+        points[:count] = found.points
+        strongest = found.level.argmax(axis=1)
+        if not len(alone):
+            site = (strongest % len(self._driven)).astype(np.uint16)
+            return Plan(found, alone, level, found.current_ma, found.do, points, site)
+        strongest = np.concatenate([strongest, alone])
         return Plan(
-            np.concatenate([plan.level, alone]),
-            np.concatenate([plan.current_ma, level[point, None] * self._points_ma[point]]),
-            np.concatenate([plan.other, other]),
-            np.concatenate([plan.spill, spill]),
+            found,
+            alone,
+            level,
+            np.concatenate([found.current_ma, level[:, None] * self._points_ma[alone]]),
+            # A faint point does so much less: figures are scaled to level 1.
+            np.concatenate([found.do, self._points_do[:, alone] * level], axis=1, dtype=np.float32),
+            points,
+            (strongest % len(self._driven)).astype(np.uint16),
         )
 
 
@@ -263,26 +295,6 @@ def _selectivity(judge: SlotJudge, current_ma: Array, level: Array) -> Array:
     figures = judge_all(judge, current_ma, level)
     found = [(each.worst_other, each.worst_spill) for each in figures]
     return np.array(found, np.float64).reshape(len(found), 2).T
-
-
-def _parts(totals_ma: Array, most_ma: float) -> list[NDArray[np.intp]]:
-    """Cut those with a current into parts of several that stay below a total.
-
-    The strongest first, each into the first part that has room.
-    """
-    parts: list[list[int]] = []
-    sums_ma: list[float] = []
-    order = np.argsort(-totals_ma, kind="stable")
-    for index in order[: np.count_nonzero(totals_ma)].tolist():
-        total_ma = float(totals_ma[index])
-        room = (part for part, sum_ma in enumerate(sums_ma) if sum_ma + total_ma <= most_ma)
-        part = next(room, len(parts))
-        if part == len(parts):
-            parts.append([])
-            sums_ma.append(0.0)
-        parts[part].append(index)
-        sums_ma[part] += total_ma
-    return [np.array(part) for part in parts if len(part) > 1]
 
 
 def why_not(profile: Profile) -> str | None:

@@ -13,6 +13,7 @@ from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA
 from smarttouch.scan.sequence import Proof, whole_ua
+from smarttouch.scan.sums import rows_of_block
 from smarttouch.scan.timing import ScanTiming
 
 SHORTEST_PULSE_US = 10
@@ -82,8 +83,12 @@ class PointSlots:
         self._range = 1 - self._faintest
         self._weakest_level = self._weakest_that_switches(profile.output.kind)
         self._weakest_level[masked] = np.inf
-        self._currents = np.empty_like(weights)
-        self._ones = np.ones(len(weights), np.float32)
+        self._always_switches = not self._weakest_level.any()
+        count = len(weights)
+        self._scratch = np.empty((min(rows_of_block(count), count), count), np.float32)
+        self._ones = np.ones(count, np.float32)
+        self._row_starts = count * np.arange(count)
+        self._widths_all_us = constant_us(count, profile.pulse.width_us)
         self._felt_at = felt_at(profile, primary)
         self._pulse = profile.pulse
         self._by_width = profile.pulse.carrier == "width"
@@ -130,39 +135,52 @@ class PointSlots:
         if self._felt_at is not None:
             # The last one stands for nowhere.
             activation = np.append(activation, np.float32(0))[self._felt_at]
-        site = np.flatnonzero(activation) if intensity > 0 else np.empty(0, np.intp)
+        site = activation.nonzero()[0] if intensity > 0 else np.empty(0, np.intp)
         if not self._in_index_order:
-            site = site[spread_order(len(site))]
-        level = activation[site]
-        level *= self._range[site]
-        level += self._faintest[site]
+            site = site.take(spread_order(len(site)))
+        level = activation.take(site)
+        level *= self._range.take(site)
+        level += self._faintest.take(site)
         level *= intensity
-        width_us = None
+        width_us = felt = None
         if self._by_width:
             width_us = self._widths_us(level)
             level = np.where(width_us >= SHORTEST_PULSE_US, np.float32(1), np.float32(0))
             felt = level > 0
-        else:
+        elif not self._always_switches:
             felt = level >= self._weakest_level[site]
-        if not felt.all():
+        if felt is not None and not felt.all():
             site, level = site[felt], level[felt]
             width_us = None if width_us is None else width_us[felt]
         slots = len(site)
         if width_us is None:
-            width_us = np.full(slots, self._pulse.width_us, np.uint16)
-        currents = self._currents[:slots]
-        np.take(self._kernels_ua, site, axis=0, out=currents)
-        currents *= level[:, None]
-        np.rint(currents, out=currents)
-        # Whole numbers far below 2^24: exact in single precision.
-        surplus = currents.dot(self._ones)
-        rows, electrode = np.arange(slots), self._strongest[site]
-        strongest_ua = currents[rows, electrode] - surplus
-        currents[rows, electrode] = strongest_ua
-        current_ua = currents.astype(np.int16)
-        if self._tight and (over := np.abs(strongest_ua) > self._most_ua[site]).any():
+            width_us = self._widths_all_us[:slots]
+        current_ua, surplus = self._rounded(site, level)
+        strongest = self._row_starts[:slots] + self._strongest.take(site)
+        flat = current_ua.reshape(-1)
+        flat[strongest] -= surplus
+        if self._tight and (over := np.abs(flat[strongest]) > self._most_ua[site]).any():
             current_ua[over] = self._carried(site[over], level[over])
         return Slots(site.astype(np.uint16), current_ua, width_us)
+
+    def _rounded(
+        self, site: NDArray[np.intp], level: NDArray[np.float32]
+    ) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
+        """Return each kernel times its level in whole µA, (S, E), and what each is off, (S,)."""
+        slots, rows = len(site), len(self._scratch)
+        current_ua = np.empty((slots, len(self._ones)), np.int16)
+        surplus = np.empty(slots, np.float32)
+        for first in range(0, slots, rows):
+            part = slice(first, min(slots, first + rows))
+            block = self._scratch[: part.stop - first]
+            # With "raise", numpy would fill a copy of the block first.
+            np.take(self._kernels_ua, site[part], axis=0, out=block, mode="clip")
+            block *= level[part, None]
+            np.rint(block, out=block)
+            # Whole numbers far below 2^24: exact in single precision.
+            block.dot(self._ones, out=surplus[part])
+            np.copyto(current_ua[part], block, casting="unsafe")
+        return current_ua, surplus.astype(np.int16)
 
     def _carried(self, site: NDArray[np.intp], level: NDArray[np.float32]) -> NDArray[np.int16]:
         """Return slots in which no electrode is off by a µA, and none above its limit, (S, E)."""
@@ -209,6 +227,13 @@ def felt_at(profile: Profile, primary: Primary) -> NDArray[np.intp] | None:
     half_mm = np.array(profile.electrodes.cell_mm) / 2 + 1e-9
     here = (away_mm[np.arange(len(nearest)), nearest] <= half_mm).all(axis=1)
     return np.asarray(np.where(here, nearest, len(nearest)), np.intp)
+
+
+def constant_us(count: int, time_us: int) -> NDArray[np.uint16]:
+    """Return the same time for many slots, (count,): frames take the first of it as they are."""
+    times = np.full(count, time_us, np.uint16)
+    times.setflags(write=False)
+    return times
 
 
 @lru_cache(maxsize=4096)

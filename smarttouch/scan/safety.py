@@ -1,5 +1,6 @@
 """The safety gate: every limit, proved on a frozen copy of each scan sequence."""
 
+from threading import Lock
 from typing import Protocol
 
 from smarttouch.errors import SafetyError
@@ -7,6 +8,7 @@ from smarttouch.scan.exposure import Dose, Exposure
 from smarttouch.scan.limits import PPB, SafetyLimits, parts_per_billion
 from smarttouch.scan.sequence import ScanSequence, frozen
 from smarttouch.scan.sequence_limits import prove_fields, prove_slots
+from smarttouch.scan.sums import SlotAdder
 
 __all__ = ["SafetyGate", "SafetyLimits"]
 
@@ -38,6 +40,8 @@ class SafetyGate:
         self.limits = limits
         self._clock = clock
         self._exposure = Exposure(limits)
+        self._adder = SlotAdder(limits.felt_ua)
+        self._lock = Lock()
         self._now_ns: int | None = None
         self.restart()
 
@@ -78,17 +82,20 @@ class SafetyGate:
         return self._prove(sequence, 1, ramped=False)
 
     def _prove(self, given: ScanSequence, times: int, *, ramped: bool) -> ScanSequence:
-        sequence = frozen(given)
+        # What is added up is added up in memory that the next sequence will use again.
+        with self._lock:
+            return self._proved(frozen(given), times, ramped=ramped)
+
+    def _proved(self, sequence: ScanSequence, times: int, *, ramped: bool) -> ScanSequence:
         prove_fields(sequence, self.limits)
         ppb = parts_per_billion(sequence.intensity)
-        load = prove_slots(sequence, self.limits, ppb)
+        load = prove_slots(sequence, self.limits, ppb, self._adder)
         now_ns = self._read_clock(sequence)
         rise_ppb = self._rise_ppb
         if ramped:
             rise_ppb = self._prove_rise(sequence, ppb, now_ns)
         flows = sequence.slots > 0
-        self._exposure.check(now_ns, sequence.period_us, times, load, flows=flows)
-        self._exposure.add(now_ns, sequence.period_us, times, load, flows=flows)
+        self._exposure.enter(now_ns, sequence.period_us, times, load, flows=flows)
         self._now_ns = now_ns
         if ramped:
             self._intensity_ppb, self._time_ns, self._rise_ns = ppb, sequence.time_ns, now_ns

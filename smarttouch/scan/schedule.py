@@ -10,12 +10,13 @@ from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.modes.bank import KernelBank
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
-from smarttouch.scan.exposure import BURST_US, Load, load_of, shortest_period_us
+from smarttouch.scan.exposure import BURST_US, Load, shortest_period_us
 from smarttouch.scan.frames import NO_SHARING, FrameSlots, Sharing
 from smarttouch.scan.limits import SafetyLimits
-from smarttouch.scan.points import PointSlots, Slots
+from smarttouch.scan.points import PointSlots, Slots, constant_us
 from smarttouch.scan.rates import PulseRates, rate_share
 from smarttouch.scan.sequence import Proof, ScanSequence
+from smarttouch.scan.sums import SlotAdder, common_us
 from smarttouch.scan.timing import ScanTiming
 
 _SLOWEST_HZ = 0.1
@@ -117,10 +118,13 @@ class PointScan:
         self._rates = PulseRates(rates_hz, self._least_us)
         self._one_rate_hz = rates_hz[primaries[0]] if len(primaries) == 1 else None
         self._discharge_us = pulse.discharge_us
+        # At most one slot for each point of each class.
+        most = len(profile.electrodes) * len(primaries)
+        self._discharges_us = constant_us(most, pulse.discharge_us)
         self._duty = limits.duty
         self._timing = timing
         self._electrodes = len(profile.electrodes)
-        self._limits = SafetyLimits.of(profile)
+        self._adder = SlotAdder(SafetyLimits.of(profile).felt_ua)
         # Before anything is sent: the longest scan must be possible too.
         self._shortest_us(np.full(self._electrodes, pulse.width_us, np.uint16))
         self._full_us = self._shortest_of_all()
@@ -172,7 +176,7 @@ class PointScan:
         return ScanSequence(
             current_ua=current_ua,
             width_us=width_us,
-            discharge_us=np.full(len(site), self._discharge_us, np.uint16),
+            discharge_us=self._discharges_us[: len(site)],
             site=site,
             period_us=period_us,
             intensity=float(intensity),
@@ -248,8 +252,9 @@ class PointScan:
         return self._checked_us(self._load(current_ua, width_us))
 
     def _load(self, current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> Load:
-        magnitude = np.abs(current_ua.astype(np.float64))
-        return load_of(magnitude, width_us, self._limits.felt_ua)
+        if not len(width_us):
+            return np.zeros((2, self._electrodes))
+        return self._adder.add_up(current_ua, width_us).load
 
     def _checked_us(self, load: Load) -> int:
         needed_us = shortest_period_us(load)
@@ -264,7 +269,8 @@ class PointScan:
     def _shortest_us(self, width_us: NDArray[np.uint16]) -> int:
         """Return the shortest period that slots of these widths need, µs."""
         timing, slots = self._timing, len(width_us)
-        pulses_us = int(width_us.sum(dtype=np.int64))
+        each_us = common_us(width_us) if slots else 0
+        pulses_us = slots * each_us if each_us is not None else int(width_us.sum(dtype=np.int64))
         mean_us = pulses_us / slots if slots else 0.0
         shortest = timing.shortest_period_us(slots, self._electrodes, mean_us, self._discharge_us)
         return max(shortest, timing.possible_period_us(pulses_us / self._duty))

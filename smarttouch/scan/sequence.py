@@ -8,13 +8,16 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import SafetyError
 
+_INT16, _UINT16, _FLOAT32 = (np.dtype(each) for each in (np.int16, np.uint16, np.float32))
+
 
 @dataclass(frozen=True, eq=False)
 class Proof:
     """What the finished currents of each slot do beside what they are for.
 
-    Of several points computed from the currents as they are sent, after all rounding;
-    of a single one that of its kernel. Activation is a ratio to that of the slot's
+    Of several points computed from the currents as they are sent, after all rounding, or,
+    of kernels that are proved for all frames, what no sum of them is above; of a single
+    one that of its kernel. Activation is a ratio to that of the slot's
     weakest target, scaled to level 1.
 
     Attributes
@@ -134,44 +137,45 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
     SafetyError
         If a field has another type or shape than it should.
     """
-    current = _fixed("current_ua", sequence.current_ua, np.int16, 2)
+    current = _fixed("current_ua", sequence.current_ua, _INT16, 2)
     slots = len(current)
     vibration, recharge = sequence.vibration, sequence.recharge_ua
     return ScanSequence(
         current_ua=current,
-        width_us=_fixed("width_us", sequence.width_us, np.uint16, 1, slots),
-        discharge_us=_fixed("discharge_us", sequence.discharge_us, np.uint16, 1, slots),
-        site=_fixed("site", sequence.site, np.uint16, 1, slots),
+        width_us=_fixed("width_us", sequence.width_us, _UINT16, 1, slots),
+        discharge_us=_fixed("discharge_us", sequence.discharge_us, _UINT16, 1, slots),
+        site=_fixed("site", sequence.site, _UINT16, 1, slots),
         period_us=_whole("period_us", sequence.period_us),
         intensity=_real("intensity", sequence.intensity),
         time_ns=_whole("time_ns", sequence.time_ns),
-        vibration=None if vibration is None else _fixed("vibration", vibration, np.float32, 1),
+        vibration=None if vibration is None else _fixed("vibration", vibration, _FLOAT32, 1),
         proof=sequence.proof,
-        recharge_ua=None if recharge is None else _fixed("recharge_ua", recharge, np.int16, 1),
+        recharge_ua=None if recharge is None else _fixed("recharge_ua", recharge, _INT16, 1),
         recharge_us=_whole("recharge_us", sequence.recharge_us),
     )
 
 
 def _fixed(
-    name: str, values: object, kind: type[np.generic], dimensions: int, length: int | None = None
+    name: str, values: object, kind: np.dtype[Any], dimensions: int, length: int | None = None
 ) -> Any:
     """Return an array backed by bytes; raise a SafetyError if it is of another kind."""
     # As a plain array: a class of somebody else's may answer for another array than it is.
     plain = np.asarray(values) if isinstance(values, np.ndarray) else None
     if (
         plain is None
-        or plain.dtype != np.dtype(kind)
+        or plain.dtype != kind
         or plain.ndim != dimensions
         or (length is not None and len(plain) != length)
     ):
         slots = "" if length is None else f" of {length} slots"
         found = type(values).__name__ if plain is None else f"{plain.dtype} of shape {plain.shape}"
         raise SafetyError(
-            f"{name} is {found}, must be {np.dtype(kind)} in {dimensions} "
+            f"{name} is {found}, must be {kind} in {dimensions} "
             f"dimension{'s' * (dimensions > 1)}{slots}",
             limit=name,
         )
-    return np.frombuffer(plain.tobytes(), plain.dtype).reshape(plain.shape)
+    flat = np.frombuffer(plain.tobytes(), kind)
+    return flat if dimensions == 1 else flat.reshape(plain.shape)
 
 
 def _whole(name: str, value: object) -> int:
@@ -200,4 +204,8 @@ def whole_ua(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
     current_ua : ndarray, (S, E) µA
     """
     carried = np.cumsum(current_ua, axis=1)
-    return np.diff(np.rint(carried), axis=1, prepend=0.0).astype(np.int16)
+    np.rint(carried, out=carried)
+    whole = np.empty(carried.shape, np.int16)
+    whole[:, :1] = carried[:, :1]
+    np.subtract(carried[:, 1:], carried[:, :-1], out=whole[:, 1:], casting="unsafe")
+    return whole

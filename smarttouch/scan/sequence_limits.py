@@ -7,10 +7,11 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import SafetyError
 from smarttouch.profile.ceilings import LEAST_DISCHARGE_US
-from smarttouch.scan.exposure import PER_PC, Load, load_of
+from smarttouch.scan.exposure import PER_PC, Load
 from smarttouch.scan.limits import PPB, SafetyLimits
 from smarttouch.scan.recharge import prove_recharge
 from smarttouch.scan.sequence import ScanSequence
+from smarttouch.scan.sums import SlotAdder, common_us
 
 LONGEST_PERIOD_US = 60_000_000
 LARGEST_TIME_NS = 2**62
@@ -64,7 +65,7 @@ def prove_fields(sequence: ScanSequence, limits: SafetyLimits) -> None:
         )
 
 
-def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Load:
+def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int, adder: SlotAdder) -> Load:
     """Return what slots that keep every limit bring each electrode, (2, E).
 
     Parameters
@@ -74,6 +75,8 @@ def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Load:
     limits : SafetyLimits
     ppb : int
         Its intensity, parts per billion.
+    adder : SlotAdder
+        Of the limits' `felt_ua`.
 
     Raises
     ------
@@ -85,28 +88,24 @@ def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Load:
     prove_recharge(sequence, limits.faint_ua, limits.total_ua)
     if not slots:
         return np.zeros((2, limits.electrodes))
-    # Sums of fewer than 513 numbers of 15 bits are exact in single precision, all in double;
-    # products of matrices are fast on both.
-    exact = np.float32 if max(slots, limits.electrodes) <= 512 else np.float64
-    current = sequence.current_ua.astype(exact)
-    ones = np.ones(limits.electrodes, exact)
-    sums = current.dot(ones)
-    if sums.any():
-        slot = int(np.abs(sums).argmax())
+    sums = adder.add_up(sequence.current_ua, sequence.width_us)
+    net_ua, total_ua, highest_ua, load = sums
+    # Whole numbers: their squares add up to zero only where all of them are.
+    if net_ua.dot(net_ua):
+        slot = int(np.abs(net_ua).argmax())
         raise SafetyError(
-            f"slot {slot} is out of balance by {int(sums[slot])} µA: currents must sum to zero",
+            f"slot {slot} is out of balance by {int(net_ua[slot])} µA: currents must sum to zero",
             limit="balance",
-            value=int(sums[slot]),
+            value=int(net_ua[slot]),
             allowed=0,
             slot=slot,
         )
-    magnitude = np.abs(current, out=current)
-    highest_ua = int(magnitude.max())
-    if highest_ua > limits.least_current_ua and (magnitude > limits.current_ua).any():
-        raise _above("current_ma", magnitude, limits.current_ua, 1000, "mA")
+    if highest_ua > limits.least_current_ua:
+        magnitude = _magnitude(sequence)
+        if (magnitude > limits.current_ua).any():
+            raise _above("current_ma", magnitude, limits.current_ua, 1000, "mA")
     # In balance: what flows in is half of all that flows.
-    total_ua = magnitude.dot(ones)
-    if total_ua.max() > 2 * limits.total_ua:
+    if np.maximum.reduce(total_ua) > 2 * limits.total_ua:
         slot = int(total_ua.argmax())
         raise SafetyError(
             f"slot {slot}: {total_ua[slot] / 2000:.3f} mA flow in all, above the limit of "
@@ -118,12 +117,11 @@ def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Load:
         )
     highest_pc = highest_ua * longest_us
     if highest_pc > limits.least_charge_pc or pulses_us != slots * longest_us:
-        charge_pc = magnitude * sequence.width_us[:, None].astype(np.float64)
+        charge_pc = _magnitude(sequence) * sequence.width_us[:, None]
         if (charge_pc > limits.charge_pc).any():
             raise _above("charge_uc", charge_pc, limits.charge_pc, 1_000_000, "µC")
         highest_pc = int(charge_pc.max())
     _prove_intensity(limits, ppb, highest_ua, highest_pc)
-    load = load_of(magnitude, sequence.width_us, limits.felt_ua)
     if sequence.recharge_ua is not None:
         passed_pc = np.abs(sequence.recharge_ua, dtype=np.float64) * sequence.recharge_us
         load[1] += PER_PC * passed_pc
@@ -180,7 +178,7 @@ def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int
             allowed=LEAST_DISCHARGE_US,
             slot=slot,
         )
-    if (site := int(sequence.site.max())) >= limits.electrodes:
+    if (site := int(np.maximum.reduce(sequence.site))) >= limits.electrodes:
         raise SafetyError(
             f"site {site} is none of {limits.electrodes} electrodes",
             limit="site",
@@ -192,11 +190,15 @@ def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int
 
 def _extent(times_us: NDArray[np.uint16]) -> tuple[int, int, int]:
     """Return the shortest, the longest and the sum of times, which often are all the same."""
-    data = times_us.tobytes()
-    if data == data[:2] * len(times_us):
-        each = int(times_us[0])
+    each = common_us(times_us)
+    if each is not None:
         return each, each, each * len(times_us)
     return int(times_us.min()), int(times_us.max()), int(times_us.sum(dtype=np.int64))
+
+
+def _magnitude(sequence: ScanSequence) -> NDArray[np.float64]:
+    """Return all magnitudes, (S, E) µA: for what sums do not say."""
+    return np.abs(sequence.current_ua.astype(np.float64))
 
 
 def _above(

@@ -2,14 +2,17 @@
 
 Run with::
 
-    pytest tests/benchmarks --benchmark-only --benchmark-columns=median,iqr,rounds
+    pytest tests/benchmarks/test_frame_to_bytes.py --benchmark-only \
+        --benchmark-columns=median,iqr,rounds
 
-Each figure is a time on the machine at hand; the ratio that counts is printed by
-`test_ratio`, from one run with both chains in turn.
+Each figure is a time on the machine at hand; both chains take turns in one run. `test_scans`
+prints the table of ways to scan as Markdown: p50 and p99 of frames that all differ, and what a
+frame allocates at once until it is proved, beside the size of its sequence.
 """
 
 import statistics
 import time
+import tracemalloc
 
 import cv2
 import numpy as np
@@ -20,22 +23,35 @@ from skimage.transform import resize
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_sequence import encode_sequence
 from smarttouch.boards.link_session import HostSession
+from smarttouch.nerve.activation import af_matrix
+from smarttouch.nerve.afferents import targets
 from smarttouch.pipeline import Pipeline
-from smarttouch.primary import Primary
+from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
+from smarttouch.scan.frames import NO_SHARING, Sharing
 from smarttouch.scan.safety import SafetyGate, SafetyLimits
 from smarttouch.sensing.frame import Frame, Pose
 
 FULL_NS = 10**9
+SCANS = {
+    "points": NO_SHARING,
+    "auto": Sharing((Primary.RA,), planned=False),
+    "frame": Sharing((Primary.RA,), planned=True),
+}
+
+
+@pytest.fixture
+def quick(request):
+    """Whether a short form will do."""
+    return request.config.getoption("--quick", default=False)
 
 
 def grid_profile(side):
-    """The default profile with side x side electrodes over the same skin."""
+    """The default profile with side x side of its electrodes, which see the same print."""
     profile = load_profile("electric-mouse")
     table = profile.model_dump()
-    pitch = 16.0 / side
-    table["array"] |= {"rows": side, "columns": side, "pitch_x_mm": pitch, "pitch_y_mm": pitch}
-    table["array"]["diameter_mm"] = pitch / 2
+    table["array"] |= {"rows": side, "columns": side}
+    table["optics"]["magnification"] *= side / 8
     return type(profile).model_validate(table)
 
 
@@ -47,30 +63,45 @@ def balanced_weights(side):
     return weights
 
 
-def letter(height, width):
-    """An upper case letter that fills most of the field."""
+def letter(height, width, right=0.0, down=0.0):
+    """An upper case letter that fills most of the field, so many of 640 x 480 pixels moved."""
     image = np.full((480, 640), 225, np.uint8)
     cv2.putText(image, "R", (130, 430), cv2.FONT_HERSHEY_SIMPLEX, 17, 35, 60)
+    moved = np.array([[1, 0, right], [0, 1, down]], np.float32)
+    image = cv2.warpAffine(image, moved, (640, 480), borderValue=225)
     return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+
+
+def strokes(height, width, count):
+    """The letter as it comes into the field and leaves it: so many images that all differ."""
+    random = np.random.default_rng(0)
+    places = np.linspace(-320, 320, count)
+    return [letter(height, width, each, random.uniform(-20, 20)) for each in places]
 
 
 class Ours:
     """Pipeline, safety and wire format, as the loop runs them."""
 
-    def __init__(self, side, image, bank):
-        self.profile = grid_profile(side)
-        self.image = image
-        self.time_ns = 0
-        self.pipeline = Pipeline(self.profile, bank, Primary.RA, 1.0)
-        self.gate = SafetyGate(SafetyLimits.of(self.profile))
+    def __init__(self, profile, bank, images, sharing=NO_SHARING):
+        self.images = images
+        self.count = 0
+        self.pipeline = Pipeline(profile, bank, Mode.RA, 1.0, sharing=sharing)
+        self.gate = SafetyGate(SafetyLimits.of(profile))
         self.session = HostSession()
         self()
 
+    def proved(self):
+        """Return what the gate lets through of the next frame."""
+        image = self.images[self.count % len(self.images)]
+        if self.count % 1000 == 0:
+            self.gate.begin_session()
+            self.pipeline.restart_softly()
+        frame = Frame(image, self.count * FULL_NS, Pose(0, 0), 1.0)
+        self.count += 1
+        return self.gate.prove(self.pipeline.process(frame).sequence)
+
     def __call__(self):
-        frame = Frame(self.image, self.time_ns, Pose(0, 0), 1.0)
-        self.time_ns += FULL_NS
-        sequence = self.pipeline.process(frame).sequence
-        self.gate.prove(sequence)
+        sequence = self.proved()
         payload = encode_sequence(
             "weighted",
             sequence.period_us,
@@ -85,14 +116,16 @@ class Ours:
 class Plain:
     """The same, written as one first writes it."""
 
-    def __init__(self, side, image):
-        self.profile = grid_profile(side)
-        self.image = image
+    def __init__(self, side, images):
+        self.images = images
+        self.count = 0
         self.side = side
         self.weights = balanced_weights(side)
 
     def __call__(self):
-        ink = self.image < threshold_sauvola(self.image, 25, k=0.34)
+        image = self.images[self.count % len(self.images)]
+        self.count += 1
+        ink = image < threshold_sauvola(image, 25, k=0.34)
         cells = resize(ink.astype(float), (self.side, self.side), anti_aliasing=True).ravel()
         packet = bytearray()
         for site, activation in enumerate(cells):
@@ -117,28 +150,94 @@ CASES = [
 
 
 @pytest.mark.parametrize(("side", "shape"), CASES)
-def test_ours(benchmark, make_bank, side, shape):
+def test_ours(benchmark, make_bank, quick, side, shape):
     weights = balanced_weights(side)
-    assert len(benchmark(Ours(side, letter(*shape), make_bank(weights, weights)))) > 0
+    ours = Ours(grid_profile(side), make_bank(weights, weights), [letter(*shape)])
+    sent = benchmark.pedantic(ours, rounds=5) if quick else benchmark(ours)
+    assert len(sent) > 2 * ours.proved().current_ua.size
 
 
 @pytest.mark.parametrize(("side", "shape"), CASES)
-def test_ratio(benchmark, make_bank, side, shape, capsys):
+def test_ratio(benchmark, make_bank, quick, side, shape, capsys):
     image, weights = letter(*shape), balanced_weights(side)
-    ours, plain = Ours(side, image, make_bank(weights, weights)), Plain(side, image)
-    plain()
-    times = {ours: [], plain: []}
-    for _ in range(15):
-        for chain in (ours, plain):
-            start = time.perf_counter()
-            chain()
-            times[chain].append(time.perf_counter() - start)
-    ratio = statistics.median(p / o for o, p in zip(times[ours], times[plain], strict=True))
+    ours = Ours(grid_profile(side), make_bank(weights, weights), [image])
+    plain = Plain(side, [image])
+    took = in_turn({"ours": ours, "plain": plain}, 2 if quick else 15)
+    ratio = statistics.median(p / o for o, p in zip(took["ours"], took["plain"], strict=True))
     benchmark.extra_info["plain over ours"] = round(ratio, 1)
     with capsys.disabled():
         print(
             f"\n{side * side} electrodes from {shape[1]}x{shape[0]}: ours "
-            f"{statistics.median(times[ours]) * 1e6:.0f} µs, plain "
-            f"{statistics.median(times[plain]) * 1e6:.0f} µs, ratio {ratio:.0f}"
+            f"{statistics.median(took['ours']):.0f} µs, plain "
+            f"{statistics.median(took['plain']):.0f} µs, ratio {ratio:.0f}"
         )
     benchmark.pedantic(ours, rounds=1)
+
+
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize(("side", "frames"), [(8, 600), (16, 200), (32, 40)])
+def test_scans(benchmark, make_bank, quick, side, frames, capsys):
+    """Points one by one, kernels added up, frames planned anew: in turn with the plain chain.
+
+    More than `MOST_PROVED` electrodes have no proved sets, and planning for 1,024 takes seconds a
+    frame: no way for a loop, so it gets few frames.
+    """
+    if quick:
+        frames = 12 if side < 32 else 3
+    profile, weights = grid_profile(side), balanced_weights(side)
+    bank = make_bank(weights, af_matrix(profile, targets(profile, Primary.RA)))
+    images = strokes(64, 64, frames)
+    plain = Plain(side, images)
+    scans = {
+        name: Ours(profile, bank, images, sharing)
+        for name, sharing in SCANS.items()
+        if name == "points" or not (quick and side == 32)
+    }
+    rare = [name for name in scans if side == 32 and name == "frame"]
+    often = {name: chain for name, chain in scans.items() if name not in rare}
+    took = in_turn(often, frames) | in_turn({name: scans[name] for name in rare}, 3)
+    plain_us = statistics.median(in_turn({"plain": plain}, max(2, frames // 20))["plain"])
+    rows = []
+    for name, chain in scans.items():
+        at_once, size = allocated(chain)
+        p50, p99 = np.quantile(took[name], [0.5, 0.99])
+        rows.append(
+            f"| {side * side:,} | {name} | {p50:,.0f} | {p99:,.0f} | {at_once / 1024:,.1f} "
+            f"| {size / 1024:,.1f} | {plain_us:,.0f} | {plain_us / p50:,.0f} |"
+        )
+        benchmark.extra_info[name] = {"p50 µs": round(p50), "p99 µs": round(p99)}
+    with capsys.disabled():
+        print(
+            "\n| electrodes | scan | p50 µs | p99 µs | allocated at once, KiB | sequence, KiB "
+            "| plain p50 µs | plain over ours |"
+        )
+        print("|" + "---:|" * 8)
+        print("\n".join(rows))
+    benchmark.pedantic(scans["points"], rounds=1)
+
+
+def in_turn(chains, rounds):
+    """Return the times of each chain, µs; their first calls are not counted."""
+    took = {name: [] for name in chains}
+    for turn in range(rounds + 1):
+        for name, chain in chains.items():
+            start = time.perf_counter_ns()
+            chain()
+            if turn:
+                took[name].append((time.perf_counter_ns() - start) / 1000)
+    return took
+
+
+def allocated(chain):
+    """Return the most bytes that a frame holds at once until it is proved, and its sequence's."""
+    tracemalloc.start()
+    try:
+        chain.proved()
+        before, _ = tracemalloc.get_traced_memory()
+        tracemalloc.reset_peak()
+        sequence = chain.proved()
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    arrays = (sequence.current_ua, sequence.width_us, sequence.discharge_us, sequence.site)
+    return peak - before, sum(each.nbytes for each in arrays)

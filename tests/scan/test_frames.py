@@ -99,7 +99,11 @@ def test_every_slot_is_within_limits_and_bounds_and_its_proof_is_true(
         # Of a single point it is that of its kernel, whatever rounding makes of it.
         rounding = 0.01 + (0.03 / intensity if points == 1 else 0)
         true = others[slot] / weakest
-        assert proof.worst_other[slot] == pytest.approx(true, rel=0.08, abs=rounding)
+        if planned or points == 1:
+            assert proof.worst_other[slot] == pytest.approx(true, rel=0.08, abs=rounding)
+        else:
+            # A bound of all frames, and so of this one.
+            assert true <= proof.worst_other[slot] * 1.08
 
 
 def test_each_class_is_felt_where_its_own_shift_says(profile, bank, changed, problems):

@@ -1,5 +1,6 @@
 """The slots of one class: as strong as asked, by height or by width."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -12,9 +13,13 @@ from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.modes.bank import load_bank
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
+from smarttouch.scan.limits import PPB
 from smarttouch.scan.points import SHORTEST_PULSE_US, PointSlots
 from smarttouch.scan.safety import SafetyGate, SafetyLimits
 from smarttouch.scan.schedule import PointScan
+from smarttouch.scan.sequence import frozen
+from smarttouch.scan.sequence_limits import prove_slots
+from smarttouch.scan.sums import SlotAdder
 from smarttouch.scan.timing import ScanTiming
 
 
@@ -174,3 +179,39 @@ def test_rounding_of_a_thousand_small_currents_is_no_charge_above_the_limit(prof
         assert np.abs(sequence.current_ua).max() <= 2500
     strongest = sequence.site.tolist().index(99)
     assert np.abs(sequence.current_ua[strongest] - 2400 * weights[99]).max() < 1.01
+
+
+def test_a_frame_allocates_its_sequence_and_its_proved_copy_and_no_scratch(
+    profile, make_bank, changed
+):
+    wide = changed(profile, {"array.rows": 32, "array.columns": 32})
+    weights = np.full((1024, 1024), 1 / 1023, np.float32)
+    np.fill_diagonal(weights, -1)
+    scan = PointScan(wide, make_bank(weights, weights), (Primary.RA,), 1.0)
+    limits = SafetyLimits.of(wide)
+    adder = SlotAdder(limits.felt_ua)
+
+    def proved(given):
+        """As the gate does it, which here has an oracle beside it."""
+        copy = frozen(given)
+        prove_slots(copy, limits, PPB, adder)
+        return copy
+
+    activation = np.zeros((3, 1024), np.float32)
+    activation[Primary.RA, :300] = 1
+
+    def peak_of(make):
+        tracemalloc.start()
+        try:
+            return make(), tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    for second in range(2):
+        shown = TactileImage(activation, second * 10**9, 1.0)
+        sequence, making = peak_of(lambda shown=shown: scan.schedule(shown, 1.0))
+        copy, proving = peak_of(lambda given=sequence: proved(given))
+    # Scratch in single precision would be twice as much again.
+    assert copy.current_ua.nbytes == 600 * 1024
+    assert making < 1.25 * copy.current_ua.nbytes
+    assert proving < 1.25 * copy.current_ua.nbytes

@@ -22,6 +22,9 @@ MOST_PROVED = 300
 """Electrodes of arrays for which sets are proved in about a second."""
 _STEPS = (2, 3, 4)
 """Rows and columns between the points of a set that are tried."""
+_SINGLE = 1.0001
+"""More than what single precision takes off a field."""
+_HALF_UA_MA = 0.0005
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,14 +96,84 @@ class SharedKernels:
 
     def _against_targets(self, reached: float) -> float:
         """Return it over the least that a target of any subset gets; infinite if that is none."""
-        smallest = float(self._reached.min())
-        return reached / smallest if smallest > 0 else np.inf
+        return reached / self.smallest if self.smallest > 0 else np.inf
+
+    @cached_property
+    def smallest(self) -> float:
+        """No subset gives a target of level 1 that is on less, V/mm²."""
+        return float(self._reached.min())
 
     @cached_property
     def _reached(self) -> Array:
         each = self.operator.judge.target[self.sites] @ self.kernels.T
         own = np.diag(each)
         return np.asarray(own + np.minimum(each - np.diag(own), 0).sum(axis=1))
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """What no subset of a set can break, when its currents have been rounded to whole µA.
+
+    All in V/mm²: what other nodes get is at most ``reached`` times intensity and ``rounding``,
+    of other classes and of the own one; what the weakest target gets, scaled to level 1, is at
+    least ``target`` times intensity less ``lost``.
+    """
+
+    reached: tuple[float, float]
+    rounding: tuple[float, float]
+    target: float
+    lost: float
+
+    @classmethod
+    def of(cls, kernels: SharedKernels, aim: float, faintest: float) -> "Certainty":
+        """Return it for levels from ``faintest`` to 1 and targets that get ``aim`` of their wish.
+
+        Rounding as `whole_ua` does it: what all electrodes up to one carry together is off by
+        half a µA at most, so that each row of a field is off by no more than half of what it
+        differs from electrode to electrode, added up.
+        """
+        judge = kernels.operator.judge
+        rows = judge.target[kernels.sites]
+        each = rows @ kernels.kernels.T
+        own = np.diag(each)
+        # What is fainter than another point gets so much more of what that one's kernel does.
+        least = own + np.minimum(each - np.diag(own), 0).sum(axis=1) / faintest
+        count = rows.shape[1]
+        steps = np.eye(count - 1, count) - np.eye(count - 1, count, 1)
+        other = max(float(np.abs(field(steps)).sum(axis=0).max()) for field in judge.others)
+        spill = float(np.abs(judge.own(steps)).sum(axis=0).max())
+        lost = float(np.abs(rows @ steps.T).sum(axis=1).max()) / faintest
+        smallest = kernels.smallest
+        return cls(
+            (
+                _SINGLE * aim * kernels.worst_other * smallest,
+                _SINGLE * aim * kernels.worst_spill * smallest,
+            ),
+            (_HALF_UA_MA * other, _HALF_UA_MA * spill),
+            aim * float(least.min()),
+            _HALF_UA_MA * lost,
+        )
+
+    def figures(self, intensity: float) -> tuple[float, float]:
+        """Return what no `FrameFigures.worst_other` and no `worst_spill` is above."""
+        weakest = intensity * self.target - self.lost
+        if weakest <= 0:
+            return np.inf, np.inf
+        other, spill = (
+            (intensity * reached + rounding) / weakest
+            for reached, rounding in zip(self.reached, self.rounding, strict=True)
+        )
+        return other, spill
+
+    def least(self, bounds: FrameBounds) -> float:
+        """Return the intensity from which bounds are kept; infinite if there is none."""
+        least = 0.0
+        for most, reached, rounding in zip(
+            (bounds.other, bounds.spill), self.reached, self.rounding, strict=True
+        ):
+            room = most * self.target - reached
+            least = max(least, (rounding + most * self.lost) / room if room > 0 else np.inf)
+        return least
 
 
 def color_classes(operator: FrameOperator[FrameJudge], step: int) -> list[SharedKernels]:

@@ -61,6 +61,7 @@ class FieldMap:
             self._high, self._rank = self._down.shape[1:]
             self._left = np.ascontiguousarray(self._down.reshape(len(self._down), -1))
             self._right = np.ascontiguousarray(self._across.reshape(len(self._across), -1))
+            self._in_order = np.array_equal(self._place, np.arange(self._electrodes_n))
 
     def __call__(self, current: NDArray[np.floating]) -> Single:
         """Return the activating function, (F, D·N) V/mm², of currents (F, E) mA."""
@@ -68,8 +69,10 @@ class FieldMap:
         if not self.separable:
             return np.asarray(current @ self._dense.T)
         count = len(current)
-        square = np.empty_like(current)
-        square[:, self._place] = current
+        square = current
+        if not self._in_order:
+            square = np.empty_like(current)
+            square[:, self._place] = current
         across = square.reshape(count * self._high, -1) @ self._right
         stacked = across.reshape(count, self._high * self._rank, -1)
         return np.asarray((self._left @ stacked).reshape(count, self.rows_n))

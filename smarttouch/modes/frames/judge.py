@@ -89,7 +89,10 @@ class FrameJudge:
 
     def strongest_far(self, own: Single, active: NDArray[np.intp]) -> float:
         """Return the largest of a field of the own class far from all active targets."""
-        away = np.append(own.reshape(self.own.directions_n, -1).max(axis=0), -np.inf)
+        away = np.empty(self.own.places_n + 1, own.dtype)
+        np.maximum.reduce(own.reshape(self.own.directions_n, -1), axis=0, out=away[:-1])
+        # The last one is nowhere, as is what is near.
+        away[-1] = -np.inf
         away[self._near[active]] = -np.inf
         return float(away.max())
 

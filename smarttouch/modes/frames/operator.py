@@ -215,15 +215,16 @@ class _Broken:
         rows, limits = [np.zeros((0, len(current)))], [np.zeros(0)]
         for (field, most, where), values in zip(self._limits, reached, strict=True):
             bound = _INSIDE * most
-            chosen = _hills(field, values - bound, where)
+            chosen = _hills(field, values, bound, where)
             if not len(chosen):
                 continue
             rows.append(field.rows(chosen))
             limits.append(np.full(len(chosen), bound))
         full_ma = _INSIDE * self._judge.full_ma
         over = np.flatnonzero(np.abs(current) > full_ma)
-        rows.append(np.sign(current[over])[:, None] * np.eye(len(current))[over])
-        limits.append(full_ma[over])
+        if len(over):
+            rows.append(np.sign(current[over])[:, None] * np.eye(len(current))[over])
+            limits.append(full_ma[over])
         if self._total_ma is not None and np.abs(current).sum() > 2 * _INSIDE * self._total_ma:
             # Whatever the signs, their sum with the currents is no more than all magnitudes.
             rows.append(np.sign(current)[None] / 2)
@@ -231,17 +232,23 @@ class _Broken:
         return np.concatenate(rows), np.concatenate(limits)
 
 
-def _hills(field: FieldMap, excess: Single, where: NDArray[np.bool_] | None) -> NDArray[np.intp]:
-    """Return the worst broken rows, one of each little cell of the lattice."""
-    broken = excess > 0 if where is None else (excess > 0) & where
-    index = np.flatnonzero(broken)
+def _hills(
+    field: FieldMap, values: Single, bound: float, where: NDArray[np.bool_] | None
+) -> NDArray[np.intp]:
+    """Return the worst rows above a bound, one of each little cell of the lattice."""
+    index = np.flatnonzero(values > bound)
+    if where is not None:
+        index = index[where[index]]
     if not len(index):
         return index
-    index = index[np.argsort(-excess[index])]
+    index = index[np.argsort(-(values[index] - bound))]
     line, column = np.divmod(index, field.grid[1])
     cell = line // _CELL * (field.grid[1] // _CELL + 1) + column // _CELL
-    _, first = np.unique(cell, return_index=True)
-    return np.asarray(index[np.sort(first)[:_ROWS_AT_ONCE]])
+    first: dict[int, int] = {}
+    for place, each in enumerate(cell.tolist()):
+        if first.setdefault(each, place) == place and len(first) == _ROWS_AT_ONCE:
+            break
+    return index[list(first.values())]
 
 
 def _prices(form: Array, excess: Array) -> Array | None:
@@ -280,12 +287,14 @@ def _excess(
     total_ma: float | None,
 ) -> float:
     """Return by which part the worst bound is broken; 0 or less if none is."""
-    most = judge.full_ma
+    most, strength = judge.full_ma, np.abs(current)
+    masked = most == 0
+    idle = masked.any()
     parts = [
         figures.worst_other / bounds.other,
         figures.worst_spill / bounds.spill,
-        float((np.abs(current[most > 0]) / most[most > 0]).max()),
-        np.inf if current[most == 0].any() else 0.0,
+        float((strength[~masked] / most[~masked] if idle else strength / most).max()),
+        np.inf if idle and current[masked].any() else 0.0,
         (1 - figures.weakest) / bounds.uneven,
         (figures.strongest - 1) / bounds.uneven,
     ]

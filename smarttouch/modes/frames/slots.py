@@ -168,18 +168,23 @@ def _dealt(position_mm: Array, sites: NDArray[np.intp], many: int) -> list[NDArr
     place, kind = position_mm[sites % len(position_mm)], sites // len(position_mm)
     apart = np.hypot(*(place[:, None] - place[None]).transpose(2, 0, 1))
     # Of each class about equally many: points of two classes may be each other's return.
-    size = np.ceil(np.bincount(kind) / many)
+    size, kinds = np.ceil(np.bincount(kind) / many).tolist(), kind.tolist()
     # The most crowded first: they have the fewest choices.
     crowd = (1 / (1 + apart**2)).sum(axis=1)
     groups: list[list[int]] = [[] for _ in range(many)]
     push, pushes = np.zeros((many, len(sites))), _push(place[:, None] - place[None])
-    count = np.zeros((many, len(size)))
-    for each in np.argsort(-crowd, kind="stable"):
-        full = count[:, kind[each]] >= size[kind[each]]
-        chosen = int((push[:, each] + 1e9 * full).argmin())
-        groups[chosen].append(int(each))
+    count = [[0] * many for _ in size]
+    # By themselves a handful of numbers are quicker than an array of them.
+    for each in np.argsort(-crowd, kind="stable").tolist():
+        taken, most = count[kinds[each]], size[kinds[each]]
+        pushed = [
+            value + 1e9 * (has >= most)
+            for value, has in zip(push[:, each].tolist(), taken, strict=True)
+        ]
+        chosen = pushed.index(min(pushed))
+        groups[chosen].append(each)
         push[chosen] += pushes[each]
-        count[chosen, kind[each]] += 1
+        taken[chosen] += 1
     return [np.sort(sites[group]) for group in groups if group]
 
 

@@ -6,12 +6,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.errors import DesignError
-from smarttouch.modes.frames.bound import SharedKernels, color_classes, proved_sets
+from smarttouch.modes.frames.bound import (
+    Certainty,
+    SharedKernels,
+    color_classes,
+    proved_sets,
+)
 from smarttouch.modes.frames.figures import FrameBounds
 from smarttouch.modes.frames.judge import FrameJudge
 from smarttouch.modes.frames.operator import FrameOperator
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
+from smarttouch.scan.sequence import whole_ua
 
 from .test_operator import make_operator
 
@@ -108,3 +114,46 @@ def test_what_is_no_grid_or_large_has_no_sets(profile, bank, changed):
     wide = changed(profile, {"array.rows": 18, "array.columns": 18})
     judge = FrameJudge(wide, Primary.RA, np.full(324, 2.2))
     assert proved_sets(FrameOperator(judge), FrameBounds()) == []
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from([Primary.RA, Primary.SAI]),
+    st.integers(2, 4),
+    st.floats(0.01, 1),
+    st.floats(0.2, 1),
+    st.integers(0, 2**32 - 1),
+)
+def test_no_subset_breaks_what_is_certain_after_rounding(
+    make_operator, primary, step, intensity, faintest, seed
+):
+    operator = make_operator(primary)
+    rng = np.random.default_rng(seed)
+    one = rng.choice(color_classes(operator, step))
+    certain = Certainty.of(one, 0.96, faintest)
+    on = rng.random(len(one.sites)) < rng.uniform(0.1, 1)
+    on[rng.integers(len(on))] = True
+    level = np.zeros(64)
+    level[one.sites[on]] = rng.choice([faintest, 1, rng.uniform(faintest, 1)], on.sum())
+    exact_ua = 1000 * intensity * 0.96 * (level[one.sites] @ one.kernels)
+    current_ma = whole_ua(exact_ua[None])[0] / 1000
+    figures = operator.judge.judge(current_ma, level)
+    worst_other, worst_spill = certain.figures(intensity)
+    assert figures.worst_other <= worst_other
+    assert figures.worst_spill <= worst_spill
+
+
+def test_from_the_least_intensity_on_bounds_are_kept(make_operator):
+    bounds = FrameBounds(0.3, 0.3)
+    for one in color_classes(make_operator(Primary.RA), 2):
+        certain = Certainty.of(one, 0.96, 0.5)
+        least = certain.least(bounds)
+        assert 0 < least < 1
+        for intensity in (least * 1.0001, 0.5, 1.0):
+            other, spill = certain.figures(intensity)
+            assert other <= bounds.other
+            assert spill <= bounds.spill
+        below = certain.figures(least * 0.9)
+        assert below[0] > bounds.other or below[1] > bounds.spill
+        assert certain.least(FrameBounds(0.001, 0.3)) == np.inf
+        assert certain.figures(0.0) == (np.inf, np.inf)
