@@ -23,6 +23,7 @@ import pytest
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.link_sequence import encode_sequence
+from smarttouch.errors import BoardRestartedError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
@@ -150,17 +151,23 @@ def test_throughput(row, quick, electrodes):
     """Sequences a second with one slot each: the wire and both ends, not the scan."""
     if quick and electrodes not in COUNTS[:2]:
         pytest.skip("smaller ones are every path")
-    count, spent = 5 if quick else 100, []
+    count, spent, restarts = 5 if quick else 100, [], 0
     with EmulatorBoard("", limits_of(electrodes), Output(kind="weighted")) as board:
         step = raised(board, electrodes)
-        for _ in range(1 if quick else 6):
+        while len(spent) < (1 if quick else 6):
             start = time.perf_counter()
-            for _ in range(count):
-                board.send(make(electrodes, step, electrodes, 5000 + 26 * electrodes))
-                step += 1
-            board.drain()
+            try:
+                for _ in range(count):
+                    board.send(make(electrodes, step, electrodes, 5000 + 26 * electrodes))
+                    step += 1
+                board.drain()
+            except BoardRestartedError:
+                # A busy machine left it without a word for 100 ms: once more, and said.
+                restarts, step = restarts + 1, raised(board, electrodes)
+                continue
             spent.append(time.perf_counter() - start)
         before = board.acknowledged
     assert before
     cells = {"electrodes": electrodes, "a second": f"{count / statistics.median(spent[-5:]):.0f}"}
-    row("Sequences through the link", cells | {"that fit": f"{1e6 / (5000 + 26 * electrodes):.0f}"})
+    cells |= {"that fit": f"{1e6 / (5000 + 26 * electrodes):.0f}", "restarts": restarts}
+    row("Sequences through the link", cells)
