@@ -17,6 +17,19 @@ settings.register_profile("no deadline", deadline=None)
 settings.load_profile("no deadline")
 
 
+def pytest_addoption(parser):
+    parser.addoption(
+        "--quick", action="store_true", help="run benchmarks once each, short, and time nothing"
+    )
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config):
+    if config.getoption("quick"):
+        # Before pytest-benchmark reads them: the project's options skip benchmarks.
+        config.option.benchmark_skip, config.option.benchmark_disable = False, True
+
+
 @pytest.fixture(scope="session", autouse=True)
 def one_thread():
     """Tests run beside each other: threads of small matrix products would wait for one another."""

@@ -1,6 +1,6 @@
 """Net charge, class and rate without ``--balance`` and with each way of it, by an emulator's books.
 
-A table: run with ``--benchmark-only -n0 -s``.
+A table: run with ``--benchmark-only -n0``.
 """
 
 import numpy as np
@@ -50,7 +50,7 @@ def answer_of_phase(sequence, profile, bank):
 
 @pytest.mark.parametrize("scan", ["points", "shared"])
 @pytest.mark.parametrize("mode", [Mode.RA, Mode.SAI])
-def test_letters(benchmark, capsys, profile, bank, mode, scan):
+def test_letters(row, quick, profile, bank, mode, scan):
     rows = Problem(profile, mode.primaries[0]).rows[0]
     for way in WAYS:
         regulator, tally, answers = regulator_of(way, profile), Tally(), [0.0]
@@ -61,7 +61,7 @@ def test_letters(benchmark, capsys, profile, bank, mode, scan):
 
         pipeline = Pipeline(profile, bank, mode, sharing=SHARED if scan == "shared" else NO_SHARING)
         board = SimulatedBoard("", SafetyLimits.of(profile), profile.output)
-        with board, open_sensor(TEXT, profile) as sensor:
+        with board, open_sensor("text:the" if quick else TEXT, profile) as sensor:
             run(
                 sensor, pipeline, board, stop=StopRequest(), tally=tally, regulator=regulator,
                 clock=SimulatedClock(), observers=[watch],
@@ -75,16 +75,21 @@ def test_letters(benchmark, capsys, profile, bank, mode, scan):
         if way == "recharging":
             assert np.abs(books.passed_uc).max() < 0.02
             assert 0 < max(answers) < 0.5
-        with capsys.disabled():
-            print(
-                f"\n{mode.value} {scan} {way}: {tally.frames} scans, {books.slots} slots at "
-                f"{tally.frames / tally.seconds:.1f} Hz (lowest {tally.lowest_rate_hz:.1f}); net "
-                f"charge {np.abs(books.passed_uc).max():.4f} µC at worst, with what flows back in "
-                f"short circuits {np.abs(skin.charge_uc).max():.2f}; {np.mean(own > other):.0%} of "
-                f"slots drive {mode.value} more than any other class, other at worst "
-                f"{np.max(other / np.maximum(own, 1e-9)):.2f} of it, median "
-                f"{np.median(other / np.maximum(own, 1e-9)):.2f}; a recharge phase reaches "
-                f"{max(answers):.2f} of what an afferent needs",
-                end="",
-            )
-    benchmark.pedantic(lambda: None, rounds=1)
+        ratio = other / np.maximum(own, 1e-9)
+        row(
+            "Charge by the emulator's books, two seconds of letters",
+            {
+                "mode": f"{mode.value}, {scan}",
+                "balance": way,
+                "scans": tally.frames,
+                "slots": books.slots,
+                "scans a second (lowest)": (
+                    f"{tally.frames / tally.seconds:.1f} ({tally.lowest_rate_hz:.1f})"
+                ),
+                "net charge at worst, µC": f"{np.abs(books.passed_uc).max():.4f}",
+                "with what flows back, µC": f"{np.abs(skin.charge_uc).max():.2f}",
+                "slots that drive the class most": f"{np.mean(own > other):.0%}",
+                "other at worst (median)": f"{np.max(ratio):.2f} ({np.median(ratio):.2f})",
+                "recharge phase, of what an afferent needs": f"{max(answers):.2f}",
+            },
+        )

@@ -41,8 +41,10 @@ def distinct(problem):
 
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("limited", [False, True], ids=["free", "within 10 mA"])
-def test_whole_bank_against_linprog(benchmark, square, whole_programme, capsys, limited):
-    profile = load_profile("electric-mouse") if limited else square(8)
+def test_whole_bank_against_linprog(row, quick, square, whole_programme, changed, limited):
+    profile = square(4 if quick else 8)
+    if limited:
+        profile = changed(profile, {"limits.total_ma": 10.0})
     designed(square(2))
     (kernels, ours), theirs, sites, apart = designed(profile), 0.0, 0, 0.0
     for primary in Primary:
@@ -56,33 +58,37 @@ def test_whole_bank_against_linprog(benchmark, square, whole_programme, capsys, 
             apart = max(apart, abs(mine - optimum))
         sites += len(optima)
     again = min(designed(profile)[1] for _ in range(3))
-    name = "electric-mouse within 10 mA" if limited else "electric-mouse"
-    with capsys.disabled():
-        print(
-            f"\n{name}, {sites} distinct sites: ours {ours:.2f} s (again {again:.2f} s), linprog "
-            f"{theirs:.1f} s, ratio {theirs / ours:.0f}; optima differ by {apart:.1e} at most"
-        )
+    row(
+        "All kernels of a bank, beside one linprog for each distinct site",
+        {
+            "array": f"{profile.array.rows} × {profile.array.columns}" + ", 10 mA" * limited,
+            "distinct sites": sites,
+            "ours (again), s": f"{ours:.2f} ({again:.2f})",
+            "linprog, s": f"{theirs:.1f}",
+            "ratio": f"{theirs / ours:.0f}",
+            "optima differ by": f"{apart:.1e}",
+        },
+    )
     assert apart < 1e-6
-    benchmark.extra_info["linprog over ours"] = round(theirs / ours, 1)
-    benchmark.pedantic(lambda: None, rounds=1)
 
 
 @pytest.mark.timeout(1800)
-def test_growth(benchmark, square, capsys):
+def test_growth(row, quick, square):
     designed(square(2))
-    for side in (4, 6, 8, 12, 16):
+    for side in (4, 5) if quick else (4, 6, 8, 12, 16):
         profile = square(side)
         _, seconds = designed(profile)
         count = sum(len(distinct(Problem(profile, primary))) for primary in Primary)
-        with capsys.disabled():
-            print(f"\n{side} x {side}: {count} distinct sites in {seconds:.2f} s", end="")
-    benchmark.pedantic(lambda: None, rounds=1)
+        assert count
+        cells = {"array": f"{side} × {side}", "distinct sites": count, "s": f"{seconds:.2f}"}
+        row("Whole banks of larger arrays", cells)
 
 
 @pytest.mark.timeout(1800)
-def test_chosen_sites_of_a_large_array(benchmark, square, capsys):
-    profile = square(32)
-    chosen = {"corner": 0, "middle": 16 * 32 + 16, "edge": 16}
+def test_chosen_sites_of_a_large_array(row, quick, square):
+    side = 6 if quick else 32
+    profile = square(side)
+    chosen = {"corner": 0, "middle": side // 2 * (side + 1), "edge": side // 2}
     for primary in (Primary.RA, Primary.SAI):
         start = time.perf_counter()
         problem = Problem(profile, primary)
@@ -90,13 +96,16 @@ def test_chosen_sites_of_a_large_array(benchmark, square, capsys):
         for name, site in chosen.items():
             start = time.perf_counter()
             kernel = design_kernel(problem, site)
-            with capsys.disabled():
-                print(
-                    f"\n32 x 32, {primary.name} at the {name}: "
-                    f"{time.perf_counter() - start:.1f} s after {rows:.1f} s for "
-                    f"{len(problem.rows[0].other)} rows; worst other {kernel.worst_other:.4f}, "
-                    f"spill {kernel.own_spill:.3f}",
-                    end="",
-                )
+            row(
+                f"Single sites of {side} × {side}",
+                {
+                    "class": primary.name,
+                    "site": name,
+                    "s": f"{time.perf_counter() - start:.1f}",
+                    "rows": len(problem.rows[0].other),
+                    "rows built in, s": f"{rows:.1f}",
+                    "worst other": f"{kernel.worst_other:.4f}",
+                    "spill": f"{kernel.own_spill:.3f}",
+                },
+            )
             assert np.abs(kernel.weights.sum()) < 1e-9
-    benchmark.pedantic(lambda: None, rounds=1)

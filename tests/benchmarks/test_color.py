@@ -2,7 +2,7 @@
 
 Run with::
 
-    pytest tests/benchmarks/test_color.py --benchmark-only -n0 -s
+    pytest tests/benchmarks/test_color.py --benchmark-only -n0
 
 Each class alone, every pair, and all three: rate and drive of every class, told from the
 currents that an emulated board delivered, beside what it had answered; how far pulses
@@ -10,8 +10,10 @@ were from their own time. Then what a frame costs, and who answers where from 5 
 """
 
 import itertools
+import time
 
 import numpy as np
+import pytest
 
 from smarttouch.color.mix import mix_colors
 from smarttouch.color.sensor import ColorSensor
@@ -22,7 +24,10 @@ from smarttouch.primary import Primary
 from ..color.delivered import feel
 from ..color.test_delivered import ALONE
 
-SECONDS = 10.0
+
+@pytest.fixture
+def seconds(quick):
+    return 1.0 if quick else 10.0
 
 
 def mixtures():
@@ -31,55 +36,60 @@ def mixtures():
             yield "+".join(ALONE[each][0] for each in classes)
 
 
-def test_what_comes_back(profile, bank, benchmark):
-    def measure():
-        print(f"\n{'felt':48} class  answered      delivered     off by, ms")
-        for spec in mixtures():
-            got, sensor = feel(spec, profile, bank, seconds=SECONDS)
-            answers = split(open_trace(spec, SECONDS), sai_full_n=profile.force.full_n)
-            for primary, row in got.items():
-                answer = answers[primary]
-                off_ms = np.abs(sensor.error_us(primary)) / 1000
-                print(
-                    f"{spec:48} {primary.name:5} {answer.mean_rate_hz:6.1f} "
-                    f"{answer.mean_drive:5.2f}"
-                    f"  {row.rate_hz:6.1f} {row.drive.mean():5.2f}"
-                    f"  {np.median(off_ms):5.2f} / {off_ms.max():4.2f}"
-                )
-            spread = {each: answers[each].peak_drive for each in Primary if each not in got}
-            assert max(spread.values(), default=0) < 0.01
-
-    benchmark.pedantic(measure, rounds=1)
-
-
-def test_who_answers_where(benchmark):
-    def measure():
-        print("\n    Hz   " + "".join(f"{um:>3} µm: RA   SAI   PC   " for um in (3, 10, 100)))
-        for hz in (5, 10, 15, 20, 30, 45, 60, 75, 100, 150, 250, 400, 500):
-            cells = []
-            for um in (3, 10, 100):
-                answers = split(open_trace(f"tone:{hz}Hz,{um}um", 1.0))
-                cells += [f"{np.median(answers[each].drive):.2f}" for each in Primary]
-            print(f"{hz:6d}   " + "  ".join(cells))
-
-    benchmark.pedantic(measure, rounds=1)
+def test_what_comes_back(profile, bank, row, quick, seconds):
+    specs = list(mixtures())
+    for spec in specs[-1:] if quick else specs:
+        got, sensor = feel(spec, profile, bank, seconds=seconds)
+        answers = split(open_trace(spec, seconds), sai_full_n=profile.force.full_n)
+        for primary, found in got.items():
+            answer = answers[primary]
+            off_ms = np.abs(sensor.error_us(primary)) / 1000
+            row(
+                "Colors split, mixed and delivered",
+                {
+                    "felt": spec,
+                    "class": primary.name,
+                    "answered, Hz": f"{answer.mean_rate_hz:.1f}",
+                    "drive": f"{answer.mean_drive:.2f}",
+                    "delivered, Hz": f"{found.rate_hz:.1f}",
+                    "drive delivered": f"{found.drive.mean():.2f}",
+                    "off by, ms, p50 / max": f"{np.median(off_ms):.2f} / {off_ms.max():.2f}",
+                },
+            )
+        spread = {each: answers[each].peak_drive for each in Primary if each not in got}
+        assert max(spread.values(), default=0) < 0.01
 
 
-def test_a_frame(profile, bank, benchmark):
+def test_who_answers_where(row, quick):
+    rates_hz = (5, 10, 15, 20, 30, 45, 60, 75, 100, 150, 250, 400, 500)
+    for hz in rates_hz[::6] if quick else rates_hz:
+        cells = {"Hz": hz}
+        for um in (3, 10, 100):
+            answers = split(open_trace(f"tone:{hz}Hz,{um}um", 1.0))
+            for each in Primary:
+                cells[f"{um} µm: {each.name}"] = f"{np.median(answers[each].drive):.2f}"
+        row("Who answers where", cells)
+
+
+def test_a_frame(profile, bank, row, quick, seconds):
     spec = "tone:30Hz,6um+tone:250Hz,1.5um+press:0.45N"
-    mixture = mix_colors(open_trace(spec, SECONDS), profile, bank)
-
-    def every_frame():
+    mixture, spent = mix_colors(open_trace(spec, seconds), profile, bank), []
+    for _ in range(1 if quick else 50):
         sensor, now_us, frames = ColorSensor(spec, profile, mixture), 0, 0
+        start = time.perf_counter()
         while (frame := sensor.read(1000 * now_us)) is not None:
             now_us += frame.request.period_us
             frames += 1
-        return frames
+        spent.append(time.perf_counter() - start)
+    assert frames
+    each_us = 1e6 * np.median(spent) / frames
+    row("Frames of colors", {"frames": frames, "µs a frame": f"{each_us:.1f}"})
 
-    frames = benchmark(every_frame)
-    print(f"\n{1e6 * benchmark.stats.stats.median / frames:.1f} µs a frame, {frames} frames")
 
-
-def test_splitting_and_mixing(profile, bank, benchmark):
-    trace = open_trace("noise:5-400Hz,5um+press:0.5N", SECONDS)
-    benchmark(lambda: mix_colors(trace, profile, bank))
+def test_splitting_and_mixing(profile, bank, row, quick, seconds):
+    trace, spent = open_trace("noise:5-400Hz,5um+press:0.5N", seconds), []
+    for _ in range(1 if quick else 50):
+        start = time.perf_counter()
+        mix_colors(trace, profile, bank)
+        spent.append(1e3 * (time.perf_counter() - start))
+    row("Splitting and mixing", {"trace, s": seconds, "ms": f"{np.median(spent):.1f}"})

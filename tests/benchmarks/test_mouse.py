@@ -2,11 +2,12 @@
 
 Run with::
 
-    pytest tests/benchmarks/test_mouse.py --benchmark-only -n0 -s
+    pytest tests/benchmarks/test_mouse.py --benchmark-only -n0
 
 Measured on what a simulated board delivered: pulses of each electrode, where it was.
 """
 
+import itertools
 import math
 import time
 
@@ -36,38 +37,46 @@ def error_of(texture, speed, want_hz, bank, **options):
     pulses_hz, sensor = stroke(texture, speed, PROFILE, bank, STROKE_MM, **options)
     mean, worst = pulses_hz.mean() - want_hz, np.abs(pulses_hz - want_hz).max()
     one = speed / STROKE_MM
-    return (
-        f"{want_hz:6.2f} Hz: mean {mean:+.3f}, worst electrode {worst:.2f} (a pulse is {one:.2f})"
-        f"{'; ' + '; '.join(sensor.notes) if sensor.notes else ''}"
-    )
+    assert abs(mean) < want_hz / 2
+    return {
+        "expected, Hz": f"{want_hz:.2f}",
+        "mean": f"{mean:+.3f}",
+        "worst electrode": f"{worst:.2f}",
+        "one pulse": f"{one:.2f}",
+        "told": "; ".join(sensor.notes),
+    }
 
 
-def test_frequencies(benchmark, bank, tmp_path):
-    def measure():
-        for angle in (0, 30, 60, 90):
-            for speed in (20, 40, 80):
-                want = speed / 4 * abs(math.cos(math.radians(angle)))
-                texture = open_texture(f"grating:4mm,{angle}deg")
-                print(f"4 mm, {angle:2}°, {speed} mm/s:", error_of(texture, speed, want, bank))
-        for pitch, angle, kind in (
-            (1, 0, "square"), (2, 30, "thin"), (4, 0, "square"), (4, 0, "thin"), (4, 30, "faint"),
-            (4, 60, "square"), (8, 30, "faint"),
-        ):  # fmt: skip
-            noise = 5.0 if kind == "faint" else 0.0
-            texture = open_texture(
-                str(grating_file(tmp_path / "g.png", pitch, angle, kind, noise=noise))
-            )
-            speed = 15 * pitch
-            want = speed / pitch * math.cos(math.radians(angle))
-            print(f"image {pitch} mm, {angle}°, {kind}:", error_of(texture, speed, want, bank))
-        for rate, speed in ((100, 120), (100, 160), (100, 200), (100, 300), (200, 300), (200, 400)):
-            texture = open_texture("grating:4mm,10deg")
-            want = speed / 4 * math.cos(math.radians(10))
-            words = error_of(texture, speed, want, bank, rate_hz=rate)
-            print(f"{rate} frames/s, {speed} mm/s:", words)
+def test_frequencies(row, quick, bank, tmp_path):
+    def show(texture, cells):
+        row("Pulses of each electrode on gratings", {"texture": texture} | cells)
 
-    print()
-    benchmark.pedantic(measure, rounds=1)
+    def some(found):
+        return found[:1] if quick else found
+
+    for angle in some((0, 30, 60, 90)):
+        for speed in (80,) if quick else (20, 40, 80):
+            want = speed / 4 * abs(math.cos(math.radians(angle)))
+            texture = open_texture(f"grating:4mm,{angle}deg")
+            show(f"4 mm, {angle}°, {speed} mm/s", error_of(texture, speed, want, bank))
+    images = [
+        (4, 30, "faint"), (1, 0, "square"), (2, 30, "thin"), (4, 0, "square"), (4, 0, "thin"),
+        (4, 60, "square"), (8, 30, "faint"),
+    ]  # fmt: skip
+    for pitch, angle, kind in some(images):
+        noise = 5.0 if kind == "faint" else 0.0
+        texture = open_texture(
+            str(grating_file(tmp_path / "g.png", pitch, angle, kind, noise=noise))
+        )
+        speed = 15 * pitch
+        want = speed / pitch * math.cos(math.radians(angle))
+        show(f"image {pitch} mm, {angle}°, {kind}", error_of(texture, speed, want, bank))
+    fast = [(100, 120), (100, 160), (100, 200), (100, 300), (200, 300), (200, 400)]
+    for rate, speed in some(fast):
+        texture = open_texture("grating:4mm,10deg")
+        want = speed / 4 * math.cos(math.radians(10))
+        cells = error_of(texture, speed, want, bank, rate_hz=rate)
+        show(f"4 mm, 10°, {speed} mm/s, {rate} frames/s", cells)
 
 
 def ways(folder):
@@ -104,26 +113,31 @@ def residual_of(felt, texture):
     return middle, ((column - margin) / 10, (row - margin) / 10), best
 
 
-def test_objects_stay_put(benchmark, bank, tmp_path):
-    def measure():
-        for kind in ("disc", "cross"):
-            texture = open_texture(str(object_file(tmp_path / "o.png", kind)))
-            for name, motion in ways(tmp_path):
-                touched, _ = touch(texture, motion, PROFILE, bank)
-                middle, shift, _ = residual_of(touched.felt, texture)
-                print(
-                    f"{kind}, {name}: centroid off by ({middle[0]:+.2f}, {middle[1]:+.2f}) mm, "
-                    f"best shift ({shift[0]:+.1f}, {shift[1]:+.1f}) mm, "
-                    f"{len(touched.felt.number)} pulses"
-                )
+def test_objects_stay_put(row, quick, bank, tmp_path):
+    for kind in ("disc", "cross"):
+        texture = open_texture(str(object_file(tmp_path / "o.png", kind)))
+        for name, motion in itertools.islice(ways(tmp_path), 1 if quick else None):
+            touched, _ = touch(texture, motion, PROFILE, bank)
+            middle, shift, _ = residual_of(touched.felt, texture)
+            assert max(map(abs, middle)) < 1
+            row(
+                "Objects stay where they are",
+                {
+                    "object": kind,
+                    "way": name,
+                    "centroid off by, mm": f"{middle[0]:+.2f}, {middle[1]:+.2f}",
+                    "best shift, mm": f"{shift[0]:+.1f}, {shift[1]:+.1f}",
+                    "pulses": len(touched.felt.number),
+                },
+            )
 
-    print()
-    benchmark.pedantic(measure, rounds=1)
 
-
-def test_time_per_frame(benchmark, tmp_path):
+def test_time_per_frame(row, quick, tmp_path):
     def frame_us(spec, speed):
-        texture, motion = open_texture(spec), SweepMotion(speed, (60.0, 0.0), rounds=4)
+        texture, motion = (
+            open_texture(spec),
+            SweepMotion(speed, (60.0, 0.0), rounds=1 if quick else 4),
+        )
         motion.origin_mm = (15.0, 20.0)
         sensor = MouseSensor(texture, motion, PROFILE, press_n=1.0)
         times = [int(each * 1e7) for each in range(int(motion.duration_s * 100))]
@@ -134,13 +148,17 @@ def test_time_per_frame(benchmark, tmp_path):
             spent.append(1e6 * (time.perf_counter() - began))
         return np.percentile(spent, (50, 99))
 
-    def measure():
-        image = str(grating_file(tmp_path / "g.png", 4, 30, "faint", noise=5.0))
-        disc = str(object_file(tmp_path / "o.png", "disc"))
-        for spec in ("grating:4mm,30deg", image, disc):
-            for speed in (40, 160):
-                median, late = frame_us(spec, speed)
-                print(f"{spec.rsplit('/')[-1]}, {speed} mm/s: {median:.0f} µs, 99 % {late:.0f} µs")
-
-    print()
-    benchmark.pedantic(measure, rounds=1)
+    image = str(grating_file(tmp_path / "g.png", 4, 30, "faint", noise=5.0))
+    disc = str(object_file(tmp_path / "o.png", "disc"))
+    for spec in ("grating:4mm,30deg", image, disc):
+        for speed in (40, 160):
+            median, late = frame_us(spec, speed)
+            row(
+                "A frame of the mouse",
+                {
+                    "texture": spec.rsplit("/")[-1],
+                    "mm/s": speed,
+                    "p50, µs": f"{median:.0f}",
+                    "p99, µs": f"{late:.0f}",
+                },
+            )

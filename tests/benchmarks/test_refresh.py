@@ -1,6 +1,6 @@
 """Refresh of shared slots against point scan, by the books of an emulated board.
 
-A table: run with ``--benchmark-only -n0 -s``.
+A table: run with ``--benchmark-only -n0``.
 """
 
 import time
@@ -22,7 +22,7 @@ from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.schedule import PointScan
 from smarttouch.sensing import open_sensor
 
-from .test_frames import LETTERS, drawn, judge_of, scattered
+from .frame_sets import LETTERS, drawn, judge_of, scattered
 
 DENSITIES = (0.05, 0.10, 0.20, 0.40, 0.60)
 
@@ -85,25 +85,30 @@ def delivered(profile, bank, primary, frames, activations):
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
 @pytest.mark.parametrize("name", ["electric-mouse", "16x16", "optacon-24x6", "32x32"])
-def test_refresh_against_point_scan(benchmark, capsys, changed, name, primary):
+def test_refresh_against_point_scan(row, quick, changed, name, primary):
     if name[0].isdigit():
+        large = name == "32x32"
+        if quick:
+            name = "8x8"
         rows, columns = map(int, name.split("x"))
         keys = {"array.rows": rows, "array.columns": columns, "name": name}
         # A printed line fills the rows, as on 8 x 8.
         keys |= {"optics.sensor_rows": 8 * rows, "optics.sensor_columns": 8 * columns}
         keys["optics.magnification"] = 0.4 * rows
         profile = changed(load_profile("electric-mouse"), keys)
-        bank = load_bank(profile) if rows < 32 else bank_by_operator(profile, primary)
+        bank = bank_by_operator(profile, primary) if large else load_bank(profile)
     else:
         profile = load_profile(name)
         rows, columns = profile.array.rows, profile.array.columns
         bank = load_bank(profile)
     sites = rows * columns
-    sets = {"letters": [drawn(each, rows, columns) for each in LETTERS]}
-    for density in DENSITIES:
+    sets = {"letters": [drawn(each, rows, columns) for each in ("T" if quick else LETTERS)]}
+    for density in DENSITIES[:1] if quick else DENSITIES:
         points = round(density * sites)
-        sets[f"{density:.0%}"] = [scattered(points, sites, seed) for seed in range(16)]
-    sets["page"] = swept_page(profile, 60 if sites < 1000 else 16)
+        sets[f"{density:.0%}"] = [
+            scattered(points, sites, seed) for seed in range(1 if quick else 16)
+        ]
+    sets["page"] = swept_page(profile, 2 if quick else 60 if sites < 1000 else 16)
     for kind, levels in sets.items():
         activations = [level.astype(np.float32) for level in levels]
         found = {
@@ -124,15 +129,19 @@ def test_refresh_against_point_scan(benchmark, capsys, changed, name, primary):
         lonely = sum(
             int(((proof.points == 1) & (proof.worst_other > 0.3)).sum()) for proof in proofs
         )
-        with capsys.disabled():
-            print(
-                f"\n{name} {primary.name} {kind} ({count}): {slots / count:.1f} points in "
-                f"{few / count:.1f} slots, {1e6 * count / busy_us:.0f} -> "
-                f"{1e6 * count / short_us:.0f} Hz ({slots / few:.1f} times, least "
-                f"{min(each):.1f}; within 200 Hz {1e6 * count / period_us:.0f} -> "
-                f"{1e6 * count / least_us:.0f}), other {other:.2f}, spill {spill:.2f}, "
-                f"{lonely} single points above .30; host {1e3 * host_s:.1f} -> "
-                f"{1e3 * spent_s:.1f} ms",
-                end="",
-            )
-    benchmark.pedantic(lambda: None, rounds=1)
+        assert few <= slots
+        row(
+            "Refresh of `frame` against `points`",
+            {
+                "array": f"{name}, {primary.name}",
+                "frames": f"{kind} ({count})",
+                "points in slots": f"{slots / count:.1f} → {few / count:.1f}",
+                "Hz": f"{1e6 * count / busy_us:.0f} → {1e6 * count / short_us:.0f}",
+                "times (least)": f"{slots / few:.1f} ({min(each):.1f})",
+                "within 200 Hz": f"{1e6 * count / period_us:.0f} → {1e6 * count / least_us:.0f}",
+                "other": f"{other:.2f}",
+                "spill": f"{spill:.2f}",
+                "single points above .30": lonely,
+                "planned in, ms": f"{1e3 * host_s:.1f} → {1e3 * spent_s:.1f}",
+            },
+        )

@@ -44,11 +44,13 @@ class Recovery:
     covered: float
 
     @property
-    def line(self):
-        text = f"{self.trials:6.1f} {self.without:4d}"
-        for error in (self.fitted, self.own):
-            text += f"   {error.mean():+.3f} {error.std():.3f} ({len(error)})"
-        return text + f"   {self.covered:.2f}"
+    def cells(self):
+        cells = {"trials": f"{self.trials:.1f}", "without threshold": self.without}
+        for name, error in (("the fit", self.fitted), ("its own", self.own)):
+            cells[f"bias, SD of {name} (n)"] = (
+                f"{error.mean():+.3f}, {error.std():.3f} ({len(error)})"
+            )
+        return cells | {"95 % interval holds": f"{self.covered:.2f}"}
 
 
 def open_procedure(task, name, seed):

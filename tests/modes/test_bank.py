@@ -20,6 +20,7 @@ from smarttouch.modes.bank import (
     shipped_bank,
     write_bank,
 )
+from smarttouch.modes.batch import design_sites
 from smarttouch.modes.design import design_kernel
 from smarttouch.modes.problem import Problem
 from smarttouch.primary import Primary
@@ -182,10 +183,13 @@ def test_masked_electrodes_matter_to_kernels_their_order_not(profile, changed):
     assert problem_hash(one) == problem_hash(other) != problem_hash(profile)
 
 
-@pytest.mark.parametrize("name", ["smarttouch-4x4", "etactilekit-32", "line-7"])
-def test_a_bank_around_masked_electrodes(name, changed):
+@pytest.mark.parametrize(
+    ("name", "keys"),
+    [("smarttouch-4x4", {"array.rows": 2}), ("etactilekit-32", {}), ("line-7", {})],
+)
+def test_a_bank_around_masked_electrodes(name, keys, changed):
     masked = [1, 5]
-    mine = changed(load_profile(name), {"output.masked": masked})
+    mine = changed(load_profile(name), keys | {"output.masked": masked})
     bank, count = design_bank(mine), len(mine.electrodes)
     for primary, weights in bank.weights.items():
         assert weights.shape == bank.receptor[primary].shape == (count, count)
@@ -203,13 +207,16 @@ def test_a_bank_around_masked_electrodes(name, changed):
 
 def test_kernels_around_one_electrode_stay_selective(profile, bank, changed):
     """What is left makes up for it: RA loses a sixth at its neighbors, SAI next to nothing."""
-    replanned = design_bank(changed(profile, {"output.masked": [27]}))
-    near = [18, 19, 20, 26, 28, 34, 35, 36]
+    masked, near = changed(profile, {"output.masked": [27]}), [18, 19, 20, 26, 28, 34, 35, 36]
     for primary, loss in ((Primary.RA, 1.17), (Primary.SAI, 1.01)):
-        ratio = replanned.worst_other[primary][near] / bank.worst_other[primary][near]
+        kernels = [
+            kernel for kernel, _ in design_sites(Problem(masked, primary), design_kernel, near)
+        ]
+        other = np.array([kernel.worst_other for kernel in kernels])
+        ratio = other / bank.worst_other[primary][near]
         assert ratio.max() <= loss
         assert ratio.min() >= 1 - 1e-6, "fewer electrodes cannot do better"
-        assert replanned.own_spill[primary].max() <= 0.2 + 1e-5
+        assert max(kernel.own_spill for kernel in kernels) <= 0.2 + 1e-5
 
 
 def test_shipped_banks_lie_where_the_package_looks():

@@ -2,12 +2,18 @@
 
 import pytest
 
-from smarttouch.nerve.af_error import DEPTHS_MM, af_error_table
+from smarttouch.nerve import af_error
+
+# The shallowest, those of RA and SAI, and the deepest.
+DEPTHS_MM = (0.5, 0.7, 0.9, 2.0)
 
 
 @pytest.fixture(scope="module")
 def table(profile):
-    return {(row.fiber, row.polarity, row.depth_mm): row for row in af_error_table(profile)}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(af_error, "DEPTHS_MM", DEPTHS_MM)
+        rows = af_error.af_error_table(profile)
+    return {(row.fiber, row.polarity, row.depth_mm): row for row in rows}
 
 
 def test_one_threshold_gives_all_of_a_flat_fiber(table):
