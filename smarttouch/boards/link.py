@@ -15,8 +15,9 @@ from smarttouch.boards.link_protocol import Feature, Kind, Message, Refusal
 from smarttouch.boards.link_sequence import decode_volts, encode_sequence
 from smarttouch.boards.pairs import measure_in_pairs
 from smarttouch.boards.probe import probe_sequences
+from smarttouch.boards.recovery import start_anew
 from smarttouch.clock import LATE_NS
-from smarttouch.errors import BoardError, BoardStoppedError, LineLostError, OtherDeviceError
+from smarttouch.errors import BoardError, LineLostError, OtherDeviceError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
@@ -84,15 +85,11 @@ class LinkBoard(Board):
         # One that goes on would take the next HELLO for a stranger's.
         self._line.stop_blindly()
         self._line.close()
-        try:
-            port = reopen_port(self._line.name, RECOVER_S, self._identity, self._pause)
-            self._start(port, self.capabilities)
-        except BoardStoppedError:
-            raise
-        except OtherDeviceError as other:
-            raise BoardError(f"{lost}; {other}") from None
-        except BoardError:
-            raise lost from None
+        start_anew(self._start_again, lost)
+
+    def _start_again(self) -> None:
+        port = reopen_port(self._line.name, RECOVER_S, self._identity, self._pause)
+        self._start(port, self.capabilities)
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         self._number += 1

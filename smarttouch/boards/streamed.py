@@ -9,8 +9,9 @@ from typing import ClassVar
 
 from smarttouch.boards.board import Board, BoardReport
 from smarttouch.boards.books import HostBooks
+from smarttouch.boards.recovery import start_anew
 from smarttouch.clock import LATE_NS
-from smarttouch.errors import BoardError, BoardStoppedError, LineLostError, OtherDeviceError
+from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
@@ -130,15 +131,11 @@ class StreamedBoard(Board):
                 f"{lost}; USB tells no serial number of it and it cannot be asked who it is, so "
                 "nothing is sent to what comes back: check the cable, then start again"
             )
-        try:
-            port = reopen_port(self._port_name, RECOVER_S, self._identity, self._pause)
-            self._start(port, again=True)
-        except BoardStoppedError:
-            raise
-        except OtherDeviceError as other:
-            raise BoardError(f"{lost}; {other}") from None
-        except BoardError:
-            raise lost from None
+        start_anew(self._start_again, lost)
+
+    def _start_again(self) -> None:
+        port = reopen_port(self._port_name, RECOVER_S, self._identity, self._pause)
+        self._start(port, again=True)
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         data = self._encode(sequence)

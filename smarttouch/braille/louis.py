@@ -105,6 +105,9 @@ def has_table(table: str) -> bool:
     library = _library()
     if library is None or not table.isprintable() or len(table.encode()) > _LONGEST_NAME:
         return False
+    if not all(table.split(",")):
+        # For a name that is empty liblouis reads memory that is not its own.
+        return False
     with _lock:
         return bool(library.lou_checkTable(table.encode()))
 

@@ -156,9 +156,10 @@ def _draw_points(axes: Any, x: Array, judged: Judged, color: Any, marker: str, l
     share = k / n
     # Where hardly anything was asked an interval says nothing, and hides the rest.
     told = n >= _TOLD
-    reach = np.maximum([share - low, high - share], 0)
+    # Drawn as lists: Matplotlib 3.10 takes an array of one number for the number itself.
+    reach = np.maximum([share - low, high - share], 0)[:, told].tolist()
     axes.errorbar(
-        x[told], share[told], yerr=reach[:, told], fmt="none", ecolor=color, elinewidth=0.6,
+        x[told], share[told], yerr=reach, fmt="none", ecolor=color, elinewidth=0.6,
         alpha=0.4,
     )  # fmt: skip
     size = 8 + 2 * np.minimum(n, 10)
@@ -230,7 +231,10 @@ def _draw_bounded(
     x, (value, low, high) = table[0], table[1:4] / table[4] - 1
     bottom, top = axes.get_ylim()
     # What leaves the axes does so visibly, without a cap.
-    reach = (value - np.maximum(low, bottom - 1), np.minimum(high, top + 1) - value)
+    reach = [
+        (value - np.maximum(low, bottom - 1)).tolist(),
+        (np.minimum(high, top + 1) - value).tolist(),
+    ]
     fill = "white" if label is None else color
     axes.errorbar(
         x, value, yerr=reach, fmt=style, color=color, mfc=fill, capsize=2.5, ms=5, lw=1,

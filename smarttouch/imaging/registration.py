@@ -96,7 +96,7 @@ def _reduced_side(side: int, wanted: int) -> int:
 
 def _aperture_matrix(
     electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int]
-) -> csr_array[np.float32]:
+) -> "csr_array[np.float32]":
     rows, columns = shape
     width_mm, height_mm = (side / optics.magnification for side in electrodes.cell_mm)
     field_mm = _field_mm(electrodes, optics, finest=True)

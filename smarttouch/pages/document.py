@@ -227,7 +227,8 @@ class PdfDocument(Document):
         require_pixels(name, math.ceil(width * scale), math.ceil(height * scale))
         with contextlib.closing(sheet.render(scale=scale, grayscale=True)) as bitmap:
             # A copy: the bitmap's own memory goes with it.
-            return Page(np.array(bitmap.to_numpy(), np.uint8), mm_per_pixel)
+            grey = np.array(bitmap.to_numpy(), np.uint8).reshape(bitmap.height, bitmap.width)
+            return Page(grey, mm_per_pixel)
 
 
 def _is_pdf(path: Path) -> bool:

@@ -58,6 +58,11 @@ def open_camera(
     return LiveSensor(CameraSource(rest, size, exposure, fps), profile)
 
 
+OPENCV_LOG = cv2.utils.logging if hasattr(cv2.utils, "logging") else cv2
+"""Where OpenCV has its log's level: before 4.13 in the module itself."""
+SILENT = 0
+
+
 class _Quiet:
     """Silences OpenCV's log as long as any thread is inside: its level is one for all."""
 
@@ -69,15 +74,15 @@ class _Quiet:
     def __enter__(self) -> None:
         with self._lock:
             if not self._inside:
-                self._level = cv2.utils.logging.getLogLevel()
-                cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+                self._level = OPENCV_LOG.getLogLevel()
+                OPENCV_LOG.setLogLevel(SILENT)
             self._inside += 1
 
     def __exit__(self, *_: object) -> None:
         with self._lock:
             self._inside -= 1
             if not self._inside:
-                cv2.utils.logging.setLogLevel(self._level)
+                OPENCV_LOG.setLogLevel(self._level)
 
 
 QUIET_OPENCV = _Quiet()

@@ -8,7 +8,6 @@ import pytest
 
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.clock import SimulatedClock
-from smarttouch.controls import StopRequest
 from smarttouch.live import run
 from smarttouch.modes.problem import Problem
 from smarttouch.pipeline import Pipeline
@@ -20,6 +19,7 @@ from smarttouch.scan.recharge import RechargeRules
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.timing import ScanTiming
 from smarttouch.sensing import open_sensor
+from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 
 TEXT = "text:the quick brown fox"

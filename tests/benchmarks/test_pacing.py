@@ -53,7 +53,7 @@ def spread_us(spin_ns, seconds, monkeypatch):
     monkeypatch.setattr("smarttouch.boards.streamed.open_port", lambda name: port)
     monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
     clock, feeder = MonotonicClock(spin_ns), MonotonicClock()
-    monkeypatch.setattr("smarttouch.boards.kajimoto61.MonotonicClock", lambda: clock)
+    monkeypatch.setattr("smarttouch.boards.timely.MonotonicClock", lambda: clock)
     board = Kajimoto61Board("x", LIMITS)
     never = threading.Event()
     with board:

@@ -65,7 +65,7 @@ def test_one_may_become_many():
 
 @needs_liblouis
 @pytest.mark.parametrize(
-    "table", ["none.ctb", "", "a" * 5000, "two\nlines.ctb", "en-ueb-g1.ctb,no.x"]
+    "table", ["none.ctb", "", ",", "a" * 5000, "two\nlines.ctb", "en-ueb-g1.ctb,no.x"]
 )
 def test_no_such_table(table, capfd):
     with pytest.raises(BrailleError, match="there is no liblouis table"):

@@ -16,7 +16,7 @@ import pytest
 
 from smarttouch.errors import SensorError, SourceLostError
 from smarttouch.sensing import camera, capture, open_sensor
-from smarttouch.sensing.camera import QUIET_OPENCV, CameraSource, to_grey
+from smarttouch.sensing.camera import OPENCV_LOG, QUIET_OPENCV, SILENT, CameraSource, to_grey
 
 without_a_camera = pytest.mark.skipif(
     Path("/dev/video0").exists() or sys.platform == "darwin",
@@ -254,8 +254,8 @@ def test_a_missing_camera_is_one_sentence_and_nothing_else(profile, capfd, place
 
 
 def test_opencv_speaks_again_when_all_are_done():
-    level = cv2.utils.logging.getLogLevel()
-    assert level != cv2.utils.logging.LOG_LEVEL_SILENT
+    level = OPENCV_LOG.getLogLevel()
+    assert level != SILENT
     first, second = threading.Event(), threading.Event()
 
     def meanwhile():
@@ -267,10 +267,10 @@ def test_opencv_speaks_again_when_all_are_done():
     with QUIET_OPENCV:
         thread.start()
         first.wait(60)
-    assert cv2.utils.logging.getLogLevel() == cv2.utils.logging.LOG_LEVEL_SILENT
+    assert OPENCV_LOG.getLogLevel() == SILENT
     second.set()
     thread.join()
-    assert cv2.utils.logging.getLogLevel() == level
+    assert OPENCV_LOG.getLogLevel() == level
 
 
 @pytest.mark.parametrize(

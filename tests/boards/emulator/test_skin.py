@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from scipy.integrate import solve_ivp
+from scipy.integrate import solve_ivp, trapezoid
 
 from smarttouch.boards.emulator.skin import CAPACITANCE_F, PARALLEL_OHM, SERIES_OHM, Skin
 
@@ -138,8 +138,8 @@ def test_the_source_pays_for_what_is_stored_and_lost():
     amps, seconds, tau = 1e-3, 100e-6, PARALLEL_OHM * CAPACITANCE_F
     time = np.linspace(0, seconds, 20_001)
     volts = amps * PARALLEL_OHM * (1 - np.exp(-time / tau))
-    work = 2 * np.trapezoid(amps * (amps * SERIES_OHM + volts), time)
-    lost = 2 * np.trapezoid(amps**2 * SERIES_OHM + volts**2 / PARALLEL_OHM, time)
+    work = 2 * trapezoid(amps * (amps * SERIES_OHM + volts), time)
+    lost = 2 * trapezoid(amps**2 * SERIES_OHM + volts**2 / PARALLEL_OHM, time)
     stored = float((skin.residual_uc**2 / skin.capacitance_f).sum()) * 1e-12 / 2
     assert work == pytest.approx(lost + stored, rel=1e-6)
     assert delivered.source_v == pytest.approx(2 * (amps * SERIES_OHM + volts[-1]))

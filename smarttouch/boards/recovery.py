@@ -1,0 +1,39 @@
+"""Starting a lost board anew, at zero."""
+
+from collections.abc import Callable
+
+from smarttouch.errors import BoardError, BoardStoppedError, LineLostError, OtherDeviceError
+
+TIMES = 3
+
+
+def start_anew(start: Callable[[], None], lost: LineLostError) -> None:
+    """Start a board again whose line was lost, up to three times.
+
+    A computer that stands still once more meanwhile loses the line once more.
+
+    Parameters
+    ----------
+    start : callable
+        Waits for the port, and puts the board at zero.
+    lost : LineLostError
+        What went wrong first.
+
+    Raises
+    ------
+    BoardStoppedError
+        If someone stops it meanwhile.
+    BoardError
+        If it does not come back, or something else is in its place.
+    """
+    for left in reversed(range(TIMES)):
+        try:
+            return start()
+        except BoardStoppedError:
+            raise
+        except OtherDeviceError as other:
+            raise BoardError(f"{lost}; {other}") from None
+        except BoardError as again:
+            if not (left and isinstance(again, LineLostError)):
+                raise lost from None
+    return None
