@@ -20,6 +20,7 @@ from smarttouch.calibrate.session import (
 )
 from smarttouch.calibrate.stimulus import ceiling_ma, measuring_limits, slew_ma_s
 from smarttouch.calibrate.subject import SimulatedSubject
+from smarttouch.clock import SimulatedClock
 from smarttouch.errors import BoardRestartedError, CalibrationError, LineLostError
 from smarttouch.profile import load_profile, profile_names
 from smarttouch.scan.safety import SafetyLimits
@@ -28,6 +29,8 @@ from smarttouch.scan.safety import SafetyLimits
 @pytest.fixture
 def board(profile):
     with MemoryBoard("", measuring_limits(profile), profile.output) as opened:
+        # Nothing is late, however busy the machine is.
+        opened._clock = SimulatedClock()
         yield opened
 
 
