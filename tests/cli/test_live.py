@@ -78,10 +78,13 @@ def test_the_sample_page(program, tmp_path):
     assert_safe(figures)
     assert ink_agreement(tmp_path / "felt.png") > 0.5
     sequences = messages(tmp_path / "run.mcap", "/sequence")
-    assert len(sequences) == figures["frames"]
-    assert sum(sequence["slots"] for sequence in sequences) == figures["slots"]
+    # A busy machine may be late: what is dropped then is recorded too, without a number.
+    sent = [sequence for sequence in sequences if sequence["number"]]
+    assert len(sent) == figures["frames"]
+    assert len(sequences) == len(sent) + figures["dropped_late"] + figures["restarts"]
+    assert sum(sequence["slots"] for sequence in sent) == figures["slots"]
     for topic in ("/frame", "/finger", "/tactile", "/board"):
-        assert len(messages(tmp_path / "run.mcap", topic)) == figures["frames"]
+        assert len(messages(tmp_path / "run.mcap", topic)) == len(sequences)
 
 
 def test_a_photographed_page(program_here, tmp_path):
