@@ -4,7 +4,45 @@ import math
 
 
 class SmartTouchError(Exception):
-    """Base of every error this package raises on purpose."""
+    """Base of every error this package raises on purpose.
+
+    The message is for people; programs and tests go by the type and these attributes.
+
+    Parameters
+    ----------
+    message : str
+        One sentence: what is wrong, which number, what to do.
+    about : str
+        Name of what is wrong: a key of a profile, an option, a limit, a parameter, or "file",
+        "port", "board" and the like.
+    problem : str
+        Which of the things that can be wrong with it: "missing", "unknown", "too large" ….
+    value : object
+        What it is: a number, a name, a path.
+    allowed : object
+        What it may be: a number, or the names to choose from.
+    remedy : str
+        The key, option or command that mends it.
+    slot, electrode : int or None
+        Where, if it is of one.
+    """
+
+    def __init__(
+        self,
+        message: str = "",
+        *,
+        about: str = "",
+        problem: str = "",
+        value: object = None,
+        allowed: object = None,
+        remedy: str = "",
+        slot: int | None = None,
+        electrode: int | None = None,
+    ) -> None:
+        super().__init__(message)
+        self.about, self.problem = about, problem
+        self.value, self.allowed, self.remedy = value, allowed, remedy
+        self.slot, self.electrode = slot, electrode
 
 
 class ProfileError(SmartTouchError):
@@ -53,13 +91,14 @@ class SafetyError(SmartTouchError):
     Attributes
     ----------
     limit : str
-        Name of the limit.
+        Name of the limit: what the error is about.
     value, allowed : float
         What was asked for and what it may be, in the limit's unit; NaN where neither is a
         number.
-    slot, electrode : int or None
-        Where, if the limit is of one.
     """
+
+    value: float
+    allowed: float
 
     def __init__(
         self,
@@ -71,9 +110,13 @@ class SafetyError(SmartTouchError):
         slot: int | None = None,
         electrode: int | None = None,
     ) -> None:
-        super().__init__(message)
-        self.limit, self.value, self.allowed = limit, value, allowed
-        self.slot, self.electrode = slot, electrode
+        super().__init__(
+            message, about=limit, value=value, allowed=allowed, slot=slot, electrode=electrode
+        )
+
+    @property
+    def limit(self) -> str:
+        return self.about
 
 
 class BoardError(SmartTouchError):
