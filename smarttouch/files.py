@@ -25,10 +25,10 @@ MOST_DOCUMENT_BYTES = 2_000_000_000
 # Parsers take the square of a key's parts: 60 kB of "a.a.a" keep tomllib for 14 s.
 _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}""")
 _KINDS = (
-    (stat.S_ISFIFO, "a pipe"),
-    (stat.S_ISSOCK, "a socket"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
+    (stat.S_ISFIFO, "pipe"),
+    (stat.S_ISSOCK, "socket"),
+    (stat.S_ISCHR, "device"),
+    (stat.S_ISBLK, "device"),
 )
 
 
@@ -43,15 +43,16 @@ def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> N
     try:
         _check(path, path.stat(), error, most_bytes)
     except (FileNotFoundError, NotADirectoryError, ValueError):
-        raise error(f"no file {path}: check its name") from None
+        raise _wrong(error, "missing", path, f"no file {path}: check its name") from None
     except OSError as failure:
-        raise error(f"cannot read {path}: {failure.strerror}") from None
+        raise _unreadable(error, path, failure) from None
 
 
 def require_replaceable(path: Path, error: type[SmartTouchError]) -> None:
     """Raise if what a new file would replace is anything but a file: a device is not to go."""
     if path.exists() and not path.is_file():
-        raise error(f"cannot write {path}: it is no file; give another name")
+        message = f"cannot write {path}: it is no file; give another name"
+        raise _wrong(error, "no file", path, message)
 
 
 def open_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> BinaryIO:
@@ -78,7 +79,7 @@ def open_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> Bina
         number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
         file = os.fdopen(number, "rb")
     except OSError as failure:
-        raise error(f"cannot read {path}: {failure.strerror}") from None
+        raise _unreadable(error, path, failure) from None
     try:
         _check(path, os.fstat(number), error, most_bytes)
     except BaseException:
@@ -95,9 +96,9 @@ def read_bytes(
         with open_file(path, error, most_bytes) as file:
             data = file.read(most_bytes + 1)
     except OSError as failure:
-        raise error(f"cannot read {path}: {failure.strerror}") from None
+        raise _unreadable(error, path, failure) from None
     if len(data) > most_bytes:
-        raise error(_too_large(path, len(data), most_bytes))
+        raise _too_large(error, path, len(data), most_bytes)
     return data
 
 
@@ -106,9 +107,8 @@ def read_text(path: Path, error: type[SmartTouchError], most_bytes: int = MOST_T
     try:
         return read_bytes(path, error, most_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as failure:
-        raise error(
-            f"{path} is not a text in UTF-8 (byte {failure.start + 1}): save it as UTF-8"
-        ) from None
+        message = f"{path} is not a text in UTF-8 (byte {failure.start + 1}): save it as UTF-8"
+        raise _wrong(error, "not UTF-8", path, message) from None
 
 
 def parse_toml(text: str) -> dict[str, Any]:
@@ -166,10 +166,10 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
             fcntl.fcntl(file, fcntl.F_SETFL, fcntl.fcntl(file, fcntl.F_GETFL) & ~os.O_NONBLOCK)
             file.write(data)
     except ValueError:
-        raise error(f"cannot write {path}: no file has such a name") from None
+        message = f"cannot write {path}: no file has such a name"
+        raise _wrong(error, "unwritable", path, message) from None
     except OSError as failure:
-        reason = "nobody reads from it" if failure.errno == errno.ENXIO else failure.strerror
-        raise error(f"cannot write {path}: {reason}") from None
+        raise _unwritable(error, path, failure) from None
 
 
 def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None) -> BinaryIO:
@@ -196,15 +196,16 @@ def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None)
         try:
             file = os.fdopen(os.open(path, flags, 0o666), "r+b")
         except OSError as failure:
-            raise error(f"cannot write {of or path}: {failure.strerror}") from None
+            raise _unwritable(error, of or path, failure) from None
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             file.close()
-            raise error(
+            message = (
                 f"{of or path} is in use by another run: wait until that has ended, or give "
                 "another file"
-            ) from None
+            )
+            raise _wrong(error, "busy", of or path, message) from None
         except OSError:
             return file
         # Whoever had it may have removed it just now: that lock keeps nobody out.
@@ -227,13 +228,30 @@ def _check(
     path: Path, found: os.stat_result, error: type[SmartTouchError], most_bytes: int
 ) -> None:
     if stat.S_ISDIR(found.st_mode):
-        raise error(f"{path} is a folder: give a file")
+        raise _wrong(error, "folder", path, f"{path} is a folder: give a file")
     for is_kind, name in _KINDS:
         if is_kind(found.st_mode):
-            raise error(f"{path} is {name}: give a file")
+            message = f"{path} is a {name}: give a file"
+            raise _wrong(error, name, path, message)
     if found.st_size > most_bytes:
-        raise error(_too_large(path, found.st_size, most_bytes))
+        raise _too_large(error, path, found.st_size, most_bytes)
 
 
-def _too_large(path: Path, size: int, most_bytes: int) -> str:
-    return f"{path} has {size / 1e6:,.1f} MB, above the limit of {most_bytes / 1e6:,.0f} MB"
+def _wrong(error: type[SmartTouchError], problem: str, path: Path, message: str) -> SmartTouchError:
+    return error(message, about="file", problem=problem, value=path)
+
+
+def _unreadable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:
+    return _wrong(error, "unreadable", path, f"cannot read {path}: {failure.strerror}")
+
+
+def _unwritable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:
+    reason = "nobody reads from it" if failure.errno == errno.ENXIO else failure.strerror
+    return _wrong(error, "unwritable", path, f"cannot write {path}: {reason}")
+
+
+def _too_large(
+    error: type[SmartTouchError], path: Path, size: int, most_bytes: int
+) -> SmartTouchError:
+    message = f"{path} has {size / 1e6:,.1f} MB, above the limit of {most_bytes / 1e6:,.0f} MB"
+    return error(message, about="file", problem="too large", value=size, allowed=most_bytes)

@@ -27,6 +27,12 @@ def find_opener(
     if not colon or name not in known:
         kind = group.rpartition(".")[2].removesuffix("s")
         names = ", ".join(f"{each}:" for each in sorted(known))
-        raise error(f"unknown {kind} {url!r}: it must begin with one of {names}")
+        raise error(
+            f"unknown {kind} {url!r}: it must begin with one of {names}",
+            about=kind,
+            problem="unknown",
+            value=url,
+            allowed=tuple(sorted(known)),
+        )
     opener: Callable[..., Any] = known[name].load()
     return opener, rest
