@@ -1,5 +1,6 @@
 """The loop: one clock, absolute deadlines, and an orderly end whatever happens."""
 
+import contextlib
 import gc
 import math
 import time
@@ -20,6 +21,7 @@ from smarttouch.errors import (
     SequenceLateError,
 )
 from smarttouch.pipeline import Pipeline, Step
+from smarttouch.realtime import Pace, paced
 from smarttouch.regulator import Regulator
 from smarttouch.sensing.forces.force import ForceSource
 from smarttouch.sensing.frame import Frame, Sensor
@@ -131,7 +133,11 @@ def run(
     controls = controls or Controls(Wish(pipeline.mode))
     inputs = _Inputs(sensor, force, board, pipeline, controls, tally, tell)
     loop = _Loop(inputs, regulator or Regulator(), stop, observers, clock or board.clock)
-    loop.run(seconds)
+    with contextlib.nullcontext(Pace()) if board.waits_for_nothing else paced() as pace:
+        tally.real_time = pace.real_time
+        for note in pace.notes if board.on_a_finger else ():
+            tell(0, note)
+        loop.run(seconds)
     tell(loop.elapsed_ns, stop.reason or "the end of what the sensor sees")
 
 

@@ -53,6 +53,8 @@ class Tally:
     """Different frames read from the sensor."""
     felt: int = 0
     """Different frames of which a sequence was sent."""
+    real_time: bool = False
+    """Whether the loop's thread had real-time priority."""
     slots: int = 0
     slowed: int = 0
     """Sequences longer than the period asked for."""

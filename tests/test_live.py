@@ -1,6 +1,7 @@
 """The loop ends in order, whatever happens in it."""
 
 import threading
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from smarttouch.errors import BoardError, BoardRestartedError, LineLostError, Sa
 from smarttouch.live import run
 from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode
+from smarttouch.realtime import Pace
 from smarttouch.regulator import Regulator
 from smarttouch.scan.adaptation import Adaptation
 from smarttouch.scan.ledger import ChargeLedger
@@ -612,3 +614,29 @@ def test_on_a_finger_somebody_must_say_how_strong(monkeypatch, pipeline, board):
             controls=controls,
         )  # fmt: skip
     assert intensities(board) == [0] * 5
+
+
+@pytest.mark.parametrize(("on_a_finger", "waits_for_nothing"), [(0, 0), (1, 0), (1, 1)])
+def test_priority_is_for_boards_whose_time_passes(
+    pipeline, board, monkeypatch, on_a_finger, waits_for_nothing
+):
+    monkeypatch.setattr(type(board), "on_a_finger", bool(on_a_finger))
+    monkeypatch.setattr(type(board), "waits_for_nothing", bool(waits_for_nothing))
+    taken = []
+
+    @contextmanager
+    def paced():
+        taken.append("paced")
+        yield Pace()
+        taken.append("given back")
+
+    monkeypatch.setattr("smarttouch.live.paced", paced)
+    told, tally = [], Tally()
+    with board:
+        run(
+            Bars(3), pipeline, board, stop=StopRequest(), tally=tally, clock=FakeClock(),
+            controls=Controls(Wish(pipeline.mode)), tell=lambda _, words: told.append(words),
+        )  # fmt: skip
+    assert taken == ([] if waits_for_nothing else ["paced", "given back"])
+    assert not tally.real_time
+    assert (Pace().notes[0] in told) is bool(on_a_finger)

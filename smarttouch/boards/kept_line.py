@@ -13,6 +13,7 @@ from serial.urlhandler import protocol_socket
 
 from smarttouch.boards import keeper
 from smarttouch.errors import BoardError
+from smarttouch.realtime import prioritized
 from smarttouch.wire.port import LINE_ERRORS, Port, reason
 
 BEAT_S = 0.02
@@ -175,6 +176,7 @@ class KeptLine:
         with contextlib.suppress(*LINE_ERRORS):
             self._port.close()
 
+    @prioritized()
     def _beat(self) -> None:
         while not self._closing.wait(BEAT_S):
             try:

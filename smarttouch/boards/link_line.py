@@ -9,6 +9,7 @@ from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.link_protocol import Kind, Message
 from smarttouch.boards.link_session import ANSWERS, HostSession
 from smarttouch.errors import BoardError, BoardStoppedError, LineLostError
+from smarttouch.realtime import prioritized
 from smarttouch.wire.framing import Deframer
 from smarttouch.wire.port import LINE_ERRORS, Port, reason, write_before
 
@@ -278,6 +279,7 @@ class LinkLine:
         """Return a fault that is final."""
         return BoardError(f"the board at {self.name} {what}{self._aftermath()}")
 
+    @prioritized()
     def _read_all(self) -> None:
         silent_s, now = 0.0, self.now_s()
         while not self._closing.is_set():
@@ -312,6 +314,7 @@ class LinkLine:
                 self.news.notify_all()
         return taken
 
+    @prioritized()
     def _keep_alive(self) -> None:
         while not self._closing.wait(HEARTBEAT_S / 4):
             if self.fault is not None or self.overtaken:

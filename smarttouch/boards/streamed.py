@@ -13,6 +13,7 @@ from smarttouch.boards.recovery import start_anew
 from smarttouch.clock import LATE_NS
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
+from smarttouch.realtime import prioritized
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.scan.sequence import ScanSequence
 from smarttouch.wire.port import (
@@ -241,6 +242,7 @@ class StreamedBoard(Board):
 
     # -- the line ----------------------------------------------------------
 
+    @prioritized()
     def _run(self) -> None:
         try:
             self._serve()

@@ -45,6 +45,7 @@ def run_figures(
         "slowed_sequences": tally.slowed,
         "latency_us": tally.latency.figures(),
         "motion_to_bytes_us": tally.motion_to_bytes.figures(),
+        "real_time": tally.real_time,
         "period_error_us": tally.period_error.figures(),
         "work_us": tally.work.figures(),
         "work_share": tally.work_share,

@@ -24,6 +24,7 @@ from smarttouch.modes.bank import load_bank
 from smarttouch.pipeline import Pipeline
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2
+from smarttouch.realtime import Pace
 from smarttouch.scan.limits import rms_ma_cm2
 from smarttouch.scan.safety import SafetyLimits
 from smarttouch.sensing.forces.force import ForceSource
@@ -102,7 +103,7 @@ def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile
                 report = display.report()
             display.notes += [*regulator.notes(), *_refused_packets(display, report)]
             if plan.on_a_finger:
-                display.notes += _density(profile)
+                display.notes += [*_density(profile), *Pace(tally.real_time).notes]
             ended = stop.reason or source.ended
             for words in [_account(report), _dose(display), *_notes(source, force, display)]:
                 tell(int(tally.seconds * 1e9), words)

@@ -32,18 +32,16 @@ def row(benchmark, record_property):
 
 @pytest.fixture(scope="session")
 def hog():
-    """Return a context in which another process keeps one core busy, if wanted."""
+    """Return a context in which as many other processes only burn time."""
 
     @contextlib.contextmanager
-    def keep_busy(wanted=True):
-        if not wanted:
+    def keep_busy(processes=1):
+        command = [sys.executable, "-c", "while True: pass"]
+        with contextlib.ExitStack() as stack:
+            for _ in range(processes):
+                process = stack.enter_context(subprocess.Popen(command))
+                stack.callback(process.kill)
             yield
-            return
-        with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as process:
-            try:
-                yield
-            finally:
-                process.kill()
 
     return keep_busy
 

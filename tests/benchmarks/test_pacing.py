@@ -4,25 +4,34 @@ Run with::
 
     pytest tests/benchmarks/test_pacing.py --benchmark-only -n0
 
-One core is kept busy by another process; a feeder hands a sequence over every
-10 ms, as the loop does, and the intervals at which the driver writes are compared with
-10 ms. `seconds` of each way to wait, in turn.
+The loop and a driver of kajimoto61, as in a run: the times between two writes are compared with
+the period. At each rate and load, with and without real-time priority, and with priority but
+without spinning, in turn, five times over; the spread is that of the five.
 """
 
 import os
-import threading
 import time
 
 import numpy as np
 import pytest
 
+from smarttouch import realtime
 from smarttouch.boards.kajimoto61 import Kajimoto61Board
-from smarttouch.boards.probe import one_each
-from smarttouch.clock import SPIN_NS, MonotonicClock
+from smarttouch.clock import MonotonicClock
+from smarttouch.controls import Controls, Wish
+from smarttouch.live import run, settled
+from smarttouch.modes.bank import load_bank
+from smarttouch.pipeline import Pipeline
+from smarttouch.profile import load_profile
 from smarttouch.scan.safety import SafetyLimits
+from smarttouch.sensing.frame import Frame, Pose, Sensor
+from smarttouch.stopping import StopRequest
+from smarttouch.tally import Tally
 
-LIMITS = SafetyLimits(61, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
-PERIOD_NS = 10_000_000
+RATES_HZ = (50, 100, 200)
+LOADS = {"quiet": 0, "one core busy": 1, "all cores busy": os.cpu_count() or 1}
+WAITS = {"usual": (False, None), "real-time": (True, None), "real-time, no spin": (True, 0)}
+RUNS = 5
 
 
 class NotingPort:
@@ -47,52 +56,76 @@ class NotingPort:
     def close(self): ...
 
 
-def spread_us(spin_ns, seconds, monkeypatch):
-    """Return how far from 10 ms apart packets were, µs, how many, and how many were overtaken."""
+class Dot(Sensor):
+    """A black dot under the middle of the array."""
+
+    def __init__(self):
+        super().__init__("a dot")
+        self._image = np.full((64, 64), 220, np.uint8)
+        self._image[28:36, 28:36] = 20
+
+    def read(self, time_ns):
+        self.frames += 1
+        return Frame(self._image, time_ns, Pose(0, 0), 1.0, number=self.frames - 1)
+
+
+@pytest.fixture(scope="module")
+def kajimoto():
+    profile = load_profile("kajimoto-61")
+    return profile, load_bank(profile)
+
+
+def errors_us(kajimoto, rate_hz, seconds, spin_ns, monkeypatch):
+    """Return how far from a period the times between packets were, µs."""
+    profile, bank = kajimoto
     port = NotingPort()
     monkeypatch.setattr("smarttouch.boards.streamed.open_port", lambda name: port)
     monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
-    clock, feeder = MonotonicClock(spin_ns), MonotonicClock()
+    clock = MonotonicClock(spin_ns)
     monkeypatch.setattr("smarttouch.boards.timely.MonotonicClock", lambda: clock)
-    board = Kajimoto61Board("x", LIMITS)
-    never = threading.Event()
-    with board:
-        start = feeder.now_ns()
-        for step in range(int(seconds * 1e9 / PERIOD_NS)):
-            feeder.wait_until(start + step * PERIOD_NS, never)
-            part = min(1.0, step / 60)
-            board.send(
-                one_each(
-                    LIMITS, round(1000 * part), 50, part, step * PERIOD_NS,
-                    cathodic=False, sites=list(range(20)), discharge_us=150, period_us=10_000,
-                )
-            )  # fmt: skip
-        board.drain()
-    # Without the zeros at both ends. After a stall of the machine the grid moves once.
-    intervals = np.diff(np.array(port.times_ns[1:-1], np.float64))
-    return np.abs(intervals - PERIOD_NS) / 1000, len(intervals) + 1, board.replaced
+    pipeline = Pipeline(profile, bank, rate_hz=rate_hz)
+    board = Kajimoto61Board("x", SafetyLimits.of(profile), profile.output)
+    controls, tally = Controls(Wish(pipeline.mode)), Tally()
+    with settled(pipeline), board:
+        run(
+            Dot(), pipeline, board, stop=StopRequest(), tally=tally, seconds=seconds,
+            controls=controls,
+        )  # fmt: skip
+    assert tally.lowest_rate_hz == rate_hz
+    # Without the zeros at both ends.
+    return np.abs(np.diff(np.array(port.times_ns[1:-1], np.float64)) - 1e9 / rate_hz) / 1000
 
 
 @pytest.mark.timeout(0)
-def test_spread(row, quick, hog, monkeypatch):
-    seconds = 1.5 if quick else float(os.environ.get("SMARTTOUCH_PACING_SECONDS", "60"))
-    written = []
-    with hog():
-        for name, spin_ns in (("sleep", 0), ("sleep, then spin", SPIN_NS)):
-            off_us, packets, replaced = spread_us(spin_ns, seconds, monkeypatch)
-            p50, p99, most = np.percentile(off_us, (50, 99, 100))
+@pytest.mark.parametrize("load", LOADS)
+def test_period_errors(load, row, quick, hog, kajimoto, monkeypatch):
+    seconds = 1.0 if quick else float(os.environ.get("SMARTTOUCH_PACING_SECONDS", "5"))
+    for rate_hz in RATES_HZ[: 1 if quick else None]:
+        found, times = {name: [] for name in WAITS}, 1 if quick else RUNS
+        for _ in range(times):
+            for name, (prioritized, spin_ns) in WAITS.items():
+                with monkeypatch.context() as patch, hog(LOADS[load]):
+                    if not prioritized:
+                        patch.setattr(realtime, "_FIFO", None)
+                    off_us = errors_us(kajimoto, rate_hz, seconds, spin_ns, patch)
+                found[name].append([len(off_us), *np.percentile(off_us, (50, 99, 100))])
+        for name, runs in found.items():
+            packets, p50, p99, most = np.transpose(runs)
+            assert packets.min() > 0.5 * rate_hz * seconds
             row(
-                f"Off 10 ms between packets, {seconds:g} s each, one core busy",
+                f"Time between packets off its period, {times} runs of {seconds:g} s in turn, µs",
                 {
-                    "wait": name,
-                    "packets": packets,
-                    "replaced": replaced,
-                    "p50, µs": f"{p50:.0f}",
-                    "p99, µs": f"{p99:.0f}",
-                    "max, µs": f"{most:.0f}",
+                    "rate, Hz": rate_hz,
+                    "machine": load,
+                    "priority": name,
+                    "p50": _middle(p50),
+                    "p99": _middle(p99),
+                    "max": _middle(most),
+                    "packets": f"{packets.sum():.0f}",
                 },
             )
-            written.append(packets)
-    assert min(written) > 0
-    if not quick:
-        assert written[0] == pytest.approx(written[1], rel=0.2)
+
+
+def _middle(values):
+    """Median of the runs, and from least to most."""
+    return f"{np.median(values):.0f} ({values.min():.0f}–{values.max():.0f})"

@@ -1,0 +1,148 @@
+"""Real-time priority and locked memory, so that packets leave on time on a busy machine.
+
+Processes that only compute do not hold up a thread of real-time priority (``SCHED_FIFO``), and
+what is locked in memory is never waited for from a disk. Linux gives both to root, and to users
+whose limits ``rtprio`` and ``memlock`` allow it.
+"""
+
+import contextlib
+import ctypes
+import os
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Final
+
+LOOP: Final = 1
+"""Priority of the threads that pace and send: the lowest that goes before all usual ones."""
+
+_LOCK_NOW, _LOCK_LATER, _LOCK_TOUCHED = 1, 2, 4
+_FIFO: int | None = getattr(os, "SCHED_FIFO", None)
+_RESET: int = getattr(os, "SCHED_RESET_ON_FORK", 0)
+_LIMIT: int | None = getattr(resource, "RLIMIT_RTPRIO", None)
+
+
+@dataclass(frozen=True)
+class Pace:
+    """What the system gave a run.
+
+    Attributes
+    ----------
+    real_time : bool
+        Whether the thread has real-time priority.
+    locked : bool
+        Whether the process's memory stays where it is.
+    """
+
+    real_time: bool = False
+    locked: bool = False
+
+    @property
+    def notes(self) -> list[str]:
+        """One sentence on what is missing and how to allow it; none if nothing is."""
+        if self.real_time:
+            return []
+        if _FIFO is None:
+            return ["this system has no real-time priority: packets may be late while it is busy"]
+        return [
+            "without real-time priority packets may be some ms late while the machine is busy: to "
+            "allow it, write '* - rtprio 5' into /etc/security/limits.d/smarttouch.conf and log "
+            "in again"
+        ]
+
+
+@contextmanager
+def paced() -> Iterator[Pace]:
+    """Pace with this thread as long as the block runs: real-time priority and locked memory.
+
+    Both are given back at the end. Threads and processes that begin meanwhile have the usual
+    priority. Where the system does not allow one of them, the block runs without it.
+    """
+    with prioritized(LOOP) as real_time, _locked_memory() as locked:
+        yield Pace(real_time, locked)
+
+
+@contextmanager
+def prioritized(level: int = LOOP) -> Iterator[bool]:
+    """Give this thread real-time priority as long as the block runs, where that is allowed.
+
+    Parameters
+    ----------
+    level : int
+        1 to 99; the higher goes first.
+
+    Yields
+    ------
+    bool
+        Whether it has it.
+    """
+    before = _scheduling()
+    given = before is not None and _give(level)
+    try:
+        yield given
+    finally:
+        if given and before is not None:
+            policy, parameters = before
+            # Without this flag only root may set it: it stays, and says nothing of this thread.
+            os.sched_setscheduler(0, policy | _RESET, parameters)
+
+
+def is_prioritized() -> bool:
+    """Return whether the calling thread has real-time priority."""
+    return _FIFO is not None and os.sched_getscheduler(0) & ~_RESET == _FIFO
+
+
+def _scheduling() -> "tuple[int, os.sched_param] | None":
+    if _FIFO is None:
+        return None
+    return os.sched_getscheduler(0) & ~_RESET, os.sched_getparam(0)
+
+
+def _give(level: int) -> bool:
+    return _set(level) or (_raise_own_limit(level) and _set(level))
+
+
+def _set(level: int) -> bool:
+    assert _FIFO is not None
+    try:
+        os.sched_setscheduler(0, _FIFO | _RESET, os.sched_param(level))
+    except OSError:
+        return False
+    return True
+
+
+def _raise_own_limit(level: int) -> bool:
+    """Use what an administrator allows, where the session has not asked for it."""
+    if _LIMIT is None:
+        return False
+    soft, most = resource.getrlimit(_LIMIT)
+    if not soft < level <= most:
+        return False
+    with contextlib.suppress(OSError, ValueError):
+        resource.setrlimit(_LIMIT, (level, most))
+    return True
+
+
+@contextmanager
+def _locked_memory() -> Iterator[bool]:
+    """Keep in memory what is there, and what is used later as it is used.
+
+    Not where only a part may be locked: memory asked for later would be refused.
+    """
+    library = ctypes.CDLL(None, use_errno=True)
+    locked = (
+        hasattr(library, "mlockall")
+        and _may_lock_all()
+        and library.mlockall(_LOCK_NOW | _LOCK_LATER | _LOCK_TOUCHED) == 0
+    )
+    try:
+        yield locked
+    finally:
+        if locked:
+            library.munlockall()
+
+
+def _may_lock_all() -> bool:
+    unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
+    return unlimited or os.geteuid() == 0
