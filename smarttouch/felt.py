@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from smarttouch.documents.page_image import Page
 from smarttouch.files import write_bytes
+from smarttouch.kernels.bank import KernelBank
 from smarttouch.live import Sent
-from smarttouch.modes.bank import KernelBank
 from smarttouch.mosaic import Mosaic
-from smarttouch.pages.page_image import Page
 from smarttouch.perception import Perception
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
-from smarttouch.sensing.frame import Pose
+from smarttouch.sources.frame import Pose
 
 FINEST_MM = 0.1
 """Finest dot of the picture, on the page."""

@@ -23,8 +23,8 @@ from smarttouch.errors import (
 from smarttouch.pipeline import Pipeline, Step
 from smarttouch.realtime import Pace, paced
 from smarttouch.regulator import Regulator
-from smarttouch.sensing.forces.force import ForceSource
-from smarttouch.sensing.frame import Frame, Sensor
+from smarttouch.sources.forces.force import ForceSource
+from smarttouch.sources.frame import Frame, Sensor
 from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.documents.page_image import Page
 from smarttouch.errors import SmartTouchError
-from smarttouch.pages.page_image import Page
 from smarttouch.profile import Optics
-from smarttouch.sensing.frame import Frame
+from smarttouch.sources.frame import Frame
 
 PIXEL_MM = 0.1
 LARGEST_PIXELS = 40_000_000

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.modes.bank import KernelBank
+from smarttouch.kernels.bank import KernelBank
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 

@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 from smarttouch.errors import ScheduleError, SmartTouchError
 from smarttouch.imaging.mapping import TactileMapper, Tone
 from smarttouch.imaging.tactile_image import TactileImage
-from smarttouch.modes.bank import KernelBank
+from smarttouch.kernels.bank import KernelBank
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
-from smarttouch.scan.frames import NO_SHARING, Sharing
-from smarttouch.scan.intensity import SoftStart, force_gate
-from smarttouch.scan.schedule import PointScan
-from smarttouch.scan.sequence import ScanSequence
-from smarttouch.scan.timing import ScanTiming
-from smarttouch.sensing.frame import Frame, Pose, PulseRequest
+from smarttouch.sources.frame import Frame, Pose, PulseRequest
+from smarttouch.stimulation.frames import NO_SHARING, Sharing
+from smarttouch.stimulation.intensity import SoftStart, force_gate
+from smarttouch.stimulation.schedule import PointScan
+from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.timing import ScanTiming
 
 Measured = tuple[ScanSequence, NDArray[np.float32]]
 """A sequence that was delivered, and what its source needed in each slot, (S,) V."""

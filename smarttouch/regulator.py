@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 from smarttouch.boards.board import Board
 from smarttouch.pipeline import Step
-from smarttouch.scan.adaptation import Adaptation
-from smarttouch.scan.ledger import ChargeLedger
-from smarttouch.scan.recharge import RechargeRules, add_recharge
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.adaptation import Adaptation
+from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.recharge import RechargeRules, add_recharge
+from smarttouch.stimulation.sequence import ScanSequence
 
 _WAITING_UC = 0.02
 """What whole µA of the longest recharge phase may leave."""

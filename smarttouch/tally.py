@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from smarttouch.scan.sequence import Proof
-from smarttouch.sensing.frame import Frame
+from smarttouch.sources.frame import Frame
+from smarttouch.stimulation.sequence import Proof
 
 _PER_E = 100
 """Bins for each factor of e: a figure is true to half a percent."""

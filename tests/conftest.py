@@ -8,7 +8,7 @@ from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
 from smarttouch.profile import DEFAULT_PROFILE, load_profile
-from smarttouch.sensing.frame import Frame, Pose
+from smarttouch.sources.frame import Frame, Pose
 
 from .safety.watch import Watch
 
@@ -75,7 +75,7 @@ def profile():
 
 @pytest.fixture(scope="session")
 def bank(profile):
-    from smarttouch.modes.bank import load_bank
+    from smarttouch.kernels.bank import load_bank
 
     return load_bank(profile)
 
@@ -83,7 +83,7 @@ def bank(profile):
 @pytest.fixture(scope="session")
 def make_bank():
     """Return a maker of RA banks from weights and receptors alone, (E, E) each."""
-    from smarttouch.modes.bank import KernelBank
+    from smarttouch.kernels.bank import KernelBank
     from smarttouch.primary import Primary
 
     def make(weights, receptor):

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from smarttouch.documents.page_image import Page
 from smarttouch.errors import SmartTouchError
 from smarttouch.felt import FeltImage
 from smarttouch.live import Sent
-from smarttouch.pages.page_image import Page
 from smarttouch.pipeline import Step
 from smarttouch.primary import Mode, Primary
-from smarttouch.scan.sequence import ScanSequence
-from smarttouch.sensing.frame import Frame, Pose
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.stimulation.sequence import ScanSequence
 
 
 @pytest.fixture

@@ -17,11 +17,11 @@ from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode
 from smarttouch.realtime import Pace
 from smarttouch.regulator import Regulator
-from smarttouch.scan.adaptation import Adaptation
-from smarttouch.scan.ledger import ChargeLedger
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.sensing.forces.force import ForceSource
-from smarttouch.sensing.frame import Frame, Pose, Sensor
+from smarttouch.sources.forces.force import ForceSource
+from smarttouch.sources.frame import Frame, Pose, Sensor
+from smarttouch.stimulation.adaptation import Adaptation
+from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 

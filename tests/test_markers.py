@@ -13,8 +13,8 @@ from smarttouch.live import Sent, run
 from smarttouch.markers import FRAMES, PULSES, Markers
 from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.sensing.frame import Frame, Pose, Sensor
+from smarttouch.sources.frame import Frame, Pose, Sensor
+from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 

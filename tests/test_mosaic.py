@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smarttouch.documents.printed_text import print_text
 from smarttouch.errors import SmartTouchError
 from smarttouch.mosaic import Mosaic
-from smarttouch.pages.printed_text import print_text
-from smarttouch.sensing.frame import Frame, Pose
-from smarttouch.sensing.page import PageSensor
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.sources.page import PageSensor
 
 
 class Still:

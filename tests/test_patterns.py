@@ -13,8 +13,8 @@ from smarttouch.live import Sent
 from smarttouch.patterns import PatternFile
 from smarttouch.pipeline import Step
 from smarttouch.primary import Mode, Primary
-from smarttouch.scan.sequence import ScanSequence
-from smarttouch.sensing.frame import Frame, Pose
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.stimulation.sequence import ScanSequence
 
 
 def step(electrode, intensity=1.0, period_us=20_000):

@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 
 from smarttouch.boards.kajimoto61 import Kajimoto61Board
 from smarttouch.errors import ScheduleError
-from smarttouch.modes.bank import load_bank
+from smarttouch.kernels.bank import load_bank
 from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
-from smarttouch.scan.safety import SafetyGate, SafetyLimits
-from smarttouch.scan.timing import ScanTiming
-from smarttouch.sensing.frame import Frame, Pose
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
+from smarttouch.stimulation.timing import ScanTiming
 
 
 def test_a_bar_fires_the_electrodes_over_it(profile, bank, make_frame, patch):

@@ -9,11 +9,11 @@ from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode
 from smarttouch.regulator import Regulator
-from smarttouch.scan.adaptation import Adaptation
-from smarttouch.scan.ledger import ChargeLedger
-from smarttouch.scan.recharge import RechargeRules
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.timing import ScanTiming
+from smarttouch.stimulation.adaptation import Adaptation
+from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.recharge import RechargeRules
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.timing import ScanTiming
 
 
 class Told:

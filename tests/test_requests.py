@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from smarttouch.boards.board import make_board
 from smarttouch.errors import BoardError, SafetyError, ScheduleError
-from smarttouch.modes.bank import load_bank
+from smarttouch.kernels.bank import load_bank
 from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
-from smarttouch.scan.points import felt_at
-from smarttouch.scan.safety import SafetyGate, SafetyLimits
-from smarttouch.sensing.frame import Frame, Pose, PulseRequest
+from smarttouch.sources.frame import Frame, Pose, PulseRequest
+from smarttouch.stimulation.points import felt_at
+from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 
 FULL_N = 0.9
 BLANK = np.full((64, 64), 255, np.uint8)

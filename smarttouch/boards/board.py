@@ -16,10 +16,10 @@ from smarttouch.errors import BoardError, BoardRestartedError, LineLostError, Se
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.profile.device import Output
 from smarttouch.registry import find_opener
-from smarttouch.scan.exposure import Dose
-from smarttouch.scan.safety import Now, SafetyGate, SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
-from smarttouch.scan.timing import ScanTiming
+from smarttouch.stimulation.exposure import Dose
+from smarttouch.stimulation.safety import Now, SafetyGate, SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.timing import ScanTiming
 
 __all__ = [
     "BOTH",

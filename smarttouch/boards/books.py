@@ -3,8 +3,8 @@
 import numpy as np
 
 from smarttouch.boards.board import BoardReport
-from smarttouch.scan.ledger import ChargeLedger
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.sequence import ScanSequence
 
 
 class HostBooks:

@@ -32,9 +32,9 @@ from smarttouch.boards.scan_lock import ScanLock
 from smarttouch.boards.streamed import Job
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
-from smarttouch.scan.timing import ScanTiming
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.timing import ScanTiming
 
 NEWEST_ZERO_MS = 520.0
 """The newest firmware takes its host for lost after 500 ms; then the scan ends."""

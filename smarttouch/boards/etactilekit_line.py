@@ -23,7 +23,7 @@ from smarttouch.boards.kept_board import KeptBoard
 from smarttouch.boards.scan_lock import Span
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.wire.port import open_port
 
 FIRMWARES = ("936c6c0", "71adee2", "newest")

@@ -21,7 +21,7 @@ from smarttouch.boards.scan_lock import WIDEST, ScanLock, Span
 from smarttouch.boards.single_source import one_against_all
 from smarttouch.boards.streamed import Job
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyLimits
 
 LOW, HIGH = 4, 12
 """Readings below the one had no pulse, from the other on they had: .3 and 1 V."""

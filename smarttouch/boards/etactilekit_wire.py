@@ -34,8 +34,8 @@ from numpy.typing import NDArray
 from smarttouch.boards.scale import Scale
 from smarttouch.boards.single_source import one_against_all
 from smarttouch.errors import BoardError
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 
 UA_PER_COUNT = 9.99
 """Nominal; its firmware does not cap 4095 counts, which are 41 mA."""

@@ -13,9 +13,9 @@ from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.impedance import Impedance
 from smarttouch.boards.vibrators import VibratorBoard
 from smarttouch.errors import BoardRestartedError
-from smarttouch.scan.safety import Now
-from smarttouch.scan.sequence import ScanSequence
-from smarttouch.scan.timing import ScanTiming
+from smarttouch.stimulation.safety import Now
+from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.timing import ScanTiming
 
 
 def _electric(name: str) -> Any:

@@ -32,9 +32,9 @@ from smarttouch.boards.single_source import one_against_all
 from smarttouch.boards.streamed import Job, StreamedBoard
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
-from smarttouch.scan.timing import ScanTiming
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.timing import ScanTiming
 
 ELECTRODES = 61
 STIMULATE, MEASURE = 0xFF, 0xFE

@@ -19,8 +19,8 @@ from smarttouch.boards.recovery import start_anew
 from smarttouch.clock import LATE_NS
 from smarttouch.errors import BoardError, LineLostError, OtherDeviceError
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.port import Port, UsbIdentity, identity_of, open_port, reopen_port
 
 RECOVER_S = 3.0

@@ -6,8 +6,8 @@ from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.books import HostBooks
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 
 
 class MemoryBoard(Board):

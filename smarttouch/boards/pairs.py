@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from smarttouch.boards.impedance import SATURATED, Impedance, classify
 from smarttouch.boards.probe import one_pair_each
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 
 MOST_REFERENCES = 16
 """Tried before all are taken for open; far apart, as a finger may touch in part."""

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 
 PROBE_MA = 0.5
 PROBE_US = 50

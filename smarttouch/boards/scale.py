@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import BoardError
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyLimits
 
 BAND = 0.3
 """Of the nominal scale, up and down."""

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import BoardError
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.sequence import ScanSequence
 
 
 def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[np.int64]]:

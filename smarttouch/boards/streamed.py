@@ -14,8 +14,8 @@ from smarttouch.clock import LATE_NS
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.realtime import prioritized
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.port import (
     LINE_ERRORS,
     Port,

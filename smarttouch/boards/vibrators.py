@@ -16,8 +16,8 @@ from smarttouch.boards.waveform import PC_HZ, Waveform, vibrator_of
 from smarttouch.electrodes import ElectrodeArray
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 
 WAV_HZ, AUDIO_HZ = 8000, 48_000
 """Samples in a second, if not given."""

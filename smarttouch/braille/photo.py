@@ -12,8 +12,8 @@ from smarttouch.braille.cells import BLANK
 from smarttouch.braille.lattice import cell_lines
 from smarttouch.braille.search import find_view, look_closer, octaves, shows_both_sides
 from smarttouch.braille.view import View
+from smarttouch.documents.page_image import Page
 from smarttouch.errors import PageError
-from smarttouch.pages.page_image import Page
 
 WORKING_SIDE_PX = 2400
 """Of the longer side; finer photographs are made smaller. A page is some 110 dot pitches high."""

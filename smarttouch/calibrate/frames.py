@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import CalibrationError
 from smarttouch.profile import Profile
-from smarttouch.sensing.frame import Sensor
+from smarttouch.sources.frame import Sensor
 
 Images = list[NDArray[np.uint8]]
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import CalibrationError
-from smarttouch.sensing.flat_field import FlatField, mean_image
+from smarttouch.sources.flat_field import FlatField, mean_image
 
 Images = Sequence[NDArray[np.uint8]]
 

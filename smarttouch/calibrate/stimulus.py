@@ -7,7 +7,7 @@ from smarttouch.boards.board import Board
 from smarttouch.boards.probe import one_each
 from smarttouch.calibrate.limits import TICK_S
 from smarttouch.profile import Profile
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyLimits
 
 _SPARE_TIMES = 3
 """Repetitions beyond a step, so that pulses do not pause between two."""

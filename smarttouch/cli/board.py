@@ -234,7 +234,7 @@ def emulate(
 def _driver(url: str, profile: str | None) -> tuple["Profile", "Board"]:
     from smarttouch.boards.board import make_board, usual_profile
     from smarttouch.profile import load_profile
-    from smarttouch.scan.safety import SafetyLimits
+    from smarttouch.stimulation.safety import SafetyLimits
 
     chosen = load_profile(profile or usual_profile(url))
     return chosen, make_board(url, SafetyLimits.of(chosen), chosen.output)

@@ -107,7 +107,7 @@ def registration(
     from smarttouch.cli.calibrate_steps import ask, images_of
     from smarttouch.errors import CalibrationError
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
-    from smarttouch.sensing.flat_field import mean_image
+    from smarttouch.sources.flat_field import mean_image
 
     if center not in ("target", "image"):
         raise CalibrationError(f"--center {center!r} is not offered: choose target or image")
@@ -264,7 +264,7 @@ def contact(
     from smarttouch.boards.board import make_board, usual_profile
     from smarttouch.calibrate.contact import judge_contact
     from smarttouch.calibrate.tables import show_contact
-    from smarttouch.scan.safety import SafetyLimits
+    from smarttouch.stimulation.safety import SafetyLimits
 
     file = _profile_file(profile or usual_profile(board), output, overwrite)
     chosen = file.profile

@@ -32,7 +32,7 @@ def ask(what: str, yes: bool) -> None:
 def images_of(url: str, profile: Profile, count: int, *, corrected: bool) -> Images:
     """Return the next images of a sensor; with the profile's flat field, or without."""
     from smarttouch.calibrate.frames import collect_images, uncorrected
-    from smarttouch.sensing import open_sensor
+    from smarttouch.sources import open_sensor
 
     # What lies in files need not be waited for.
     unpaced = True if url.startswith(("frames:", "video:")) else None
@@ -56,7 +56,7 @@ def weigh_all(
     url: str, listed: Sequence[float] | None, seconds: float, yes: bool
 ) -> list[Weighing]:
     """Weigh what someone lays on a load cell: what is listed, or what is asked for."""
-    from smarttouch.sensing.forces.load_cell import open_cell
+    from smarttouch.sources.forces.load_cell import open_cell
 
     found = []
     with open_cell(url) as cell:

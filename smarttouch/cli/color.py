@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from smarttouch.color.mix import Mixture
-    from smarttouch.color.sensor import ColorSensor
-    from smarttouch.color.split import Answer
-    from smarttouch.color.trace import Trace
     from smarttouch.primary import Primary
     from smarttouch.profile import Profile
+    from smarttouch.vibrotactile.mix import Mixture
+    from smarttouch.vibrotactile.sensor import ColorSensor
+    from smarttouch.vibrotactile.split import Answer
+    from smarttouch.vibrotactile.trace import Trace
 
     Answers = dict[Primary, Answer]
 
@@ -95,23 +95,23 @@ def color(
     from smarttouch.cli.plan import Plan
     from smarttouch.cli.progress import bank_progress
     from smarttouch.cli.session import play
-    from smarttouch.color.mix import mix
-    from smarttouch.color.price import pacinian_price
-    from smarttouch.color.report import as_figures, notes
-    from smarttouch.color.sensor import ColorSensor
-    from smarttouch.color.spec import is_spec, open_trace
-    from smarttouch.color.split import split
-    from smarttouch.modes.bank import load_bank
+    from smarttouch.kernels.bank import load_bank
     from smarttouch.primary import Primary
     from smarttouch.profile import load_profile
     from smarttouch.reading.window import press_n
-    from smarttouch.scan.safety import SafetyLimits
-    from smarttouch.sensing.forces.force import open_force
+    from smarttouch.sources.forces.force import open_force
+    from smarttouch.stimulation.safety import SafetyLimits
+    from smarttouch.vibrotactile.mix import mix
+    from smarttouch.vibrotactile.price import pacinian_price
+    from smarttouch.vibrotactile.report import as_figures, notes
+    from smarttouch.vibrotactile.sensor import ColorSensor
+    from smarttouch.vibrotactile.spec import is_spec, open_trace
+    from smarttouch.vibrotactile.split import split
 
     for output in (plot, json_file):
         require_folder(output)
     if plot is not None:
-        from smarttouch.figures import style
+        from smarttouch.plotting import style
 
         style.require_drawable(plot)
     trace = open_trace(source, 2.0 if seconds is None else seconds, seed)
@@ -168,8 +168,8 @@ def color(
 def _places(
     profile: "Profile", sites: str | None, radius_mm: float | None
 ) -> "NDArray[np.intp] | list[int]":
-    from smarttouch.color.sites import disc
     from smarttouch.errors import SmartTouchError
+    from smarttouch.vibrotactile.sites import disc
 
     if sites is not None and radius_mm is not None:
         raise SmartTouchError("--sites and --radius-mm both say what pulses: give one of them")
@@ -202,8 +202,8 @@ def _add(path: Path, figures: dict[str, object]) -> None:
 def _draw(path: Path, trace: "Trace", answers: "Answers", mixture: "Mixture | None" = None) -> None:
     import numpy as np
 
-    from smarttouch.figures.colors import ClassRow, color_figure
-    from smarttouch.figures.style import save
+    from smarttouch.plotting.colors import ClassRow, color_figure
+    from smarttouch.plotting.style import save
     from smarttouch.primary import Primary
 
     rows = {}
@@ -222,7 +222,7 @@ def _draw(path: Path, trace: "Trace", answers: "Answers", mixture: "Mixture | No
 
 
 def _print_answers(source: str, answers: "Answers") -> None:
-    from smarttouch.color.report import answered
+    from smarttouch.vibrotactile.report import answered
 
     _print_table(
         source,
@@ -245,7 +245,7 @@ def _print_answers(source: str, answers: "Answers") -> None:
 def _print_mixture(
     source: str, answers: "Answers", mixture: "Mixture", sensor: "ColorSensor"
 ) -> None:
-    from smarttouch.color.report import answered, sent_out
+    from smarttouch.vibrotactile.report import answered, sent_out
 
     sent = sent_out(mixture, sensor)
     rows = []

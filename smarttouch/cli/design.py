@@ -8,8 +8,8 @@ import typer
 
 if TYPE_CHECKING:
     from smarttouch.cli.kernels import Shown
-    from smarttouch.modes.bank import KernelBank
-    from smarttouch.modes.problem import Kernel
+    from smarttouch.kernels.bank import KernelBank
+    from smarttouch.kernels.problem import Kernel
     from smarttouch.primary import Primary
     from smarttouch.profile import Profile
 
@@ -53,8 +53,8 @@ def design(
     from smarttouch.cli.files import parse_primary, require_folder, require_site, write_json
     from smarttouch.cli.progress import bank_progress
     from smarttouch.errors import DesignError, SmartTouchError
-    from smarttouch.modes.bank import find_bank, load_bank, make_bank
-    from smarttouch.modes.switching import possible_modes
+    from smarttouch.kernels.bank import find_bank, load_bank, make_bank
+    from smarttouch.kernels.switching import possible_modes
     from smarttouch.profile import load_profile
 
     primary = None if mode is None else parse_primary(mode)
@@ -117,7 +117,7 @@ def _from_bank(
     sites: Sequence[int],
 ) -> list["Shown"]:
     from smarttouch.cli.kernels import Shown
-    from smarttouch.modes.switching import kind_of
+    from smarttouch.kernels.switching import kind_of
 
     kind = kind_of(profile)
     return [
@@ -136,10 +136,10 @@ def _designed(
     progress: Any,
 ) -> list["Shown"]:
     from smarttouch.cli.kernels import Shown
-    from smarttouch.modes.batch import design_sites
-    from smarttouch.modes.design import design_any_node, design_kernel
-    from smarttouch.modes.problem import Problem
-    from smarttouch.modes.switching import design_three_state, designer
+    from smarttouch.kernels.batch import design_sites
+    from smarttouch.kernels.design import design_any_node, design_kernel
+    from smarttouch.kernels.problem import Problem
+    from smarttouch.kernels.switching import design_three_state, designer
 
     design_one = {
         None: designer(profile),
@@ -163,7 +163,7 @@ def _compared(
     profile: "Profile", modes: Sequence["Primary"], sites: Sequence[int], progress: Any
 ) -> list["Shown"]:
     from smarttouch.cli.kernels import Shown
-    from smarttouch.modes.comparison import compare
+    from smarttouch.kernels.comparison import compare
 
     shown = []
     for index, mode in enumerate(modes):
@@ -181,8 +181,8 @@ def _compared(
 def _plot(profile: "Profile", shown: Sequence["Shown"], path: Path) -> None:
     import numpy as np
 
-    from smarttouch.figures.kernels import kernel_figure
-    from smarttouch.figures.style import save
+    from smarttouch.plotting.kernels import kernel_figure
+    from smarttouch.plotting.style import save
 
     sites = sorted({each.site for each in shown})
     away = np.linalg.norm(profile.electrodes.position_mm[sites], axis=1)

@@ -38,7 +38,7 @@ _Output = Annotated[
 @experiment.command("list")
 def list_all() -> None:
     """Show which experiments there are."""
-    from smarttouch.experiments.catalog import CATALOG
+    from smarttouch.psychophysics.catalog import CATALOG
 
     for name, entry in CATALOG.items():
         typer.echo(f"{name:13} {entry.about} [{', '.join(entry.methods)}]")
@@ -124,13 +124,13 @@ def run(
     )
     from smarttouch.cli.files import parse_choice, parse_primary
     from smarttouch.cli.plan import Plan
-    from smarttouch.experiments.catalog import Wanted, design
-    from smarttouch.experiments.course import Course
-    from smarttouch.experiments.rows import About, RowFile
-    from smarttouch.experiments.session import Session
     from smarttouch.primary import Mode
     from smarttouch.profile import load_profile
-    from smarttouch.sensing.forces.force import open_force
+    from smarttouch.psychophysics.catalog import Wanted, design
+    from smarttouch.psychophysics.course import Course
+    from smarttouch.psychophysics.rows import About, RowFile
+    from smarttouch.psychophysics.session import Session
+    from smarttouch.sources.forces.force import open_force
 
     if simulate is not None:
         simulate = parse_choice("--simulate", simulate, ("model", "random", "first", "silent"))

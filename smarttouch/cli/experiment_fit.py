@@ -12,9 +12,9 @@ from smarttouch.cli.options import JsonOption, QuietOption
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from smarttouch.experiments.fitting.psychometric import Guess
-    from smarttouch.experiments.fitting.table import Table
-    from smarttouch.experiments.fitting.verdict import Finding
+    from smarttouch.psychophysics.fitting.psychometric import Guess
+    from smarttouch.psychophysics.fitting.table import Table
+    from smarttouch.psychophysics.fitting.verdict import Finding
 
 
 def fit(
@@ -72,14 +72,14 @@ def fit(
 
     from smarttouch.cli.files import parse_choice, require_folder, write_json
     from smarttouch.errors import ExperimentError
-    from smarttouch.experiments.fitting.answers import usual_model
-    from smarttouch.experiments.fitting.fit import How
-    from smarttouch.experiments.fitting.psychometric import Shape
-    from smarttouch.experiments.fitting.report import as_figures, as_series
-    from smarttouch.experiments.fitting.table import read_table
-    from smarttouch.experiments.fitting.verdict import judge
-    from smarttouch.figures import style
-    from smarttouch.figures.discrimination import discrimination_figure
+    from smarttouch.plotting import style
+    from smarttouch.plotting.discrimination import discrimination_figure
+    from smarttouch.psychophysics.fitting.answers import usual_model
+    from smarttouch.psychophysics.fitting.fit import How
+    from smarttouch.psychophysics.fitting.psychometric import Shape
+    from smarttouch.psychophysics.fitting.report import as_figures, as_series
+    from smarttouch.psychophysics.fitting.table import read_table
+    from smarttouch.psychophysics.fitting.verdict import judge
 
     require_folder(json_file)
     require_folder(plot)
@@ -142,7 +142,7 @@ def _print(found: Sequence[tuple["Table", list["Finding"]]]) -> None:
 def _print_thresholds(console: "Console", findings: list["Finding"], compares: bool) -> None:
     from rich.table import Table as Shown
 
-    from smarttouch.experiments.fitting.report import in_percent, in_words
+    from smarttouch.psychophysics.fitting.report import in_percent, in_words
 
     if not findings:
         return

@@ -17,20 +17,20 @@ from smarttouch.cli.progress import bank_progress
 from smarttouch.cli.session import play
 from smarttouch.clock import MonotonicClock
 from smarttouch.errors import ExperimentError, SmartTouchError
-from smarttouch.experiments.catalog import Design
-from smarttouch.experiments.course import Course
-from smarttouch.experiments.free import FreeLog, FreeSensor, HandControls, up_to_the_ceiling
-from smarttouch.experiments.sensor import ExperimentSensor
-from smarttouch.experiments.session import Session
-from smarttouch.experiments.subject import Subject, make_observer
-from smarttouch.experiments.summary import summarize
+from smarttouch.kernels.bank import load_bank
 from smarttouch.live import Sent
-from smarttouch.modes.bank import load_bank
-from smarttouch.mouse.motion import open_motion
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
+from smarttouch.psychophysics.catalog import Design
+from smarttouch.psychophysics.course import Course
+from smarttouch.psychophysics.free import FreeLog, FreeSensor, HandControls, up_to_the_ceiling
+from smarttouch.psychophysics.sensor import ExperimentSensor
+from smarttouch.psychophysics.session import Session
+from smarttouch.psychophysics.subject import Subject, make_observer
+from smarttouch.psychophysics.summary import summarize
 from smarttouch.reading.window import press_n
-from smarttouch.sensing.forces.force import ForceSource, open_force
+from smarttouch.sources.forces.force import ForceSource, open_force
+from smarttouch.texture.motion import open_motion
 
 _SIMULATED = "simulated:"
 

@@ -14,7 +14,7 @@ from smarttouch.files import write_bytes
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from smarttouch.nerve.af_error import AfError
+    from smarttouch.physiology.af_error import AfError
 
 
 def figures(
@@ -33,10 +33,10 @@ def figures(
     from smarttouch.cli.files import require_site
     from smarttouch.cli.progress import bank_progress
     from smarttouch.errors import SmartTouchError
-    from smarttouch.figures import colors, fibers, frames, kernels, paper, style
-    from smarttouch.modes.bank import load_bank
-    from smarttouch.modes.switching import kind_of
-    from smarttouch.nerve.af_error import af_error_table
+    from smarttouch.kernels.bank import load_bank
+    from smarttouch.kernels.switching import kind_of
+    from smarttouch.physiology.af_error import af_error_table
+    from smarttouch.plotting import colors, fibers, frames, kernels, paper, style
     from smarttouch.profile import load_profile
 
     if kind not in style.FORMATS:

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from smarttouch.boards.board import Board
 from smarttouch.cli.plan import Plan
+from smarttouch.kernels.bank import KernelBank
 from smarttouch.live import Sent, Tell
-from smarttouch.modes.bank import KernelBank
 from smarttouch.profile import Profile
-from smarttouch.sensing.frame import Sensor
+from smarttouch.sources.frame import Sensor
 from smarttouch.stopping import ENDS_WITHIN_S
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from smarttouch import terminal
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from smarttouch.modes.problem import Kernel
+    from smarttouch.kernels.problem import Kernel
     from smarttouch.primary import Primary
     from smarttouch.profile import Profile
 

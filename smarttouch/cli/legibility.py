@@ -63,7 +63,7 @@ def legibility(
     )
     from smarttouch.cli.progress import bank_progress
     from smarttouch.cli.sharing import parse_scan
-    from smarttouch.modes.bank import load_bank
+    from smarttouch.kernels.bank import load_bank
     from smarttouch.profile import load_profile
     from smarttouch.reading.braille import Braille, Presentation
     from smarttouch.reading.deliver import Reading

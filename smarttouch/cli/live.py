@@ -109,8 +109,8 @@ def live(
     from smarttouch.cli.sharing import parse_scan
     from smarttouch.profile import load_profile
     from smarttouch.resources import data_folder
-    from smarttouch.sensing import open_sensor
-    from smarttouch.sensing.forces.force import open_force
+    from smarttouch.sources import open_sensor
+    from smarttouch.sources.forces.force import open_force
 
     chosen = load_profile(profile or usual_profile(board))
     plan = Plan(

@@ -98,13 +98,13 @@ def mouse(
     from smarttouch.cli.files import parse_mode
     from smarttouch.cli.plan import Plan
     from smarttouch.cli.session import play
-    from smarttouch.mouse.motion import open_motion
-    from smarttouch.mouse.sensor import MouseSensor
-    from smarttouch.mouse.sweep_motion import strokes_over
-    from smarttouch.mouse.textures import open_texture
     from smarttouch.profile import load_profile
     from smarttouch.reading.window import press_n, profile_for_reading
-    from smarttouch.sensing.forces.force import open_force
+    from smarttouch.sources.forces.force import open_force
+    from smarttouch.texture.motion import open_motion
+    from smarttouch.texture.sensor import MouseSensor
+    from smarttouch.texture.sweep_motion import strokes_over
+    from smarttouch.texture.textures import open_texture
 
     own = load_profile(profile or usual_profile(board))
     chosen = profile_for_reading(own)

@@ -12,7 +12,7 @@ from smarttouch.errors import SmartTouchError
 from smarttouch.imaging.mapping import Tone
 from smarttouch.live import Sent
 from smarttouch.primary import Mode
-from smarttouch.scan.frames import NO_SHARING, Sharing
+from smarttouch.stimulation.frames import NO_SHARING, Sharing
 
 _TELL_ALL = ("emulator:", "simulated:")
 """Boards that report every pulse."""

@@ -120,8 +120,8 @@ def read(
     from smarttouch.reading.shapes import Shapes, Style
     from smarttouch.reading.source import Source
     from smarttouch.reading.window import press_n, profile_for_reading
-    from smarttouch.sensing import open_sensor
-    from smarttouch.sensing.forces.force import open_force
+    from smarttouch.sources import open_sensor
+    from smarttouch.sources.forces.force import open_force
 
     board = board or ("emulator:" if frames is None else "simulated:")
     own = load_profile(profile or usual_profile(board))

@@ -6,9 +6,9 @@ from smarttouch.boards.board import Board
 from smarttouch.errors import BoardError, SmartTouchError
 from smarttouch.profile import Profile
 from smarttouch.regulator import Regulator
-from smarttouch.scan.adaptation import Adaptation
-from smarttouch.scan.ledger import ChargeLedger
-from smarttouch.scan.recharge import RechargeRules
+from smarttouch.stimulation.adaptation import Adaptation
+from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.recharge import RechargeRules
 
 
 def masked_where_broken(board: Board, profile: Profile, quiet: bool) -> Profile:

@@ -61,8 +61,8 @@ def replay(
     from smarttouch.cli.session import play
     from smarttouch.recording.controls import RecordedControls
     from smarttouch.recording.sensor import RecordingSensor
-    from smarttouch.scan.frames import NO_SHARING, why_not
-    from smarttouch.sensing.forces.force import open_force
+    from smarttouch.sources.forces.force import open_force
+    from smarttouch.stimulation.frames import NO_SHARING, why_not
 
     recording = Recording(file)
     chosen = recording.profile if profile is None else load_profile(profile)
@@ -94,7 +94,7 @@ def replay(
 def _check(file: Path, profile: str | None) -> None:
     """Print the outcome; exit 1 where sequences differ."""
     from smarttouch.cli.progress import bank_progress
-    from smarttouch.modes.bank import load_bank
+    from smarttouch.kernels.bank import load_bank
     from smarttouch.profile import load_profile
     from smarttouch.recording.check import check_recording
     from smarttouch.recording.reader import Recording

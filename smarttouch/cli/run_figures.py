@@ -3,7 +3,7 @@
 from typing import Any
 
 from smarttouch.boards.board import Board, BoardReport
-from smarttouch.sensing.frame import Sensor
+from smarttouch.sources.frame import Sensor
 from smarttouch.tally import Tally
 
 

@@ -20,8 +20,8 @@ from smarttouch.boards.board import Board
 from smarttouch.controls import Controls
 from smarttouch.live import Sent
 from smarttouch.profile import Profile
-from smarttouch.scan.sequence import ScanSequence
-from smarttouch.sensing.frame import Sensor
+from smarttouch.sources.frame import Sensor
+from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.tally import Tally
 
 _SENSOR_ROWS = 16

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from smarttouch.profile import Profile
-    from smarttouch.sensing.frame import Frame
+    from smarttouch.sources.frame import Frame
 
 sensor = typer.Typer(help="Look at one sensor or load cell, or play one.", no_args_is_help=True)
 
@@ -126,7 +126,7 @@ def emulate(
         arguments += [] if value is None else [f"--{option}={value}"]
     arguments += [f"--event={each}" for each in event or ()]
     advice = partial(_advice, name, counts_per_n, zero)
-    play_emulator("smarttouch.sensing.emulator", arguments, advice, SensorError)
+    play_emulator("smarttouch.sources.emulator", arguments, advice, SensorError)
 
 
 def _advice(name: str, counts_per_n: float, zero: float, port: str) -> str:
@@ -155,7 +155,7 @@ def _show_frames(
 ) -> None:
     import numpy as np
 
-    from smarttouch.sensing import open_sensor
+    from smarttouch.sources import open_sensor
 
     forces: list[float] = []
     ages_ms: list[float] = []
@@ -192,7 +192,7 @@ def _show_frames(
 def _show_force(url: str, profile: "Profile", seconds: float) -> None:
     import numpy as np
 
-    from smarttouch.sensing.forces.force import open_force
+    from smarttouch.sources.forces.force import open_force
 
     with open_force(url, profile) as source:
         forces = np.array([source.read(time_ns) for time_ns in _ticks(seconds)])

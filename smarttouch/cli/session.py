@@ -19,16 +19,16 @@ from smarttouch.cli.screen import Screen
 from smarttouch.clock import SimulatedClock
 from smarttouch.controls import STEP, Controls, Wish
 from smarttouch.errors import BoardStoppedError, SensorError, SmartTouchError
+from smarttouch.kernels.bank import load_bank
 from smarttouch.live import Tell, run, settled
-from smarttouch.modes.bank import load_bank
 from smarttouch.pipeline import Pipeline
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2
 from smarttouch.realtime import Pace
-from smarttouch.scan.limits import rms_ma_cm2
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.sensing.forces.force import ForceSource
-from smarttouch.sensing.frame import Sensor
+from smarttouch.sources.forces.force import ForceSource
+from smarttouch.sources.frame import Sensor
+from smarttouch.stimulation.limits import rms_ma_cm2
+from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 

@@ -7,7 +7,7 @@ from smarttouch.primary import Primary
 
 if TYPE_CHECKING:
     from smarttouch.profile import Profile
-    from smarttouch.scan.frames import Sharing
+    from smarttouch.stimulation.frames import Sharing
 
 
 def parse_scan(scan: str, profile: "Profile", hold: str | None = None) -> "Sharing":
@@ -17,7 +17,7 @@ def parse_scan(scan: str, profile: "Profile", hold: str | None = None) -> "Shari
     of SAI would have to be found anew for each frame, which takes longer than
     there is between two pulses. None where ``--hold`` is, or the board cannot.
     """
-    from smarttouch.scan.frames import NO_SHARING, Sharing, why_not
+    from smarttouch.stimulation.frames import NO_SHARING, Sharing, why_not
 
     chosen = parse_choice("--scan", scan, ("points", "frame", "auto"))
     if chosen == "frame":

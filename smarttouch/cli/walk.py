@@ -12,8 +12,8 @@ from smarttouch.boards.probe import one_each
 from smarttouch.cli.keyboard import keyboard, read_key
 from smarttouch.errors import SequenceLateError, SmartTouchError
 from smarttouch.profile import Profile
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 
 _STEP_S = 0.04
 _TIMES = 4

@@ -13,7 +13,7 @@ from smarttouch.imaging.registration import Registration
 from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
-from smarttouch.sensing.frame import Frame
+from smarttouch.sources.frame import Frame
 
 FAINTEST_INK = 0.15
 """Part of a cell that must be ink before it is felt at all."""

@@ -8,9 +8,9 @@ from smarttouch.braille.cells import BLANK, SIX_DOT_PATTERNS, pattern
 from smarttouch.braille.photo import looks_like_braille, read_braille
 from smarttouch.braille.source import load_cells
 from smarttouch.braille.tables import DEFAULT_TABLE, Table, open_table
+from smarttouch.documents.page_image import Page
+from smarttouch.documents.text_lines import TextLine
 from smarttouch.imaging.mapping import Tone
-from smarttouch.pages.page_image import Page
-from smarttouch.pages.text_lines import TextLine
 from smarttouch.profile import Profile
 from smarttouch.reading.cells import CELL_MM, LINE_MM, TONE, CellLayout, cell_layout
 from smarttouch.reading.cursor import Motion

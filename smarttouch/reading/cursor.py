@@ -9,7 +9,7 @@ from typing import Protocol
 from smarttouch.errors import ReadingError
 from smarttouch.reading.feed import LineFeed
 from smarttouch.reading.touch_line import Place, TouchLine
-from smarttouch.sensing.frame import Sensor
+from smarttouch.sources.frame import Sensor
 
 LAND_S = 0.15
 """A finger lands on a line, and intensity begins to rise."""

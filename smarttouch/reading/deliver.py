@@ -11,8 +11,8 @@ from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.clock import SimulatedClock
 from smarttouch.imaging.mapping import Tone
 from smarttouch.imaging.registration import Registration
+from smarttouch.kernels.bank import KernelBank
 from smarttouch.live import Sent, run
-from smarttouch.modes.bank import KernelBank
 from smarttouch.perception import Perception
 from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode
@@ -23,8 +23,8 @@ from smarttouch.reading.feed import LineFeed
 from smarttouch.reading.sensor import ReadingSensor
 from smarttouch.reading.touch_line import TouchLine
 from smarttouch.reading.window import pixel_of, press_n
-from smarttouch.scan.frames import NO_SHARING, Sharing
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.frames import NO_SHARING, Sharing
+from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from smarttouch.documents.document import open_document, parse_pages
+from smarttouch.documents.page_image import Page
+from smarttouch.documents.prepare import PreparedPage, prepare_page
 from smarttouch.errors import ReadingError
-from smarttouch.pages.document import open_document, parse_pages
-from smarttouch.pages.page_image import Page
-from smarttouch.pages.prepare import PreparedPage, prepare_page
 from smarttouch.reading.ocr import recognize_lines, upright
 
 LINE_PIXELS = 56

@@ -9,7 +9,7 @@ from smarttouch.profile import Profile
 from smarttouch.reading.cursor import Cursor
 from smarttouch.reading.feed import LineFeed
 from smarttouch.reading.window import pixel_of
-from smarttouch.sensing.frame import Frame, Pose, Sensor
+from smarttouch.sources.frame import Frame, Pose, Sensor
 
 LINE_GAP_MM = 4.0
 """Between two lines where their poses are put on one sheet, one below the other."""

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.morphology import skeletonize
 
+from smarttouch.documents.prepare import PreparedPage
+from smarttouch.documents.strips import SIDES
 from smarttouch.errors import ReadingError
 from smarttouch.imaging.mapping import Tone
 from smarttouch.imaging.registration import PIXELS_PER_CELL
-from smarttouch.pages.prepare import PreparedPage
-from smarttouch.pages.strips import SIDES
 from smarttouch.profile import Profile
 from smarttouch.reading.cursor import Motion
 from smarttouch.reading.source import Source

@@ -6,9 +6,9 @@ from functools import cached_property
 from pathlib import Path
 
 from smarttouch.braille.files import read_text
-from smarttouch.pages.page_image import Page
-from smarttouch.pages.prepare import PreparedPage
-from smarttouch.pages.printed_text import prepare_text
+from smarttouch.documents.page_image import Page
+from smarttouch.documents.prepare import PreparedPage
+from smarttouch.documents.printed_text import prepare_text
 from smarttouch.reading.printed import HowToLook, Note, document_pages, prepared_pages
 
 _TEXT = "text:"

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 
 from smarttouch.errors import RecordingError
-from smarttouch.modes.bank import KernelBank, load_bank
+from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.pipeline import Measured, Pipeline
 from smarttouch.profile import Profile
 from smarttouch.recording.decoder import RecordedStep
 from smarttouch.recording.reader import Recording
 from smarttouch.regulator import Regulator
-from smarttouch.scan.adaptation import Adaptation
-from smarttouch.scan.ledger import ChargeLedger
-from smarttouch.scan.recharge import RechargeRules
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.adaptation import Adaptation
+from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.recharge import RechargeRules
+from smarttouch.stimulation.sequence import ScanSequence
 
 KEPT = 20
 """Differences that a report names; all are counted."""

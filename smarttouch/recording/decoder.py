@@ -17,8 +17,8 @@ from smarttouch.primary import Mode, Primary
 from smarttouch.recording.chunks import parse_message
 from smarttouch.recording.encoder import Message, remember
 from smarttouch.recording.schemas import LAST
-from smarttouch.scan.sequence import Proof, ScanSequence
-from smarttouch.sensing.frame import Frame, Pose, PulseRequest
+from smarttouch.sources.frame import Frame, Pose, PulseRequest
+from smarttouch.stimulation.sequence import Proof, ScanSequence
 
 _IMPOSSIBLE = (
     ValueError, TypeError, LookupError, AttributeError, OverflowError, struct.error,

@@ -14,8 +14,8 @@ from smarttouch.live import Sent
 from smarttouch.pipeline import Step
 from smarttouch.primary import Primary
 from smarttouch.recording.schemas import INFO, LAST
-from smarttouch.scan.sequence import Proof
-from smarttouch.sensing.frame import Frame
+from smarttouch.sources.frame import Frame
+from smarttouch.stimulation.sequence import Proof
 
 REMEMBERED = 512
 """Sequences that a measurement may still come for: a second or more."""

@@ -7,7 +7,7 @@ from smarttouch.errors import SensorError
 from smarttouch.profile import Profile
 from smarttouch.recording.decoder import RecordedStep
 from smarttouch.recording.reader import Recording
-from smarttouch.sensing.frame import Frame, Sensor
+from smarttouch.sources.frame import Frame, Sensor
 
 
 def open_recording(rest: str, profile: Profile, *, unpaced: bool = False) -> "RecordingSensor":

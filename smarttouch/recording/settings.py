@@ -6,8 +6,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from smarttouch.imaging.mapping import Tone
 from smarttouch.primary import Mode, Primary
-from smarttouch.scan.frames import Sharing
-from smarttouch.scan.timing import ScanTiming
+from smarttouch.stimulation.frames import Sharing
+from smarttouch.stimulation.timing import ScanTiming
 
 _Share = Annotated[float, Field(ge=0, le=1)]
 _Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from smarttouch.modes.bank import load_bank
-from smarttouch.modes.frames.judge import FrameJudge, full_wish
+from smarttouch.kernels.bank import load_bank
+from smarttouch.kernels.frames.judge import FrameJudge, full_wish
 from smarttouch.profile import load_profile
 
 LETTERS = {

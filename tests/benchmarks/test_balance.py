@@ -8,17 +8,17 @@ import pytest
 
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.clock import SimulatedClock
+from smarttouch.kernels.problem import Problem
 from smarttouch.live import run
-from smarttouch.modes.problem import Problem
 from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode, Primary
 from smarttouch.regulator import Regulator
-from smarttouch.scan.frames import NO_SHARING, Sharing
-from smarttouch.scan.ledger import ChargeLedger
-from smarttouch.scan.recharge import RechargeRules
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.timing import ScanTiming
-from smarttouch.sensing import open_sensor
+from smarttouch.sources import open_sensor
+from smarttouch.stimulation.frames import NO_SHARING, Sharing
+from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.recharge import RechargeRules
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 

@@ -5,9 +5,9 @@ import time
 import numpy as np
 import pytest
 
-from smarttouch.modes.batch import design_sites
-from smarttouch.modes.design import design_kernel
-from smarttouch.modes.problem import Problem
+from smarttouch.kernels.batch import design_sites
+from smarttouch.kernels.design import design_kernel
+from smarttouch.kernels.problem import Problem
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 

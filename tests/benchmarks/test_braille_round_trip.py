@@ -14,7 +14,7 @@ import pytest
 
 from smarttouch.braille import louis
 from smarttouch.braille.tables import open_table
-from smarttouch.modes.bank import load_bank
+from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.reading.braille import Braille
 from smarttouch.reading.deliver import Reading, deliver_lines

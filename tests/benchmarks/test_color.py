@@ -15,14 +15,14 @@ import time
 import numpy as np
 import pytest
 
-from smarttouch.color.mix import mix_colors
-from smarttouch.color.sensor import ColorSensor
-from smarttouch.color.spec import open_trace
-from smarttouch.color.split import split
 from smarttouch.primary import Primary
+from smarttouch.vibrotactile.mix import mix_colors
+from smarttouch.vibrotactile.sensor import ColorSensor
+from smarttouch.vibrotactile.spec import open_trace
+from smarttouch.vibrotactile.split import split
 
-from ..color.delivered import feel
-from ..color.test_delivered import ALONE
+from ..vibrotactile.delivered import feel
+from ..vibrotactile.test_delivered import ALONE
 
 
 @pytest.fixture

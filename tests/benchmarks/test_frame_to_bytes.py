@@ -23,14 +23,14 @@ from skimage.transform import resize
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_sequence import encode_sequence
 from smarttouch.boards.link_session import HostSession
-from smarttouch.nerve.activation import af_matrix
-from smarttouch.nerve.afferents import targets
+from smarttouch.physiology.activation import af_matrix
+from smarttouch.physiology.afferents import targets
 from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
-from smarttouch.scan.frames import NO_SHARING, Sharing
-from smarttouch.scan.safety import SafetyGate, SafetyLimits
-from smarttouch.sensing.frame import Frame, Pose
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.stimulation.frames import NO_SHARING, Sharing
+from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 
 FULL_NS = 10**9
 SCANS = {

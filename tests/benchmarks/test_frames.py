@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from smarttouch.errors import DesignError
-from smarttouch.modes.frames.bound import color_classes
-from smarttouch.modes.frames.figures import FrameBounds
-from smarttouch.modes.frames.operator import FrameOperator, Weights, keeps
-from smarttouch.modes.frames.programme import joint_programme
-from smarttouch.modes.frames.slots import likely_slots, plan_slots
-from smarttouch.modes.frames.spread import Worst, spread_judges, uneven_levels, with_gain_error
+from smarttouch.kernels.frames.bound import color_classes
+from smarttouch.kernels.frames.figures import FrameBounds
+from smarttouch.kernels.frames.operator import FrameOperator, Weights, keeps
+from smarttouch.kernels.frames.programme import joint_programme
+from smarttouch.kernels.frames.slots import likely_slots, plan_slots
+from smarttouch.kernels.frames.spread import Worst, spread_judges, uneven_levels, with_gain_error
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
-from smarttouch.scan.frames import FrameSlots
+from smarttouch.stimulation.frames import FrameSlots
 
 from .frame_sets import LETTERS, drawn, judge_of, scattered
 

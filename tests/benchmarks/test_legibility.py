@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 from skimage import data
 
-from smarttouch.modes.bank import load_bank
+from smarttouch.kernels.bank import load_bank
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.profile.device import Profile
@@ -26,9 +26,9 @@ from smarttouch.reading.legibility import legibility_of_shapes
 from smarttouch.reading.shapes import Shapes, Style
 from smarttouch.reading.source import Source
 from smarttouch.reading.window import profile_for_reading
-from smarttouch.scan.frames import Sharing
+from smarttouch.stimulation.frames import Sharing
 
-from ..pages.printed import degrade, print_page
+from ..documents.printed import degrade, print_page
 
 TEXT = [
     "The quick brown fox jumps over the lazy dog.",

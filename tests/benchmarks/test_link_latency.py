@@ -25,8 +25,8 @@ from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.link_sequence import encode_sequence
 from smarttouch.errors import BoardRestartedError
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 
 RAMP_S = 0.5
 COUNTS = (64, 128, 256, 512)

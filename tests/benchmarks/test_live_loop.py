@@ -21,10 +21,10 @@ import cv2
 import numpy as np
 import pytest
 
-from smarttouch.pages.page_image import load_page
+from smarttouch.documents.page_image import load_page
 from smarttouch.profile import load_profile
 from smarttouch.resources import data_folder
-from smarttouch.sensing.page import PageSensor
+from smarttouch.sources.page import PageSensor
 
 CYCLE = 150
 """Frames of the video before it begins again."""
@@ -47,7 +47,7 @@ def make_video(path, seconds):
 @contextlib.contextmanager
 def array():
     """A process that plays a 64 x 64 serial array at 200 frames/s; its port."""
-    command = [sys.executable, "-m", "smarttouch.sensing.emulator", "serial-array"]
+    command = [sys.executable, "-m", "smarttouch.sources.emulator", "serial-array"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             yield process.stdout.readline().strip()

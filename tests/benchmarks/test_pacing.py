@@ -19,12 +19,12 @@ from smarttouch import realtime
 from smarttouch.boards.kajimoto61 import Kajimoto61Board
 from smarttouch.clock import MonotonicClock
 from smarttouch.controls import Controls, Wish
+from smarttouch.kernels.bank import load_bank
 from smarttouch.live import run, settled
-from smarttouch.modes.bank import load_bank
 from smarttouch.pipeline import Pipeline
 from smarttouch.profile import load_profile
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.sensing.frame import Frame, Pose, Sensor
+from smarttouch.sources.frame import Frame, Pose, Sensor
+from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 

@@ -11,16 +11,16 @@ import pytest
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.imaging.mapping import TactileMapper
 from smarttouch.imaging.tactile_image import TactileImage
-from smarttouch.modes.bank import KernelBank, load_bank
-from smarttouch.modes.frames.figures import FrameBounds
-from smarttouch.modes.frames.operator import FrameOperator
+from smarttouch.kernels.bank import KernelBank, load_bank
+from smarttouch.kernels.frames.figures import FrameBounds
+from smarttouch.kernels.frames.operator import FrameOperator
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.resources import data_folder
-from smarttouch.scan.frames import Sharing
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.schedule import PointScan
-from smarttouch.sensing import open_sensor
+from smarttouch.sources import open_sensor
+from smarttouch.stimulation.frames import Sharing
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.schedule import PointScan
 
 from .frame_sets import LETTERS, drawn, judge_of, scattered
 

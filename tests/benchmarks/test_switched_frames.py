@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from smarttouch.modes.assignment import pole_shares
-from smarttouch.modes.bank import load_bank
-from smarttouch.modes.frames.figures import FrameBounds
-from smarttouch.modes.frames.judge import FrameJudge, full_wish
-from smarttouch.modes.frames.operator import FrameOperator, keeps
-from smarttouch.modes.frames.slots import plan_slots
-from smarttouch.modes.frames.switched import SwitchedSearch, plan_switched_slots
+from smarttouch.kernels.assignment import pole_shares
+from smarttouch.kernels.bank import load_bank
+from smarttouch.kernels.frames.figures import FrameBounds
+from smarttouch.kernels.frames.judge import FrameJudge, full_wish
+from smarttouch.kernels.frames.operator import FrameOperator, keeps
+from smarttouch.kernels.frames.slots import plan_slots
+from smarttouch.kernels.frames.switched import SwitchedSearch, plan_switched_slots
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 

@@ -17,8 +17,8 @@ from smarttouch.boards.emulator.books import read_state
 from smarttouch.boards.probe import one_each
 from smarttouch.errors import BoardRestartedError
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 
 SECOND = 10**9
 

@@ -10,8 +10,8 @@ from smarttouch.boards.emulator.books import read_slots, read_state
 from smarttouch.boards.emulator.rules import Rules
 from smarttouch.errors import BoardError, SafetyError
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 
 SECOND = 10**9
 

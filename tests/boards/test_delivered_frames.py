@@ -5,11 +5,11 @@ import pytest
 
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.imaging.tactile_image import TactileImage
-from smarttouch.modes.problem import Problem
+from smarttouch.kernels.problem import Problem
 from smarttouch.primary import Primary
-from smarttouch.scan.frames import Sharing
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.schedule import PointScan
+from smarttouch.stimulation.frames import Sharing
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.schedule import PointScan
 
 
 @pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])

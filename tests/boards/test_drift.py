@@ -20,8 +20,8 @@ from smarttouch.boards.link_sequence import decode_volts, encode_sequence
 from smarttouch.boards.link_session import HostSession
 from smarttouch.boards.probe import one_each
 from smarttouch.profile import load_profile
-from smarttouch.scan.adaptation import Adaptation
-from smarttouch.scan.safety import SafetyGate, SafetyLimits
+from smarttouch.stimulation.adaptation import Adaptation
+from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.wire.framing import Deframer
 
 SECONDS = float(os.environ.get("SMARTTOUCH_DRIFT_SECONDS", "1.2"))

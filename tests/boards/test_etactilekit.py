@@ -11,7 +11,7 @@ from smarttouch.boards.etactilekit import ETactileKitBoard
 from smarttouch.boards.probe import one_each
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyLimits
 from tests.boards.told import MS, ToldClock, ToldKit
 
 LIMITS = SafetyLimits(4, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)

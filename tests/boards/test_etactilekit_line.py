@@ -14,7 +14,7 @@ from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.etactilekit import ETactileKitBoard
 from smarttouch.errors import BoardError
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyLimits
 from tests.boards.told import ToldClock, ToldPort
 
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)

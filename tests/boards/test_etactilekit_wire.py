@@ -13,7 +13,7 @@ from smarttouch.boards.etactilekit_wire import HeightCodec, ModeCodec, Settings,
 from smarttouch.boards.probe import one_each
 from smarttouch.boards.scale import scale_of
 from smarttouch.errors import BoardError
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyLimits
 
 LIMITS = SafetyLimits(4, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
 WIRING = np.arange(4)

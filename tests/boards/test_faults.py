@@ -23,8 +23,8 @@ import sys, time
 from pathlib import Path
 import numpy as np
 from smarttouch.boards.emulator.driver import EmulatorBoard
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 
 limits = SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 column = np.full(600, 100, np.uint16)

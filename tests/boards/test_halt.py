@@ -12,7 +12,7 @@ from smarttouch.boards.memory import MemoryBoard
 from smarttouch.boards.vibrators import VibratorBoard
 from smarttouch.errors import BoardError, BoardStoppedError
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.wire.pty_line import PtyLine
 
 PATIENCE_S = 20

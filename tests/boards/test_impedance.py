@@ -9,7 +9,7 @@ from smarttouch.boards.impedance import judge
 from smarttouch.boards.probe import one_each, probe_sequences
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyGate, SafetyLimits
+from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 

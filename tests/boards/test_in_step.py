@@ -13,7 +13,7 @@ import pytest
 from smarttouch.boards.board import make_board
 from smarttouch.boards.emulator.books import read_slots
 from smarttouch.boards.probe import one_each
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyLimits
 from tests.boards.told import MS, ToldKit
 
 PATTERNS = int(os.environ.get("SMARTTOUCH_PATTERNS", "300"))

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from smarttouch.boards.kajimoto61 import Kajimoto61Board
 from smarttouch.errors import BoardError, SafetyError
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 
 ZERO = bytes([0xFF]) + bytes(61)
 RECOVERY = bytes(61), ZERO

@@ -11,7 +11,7 @@ from smarttouch.boards.memory import MemoryBoard
 from smarttouch.boards.probe import one_each
 from smarttouch.clock import LATE_NS
 from smarttouch.errors import SafetyError, SequenceLateError
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyLimits
 
 from .told import ToldKit
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from smarttouch.boards.board import make_board
 from smarttouch.boards.pairs import measure_in_pairs
 from smarttouch.profile import load_profile
-from smarttouch.scan.safety import SafetyGate, SafetyLimits
+from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 
 LIMITS = SafetyLimits(24, 5.0, 200, 0.5, 200, 0.8, 0.5, 2.4)
 COMPLIANCE_V = 300.0

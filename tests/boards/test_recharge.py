@@ -9,8 +9,8 @@ from smarttouch.boards.board import make_board
 from smarttouch.boards.emulator.books import read_recharges, read_slots, read_state
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
-from smarttouch.scan.recharge import RechargeRules, add_recharge
-from smarttouch.scan.timing import ScanTiming
+from smarttouch.stimulation.recharge import RechargeRules, add_recharge
+from smarttouch.stimulation.timing import ScanTiming
 
 RULES = RechargeRules(np.full(8, 119, np.int64), 10_000, ScanTiming())
 BOARDS = ("memory:", "simulated:", "emulator:")

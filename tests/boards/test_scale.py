@@ -13,7 +13,7 @@ from smarttouch.boards.probe import one_each
 from smarttouch.boards.scale import BAND, NOMINAL_UA, check_reading, scale_of
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyLimits
 
 KINDS = tuple(NOMINAL_UA)
 ELECTRODES = {"kajimoto61": 61, "etactilekit": 8}

@@ -16,8 +16,8 @@ from smarttouch.boards.vibrators import VibratorBoard, make_vibrators
 from smarttouch.boards.waveform import GLIDE_S, Waveform, vibrator_of
 from smarttouch.errors import BoardError
 from smarttouch.profile import load_profile
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 
 from . import test_contract
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.pages.page_image import Page
+from smarttouch.documents.page_image import Page
 
 Mapping = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 

@@ -12,8 +12,8 @@ from rapidfuzz.distance import Levenshtein
 from scipy.spatial import cKDTree
 
 from smarttouch.braille.photo import looks_like_braille, read_braille
+from smarttouch.documents.page_image import Page
 from smarttouch.errors import PageError
-from smarttouch.pages.page_image import Page
 
 from .embossed import emboss, printed, random_lines
 

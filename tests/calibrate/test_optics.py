@@ -7,7 +7,7 @@ from smarttouch.calibrate.frames import collect_images, uncorrected
 from smarttouch.calibrate.optics import measure_optics
 from smarttouch.calibrate.simulated import SimulatedPatch
 from smarttouch.errors import CalibrationError
-from smarttouch.sensing.frame import Frame, Pose, Sensor
+from smarttouch.sources.frame import Frame, Pose, Sensor
 
 
 def found(patch, frames=16):

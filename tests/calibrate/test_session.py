@@ -23,7 +23,7 @@ from smarttouch.calibrate.subject import SimulatedSubject
 from smarttouch.clock import SimulatedClock
 from smarttouch.errors import BoardRestartedError, CalibrationError, LineLostError
 from smarttouch.profile import load_profile, profile_names
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyLimits
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from PIL import Image
 
 from smarttouch.boards.board import make_board
 from smarttouch.profile import load_profile
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyLimits
 
 
 def png_header(width, height):

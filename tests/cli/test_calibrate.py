@@ -18,7 +18,7 @@ from smarttouch.calibrate.view import View
 from smarttouch.cli.calibrate import calibrate
 from smarttouch.errors import CalibrationError, SensorError, SmartTouchError
 from smarttouch.profile import load_profile
-from smarttouch.sensing.flat_field import FlatField
+from smarttouch.sources.flat_field import FlatField
 
 
 @pytest.fixture
@@ -139,7 +139,7 @@ def test_a_target_alone(run, tmp_path):
 def load_cell(monkeypatch):
     """An emulated cell on a serial line; who is asked for a weight lays it on."""
     with subprocess.Popen(
-        [sys.executable, "-m", "smarttouch.sensing.emulator", "loadcell", "--rate=400"],
+        [sys.executable, "-m", "smarttouch.sources.emulator", "loadcell", "--rate=400"],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     ) as process:  # fmt: skip
         port = process.stdout.readline().strip()

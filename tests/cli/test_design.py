@@ -209,7 +209,7 @@ def test_figures_without_matplotlib(monkeypatch):
     import sys
 
     from smarttouch.errors import SmartTouchError
-    from smarttouch.figures.style import new_figure
+    from smarttouch.plotting.style import new_figure
 
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(SmartTouchError, match=r"pip install 'smarttouch\[plot\]'"):

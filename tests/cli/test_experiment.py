@@ -14,9 +14,9 @@ from rich.console import Console
 from smarttouch.cli.blind_screen import BlindScreen
 from smarttouch.controls import Controls, Wish
 from smarttouch.errors import ExperimentError
-from smarttouch.experiments.rows import read_rows
 from smarttouch.files import open_alone
 from smarttouch.primary import Mode
+from smarttouch.psychophysics.rows import read_rows
 from smarttouch.recording.reader import Recording
 from smarttouch.tally import Tally
 

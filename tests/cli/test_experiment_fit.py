@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 
 from smarttouch.cli.experiment_fit import fit
 from smarttouch.errors import SmartTouchError
-from smarttouch.experiments.procedures.constant import ConstantStimuli, ratio_pairs
+from smarttouch.psychophysics.procedures.constant import ConstantStimuli, ratio_pairs
 
-from ..experiments.simulated import Subject, answer_all
+from ..psychophysics.simulated import Subject, answer_all
 
 FAST = ("--samples", "100")
 

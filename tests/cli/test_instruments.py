@@ -14,8 +14,8 @@ from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode, Primary
 from smarttouch.recording.check import check_recording
 from smarttouch.recording.reader import Recording
-from smarttouch.scan.frames import Sharing
-from smarttouch.sensing.frame import Frame, Pose, PulseRequest
+from smarttouch.sources.frame import Frame, Pose, PulseRequest
+from smarttouch.stimulation.frames import Sharing
 
 from ..test_markers import FakeLsl
 

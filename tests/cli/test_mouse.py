@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ..mouse.touched import object_file
+from ..texture.touched import object_file
 
 SIMULATED = ("--board", "simulated:")
 

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from smarttouch.braille.tables import open_table
+from smarttouch.documents.printed_text import print_text
 from smarttouch.errors import SmartTouchError
-from smarttouch.pages.printed_text import print_text
 from smarttouch.recording.reader import Recording
 
 from ..braille.embossed import emboss

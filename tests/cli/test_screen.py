@@ -7,7 +7,7 @@ from smarttouch.cli.screen import _beside, _felt_ma
 from smarttouch.live import Sent
 from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Primary
-from smarttouch.scan.frames import NO_SHARING, Sharing
+from smarttouch.stimulation.frames import NO_SHARING, Sharing
 
 
 @pytest.fixture(params=[NO_SHARING, Sharing((Primary.RA,), planned=False)])

@@ -12,7 +12,7 @@ from smarttouch.cli.sharing import parse_scan
 from smarttouch.errors import SmartTouchError
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
-from smarttouch.scan.frames import NO_SHARING, Sharing
+from smarttouch.stimulation.frames import NO_SHARING, Sharing
 
 
 def test_what_scan_asks_for(profile):

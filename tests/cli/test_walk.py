@@ -6,7 +6,7 @@ from smarttouch.boards.memory import MemoryBoard
 from smarttouch.cli import walk as module
 from smarttouch.cli.walk import walk
 from smarttouch.profile import load_profile
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyLimits
 
 
 class TwitchingClock:

@@ -6,7 +6,7 @@ import pytest
 from smarttouch.imaging.mapping import TactileMapper, Tone
 from smarttouch.primary import Mode, Primary
 from smarttouch.reading.window import profile_for_reading
-from smarttouch.sensing.frame import Frame, Pose
+from smarttouch.sources.frame import Frame, Pose
 
 
 def mapped(profile, image, tone=None):

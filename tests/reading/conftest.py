@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smarttouch.modes.bank import load_bank
+from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.reading.feed import LineFeed
 from smarttouch.reading.touch_line import TouchLine

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from smarttouch.braille.cells import BLANK
 from smarttouch.errors import ReadingError
-from smarttouch.modes.bank import load_bank
+from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.reading.braille import Braille, Presentation
 from smarttouch.reading.cells import CELL_MM, DOT_MM, LINE_MM, cell_layout

@@ -20,7 +20,7 @@ from smarttouch.reading.cursor import (
 )
 from smarttouch.reading.feed import LineFeed
 from smarttouch.reading.touch_line import Place, TouchLine
-from smarttouch.sensing.frame import Frame, Pose, Sensor
+from smarttouch.sources.frame import Frame, Pose, Sensor
 
 MS = 1_000_000
 

@@ -13,7 +13,7 @@ from smarttouch.reading.deliver import Reading, deliver_line, deliver_lines, ide
 from smarttouch.reading.delivered import PIXELS_PER_PITCH, LinePicture
 from smarttouch.reading.shapes import Shapes, Style
 from smarttouch.reading.window import usual_speed
-from smarttouch.scan.frames import Sharing
+from smarttouch.stimulation.frames import Sharing
 
 GRADED = Tone(0.0, 1.0, prepared=True)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from smarttouch.documents.printed_text import prepare_text, print_text
 from smarttouch.errors import ReadingError
-from smarttouch.pages.printed_text import prepare_text, print_text
 from smarttouch.reading import printed
 from smarttouch.reading.error_rate import character_error_rate
 from smarttouch.reading.ocr import RecognizedLine

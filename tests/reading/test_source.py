@@ -5,8 +5,8 @@ import pytest
 from PIL import Image
 
 from smarttouch.braille.cells import BLANK
+from smarttouch.documents.printed_text import print_text
 from smarttouch.errors import ReadingError, SmartTouchError
-from smarttouch.pages.printed_text import print_text
 from smarttouch.profile import load_profile
 from smarttouch.reading.braille import Braille, Presentation
 from smarttouch.reading.printed import EmptyPages, HowToLook

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from smarttouch.errors import RecordingError
+from smarttouch.kernels.bank import load_bank
 from smarttouch.live import Sent
-from smarttouch.modes.bank import load_bank
 from smarttouch.pipeline import Pipeline
 from smarttouch.profile import load_profile
 from smarttouch.recording.recorder import Recorder, about_run
-from smarttouch.scan.timing import ScanTiming
-from smarttouch.sensing.frame import Frame, Pose
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.stimulation.timing import ScanTiming
 
 PERIOD_NS = 10_000_000
 

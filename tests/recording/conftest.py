@@ -11,8 +11,8 @@ from smarttouch.live import Sent
 from smarttouch.pipeline import Pipeline
 from smarttouch.recording import recorder as recorder_module
 from smarttouch.recording.recorder import Recorder, about_run
-from smarttouch.scan.timing import ScanTiming
-from smarttouch.sensing.frame import Frame, Pose
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.stimulation.timing import ScanTiming
 
 STARTED_NS = 1_700_000_000 * 10**9
 

@@ -19,21 +19,21 @@ from smarttouch.boards.memory import MemoryBoard
 from smarttouch.clock import SimulatedClock
 from smarttouch.controls import Controls, Wish
 from smarttouch.errors import LineLostError
+from smarttouch.kernels.bank import load_bank
 from smarttouch.live import run
-from smarttouch.modes.bank import load_bank
 from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.recording import recorder as recorder_module
 from smarttouch.recording.recorder import Recorder, about_run
 from smarttouch.regulator import Regulator
-from smarttouch.scan.adaptation import Adaptation
-from smarttouch.scan.frames import NO_SHARING, Sharing
-from smarttouch.scan.ledger import ChargeLedger
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.timing import ScanTiming
-from smarttouch.sensing import open_sensor
-from smarttouch.sensing.frame import Frame, PulseRequest, Sensor
+from smarttouch.sources import open_sensor
+from smarttouch.sources.frame import Frame, PulseRequest, Sensor
+from smarttouch.stimulation.adaptation import Adaptation
+from smarttouch.stimulation.frames import NO_SHARING, Sharing
+from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.stopping import StopRequest
 from smarttouch.tally import Tally
 

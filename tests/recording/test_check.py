@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from smarttouch.errors import RecordingError
-from smarttouch.modes.bank import load_bank
+from smarttouch.kernels.bank import load_bank
 from smarttouch.primary import Mode
 from smarttouch.recording.check import KEPT, assert_replays, check_recording
 from smarttouch.recording.reader import Recording

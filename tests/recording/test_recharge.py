@@ -11,9 +11,9 @@ from smarttouch.recording.check import check_recording
 from smarttouch.recording.export import export
 from smarttouch.recording.reader import Recording
 from smarttouch.regulator import Regulator
-from smarttouch.scan.ledger import ChargeLedger
-from smarttouch.scan.recharge import RechargeRules
-from smarttouch.scan.timing import ScanTiming
+from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.recharge import RechargeRules
+from smarttouch.stimulation.timing import ScanTiming
 
 
 @pytest.fixture(scope="module")

@@ -17,9 +17,9 @@ from smarttouch.primary import Mode, Primary
 from smarttouch.recording.decoder import StepDecoder
 from smarttouch.recording.encoder import StepEncoder
 from smarttouch.recording.schemas import LAST, SCHEMAS
-from smarttouch.scan.frames import Sharing
-from smarttouch.scan.sequence import Proof, ScanSequence
-from smarttouch.sensing.frame import Frame, Pose, PulseRequest
+from smarttouch.sources.frame import Frame, Pose, PulseRequest
+from smarttouch.stimulation.frames import Sharing
+from smarttouch.stimulation.sequence import Proof, ScanSequence
 
 numbers = st.floats(allow_infinity=False)
 whole_us = st.integers(0, 65535)

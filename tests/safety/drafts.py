@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.sequence import ScanSequence
 
 from .bounds import NS, WHOLE, exact
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from smarttouch.errors import SafetyError
-from smarttouch.scan.safety import SafetyGate, SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 
 _FIELDS = ("current_ua", "width_us", "discharge_us", "site", "vibration", "recharge_ua")
 

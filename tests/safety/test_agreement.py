@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.sequence import ScanSequence
 
 from .agreement import Tally, attack, stream
 from .displays import display

@@ -45,7 +45,9 @@ def test_the_oracle_imports_nothing_of_the_gate(name):
 
 def test_with_the_oracle_nothing_of_the_gate_is_loaded():
     modules = ", ".join(f"tests.safety.{name}" for name in ORACLE)
-    code = f"import sys, {modules}\nprint([m for m in sys.modules if 'smarttouch.scan' in m])"
+    code = (
+        f"import sys, {modules}\nprint([m for m in sys.modules if 'smarttouch.stimulation' in m])"
+    )
     done = subprocess.run(
         [sys.executable, "-c", code],
         cwd=HERE.parents[1], capture_output=True, text=True, check=True,

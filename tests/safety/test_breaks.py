@@ -5,7 +5,7 @@ starting and `smarttouch stop` (tests/cli/test_running.py), late packets
 (tests/boards/test_late.py), replayed frames (tests/boards/middle), terminals that stop reading
 and signals (tests/cli/test_stopping.py, tests/stress), files (tests/test_files.py,
 tests/recording, tests/cli/test_streams.py), and what balancing does to the class
-(tests/scan/test_recharge.py).
+(tests/stimulation/test_recharge.py).
 """
 
 import dataclasses
@@ -18,8 +18,8 @@ from pydantic import ValidationError
 from smarttouch.boards.board import make_board
 from smarttouch.errors import BoardError, SafetyError
 from smarttouch.profile import load_profile
-from smarttouch.scan.safety import SafetyGate, SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 
 SECOND = 10**9
 

@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.sequence import ScanSequence
 
 from .displays import display
 from .gates import GateUnderTest, faults_of_copy

@@ -7,7 +7,7 @@ from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.boards.emulator.skin import Delivered
 from smarttouch.profile import load_profile
-from smarttouch.scan.safety import SafetyGate, SafetyLimits
+from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 
 from .bounds import Bounds
 from .by_hand import pair, sequence

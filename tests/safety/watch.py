@@ -11,7 +11,7 @@ import pytest
 from smarttouch.boards.emulator.books import DELIVERED_FILE, STATE_FILE
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.profile import load_profile, profile_names
-from smarttouch.scan.safety import SafetyGate, SafetyLimits
+from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 
 from .bounds import Bounds
 from .deliveries import Pulses, judge_pulses

@@ -24,8 +24,8 @@ import smarttouch.boards.kajimoto61
 import smarttouch.boards.link
 import smarttouch.cli.session
 import smarttouch.felt
-import smarttouch.sensing.forces.force
-import smarttouch.sensing.page  # noqa: F401
+import smarttouch.sources.forces.force
+import smarttouch.sources.page  # noqa: F401
 from smarttouch.boards.emulator import serve
 from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware

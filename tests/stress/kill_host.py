@@ -29,7 +29,7 @@ from smarttouch.boards.emulator.serve import BoardClock
 from smarttouch.boards.emulator.skin import COMPLIANCE_V
 from smarttouch.boards.probe import one_each
 from smarttouch.errors import BoardRestartedError
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.wire.pty_line import PtyLine
 
 ELECTRODES = {"link": 64, "kajimoto61": 61, "etactilekit": 32}

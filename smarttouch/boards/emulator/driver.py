@@ -11,7 +11,7 @@ from pathlib import Path
 from smarttouch.boards.link import LinkBoard
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyLimits
 
 _STARTS_WITHIN_S = 30.0
 """On a busy computer too."""

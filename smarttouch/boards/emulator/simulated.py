@@ -17,8 +17,8 @@ from smarttouch.boards.link_sequence import encode_sequence
 from smarttouch.boards.link_session import HostSession
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.framing import Deframer
 
 _BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2

@@ -16,7 +16,7 @@ from smarttouch.boards.link import LinkBoard
 from smarttouch.boards.link_line import LinkLine
 from smarttouch.boards.link_protocol import HALF
 from smarttouch.profile.device import Output
-from smarttouch.scan.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyLimits
 
 MS = 1_000_000
 LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 200, 0.8, 0.5, 2.4)

@@ -8,7 +8,7 @@ from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_sequence import encode_volts
 from smarttouch.errors import BoardError
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.framing import frame_packet
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from smarttouch.boards.link_protocol import ALIVE_MS, LATE_MS, SILENCE_MS
 from smarttouch.errors import BoardError, LineLostError
-from smarttouch.scan.sequence import ScanSequence
+from smarttouch.stimulation.sequence import ScanSequence
 
 RUNS = int(os.environ.get("SMARTTOUCH_MIDDLE_RUNS", "60"))
 RUNS_PER_BOARD = 20

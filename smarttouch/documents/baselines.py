@@ -1,0 +1,247 @@
+"""The baseline of a row of letters, followed wherever skew and a curved page lead it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.polynomial import polynomial
+from numpy.typing import NDArray
+
+from smarttouch.documents.letters import Spots
+
+Floats = NDArray[np.float64]
+
+_STEPS = 20
+"""Rows in which a row is looked at, per height of its letters."""
+_BAND = 1.6
+"""How far above and below their middle it is looked at, in heights of its letters."""
+_COLUMNS = 8
+"""Columns per height of its letters."""
+_PIECE = 5.0
+"""Length of a piece that is shifted as a whole, in heights of its letters."""
+_SUPPORT = (2, 4, 8)
+"""Pieces from which a line may slope, bend, and bend twice."""
+_SHIFT = 0.6
+"""How far a piece may lie from the first guess, in heights of its letters."""
+_RISE = 0.5
+"""Weight of an edge where letters begin, of one where they end."""
+_ROUNDS = 3
+_GAP = 0.3
+"""White that parts two lines, in x-heights."""
+_CLOSE = 0.02
+"""Distance of the pieces from a curve that is good enough, in heights of its letters."""
+_WORTH = 0.7
+"""A curve of higher degree must bring most pieces this much nearer."""
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A row of letters, straightened and measured; all in pixels of the page.
+
+    Attributes
+    ----------
+    left, right : float, px
+        Where the row begins and ends.
+    baseline : ndarray, (D,)
+        Coefficients of its baseline, lowest first, over the distance from ``left``.
+    x_height : float, px
+        From the baseline to the top of an x.
+    profile : ndarray, (N,)
+        Ink at each height, in [0, 1], from above down.
+    profile_top : float
+        Where the profile begins, in x-heights above the baseline.
+    step : float
+        From row to row of the profile, in x-heights.
+    strokes : float
+        Strokes met halfway up an x, per x-height of the row's length.
+    """
+
+    left: float
+    right: float
+    baseline: Floats
+    x_height: float
+    profile: Floats
+    profile_top: float
+    step: float
+    strokes: float
+
+    def at(self, x: NDArray[Any]) -> Floats:
+        """Return the baseline's y at some x, px; straight on beyond the row's ends."""
+        return along(self.baseline, np.asarray(x, np.float64) - self.left, self.right - self.left)
+
+    def slope_at(self, x: float) -> float:
+        """Return how steeply the baseline falls at some x."""
+        inside = min(max(x - self.left, 0.0), self.right - self.left)
+        return float(polynomial.polyval(inside, polynomial.polyder(self.baseline)))
+
+    @property
+    def heights(self) -> Floats:
+        """Height of each row of the profile over the baseline, (N,), in x-heights."""
+        return np.asarray(self.profile_top - np.arange(len(self.profile)) * self.step)
+
+    def ink_between(self, low: float, high: float) -> float:
+        """Return the mean ink between two heights over the baseline, in x-heights."""
+        chosen = (self.heights >= low) & (self.heights <= high)
+        return float(self.profile[chosen].mean()) if chosen.any() else 0.0
+
+    def least_ink(self, low: float, high: float) -> float:
+        """Return the least ink in a gap between two heights over the baseline, in x-heights."""
+        chosen = self.profile[(self.heights >= low) & (self.heights <= high)]
+        gap = max(1, min(round(_GAP / self.step), len(chosen)))
+        if not len(chosen):
+            return 0.0
+        return float(np.convolve(chosen, np.ones(gap) / gap, "valid").min())
+
+
+def along(coefficients: Floats, distance: Floats, length: float) -> Floats:
+    """Return a curve at distances from its beginning; straight on beyond its ends."""
+    inside = np.clip(distance, 0, length)
+    slope = polynomial.polyval(inside, polynomial.polyder(coefficients))
+    return np.asarray(polynomial.polyval(inside, coefficients) + slope * (distance - inside))
+
+
+def follow(density: NDArray[np.uint8], row: Spots, slope: float | None = None) -> Course:
+    """Follow the baseline of a row of letters.
+
+    Pieces of the row are shifted up and down until their ink fits that of the
+    whole row best; a smooth curve goes through them. The baseline is where the
+    ink ends most abruptly, the top of an x where it begins so.
+
+    Parameters
+    ----------
+    density : ndarray, (H, W) uint8
+        Ink of the page, 255 where it is full.
+    row : Spots
+        Letters of the row.
+    slope : float, optional
+        Of the lines around, for a row that is too short to tell.
+    """
+    height = row.usual_height
+    left, right = float(row.left.min()), float(row.right.max())
+    center = (row.left + row.right) / 2 - left
+    middle = (row.top + row.bottom) / 2
+    weight = np.sqrt(row.area)
+    degree = _degree((right - left) / height / _PIECE)
+    if slope is None:
+        most = min(degree, _degree(len(middle)))
+        curve = _smooth(center, middle, weight, most, _CLOSE * height)
+    else:
+        curve = np.array([np.average(middle - slope * center, weights=weight), slope])
+    for _ in range(_ROUNDS):
+        pieces, at = _pieces(density, left, right, curve, height)
+        shift, weight = _shifts(pieces)
+        away = shift * height / _STEPS
+        more = _smooth(at, away, weight, degree, _CLOSE * height)
+        curve = np.asarray(polynomial.polyadd(curve, more), np.float64)
+    pieces, _ = _pieces(density, left, right, curve, height)
+    profile = pieces.mean(axis=0)
+    top, base = _edges(profile)
+    curve[0] += (base / _STEPS - _BAND) * height
+    x_height = (base - top) / _STEPS * height
+    strokes = _strokes(density, left, right, curve, x_height)
+    step = 1 / (base - top)
+    return Course(left, right, curve, x_height, profile, base * step, step, strokes)
+
+
+def _degree(support: float) -> int:
+    """Return the degree of a curve through so many pieces of a line."""
+    return int(np.searchsorted(_SUPPORT, support, side="right"))
+
+
+def _smooth(x: Floats, y: Floats, weight: Floats, most: int, close: float) -> Floats:
+    """Return the coefficients of the simplest curve that most points are close to."""
+    found, away = _fitted(x, y, weight, min(most, 1))
+    for degree in range(2, most + 1):
+        if away < close:
+            break
+        finer, finer_away = _fitted(x, y, weight, degree)
+        if finer_away > _WORTH * away:
+            continue
+        found, away = finer, finer_away
+    return found
+
+
+def _fitted(x: Floats, y: Floats, weight: Floats, degree: int) -> tuple[Floats, float]:
+    """Return a curve's coefficients, points far from it counting little, and their distance."""
+    scale = max(1.0, float(np.abs(x).max(initial=0)))
+    matrix = polynomial.polyvander(x / scale, degree)
+    robust = np.ones_like(y)
+    for _ in range(5):
+        root = np.sqrt(weight * robust)
+        found = np.linalg.lstsq(matrix * root[:, None], y * root, rcond=1e-9)[0]
+        away = np.abs(y - matrix @ found)
+        usual = float(np.median(away))
+        # Geman and McClure's weights.
+        robust = 1 / (1 + (away / max(1.5 * usual, 0.25)) ** 2) ** 2
+    return np.asarray(found / scale ** np.arange(degree + 1)), usual
+
+
+def _pieces(
+    density: NDArray[np.uint8], left: float, right: float, curve: Floats, height: float
+) -> tuple[Floats, Floats]:
+    """Return the ink of each piece at each height along a curve, (P, N), and where it is."""
+    count = max(1, round((right - left) / height / _PIECE))
+    columns = max(8, round((right - left) / height * _COLUMNS / count)) * count
+    along = (np.arange(columns) + 0.5) * (right - left) / columns
+    across = np.arange(round(2 * _BAND * _STEPS) + 1) * height / _STEPS - _BAND * height
+    x = np.broadcast_to(along + left, (len(across), columns))
+    y = polynomial.polyval(along, curve) + across[:, None]
+    # A pixel's middle is half a pixel from its edge.
+    band = cv2.remap(
+        density,
+        np.asarray(x - 0.5, np.float32),
+        np.asarray(y - 0.5, np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=0,
+    )
+    pieces = band.reshape(len(across), count, -1).mean(axis=2).T / 255
+    return pieces, along.reshape(count, -1).mean(axis=1)
+
+
+def _strokes(
+    density: NDArray[np.uint8], left: float, right: float, curve: Floats, x_height: float
+) -> float:
+    """Return how many strokes are met halfway up an x, per x-height."""
+    distance = np.arange(0.0, right - left)
+    y = polynomial.polyval(distance, curve) - x_height / 2
+    inside = (y >= 0) & (y < len(density))
+    met = density[y[inside].astype(int), (distance[inside] + left).astype(int)] > 127
+    return float(np.count_nonzero(np.diff(met.astype(np.int8)) == 1) / (right - left) * x_height)
+
+
+def _shifts(pieces: Floats) -> tuple[Floats, Floats]:
+    """Return how much lower each piece is than all together, in steps, and how well it tells."""
+    most = round(_SHIFT * _STEPS)
+    edges = np.diff(cv2.GaussianBlur(pieces, (0, 0), sigmaX=1.5, sigmaY=1e-6), axis=1)
+    # Letters end at the baseline more often than they begin at the top of an x: figures do not.
+    edges = np.where(edges > 0, _RISE * edges, edges) * np.hanning(edges.shape[1])
+    usual = edges.mean(axis=0)
+    spread = np.fft.rfft(edges, 2 * edges.shape[1])
+    match = np.fft.irfft(spread * np.conj(np.fft.rfft(usual, 2 * edges.shape[1])))
+    match = np.concatenate([match[:, -most:], match[:, : most + 1]], axis=1)
+    best = match.argmax(axis=1)
+    best = np.clip(best, 1, 2 * most - 1)
+    rows = np.arange(len(match))
+    before, here, after = (match[rows, best + k] for k in (-1, 0, 1))
+    bend = np.maximum(2 * here - before - after, 1e-12)
+    return best - most + np.clip((after - before) / 2 / bend, -0.5, 0.5), np.maximum(here, 1e-9)
+
+
+def _edges(profile: Floats) -> tuple[float, float]:
+    """Return where an x begins and ends in a profile: its steepest rise and fall, in steps."""
+    slope = np.diff(cv2.GaussianBlur(profile[None], (0, 0), sigmaX=1.0).ravel())
+    middle = len(profile) // 2
+    lowest = middle + round(0.85 * _STEPS)
+    base = middle + int(slope[middle:lowest].argmin())
+    highest, nearest = base - round(1.2 * _STEPS), base - round(0.35 * _STEPS)
+    top = highest + int(slope[highest:nearest].argmax())
+    return _peak(slope, top), _peak(-slope, base)
+
+
+def _peak(values: Floats, at: int) -> float:
+    before, here, after = values[at - 1 : at + 2]
+    bend = 2 * here - before - after
+    # Between two rows of the profile.
+    return at + 0.5 + (float((after - before) / 2 / bend) if bend > 0 else 0.0)

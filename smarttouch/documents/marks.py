@@ -1,0 +1,126 @@
+"""Marks that belong to a line: dots, dashes, quotes at its ends; and lines that they join."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.polynomial import Polynomial, polynomial
+
+from smarttouch.documents.baselines import Course
+from smarttouch.documents.letters import Spots, widest_white
+
+_THINNEST, _SHORTEST, _LONGEST = 0.06, 0.15, 2.5
+"""Shorter and longer side of a dot, a dash or a letter that stands alone, in x-heights."""
+_REACH = 1.2
+"""How far from a line's end a mark may stand that belongs to it, in x-heights."""
+_ABOVE, _BELOW = 1.6, 0.5
+"""Where a mark's middle may be, over and under the baseline, in x-heights."""
+_FARTHEST = 5.0
+"""How far from a line's end a row of marks may reach, or its other part begin, in x-heights."""
+_MEETING = 1.2
+"""White between two parts of a line that is no gutter, in x-heights."""
+_OF_A_LINE = 0.7
+"""What is lower than this part of an x beside it is no line of its own."""
+_OF_TWO_LINES = 2.0
+"""Length of what may be letters of two lines that touch, in x-heights."""
+_HANGING = 1.2
+"""How far below a line what hangs from it may end, in x-heights."""
+_ONE_BASELINE = 0.35
+"""How far apart the baselines of two parts of a line may meet, in x-heights."""
+_ONE_SIZE = 1.5
+"""Ratio of their x-heights."""
+
+
+def with_marks(courses: list[Course], spots: Spots) -> list[Course]:
+    """Lengthen lines by the marks at their ends, and join those that then meet.
+
+    Parameters
+    ----------
+    courses : list of Course
+        Lines that were found by their letters.
+    spots : Spots
+        All ink of the page.
+    """
+    lines = sorted(_lengthened(courses, spots), key=lambda line: line.left)
+    joined: list[Course] = []
+    for line in lines:
+        before = [k for k, other in enumerate(joined) if _continues(other, line, spots)]
+        if before:
+            nearest = max(before, key=lambda k: joined[k].right)
+            joined[nearest] = _joined(joined[nearest], line)
+        else:
+            joined.append(line)
+    return [line for line in joined if not any(_belongs(line, other) for other in joined)]
+
+
+def _lengthened(courses: list[Course], spots: Spots) -> list[Course]:
+    """Return the lines with the marks beside them; a mark goes to the nearest line."""
+    x, y = (spots.left + spots.right) / 2, (spots.top + spots.bottom) / 2
+    nearest = np.full(len(x), -1)
+    least = np.full(len(x), np.inf)
+    for index, course in enumerate(courses):
+        size = course.x_height
+        above = (course.at(x) - y) / size
+        beyond = np.maximum(np.maximum(course.left - x, x - course.right), 0) / size
+        smaller = np.minimum(spots.width, spots.height) / size
+        larger = np.maximum(spots.width, spots.height) / size
+        mark = (above < _ABOVE) & (above > -_BELOW)
+        mark &= (smaller > _THINNEST) & (larger > _SHORTEST) & (larger < _LONGEST)
+        away = np.abs(above - 0.5) + beyond
+        nearer = mark & (beyond < _FARTHEST) & (away < least)
+        nearest[nearer] = index
+        least[nearer] = away[nearer]
+    return [_reaching(course, spots.of(nearest == k)) for k, course in enumerate(courses)]
+
+
+def _reaching(course: Course, marks: Spots) -> Course:
+    """Lengthen a line from mark to mark, on either side."""
+    left, right = course.left, course.right
+    reach = _REACH * course.x_height
+    for k in np.argsort(marks.left):
+        if marks.left[k] < right + reach:
+            right = max(right, float(marks.right[k]))
+    for k in np.argsort(-marks.right):
+        if marks.right[k] > left - reach:
+            left = min(left, float(marks.left[k]))
+    moved = Polynomial(course.baseline)(Polynomial([left - course.left, 1]))
+    return replace(course, left=left, right=right, baseline=np.asarray(moved.coef, np.float64))
+
+
+def _continues(line: Course, other: Course, spots: Spots) -> bool:
+    """Tell whether another line goes on where one ends, or where ink between them does."""
+    size = min(line.x_height, other.x_height)
+    if other.left - line.right > _FARTHEST * size or other.right <= line.right:
+        return False
+    if max(line.x_height, other.x_height) > _ONE_SIZE * size:
+        return False
+    meeting = np.array((other.left + min(line.right, other.right)) / 2)
+    base = float(line.at(meeting))
+    if abs(base - float(other.at(meeting))) > _ONE_BASELINE * size:
+        return False
+    if other.left <= line.right:
+        return True
+    white = widest_white(spots, line.right, other.left, base - size, base)
+    return white[1] - white[0] < _MEETING * size
+
+
+def _joined(line: Course, other: Course) -> Course:
+    """Return one line of two."""
+    longer = max(line, other, key=lambda each: each.right - each.left)
+    x = np.linspace(line.left, other.right, 50)
+    y = np.where(x < (line.right + other.left) / 2, line.at(x), other.at(x))
+    degree = len(longer.baseline) - 1 or 1
+    baseline = np.asarray(polynomial.polyfit(x - line.left, y, degree), np.float64)
+    return replace(longer, left=line.left, right=other.right, baseline=baseline)
+
+
+def _belongs(line: Course, other: Course) -> bool:
+    """Tell whether what looks like a line are dots and accents of another one."""
+    size = other.x_height
+    if line is other or (
+        line.x_height > _OF_A_LINE * size and line.right - line.left > _OF_TWO_LINES * size
+    ):
+        return False
+    middle = (line.left + line.right) / 2
+    at = np.array(middle)
+    above = float(other.at(at) - line.at(at)) / size
+    return other.left < middle < other.right and -_HANGING < above < _ABOVE

@@ -1,0 +1,63 @@
+"""A page made ready to be read: straight, black on white, its lines in order."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.documents.ink import separate_ink
+from smarttouch.documents.page_image import Page
+from smarttouch.documents.straighten import straighten
+from smarttouch.documents.strips import cut_strip
+from smarttouch.documents.text_lines import TextLine, lines_of
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedPage:
+    """A page ready to be read.
+
+    Attributes
+    ----------
+    page : Page
+        The page, straightened.
+    cleaned : ndarray, (H, W) uint8
+        The same as dark on light, its paper exactly 255.
+    lines : tuple of TextLine
+        Its lines in reading order; empty if there is no text.
+    light_on_dark : bool
+        Whether it is printed light on dark.
+    notes : tuple of str
+        What was mended, for the user.
+    """
+
+    page: Page
+    cleaned: NDArray[np.uint8]
+    lines: tuple[TextLine, ...]
+    light_on_dark: bool
+    notes: tuple[str, ...]
+
+    def strip(self, index: int, height_px: int) -> NDArray[np.uint8]:
+        """Return a line straightened, (height_px, W), ascenders to descenders filling it."""
+        return cut_strip(self.cleaned, self.page.mm_per_pixel, self.lines[index], height_px)
+
+
+def prepare_page(
+    page: Page, light_on_dark: bool | None = None, straightened: bool = True
+) -> PreparedPage:
+    """Make a page ready to be read.
+
+    Parameters
+    ----------
+    page : Page
+        A scan, a photograph or a picture of print.
+    light_on_dark : bool, optional
+        Whether it is printed light on dark; found out if not given.
+    straightened : bool
+        Lay sheets flat and turn text level first.
+    """
+    notes: list[str] = []
+    if straightened:
+        page, notes = straighten(page)
+    paper = separate_ink(page.grey, light_on_dark)
+    lines = lines_of(paper, page.mm_per_pixel)
+    return PreparedPage(page, paper.cleaned, tuple(lines), paper.light_on_dark, tuple(notes))

@@ -1,0 +1,75 @@
+"""How large the print is: the same for all lines of one print, whichever letters they have."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.documents.baselines import Course
+
+Floats = NDArray[np.float64]
+
+ASCENT, DESCENT = 1.5, 0.45
+"""Usual heights of a b over, and of a p under the baseline, in x-heights."""
+_SAME = 0.15
+"""Difference of x-heights that may be an error of measurement."""
+_NEAREST = 9
+"""Lines around a line whose x-height it shares."""
+_LOW_EDGE = 0.12
+"""Ink at the end of the ascenders, of that at their middle."""
+_FEWEST = 0.03
+"""Ink beside the ascenders or descenders, of that in the line, from which they can be measured."""
+_CAPITALS = 0.08
+"""A line with less ink than this above its letters has no ascenders: it is capitals or figures."""
+
+
+def reach_of_print(courses: list[Course]) -> tuple[float, float]:
+    """Return how far ascenders and descenders reach from the baseline, in x-heights.
+
+    Of all lines of a page together: few single ones have enough of either.
+    """
+    length = np.array([(course.right - course.left) / course.x_height for course in courses])
+    height = np.arange(-1.0, 2.2, 0.02)
+    profiles = [np.interp(height, course.heights[::-1], course.profile[::-1]) for course in courses]
+    ink = np.average(profiles, axis=0, weights=length)
+    zone = ink[(height > 0.05) & (height < 0.95)].mean()
+    ascent = _end(height, ink, (1.2, 1.35), zone)
+    descent = _end(-height[::-1], ink[::-1], (0.15, 0.3), zone)
+    return ascent or ASCENT, descent or DESCENT
+
+
+def _end(height: Floats, ink: Floats, middle: tuple[float, float], zone: float) -> float | None:
+    """Return where the ink ends that there is at some height, going outwards."""
+    there = float(ink[(height >= middle[0]) & (height <= middle[1])].mean())
+    if there < _FEWEST * zone:
+        return None
+    outside = (height > middle[1]) & (ink < _LOW_EDGE * there)
+    return float(height[outside][0]) if outside.any() else None
+
+
+def shared_x_heights(courses: list[Course], ascent: float) -> Floats:
+    """Return the x-height of each line, as lines around it of the same print have it, px.
+
+    Lines of capitals and figures seem to have taller letters: they get those
+    of the print of which they are the capitals.
+    """
+    size = np.array([course.x_height for course in courses])
+    length = np.array([course.right - course.left for course in courses])
+    middle = np.array([(course.left + course.right) / 2 for course in courses])
+    y = np.array([float(course.at(x)) for course, x in zip(courses, middle, strict=True)])
+    above = np.array(
+        [course.ink_between(1.1, 1.4) / course.ink_between(0.05, 0.95) for course in courses]
+    )
+    most = _weighted_median(size, length)
+    capitals = (above < _CAPITALS) & (np.abs(size / most / ascent - 1) < _SAME)
+    size = np.where(capitals, size / ascent, size)
+    shared = np.empty_like(size)
+    for k in range(len(size)):
+        near = np.flatnonzero(np.abs(size / size[k] - 1) < _SAME)
+        near = near[np.argsort(np.abs(y[near] - y[k]))][:_NEAREST]
+        shared[k] = _weighted_median(size[near], length[near])
+    return shared
+
+
+def _weighted_median(values: Floats, weight: Floats) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2)])

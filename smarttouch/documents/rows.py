@@ -1,0 +1,169 @@
+"""Letters that stand side by side: rows, cut where columns part."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from smarttouch.documents.letters import Spots, widest_white
+
+Indices = NDArray[np.int_]
+
+_NEIGHBORS = 10
+"""Letters near the right edge of a letter among which the next one is looked for."""
+_WIDEST_GAP = 3.8
+"""Between letters of a row, of the taller one's height: a dash or = between two spaces."""
+_LEAST_OVERLAP = 0.45
+"""Of the lower one's height, that two letters of a row stand beside each other."""
+_MOST_RATIO = 2.8
+"""Of heights in a row: a parenthesis has 2.5 times the height of an x."""
+_FEW = 2
+"""Letters in a row that are believed to be one only where they stand alone."""
+_AROUND, _CROWD = 2.0, 5
+"""Within so many heights of such a letter there are so many at most, itself included."""
+_LEAST_SPACE = 0.35
+"""Of a letter's height: a narrower gap is within a word."""
+_NARROWEST = 0.75
+"""Of a letter's height: a wider gap may be a gutter between columns."""
+_WIDER = 1.9
+"""A gutter is so much wider than the usual space between words."""
+_WIDE = 2.2
+"""Of a letter's height: a gap that may be a gutter however wide the usual ones are."""
+_GUTTER_LINES = 2
+"""Lines above or below, on either side, that a gutter parts as well."""
+_OTHER_LINE = 0.8
+"""Of a letter's height, that lines are at least apart."""
+_BESIDE = 12.0
+"""How far from the gutter their letters may be, in heights of a letter."""
+_FAR = 1 << 30
+
+
+@dataclass(frozen=True, eq=False)
+class Links:
+    """Letters and those that follow them; indices, and the white between."""
+
+    first: Indices
+    second: Indices
+    gap: NDArray[np.int_]
+
+
+def find_rows(letters: Spots, spots: Spots) -> list[Indices]:
+    """Return the indices of the letters of each row, from left to right.
+
+    Parameters
+    ----------
+    letters : Spots
+        What may be letters.
+    spots : Spots
+        All ink of the page: marks between letters fill a gap.
+    """
+    count = len(letters.area)
+    if count < 2:
+        return [np.arange(count)] if count else []
+    links = neighbors(letters)
+    links = _without_gutters(letters, links, spots)
+    ones = np.ones(len(links.first), np.int8)
+    graph = coo_array((ones, (links.first, links.second)), shape=(count, count))
+    _, row_of = connected_components(graph, directed=False)
+    order = np.lexsort((letters.left, row_of))
+    edges = np.flatnonzero(np.diff(row_of[order])) + 1
+    crowded = _are_crowded(letters)
+    return [row for row in np.split(order, edges) if len(row) > _FEW or not crowded[row].any()]
+
+
+def _are_crowded(letters: Spots) -> NDArray[np.bool_]:
+    """Tell of each letter, (N,), whether more are around it than in print: specks of a picture."""
+    center = np.column_stack([letters.left + letters.right, letters.top + letters.bottom]) / 2
+    reach = _AROUND * letters.height
+    around = cKDTree(center).query_ball_point(center, reach, return_length=True)
+    return np.asarray(around > _CROWD)
+
+
+def neighbors(letters: Spots) -> Links:
+    """Link each letter to the next one on its right, where both agree."""
+    height = letters.height
+    middle = (letters.top + letters.bottom) / 2
+    # Twice as far apart in height is as far apart as this in the row.
+    tree = cKDTree(np.column_stack([letters.left, 2 * middle]))
+    near = min(_NEIGHBORS, len(height) - 1) + 1
+    reach = _WIDEST_GAP * float(height.max())
+    _, second = tree.query(
+        np.column_stack([letters.right, 2 * middle]), k=near, distance_upper_bound=2 * reach
+    )
+    first = np.repeat(np.arange(len(height)), near)
+    second = second.ravel()
+    found = second < len(height)
+    first, second = first[found], second[found]
+    taller = np.maximum(height[first], height[second])
+    lower = np.minimum(height[first], height[second])
+    gap = letters.left[second] - letters.right[first]
+    beside = np.minimum(letters.bottom[first], letters.bottom[second]) - np.maximum(
+        letters.top[first], letters.top[second]
+    )
+    kept = (
+        (letters.left[second] + letters.right[second] > letters.left[first] + letters.right[first])
+        & (gap <= _WIDEST_GAP * taller)
+        & (beside >= _LEAST_OVERLAP * lower)
+        & (taller <= _MOST_RATIO * lower)
+        & (first != second)
+    )
+    first, second, gap, beside, lower = (each[kept] for each in (first, second, gap, beside, lower))
+    # What stands a pixel off is as far as what stands a pixel farther on.
+    cost = np.maximum(gap, 0) + (lower - beside)
+    follows = _cheapest(first, cost)
+    precedes = _cheapest(second, cost)
+    agreed = np.intersect1d(follows, precedes)
+    return Links(first[agreed], second[agreed], gap[agreed])
+
+
+def _cheapest(of: Indices, cost: NDArray[np.float64]) -> Indices:
+    """Return the index of the cheapest link of each letter."""
+    order = np.lexsort((cost, of))
+    is_first = np.diff(of[order], prepend=-1) != 0
+    return np.asarray(order[is_first], np.int_)
+
+
+def _without_gutters(letters: Spots, links: Links, spots: Spots) -> Links:
+    """Cut links over a white lane that runs down between columns."""
+    taller = np.maximum(letters.height[links.first], letters.height[links.second])
+    part = links.gap / taller
+    spaces = part[part > _LEAST_SPACE]
+    usual = float(np.median(spaces)) if len(spaces) else 0.0
+    narrowest = min(max(_NARROWEST, _WIDER * usual), _WIDE)
+    kept = np.ones(len(links.first), bool)
+    for k in np.flatnonzero(part > narrowest):
+        first, second = links.first[k], links.second[k]
+        y = float(letters.bottom[first] + letters.bottom[second]) / 2
+        size = float(taller[k])
+        white = widest_white(
+            spots, int(letters.right[first]), int(letters.left[second]), y - size, y
+        )
+        if white[1] - white[0] <= narrowest * size:
+            continue
+        # Columns begin, or end, one below the other: the lane lies at an edge of the gap.
+        width = _NARROWEST * size
+        middle = (white[0] + white[1]) / 2
+        lanes = (white[1] - width, white[0], middle - width / 2)
+        kept[k] = not any(_parts_columns(letters, lane, lane + width, y, size) for lane in lanes)
+    return Links(links.first[kept], links.second[kept], links.gap[kept])
+
+
+def _parts_columns(letters: Spots, left: float, right: float, y: float, size: float) -> bool:
+    """Tell whether a lane is white over several lines that stand on both sides of it."""
+    across = (letters.right > left) & (letters.left < right)
+    above = letters.bottom[across & (letters.bottom < y - size / 2)].max(initial=-_FAR)
+    below = letters.top[across & (letters.top > y - size / 2)].min(initial=_FAR)
+    beside = (letters.top > above) & (letters.bottom < below)
+    beside &= np.abs(letters.bottom - y) > _OTHER_LINE * size
+    reach = _BESIDE * size
+    lines = []
+    for near in (
+        (letters.right <= left) & (letters.right > left - reach),
+        (letters.left >= right) & (letters.left < right + reach),
+    ):
+        bottoms = np.sort(letters.bottom[beside & near])
+        lines.append(np.count_nonzero(np.diff(bottoms, prepend=-_FAR) > _OTHER_LINE * size))
+    return bool(min(lines) >= _GUTTER_LINES)

@@ -1,0 +1,153 @@
+"""Pages made straight: a photographed sheet seen from above, text turned level."""
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.documents.ink import reduced, separate_ink
+from smarttouch.documents.letters import Spots, letters_alone
+from smarttouch.documents.page_image import Page
+from smarttouch.documents.rows import neighbors
+from smarttouch.documents.sheet import find_sheet, flattened
+
+Grey = NDArray[np.uint8]
+
+MOST_SKEW_DEG = 15.0
+LEAST_SKEW_DEG = 0.2
+"""Less need not be mended: lines are followed wherever they lead."""
+_REDUCED_PIXELS = 2_000_000
+"""Size of the image in which skew is measured: letters of an A4 page are 10 pixels high."""
+_COARSE_DEG, _FINE_DEG = 0.5, 0.05
+_POINTS = 30_000
+_FEWEST_LETTERS = 8
+"""From fewer the direction of the text cannot be told."""
+_BINS = 5.0
+"""Rows per height of a letter in which ink is counted."""
+_FAR = 3.2
+"""Gap where none is seen, in heights of a letter."""
+_TOUCHING = 0.1
+"""Gap that counts for letters that touch, in heights of a letter."""
+_EDGE_MEANS = 40
+"""Places across a page at which the grey of its edges is averaged."""
+_TELLING = 0.3
+"""Rise of a line over its whole length that can be seen, in heights of a letter."""
+_LEAST_CONTRAST = 3.2
+"""Of rows and gaps along the text, to that along any direction; pictures have up to 2.9."""
+_CLEARLY = 0.6
+"""Logarithm of a ratio: letters are this much nearer to each other in columns than in rows."""
+
+
+def straighten(page: Page) -> tuple[Page, list[str]]:
+    """Return a page with its text level, and what was mended, one sentence each.
+
+    The sheet of a photograph is laid flat; text that runs up or down is turned
+    by a quarter; what is left of skew, up to 15°, is turned level. A page with
+    nothing to mend is returned as it is. Whether it stands on its head is
+    not looked at.
+    """
+    notes = []
+    corners = find_sheet(page.grey)
+    if corners is not None:
+        page = Page(flattened(page.grey, corners), page.mm_per_pixel)
+        notes.append("the sheet of paper was cut out of the photograph and laid flat")
+    found = letters_alone(separate_ink(reduced(page.grey, _REDUCED_PIXELS)).ink)
+    if found is None or len(found[1].area) < _FEWEST_LETTERS:
+        return page, notes
+    ink, letters, height = found
+    downwards = _runs_downwards(letters)
+    if downwards:
+        ink, letters = np.rot90(ink), letters.transposed
+        height = letters.usual_height
+    skew_deg, contrast = measure_skew(ink, height)
+    if contrast < _LEAST_CONTRAST:
+        return page, notes
+    if abs(skew_deg) < _least_skew_deg(letters, height):
+        skew_deg = 0.0
+    if not (downwards or skew_deg):
+        return page, notes
+    if downwards:
+        notes.append("the text ran up or down the page, which was turned by 90°")
+    if skew_deg:
+        notes.append(f"the text was tilted by {abs(skew_deg):.1f}° and was turned level")
+    return Page(_turned(page.grey, downwards, skew_deg), page.mm_per_pixel), notes
+
+
+def measure_skew(ink: NDArray[np.bool_], height: float) -> tuple[float, float]:
+    """Return by how many degrees text is turned clockwise, at most 15, and how clearly.
+
+    Ink is counted in rows along many directions: along the lines of text, full
+    and empty rows differ most (projection profiles, Postl 1986). How much more
+    than along the usual direction says whether there is text at all.
+
+    Parameters
+    ----------
+    ink : ndarray, (H, W) bool
+        Letters and nothing else.
+    height : float, px
+        Usual height of a letter.
+    """
+    points = np.argwhere(ink)
+    points = points[:: max(1, len(points) // _POINTS)]
+    down, across = (points * (_BINS / height)).T
+
+    def contrast(degrees: float) -> float:
+        turned = down - across * math.tan(math.radians(degrees))
+        rows = np.bincount((turned - turned.min()).astype(np.intp)).astype(np.float64)
+        return float(np.square(np.diff(rows)).sum())
+
+    coarse = np.arange(-MOST_SKEW_DEG, MOST_SKEW_DEG + _COARSE_DEG / 2, _COARSE_DEG)
+    found = np.array([contrast(degrees) for degrees in coarse])
+    fine = coarse[found.argmax()] + np.arange(-_COARSE_DEG, _COARSE_DEG, _FINE_DEG)
+    finest = np.array([contrast(degrees) for degrees in fine])
+    return float(fine[finest.argmax()]), float(finest.max() / max(np.median(found), 1.0))
+
+
+def _runs_downwards(letters: Spots) -> bool:
+    """Tell whether letters follow each other down the page and not along it.
+
+    Within a word they are nearer to each other than in any other direction;
+    where words have run together, these are long.
+    """
+    gaps = []
+    for each in (letters, letters.transposed):
+        links = neighbors(each)
+        taller = np.maximum(each.height[links.first], each.height[links.second])
+        apart = np.maximum(links.gap, 0) / taller
+        gaps.append(float(np.median(apart)) if len(apart) else _FAR)
+    along, down = (math.log(gap + _TOUCHING) for gap in gaps)
+    longer = float(np.average(np.log(letters.width / letters.height), weights=letters.area))
+    return down - along + 2 * longer < -_CLEARLY
+
+
+def _least_skew_deg(letters: Spots, height: float) -> float:
+    """Return the least skew that can be told: little text says little of its direction."""
+    left, right = np.percentile(letters.left, 2), np.percentile(letters.right, 98)
+    return max(LEAST_SKEW_DEG, math.degrees(_TELLING * height / max(float(right - left), 1.0)))
+
+
+def _turned(grey: Grey, quarter: bool, skew_deg: float) -> Grey:
+    """Turn a page back; it grows, and its paper goes on where it had none."""
+    if quarter:
+        grey = np.ascontiguousarray(np.rot90(grey))
+    if not skew_deg:
+        return grey
+    height, width = grey.shape
+    angle = math.radians(skew_deg)
+    cos, sin = math.cos(angle), abs(math.sin(angle))
+    size = (math.ceil(width * cos + height * sin), math.ceil(height * cos + width * sin))
+    matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), skew_deg, 1)
+    matrix[:, 2] += (size[0] - width) / 2, (size[1] - height) / 2
+    turned = cv2.warpAffine(
+        _softly_edged(grey), matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(turned, np.uint8)
+
+
+def _softly_edged(grey: Grey) -> Grey:
+    """Return a page whose outermost pixels are the mean of what is near: fit to be repeated."""
+    coarse = cv2.resize(grey, (_EDGE_MEANS, _EDGE_MEANS), interpolation=cv2.INTER_AREA)
+    soft = cv2.resize(coarse, grey.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    soft[1:-1, 1:-1] = grey[1:-1, 1:-1]
+    return np.asarray(soft, np.uint8)

@@ -1,0 +1,97 @@
+"""Lines of text cut out of a page and straightened."""
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.documents.text_lines import TextLine
+
+_AROUND = 0.8
+"""How much of the page above and below a line is looked at, in heights of the line."""
+SIDES = 0.25
+"""Paper kept before and after a line, in heights of the line."""
+_INK = 128
+"""Darker than this is ink when the spots of neighboring lines are looked for."""
+_FADED = 2
+"""Samples by which the grey edge of a spot reaches beyond its ink."""
+
+
+def cut_strip(
+    cleaned: NDArray[np.uint8], mm_per_pixel: float, line: TextLine, height_px: int
+) -> NDArray[np.uint8]:
+    """Cut a line out of a page, straightened along its baseline.
+
+    The print, from its ascenders to its descenders, fills the strip's height.
+    What reaches into it from the lines above and below is left out.
+
+    Parameters
+    ----------
+    cleaned : ndarray, (H, W) uint8
+        The page, its paper 255.
+    mm_per_pixel : float, mm
+        Its scale.
+    line : TextLine
+        What to cut out.
+    height_px : int
+        Rows of the strip.
+
+    Returns
+    -------
+    ndarray, (height_px, W) uint8
+        As wide as the line is long, and `SIDES` of paper at each end.
+    """
+    line_px = line.height_mm / mm_per_pixel
+    # Made smaller, a strip is first sampled as finely as the page and then averaged.
+    steps = max(1, math.ceil(line_px / height_px))
+    rows = steps * height_px
+    scale_mm = line.height_mm / rows
+    along_mm = _places(line, scale_mm * steps, steps)
+    above = round(_AROUND * rows)
+    across_mm = (np.arange(-above, rows + above) + 0.5) * scale_mm - line.ascent_mm
+    # The strokes of a curved page's letters stay upright: columns are cut as they stand.
+    x_mm = np.broadcast_to(along_mm, (len(across_mm), len(along_mm)))
+    y_mm = line.baseline_mm(along_mm) + across_mm[:, None]
+    wide = cv2.remap(
+        cleaned,
+        np.asarray(x_mm / mm_per_pixel - 0.5, np.float32),
+        np.asarray(y_mm / mm_per_pixel - 0.5, np.float32),
+        cv2.INTER_CUBIC if rows > line_px else cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=255,
+    )
+    own = _without_neighbors(np.asarray(wide, np.uint8), above, rows)
+    size = (len(along_mm) // steps, height_px)
+    return np.asarray(cv2.resize(own, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _places(line: TextLine, pixel_mm: float, steps: int) -> NDArray[np.float64]:
+    """Return the x of every column, equally far from each other along the baseline, mm."""
+    sides_mm = SIDES * line.height_mm
+    x_mm = np.linspace(line.left_mm - sides_mm, line.right_mm + sides_mm, 400)
+    passed_mm = np.cumsum(np.hypot(np.diff(x_mm), np.diff(line.baseline_mm(x_mm))))
+    passed_mm = np.concatenate([[0.0], passed_mm])
+    columns = max(1, round(float(passed_mm[-1]) / pixel_mm)) * steps
+    wanted_mm = (np.arange(columns) + 0.5) * float(passed_mm[-1]) / columns
+    return np.interp(wanted_mm, passed_mm, x_mm)
+
+
+def _without_neighbors(wide: NDArray[np.uint8], above: int, rows: int) -> NDArray[np.uint8]:
+    """Return the middle rows of a wider cut, without spots of which most lies beyond them."""
+    ink = (wide < _INK).view(np.uint8)
+    own = slice(above, above + rows)
+    count, labels = cv2.connectedComponents(ink, connectivity=8)
+    whole = np.bincount(labels.ravel(), minlength=count)
+    inside = np.bincount(labels[own].ravel(), minlength=count)
+    foreign = (2 * inside < whole) & (inside > 0)
+    foreign[0] = False
+    strip = wide[own]
+    if not foreign.any():
+        return strip
+    side = 2 * _FADED + 1
+    spots = foreign.astype(np.uint8)[labels[own]]
+    faded = cv2.dilate(spots, np.ones((side, side), np.uint8)) > 0
+    # Ink of this line beside it stays.
+    faded &= (labels[own] == 0) | (spots > 0)
+    return np.where(faded, np.uint8(255), strip)

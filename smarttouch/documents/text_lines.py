@@ -1,0 +1,171 @@
+"""Where the lines of text are on a page, and in which order they are read."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import polynomial
+from numpy.typing import NDArray
+
+from smarttouch.documents.baselines import Course, along, follow
+from smarttouch.documents.ink import Paper, separate_ink
+from smarttouch.documents.letters import (
+    Spots,
+    find_rules,
+    find_spots,
+    like_letters,
+    usual_height,
+)
+from smarttouch.documents.marks import with_marks
+from smarttouch.documents.page_image import Page
+from smarttouch.documents.print_size import reach_of_print, shared_x_heights
+from smarttouch.documents.reading_order import reading_order
+from smarttouch.documents.rows import find_rows
+from smarttouch.documents.textlike import credible, is_text
+from smarttouch.documents.touching import part_lines
+
+_HOPELESS, _MISSES = 60, 3
+"""Rows that are no text, and more for each that is, after which all others are a picture's."""
+_TELLING = 10.0
+"""Length of a row, in heights of its letters, from which its slope can be told."""
+
+
+@dataclass(frozen=True)
+class TextLine:
+    """A line of text, mm from the page's top left corner.
+
+    Attributes
+    ----------
+    left_mm, right_mm : float, mm
+        Where it begins and ends.
+    baseline : tuple of float
+        Coefficients of y on the distance from ``left_mm``, lowest first; mm.
+    x_height_mm : float, mm
+        From the baseline to the top of an x.
+    ascent_mm, descent_mm : float, mm
+        How far its print reaches above and below the baseline: the same for
+        all lines of one print, whichever letters they have.
+    """
+
+    left_mm: float
+    right_mm: float
+    baseline: tuple[float, ...]
+    x_height_mm: float
+    ascent_mm: float
+    descent_mm: float
+
+    def baseline_mm(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the baseline's y at some x, mm; straight on beyond the line's ends."""
+        length = self.right_mm - self.left_mm
+        return along(np.array(self.baseline), x_mm - self.left_mm, length)
+
+    def slope(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how steeply the baseline falls at some x."""
+        inside = np.clip(x_mm - self.left_mm, 0, self.right_mm - self.left_mm)
+        return np.asarray(polynomial.polyval(inside, polynomial.polyder(self.baseline)))
+
+    @property
+    def height_mm(self) -> float:
+        """From the lowest to the highest that its print reaches."""
+        return self.ascent_mm + self.descent_mm
+
+    @property
+    def top_mm(self) -> float:
+        """Its highest, on average over the line."""
+        return self._mean_mm - self.ascent_mm
+
+    @property
+    def bottom_mm(self) -> float:
+        """Its lowest, on average over the line."""
+        return self._mean_mm + self.descent_mm
+
+    @property
+    def _mean_mm(self) -> float:
+        length = self.right_mm - self.left_mm
+        return sum(c * length**k / (k + 1) for k, c in enumerate(self.baseline))
+
+
+def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]:
+    """Return the lines of text in reading order; empty if none are found.
+
+    Parameters
+    ----------
+    page : Page
+        What is read.
+    light_on_dark : bool, optional
+        Whether it is printed light on dark; None to find out.
+    """
+    return lines_of(separate_ink(page.grey, light_on_dark), page.mm_per_pixel)
+
+
+def lines_of(paper: Paper, mm_per_pixel: float) -> list[TextLine]:
+    """Return the lines of text on a page whose ink was told from its paper."""
+    spots = find_spots(paper.ink)
+    height = usual_height(spots, paper.ink.shape)
+    if height is None:
+        return []
+    rules = find_rules(paper.ink, height)
+    spots = find_spots(part_lines(paper.ink & ~rules, spots, height))
+    density = np.where(rules, np.uint8(0), 255 - paper.cleaned)
+    courses = with_marks(_courses(density, spots, height), spots)
+    if not courses:
+        return []
+    ascent, descent = reach_of_print(courses)
+    x_height = shared_x_heights(courses, ascent)
+    middle = [float(course.at(np.array((course.left + course.right) / 2))) for course in courses]
+    order = reading_order(
+        np.array([course.left for course in courses]),
+        np.array([course.right for course in courses]),
+        np.array(middle),
+        (ascent + descent) * x_height,
+    )
+    return [_line(courses[k], float(x_height[k]), ascent, descent, mm_per_pixel) for k in order]
+
+
+def _courses(density: NDArray[np.uint8], spots: Spots, height: float) -> list[Course]:
+    """Follow all rows of letters, the long ones first, and return those that are text."""
+    letters = spots.of(like_letters(spots, height))
+    rows = [letters.of(row) for row in find_rows(letters, spots)]
+    rows.sort(key=_length, reverse=True)
+    lines: list[tuple[Course, Spots]] = []
+    guides: list[Course] = []
+    for tried, row in enumerate(rows):
+        if tried > _HOPELESS + _MISSES * len(lines):
+            break
+        tells = _length(row) > _TELLING
+        course = follow(density, row, None if tells else _slope_around(row, guides))
+        if is_text(course, row):
+            lines.append((course, row))
+            if tells:
+                guides.append(course)
+    return credible(lines, int(spots.area.sum()))
+
+
+def _length(row: Spots) -> float:
+    return float(row.right.max() - row.left.min()) / row.usual_height
+
+
+def _slope_around(row: Spots, guides: list[Course]) -> float:
+    """Return the slope of the line nearest to a short row; level if there is none."""
+    x = float(row.left.min() + row.right.max()) / 2
+    y = float((row.top + row.bottom).mean()) / 2
+
+    def away(guide: Course) -> float:
+        beyond = max(guide.left - x, x - guide.right, 0.0)
+        # Another column bends otherwise: lines above and below tell more.
+        return abs(float(guide.at(np.array(x))) - y) + 2 * beyond
+
+    return min(guides, key=away).slope_at(x) if guides else 0.0
+
+
+def _line(
+    course: Course, x_height: float, ascent: float, descent: float, mm_per_pixel: float
+) -> TextLine:
+    scales = mm_per_pixel ** (1.0 - np.arange(len(course.baseline)))
+    return TextLine(
+        left_mm=course.left * mm_per_pixel,
+        right_mm=course.right * mm_per_pixel,
+        baseline=tuple(map(float, course.baseline * scales)),
+        x_height_mm=x_height * mm_per_pixel,
+        ascent_mm=ascent * x_height * mm_per_pixel,
+        descent_mm=descent * x_height * mm_per_pixel,
+    )

@@ -1,0 +1,137 @@
+"""Whether a row of spots is print, or only looks like a row."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.documents.baselines import Course
+from smarttouch.documents.letters import Spots
+
+_LEAST_X_HEIGHT_PX = 3.5
+"""Smaller print cannot be read."""
+_SURE = 3
+"""Letters of a line; with fewer, chance makes lines of specks."""
+_SIMILAR = 1.7
+"""Ratio of x-heights of lines on one page; capitals and figures seem to have taller ones."""
+_MOST_OF_ALL = 0.8
+"""Of the page's ink, that one or two letters make on a page that has no more to read."""
+_ZONE = (0.15, 0.9)
+"""Ink of the letters between baseline and top of an x; thin print has 0.3, bold 0.6."""
+_MOST_BETWEEN = 0.35
+"""Ink where there is least between this line and its neighbors, of that in the line."""
+_MOST_BESIDE = 0.6
+"""Ink beside ascenders or descenders, of that in the line; print has 0.1 to 0.5."""
+_LEAST_EDGE = 2.0
+"""Fall of the ink at the baseline per x-height, of the ink in the line; print has 4 and more."""
+_FEWEST_STROKES, _MOST_STROKES = 0.75, 2.6
+"""Strokes per x-height of letters; print has 0.9 to 1.9, specks have fewer."""
+_FEWER_STROKES = 0.45
+"""Where letters run together, strokes do as well."""
+_STROKE_MORE = 0.7
+"""Strokes by which a single digit has more, as it has no space beside it."""
+_TOPS, _BOTTOMS = (1.0, 1.45), (0.0, -0.42)
+"""Heights at which letters begin and end, in x-heights over the baseline."""
+_MANY = 8
+"""Letters in a line that has some white between them, whatever they are."""
+_SOLID = 0.75
+"""Ink of a spot, of its box: letters have 0.4 to 0.65, a disc 0.79."""
+_LEAST_OWN = 0.6
+"""Ink of the letters, of what lies between baseline and top of an x: print has 1.0 and more."""
+_NEAR, _NEAR_PX = 0.2, 0.5
+"""So far from such a height a letter begins or ends there: of an x-height, and pixels more."""
+_LEAST_ON_LEVELS = 0.6
+"""Letters that do; of words run together 0.7, of print 0.9 and more, of specks 0.3 to 0.7."""
+_LEAST_WHITE = 0.06
+"""Of the line's length, between letters that do not touch; print has 0.1 and more, but what is
+left between light letters on dark has not."""
+_TOUCHING = 1.3
+"""Usual width of spots in which letters run together, in x-heights."""
+
+
+def is_text(course: Course, letters: Spots) -> bool:
+    """Tell whether a row of letters that was followed is a line of text."""
+    if course.x_height < _LEAST_X_HEIGHT_PX:
+        return False
+    # Dashes and wide spaces are no letters, and have little ink.
+    covered = min(1.0, float(letters.width.sum()) / (course.right - course.left))
+    return _has_profile_of_text(course, covered) and _are_letters(course, letters, covered)
+
+
+def _has_profile_of_text(course: Course, covered: float) -> bool:
+    """Tell whether ink lies between baseline and top of an x, and little around."""
+    zone = course.ink_between(0.05, 0.95)
+    between = max(course.least_ink(1.2, 2.1), course.least_ink(-1.1, -0.1))
+    beside = max(course.ink_between(1.05, 1.45), course.ink_between(-0.45, -0.05))
+    fall = -float(np.diff(course.profile).min()) / course.step
+    return (
+        _ZONE[0] < zone / covered < _ZONE[1]
+        and between < _MOST_BETWEEN * zone
+        and beside < _MOST_BESIDE * zone
+        and fall > _LEAST_EDGE * zone
+    )
+
+
+def _are_letters(course: Course, letters: Spots, covered: float) -> bool:
+    """Tell whether spots are as many strokes as letters have, and stand as letters do."""
+    length_px = course.right - course.left
+    length = length_px / course.x_height
+    base = course.at((letters.left + letters.right) / 2)
+    tops, bottoms = (base - edge for edge in (letters.top, letters.bottom))
+    # Where most letters are tall, these are what was measured as an x.
+    on_levels = max(
+        min(_on_a_level(tops, _TOPS, x), _on_a_level(bottoms, _BOTTOMS, x))
+        for x in (course.x_height, course.x_height / _TOPS[1])
+    )
+    line_px = course.ink_between(0.05, 0.95) * course.x_height * length_px
+    run_together = float(np.median(letters.width)) > _TOUCHING * course.x_height
+    parted = covered < 1 - _LEAST_WHITE or run_together or len(letters.area) < _MANY
+    return (
+        parted
+        and not (len(letters.area) >= _MANY and _are_solid(letters))
+        and float(letters.area.sum()) > _LEAST_OWN * line_px
+        and course.strokes > (_FEWER_STROKES if run_together else _FEWEST_STROKES) * covered
+        and course.strokes < _MOST_STROKES + _STROKE_MORE / length
+        and on_levels > _LEAST_ON_LEVELS
+    )
+
+
+def _on_a_level(height: NDArray[np.float64], levels: tuple[float, ...], x_height: float) -> float:
+    """Return the part of some heights that is near one of the levels; all in pixels but these."""
+    away = np.abs(height[:, None] - np.array(levels) * x_height).min(axis=1)
+    return float(np.mean(away < _NEAR * x_height + _NEAR_PX))
+
+
+def _are_solid(letters: Spots) -> bool:
+    """Tell whether spots are full squares and discs, as of a halftone, and no letters."""
+    broad = letters.width > letters.height / 2
+    if not broad.any():
+        return False
+    filled = letters.area[broad] / (letters.width[broad] * letters.height[broad])
+    return bool(np.median(filled) > _SOLID)
+
+
+def credible(lines: list[tuple[Course, Spots]], ink: int) -> list[Course]:
+    """Return the lines without specks that look like one letter.
+
+    One or two letters alone are believed if they are as large as a line of
+    the page, or are most of what is on it.
+
+    Parameters
+    ----------
+    lines : list of (Course, Spots)
+        Rows that look like text, and their letters.
+    ink : int, px
+        All ink of the page.
+    """
+    sure = [len(row.area) >= _SURE and course.strokes > _FEWEST_STROKES for course, row in lines]
+    sizes = np.array(
+        [course.x_height for (course, _), is_sure in zip(lines, sure, strict=True) if is_sure]
+    )
+    if not len(sizes):
+        alone = sum(int(row.area.sum()) for _, row in lines)
+        return [course for course, _ in lines] if alone > _MOST_OF_ALL * ink else []
+    kept = []
+    for (course, _), is_sure in zip(lines, sure, strict=True):
+        ratio = np.maximum(course.x_height / sizes, sizes / course.x_height)
+        if is_sure or ratio.min() < _SIMILAR:
+            kept.append(course)
+    return kept

@@ -1,0 +1,286 @@
+"""Kernels of every site and mode of a profile, designed once and kept."""
+
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.arrays import read_arrays
+from smarttouch.errors import DesignError
+from smarttouch.files import MOST_BANK_BYTES, open_file, require_replaceable
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile, profile_names
+from smarttouch.resources import data_folder
+
+if TYPE_CHECKING:
+    from smarttouch.kernels.problem import Kernel, Kind
+
+DESIGN_VERSION = 2
+"""Raised when the same problem would get other kernels."""
+
+_FIELDS = ("weights", "worst_other", "worst_class", "own_spill", "gap", "seconds", "receptor")
+
+Column = dict[Primary, NDArray[Any]]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class KernelBank:
+    """What the scan looks up.
+
+    Attributes
+    ----------
+    weights : dict of Primary to ndarray, (E, E) float64, mA per V/mm²
+        Row s is the kernel of site s: positive cathodic, activation 1 at its
+        target, sum zero. Rows and columns of masked electrodes are zero.
+    worst_other, own_spill : dict of Primary to ndarray, (E,) float64
+        Selectivity of each kernel, of its target's activation.
+    worst_class : dict of Primary to ndarray, (E,) int8
+        Class of the worst other.
+    gap : dict of Primary to ndarray, (E,) float64
+        How far each kernel might be from the best possible; 0 is proven.
+    seconds : dict of Primary to ndarray, (E,) float32
+        What each kernel's design took.
+    receptor : dict of Primary to ndarray, (E, E) float32, V/mm² per mA
+        Activating function at the target under electrode r for unit cathodic
+        current at electrode e.
+    """
+
+    weights: Column
+    worst_other: Column
+    worst_class: Column
+    own_spill: Column
+    gap: Column
+    seconds: Column
+    receptor: Column
+
+    def kernels(self, primary: Primary) -> NDArray[np.float32]:
+        """Return the kernels of a mode, each with a peak magnitude of 1, (E, E).
+
+        The row of a masked site is zero.
+
+        Raises
+        ------
+        DesignError
+            If the board cannot make that mode.
+        """
+        weights = self._made(primary)
+        peak = np.abs(weights).max(axis=1, keepdims=True)
+        return np.asarray(weights / np.where(peak > 0, peak, 1.0), np.float32)
+
+    def kernel(self, primary: Primary, site: int, kind: "Kind") -> "Kernel":
+        """Return one kernel with what it reaches.
+
+        Raises
+        ------
+        DesignError
+            If the board cannot make that mode, or the site is masked.
+        """
+        from smarttouch.kernels.problem import Kernel, masked_site
+
+        weights = self._made(primary)[site]
+        if not weights.any():
+            raise DesignError(masked_site(site))
+        return Kernel(
+            weights=weights,
+            worst_other=float(self.worst_other[primary][site]),
+            worst_other_class=Primary(int(self.worst_class[primary][site])),
+            own_spill=float(self.own_spill[primary][site]),
+            kind=kind,
+            gap=float(self.gap[primary][site]),
+        )
+
+    def _made(self, primary: Primary) -> NDArray[np.float64]:
+        if primary not in self.weights:
+            offered = ", ".join(
+                f"{each.name} (other classes reach {self.worst_other[each].max():.2g} of the "
+                f"target, its own elsewhere {self.own_spill[each].max():.2g})"
+                for each in sorted(self.weights)
+            )
+            raise DesignError(
+                f"mode {primary.name} is not possible with this profile's board: "
+                f"it offers {offered or 'none'}"
+            )
+        return self.weights[primary]
+
+
+def problem_hash(profile: Profile) -> str:
+    """Return the hash of all that the kernels of a profile depend on."""
+    limits = profile.limits
+    problem = {
+        "version": DESIGN_VERSION,
+        "array": profile.array.model_dump(),
+        "skin": profile.skin.model_dump(exclude={"spread"}),
+        "output": profile.output.model_dump(exclude={"masked", "wiring", "ua_per_count"}),
+    }
+    if profile.output.masked:
+        problem["masked"] = sorted(profile.output.masked)
+    if profile.design_total_ma is not None or limits.electrode_ma is not None:
+        problem["limits"] = [profile.design_total_ma, limits.electrode_ma]
+        problem["full_ma"] = profile.full_ma.tolist()
+    return hashlib.sha256(json.dumps(problem, sort_keys=True).encode()).hexdigest()
+
+
+def load_bank(profile: Profile, progress: Progress | None = None) -> KernelBank:
+    """Return the bank of a profile: shipped, from the user's cache, or designed now.
+
+    A design that is interrupted goes on where it was the next time.
+
+    Parameters
+    ----------
+    profile : Profile
+        Whose bank.
+    progress : callable, optional
+        Told how many sites are designed, of how many, if any have to be.
+    """
+    bank = find_bank(profile)
+    if bank is not None:
+        return bank
+    cached = _cached_bank(profile)
+    # Without a cache the next run designs again; that is slow, not wrong.
+    with contextlib.suppress(OSError):
+        cached.parent.mkdir(parents=True, exist_ok=True)
+    bank = design_bank(profile, progress, _parts(cached, profile))
+    with contextlib.suppress(OSError):
+        write_bank(cached, profile, bank)
+        shutil.rmtree(_parts(cached, profile), ignore_errors=True)
+    return bank
+
+
+def find_bank(profile: Profile) -> KernelBank | None:
+    """Return the bank of a profile if it is shipped or in the user's cache."""
+    shipped = [shipped_bank(profile.name)] if profile.name in profile_names() else []
+    banks = (_read(path, profile) for path in (*shipped, _cached_bank(profile)))
+    return next((bank for bank in banks if bank is not None), None)
+
+
+def make_bank(path: Path, profile: Profile, progress: Progress | None = None) -> KernelBank:
+    """Design a bank and write it; if interrupted, go on the next time.
+
+    Raises
+    ------
+    DesignError
+        If it cannot be written.
+    """
+    require_replaceable(path, DesignError)
+    bank = design_bank(profile, progress, _parts(path, profile))
+    try:
+        write_bank(path, profile, bank)
+    except OSError as error:
+        raise DesignError(f"cannot write the bank {path}: {error.strerror}") from None
+    shutil.rmtree(_parts(path, profile), ignore_errors=True)
+    return bank
+
+
+def _parts(path: Path, profile: Profile) -> Path:
+    """Return the folder of what is designed so far; processes that design the same share it."""
+    return path.with_name(f"{path.stem}-{problem_hash(profile)[:12]}.parts")
+
+
+def _cached_bank(profile: Profile) -> Path:
+    import platformdirs
+
+    return platformdirs.user_cache_path("smarttouch") / f"{problem_hash(profile)}.npz"
+
+
+def shipped_bank(name: str) -> Path:
+    """Return where the bank of a shipped profile lies."""
+    return data_folder("calibration") / "banks" / f"{name}.npz"
+
+
+def design_bank(
+    profile: Profile, progress: Progress | None = None, keep: Path | None = None
+) -> KernelBank:
+    """Design every mode for every site, as far as the board can make them."""
+    from smarttouch.kernels.batch import design_sites
+    from smarttouch.kernels.problem import Problem
+    from smarttouch.kernels.switching import designer, possible_modes
+
+    modes = possible_modes(profile)
+    columns: dict[str, Column] = {name: {} for name in _FIELDS}
+    for index, primary in enumerate(modes):
+
+        def advance(done: int, total: int, index: int = index) -> None:
+            if progress is not None:
+                progress(index * total + done, len(modes) * total)
+
+        problem = Problem(profile, primary)
+        timed = design_sites(problem, designer(profile), None, advance, keep)
+        kernels = [kernel for kernel, _ in timed]
+        found: dict[str, tuple[Any, Any]] = {
+            "weights": ([kernel.weights for kernel in kernels], np.float64),
+            "worst_other": ([kernel.worst_other for kernel in kernels], np.float64),
+            "worst_class": ([kernel.worst_other_class for kernel in kernels], np.int8),
+            "own_spill": ([kernel.own_spill for kernel in kernels], np.float64),
+            "gap": ([kernel.gap for kernel in kernels], np.float64),
+            "seconds": ([seconds for _, seconds in timed], np.float32),
+        }
+        for name, (values, kind) in found.items():
+            made = np.array(values, kind)
+            columns[name][primary] = np.zeros((problem.electrodes, *made.shape[1:]), kind)
+            columns[name][primary][problem.driven] = made
+        columns["receptor"][primary] = np.asarray(problem.target, np.float32)
+    return KernelBank(**columns)
+
+
+def write_bank(path: Path, profile: Profile, bank: KernelBank) -> None:
+    """Write a bank whole or not at all."""
+    columns = {
+        f"{name}_{primary.name}": values
+        for name in _FIELDS
+        for primary, values in getattr(bank, name).items()
+    }
+    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".npz")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez_compressed(file, key=np.array(problem_hash(profile)), **columns)
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def _read(path: Path, profile: Profile) -> KernelBank | None:
+    """Return the bank in a file if it answers the very problem of a profile, and is whole."""
+    try:
+        with open_file(path, DesignError, MOST_BANK_BYTES) as file:
+            arrays = read_arrays(file)
+        if str(arrays["key"]) != problem_hash(profile):
+            return None
+        columns: dict[str, Column] = {name: {} for name in _FIELDS}
+        for name, values in arrays.items():
+            field, _, primary = name.rpartition("_")
+            if field in columns:
+                columns[field][Primary[primary]] = values
+        return _checked(KernelBank(**columns), len(profile.electrodes))
+    except (DesignError, OSError, ValueError, KeyError):
+        # It is designed anew: that is slow, not wrong.
+        return None
+
+
+def _checked(bank: KernelBank, electrodes: int) -> KernelBank:
+    """Return a bank; ValueError if its arrays are not those of so many electrodes."""
+    for name in _FIELDS:
+        column: Column = getattr(bank, name)
+        shape = (electrodes,) * (2 if name in ("weights", "receptor") else 1)
+        if column.keys() != bank.weights.keys() or not column:
+            raise ValueError(f"{name} is not of the classes of the weights")
+        for values in column.values():
+            kinds = "i" if name == "worst_class" else "f"
+            if values.shape != shape or values.dtype.kind not in kinds:
+                raise ValueError(f"{name} is not of {electrodes} electrodes")
+            if not np.isfinite(values).all():
+                raise ValueError(f"{name} has what is no number")
+    if not {int(each) for each in np.unique([*bank.worst_class.values()])} <= {*Primary}:
+        raise ValueError("a worst class is none")
+    return bank

@@ -1,0 +1,151 @@
+"""Many kernels at once: every distinct site, on all cores, kept as they come."""
+
+import contextlib
+import json
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smarttouch.errors import DesignError
+from smarttouch.files import parse_json, read_bytes
+from smarttouch.kernels.problem import Kernel, Problem
+from smarttouch.primary import Primary
+
+Design = Callable[[Problem, int], Kernel]
+Progress = Callable[[int, int], None]
+Timed = tuple[Kernel, float]
+
+_running: set[int] = set()
+"""Threads of this process that are designing."""
+
+
+def design_sites(
+    problem: Problem,
+    design: Design,
+    sites: Sequence[int] | None = None,
+    progress: Progress | None = None,
+    keep: Path | None = None,
+) -> list[Timed]:
+    """Design sites, those that mirror one another once.
+
+    The work goes through `joblib.Parallel`: on threads here, as the solver runs
+    beside the interpreter, or wherever ``joblib.parallel_config`` sends it (a
+    Dask cluster, say).
+
+    Parameters
+    ----------
+    problem : Problem
+        Rows of the primary and profile.
+    design : callable
+        What designs one site.
+    sites : sequence of int, optional
+        All that are not masked if not given.
+    progress : callable, optional
+        Told how many distinct sites are done, of how many.
+    keep : Path, optional
+        Folder in which every kernel is kept as soon as it is there, and looked
+        for first: an interrupted design goes on where it was.
+
+    Returns
+    -------
+    list of (Kernel, float)
+        One for each site, with the seconds that its design took.
+    """
+    from joblib import Parallel, delayed
+    from threadpoolctl import threadpool_limits
+
+    if sites is None:
+        sites = problem.driven.tolist()
+    for site in sites:
+        problem.check_site(site)
+    ways = [problem.representative(site) for site in sites]
+    distinct = sorted({first for first, _ in ways})
+    done = {first: kept for first in distinct if (kept := _kept(keep, problem, first))}
+    missing = [first for first in distinct if first not in done]
+    answers = Parallel(n_jobs=-1, prefer="threads", return_as="generator_unordered")(
+        delayed(_timed)(design, problem, first) for first in missing
+    )
+    # The cores are taken by sites: threads of the linear algebra would only wait for one another.
+    with threadpool_limits(limits=1, user_api="blas"):
+        try:
+            for first, kernel, seconds in answers:
+                done[first] = kernel, seconds
+                if keep is not None:
+                    _keep(keep, problem, first, kernel, seconds)
+                if progress is not None:
+                    progress(len(done), len(distinct))
+        except BaseException:
+            answers.close()
+            # A program that ends while a thread is inside the solver ends in an abort.
+            while _running:
+                time.sleep(0.02)
+            raise
+    return [
+        (_moved(problem, site, done[first][0], move), done[first][1])
+        for site, (first, move) in zip(sites, ways, strict=True)
+    ]
+
+
+def _timed(design: Design, problem: Problem, site: int) -> tuple[int, Kernel, float]:
+    start = time.perf_counter()
+    _running.add(threading.get_ident())
+    try:
+        kernel = design(problem, site)
+    finally:
+        _running.discard(threading.get_ident())
+    return site, kernel, time.perf_counter() - start
+
+
+def _moved(problem: Problem, site: int, kernel: Kernel, move: np.ndarray) -> Kernel:
+    weights = np.empty_like(kernel.weights)
+    weights[move] = kernel.weights
+    # An axon that is mirrored counts its nodes the other way: the fired one says which (Eq. 11).
+    node = kernel.node and int((problem.axon(site) @ weights).argmax())
+    return replace(kernel, weights=weights, node=node)
+
+
+def _path(keep: Path, problem: Problem, site: int) -> Path:
+    return keep / f"{problem.primary.name}-{site}.json"
+
+
+def _keep(keep: Path, problem: Problem, site: int, kernel: Kernel, seconds: float) -> None:
+    fields: dict[str, Any] = {
+        "weights": kernel.weights.tolist(),
+        "worst_other": kernel.worst_other,
+        "worst_other_class": kernel.worst_other_class.name,
+        "own_spill": kernel.own_spill,
+        "node": kernel.node,
+        "kind": kernel.kind,
+        "gap": kernel.gap,
+        "seconds": seconds,
+    }
+    # Another process may design the same, and remove the folder when it is done; what is not kept
+    # is only designed again.
+    with contextlib.suppress(OSError):
+        keep.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=keep, suffix=".part", delete=False) as half:
+            half.write(json.dumps(fields))
+        Path(half.name).replace(_path(keep, problem, site))
+
+
+def _kept(keep: Path | None, problem: Problem, site: int) -> Timed | None:
+    if keep is None:
+        return None
+    try:
+        fields = parse_json(read_bytes(_path(keep, problem, site), DesignError))
+        seconds = float(fields.pop("seconds"))
+        fields["weights"] = np.array(fields["weights"], np.float64)
+        fields["worst_other_class"] = Primary[fields["worst_other_class"]]
+        kernel = Kernel(**fields)
+        whole = kernel.weights.shape == (problem.electrodes,) and bool(
+            np.isfinite([*kernel.weights, kernel.worst_other, kernel.own_spill, kernel.gap]).all()
+        )
+    except (DesignError, ValueError, KeyError, TypeError, AttributeError, OverflowError):
+        return None
+    return (kernel, seconds) if whole else None

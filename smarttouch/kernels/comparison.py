@@ -1,0 +1,82 @@
+"""The kinds of kernels beside one another: on the nominal finger, and on the worst of a spread."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from smarttouch.errors import DesignError
+from smarttouch.kernels.batch import Design, Timed, design_sites
+from smarttouch.kernels.design import design_kernel
+from smarttouch.kernels.problem import Kernel, Problem
+from smarttouch.kernels.switching import design_one_of_n, design_three_state
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+
+VARIANTS: dict[str, Design] = {
+    "weighted": design_kernel,
+    "robust": design_kernel,
+    "three-state": design_three_state,
+    "one-of-n": design_one_of_n,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """One kernel of a comparison.
+
+    Attributes
+    ----------
+    variant : str
+        One of `VARIANTS`.
+    site : int
+    kernel : Kernel
+        As it is on the nominal finger.
+    worst_finger : Kernel or None
+        The same weights on the worst finger of the spread; None where they
+        fail to activate their target on one.
+    seconds : float
+        What its design took.
+    """
+
+    variant: str
+    site: int
+    kernel: Kernel
+    worst_finger: Kernel | None
+    seconds: float
+
+
+def compare(
+    profile: Profile,
+    primary: Primary,
+    sites: Sequence[int],
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Compared]:
+    """Design every variant for every site, and judge each by both fingers.
+
+    Parameters
+    ----------
+    profile : Profile
+        Array, skin with its spread, electrode impedances.
+    primary : Primary
+        Which class is to fire.
+    sites : sequence of int
+    progress : callable, optional
+        Told how many kernels are designed, of how many.
+    """
+    nominal, spread = Problem(profile, primary), Problem(profile, primary, spread=True)
+    compared = []
+    for index, (variant, design) in enumerate(VARIANTS.items()):
+
+        def advance(done: int, total: int, index: int = index) -> None:
+            if progress is not None:
+                progress(index * total + done, len(VARIANTS) * total)
+
+        problem = spread if variant == "robust" else nominal
+        timed: list[Timed] = design_sites(problem, design, sites, advance)
+        for site, (kernel, seconds) in zip(sites, timed, strict=True):
+            on_nominal = nominal.judge(kernel.weights, site, kind=kernel.kind, gap=kernel.gap)
+            try:
+                worst = spread.judge(kernel.weights, site, kind=kernel.kind)
+            except DesignError:
+                worst = None
+            compared.append(Compared(variant, site, on_nominal, worst, seconds))
+    return compared

@@ -1,0 +1,206 @@
+"""Optimal kernels: the min–max programme of the paper, confined to its site.
+
+For a target node with activating-function row a, and rows A of every other
+afferent (Eq. 10 to 18)::
+
+    minimize t   such that   A w ≤ t,   a·w = 1,   Σw = 0
+
+and no node of the target's own axon above 1 (Eq. 11). Beyond the paper, rows of
+the target's own class farther than one pitch may reach at most `SPILL` of the
+target: on a grid the paper's programme alone lets neighbors of the same class
+nearly fire. On a problem with a spread every row stands for all that it might
+be, and a kernel is as good as it is on the worst finger.
+"""
+
+import numpy as np
+from scipy.ndimage import maximum_filter
+
+from smarttouch.errors import DesignError
+from smarttouch.kernels.problem import Array, Kernel, Problem
+from smarttouch.kernels.programme import Chooser, Options, Programme
+from smarttouch.primary import Primary
+
+SPILL = 0.2
+"""Most own-class activation beyond one pitch, of the target's."""
+_WORTHWHILE = 1e-6
+_LOOSE_ROWS = 40
+"""Broken rows off any lattice that are added at once."""
+
+
+def design_kernel(
+    problem: Problem,
+    site: int,
+    spill: float | None = SPILL,
+    node: int = 0,
+    options: Options | None = None,
+) -> Kernel:
+    """Design the weighted kernel of one site.
+
+    Among equally selective kernels one with all the symmetries of its site is
+    taken, of those the one of least total current, and of those the one whose
+    currents are nearest to the site and to the array's middle, so that the
+    answer does not depend on the solver. Where electrodes stand closer than
+    afferents lie deep, the bound on spill cannot be met, or only by losing the
+    target; the larger of worst other and spill is then made as small as it
+    gets, and `Kernel.own_spill` says what is left. No electrode carries more
+    than a thousand times what alone would fire the target.
+
+    Parameters
+    ----------
+    problem : Problem
+        Rows of the primary and profile.
+    site : int
+        Electrode over the target.
+    spill : float, optional
+        Bound on own-class activation beyond one pitch; None for the paper's
+        unconfined programme.
+    node : int
+        Activated node of the target's axon; 0 is under the electrode.
+    options : dict, optional
+        Settings for the solver.
+
+    Raises
+    ------
+    DesignError
+        If there is no such site or no such kernel, or none within the limits
+        of the profile.
+    """
+    problem.check_site(site)
+    rows = _Assembled(problem, site, spill, node)
+    if spill is None:
+        ways = [False]
+    else:
+        # PC can hardly ever be confined: try first what will be needed.
+        ways = [True, False] if problem.primary is Primary.PC else [False, True]
+    programme = rows.programme(ways[0], options)
+    best = programme.most_selective()
+    if spill is not None and (best > spill) != ways[0]:
+        other = rows.programme(ways[1], options)
+        found = other.most_selective()
+        if found < best - _WORTHWHILE:
+            programme, best = other, found
+    if best == np.inf:
+        raise DesignError(
+            f"no kernel for {problem.describe(site)}: the target cannot be activated; change the "
+            "array, or the depths of its profile"
+        )
+    if not (programme.unique and rows.within_limits(programme.pattern)) and rows.limit(programme):
+        best = programme.most_selective()
+        if best == np.inf:
+            raise DesignError(
+                f"no kernel for {problem.describe(site)} keeps limits.total_ma and "
+                "limits.electrode_ma of the profile: raise them, or lower the strongest current"
+            )
+    weights = rows.orbits @ programme.settled()
+    return problem.judge(weights, site, node)
+
+
+def design_any_node(problem: Problem, site: int, spill: float | None = SPILL) -> Kernel:
+    """Try every node of the target's axon that is nearest to this site (Eq. 13 to 15).
+
+    Which node an optimal kernel fires is not known beforehand, so all are
+    tried, and the most selective kernel is taken.
+    """
+    problem.check_site(site)
+    nodes = problem.axon_mm(site)
+    near = np.linalg.norm(nodes - nodes[0], axis=1) <= problem.profile.electrodes.pitch_mm / 2
+    kernels = []
+    for node in np.flatnonzero(near):
+        try:
+            kernels.append(design_kernel(problem, site, spill, int(node)))
+        except DesignError:
+            if node == 0:
+                raise
+    return min(kernels, key=lambda kernel: max(kernel.worst_other, kernel.own_spill))
+
+
+class _Assembled:
+    """The rows of one site, all skins of a spread together, scaled to a lone electrode's AF."""
+
+    def __init__(self, problem: Problem, site: int, spill: float | None, node: int) -> None:
+        self._problem, self._site = problem, site
+        alone = np.eye(problem.electrodes)[:, problem.driven]
+        self.orbits = problem.orbits(site) if node == 0 else alone
+        far = problem.beyond_a_pitch(site) if spill is not None else np.zeros(0, np.intp)
+        axon = problem.axon(site)
+        scale = [float(np.abs(rows.target[0, site]).max()) for rows in problem.rows]
+        others = [rows.other / each for rows, each in zip(problem.rows, scale, strict=True)]
+        own = [rows.own[far] / each for rows, each in zip(problem.rows, scale, strict=True)]
+        aims = [rows.target[:, site] / each for rows, each in zip(problem.rows, scale, strict=True)]
+        if node:
+            aims = [axon[node][None] / scale[0]]
+        # Eq. 11: of the target's own axon no other node may fire first.
+        eq11 = np.delete(axon, node, axis=0) / scale[0]
+        if problem.spread:
+            eq11 = eq11[:0]
+        self._rows = np.concatenate([*others, *own, eq11]) @ self.orbits
+        self._aims = np.concatenate(aims) @ self.orbits
+        counts = [sum(map(len, others)), sum(map(len, own)), len(eq11)]
+        self._slope = np.repeat([1.0, 0.0, 0.0], counts)
+        self._even_slope = np.repeat([1.0, 1.0, 0.0], counts)
+        self._bound = np.repeat([0.0, spill or 0.0, 1.0], counts)
+        self._even_bound = np.repeat([0.0, 0.0, 1.0], counts)
+
+    def programme(self, even: bool, options: Options | None) -> Programme:
+        slope, bound = (self._even_slope, self._even_bound) if even else (self._slope, self._bound)
+        size = self.orbits.sum(axis=0)
+        array = self._problem.profile.electrodes
+        # Least current in all; of that, near the site; of that, near the array's middle.
+        from_site = array.distance_mm[self._site] @ self.orbits
+        from_middle = np.linalg.norm(array.position_mm, axis=1) @ self.orbits
+        ties, peaks = (size, from_site, from_middle), _peaks(self._problem)
+        return Programme(self._rows, slope, bound, self._aims, size, ties, peaks, options)
+
+    def limit(self, programme: Programme) -> bool:
+        """Bound the currents if the profile does."""
+        reference, factors, total = self._limits()
+        if np.isinf(total) and np.isinf(factors).all():
+            return False
+        programme.limit(reference, factors, None if np.isinf(total) else total)
+        return True
+
+    def within_limits(self, pattern: Array) -> bool:
+        """Return whether a pattern keeps the limits as it is."""
+        reference, factors, total = self._limits()
+        current, magnitude = float(reference @ pattern), np.abs(pattern)
+        in_all = float(self.orbits.sum(axis=0) @ magnitude)
+        return (
+            current > 0
+            and bool((magnitude <= factors * current).all())
+            and in_all <= (total * current)
+        )
+
+    def _limits(self) -> tuple[Array, Array, float]:
+        """Return what the site's own electrode carries, and limits as multiples of that."""
+        total, electrode = self._problem.limits_ma
+        site, full = self._site, self._problem.full_ma(self._site)
+        reference = np.sign(self._problem.target[site, site]) * self.orbits[site]
+        factors = np.where(self.orbits > 0, electrode[:, None], np.inf).min(axis=0) / full
+        # The own electrode has its full current, which the profile has checked.
+        factors[self.orbits[site].argmax()] = np.inf
+        # Cathodes and anodes carry half of all magnitudes each.
+        return reference, factors, 2 * total / full
+
+
+def _peaks(problem: Problem) -> Chooser:
+    """Return what chooses broken rows that are local maxima of their lattice.
+
+    Neighboring rows are nearly alike; one of each hill says most of what all
+    its broken rows would.
+    """
+    blocks = [(grid, count) for _ in problem.rows for grid, count in problem.grids]
+
+    def choose(excess: Array) -> np.ndarray:
+        chosen, start = [], 0
+        for (high, wide), count in blocks:
+            stop = start + count * high * wide
+            hill = excess[start:stop].reshape(count, high, wide)
+            if (hill > 1e-7).any():
+                top = hill == maximum_filter(hill, size=(1, 3, 3), mode="constant", cval=-np.inf)
+                chosen.append(start + np.flatnonzero(top & (hill > 1e-7)))
+            start = stop
+        loose = start + np.flatnonzero(excess[start:] > 1e-7)
+        chosen.append(loose[np.argsort(excess[loose])[::-1][:_LOOSE_ROWS]])
+        return np.concatenate(chosen)
+
+    return choose

@@ -1,0 +1,216 @@
+"""What no subset of a set of sites can break: a proof for all frames at once.
+
+Fixed kernels that do not move one another's targets are superposed. A node of
+another class is then reached by at most the sum of what it gets from those
+that excite it, whichever of them are on; the worst node bounds all subsets.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import DesignError
+from smarttouch.kernels.frames.figures import FrameBounds
+from smarttouch.kernels.frames.judge import FrameJudge
+from smarttouch.kernels.frames.operator import AIM, FrameOperator
+
+Array = NDArray[np.float64]
+
+MOST_PROVED = 300
+"""Electrodes of arrays for which sets are proved in about a second."""
+_STEPS = (2, 3, 4)
+"""Rows and columns between the points of a set that are tried."""
+_SINGLE = 1.0001
+"""More than what single precision takes off a field."""
+_HALF_UA_MA = 0.0005
+
+
+@dataclass(frozen=True, eq=False)
+class SharedKernels:
+    """Kernels of sites that may be on together, in any combination.
+
+    Attributes
+    ----------
+    sites : ndarray, (A,) intp
+    kernels : ndarray, (A, E) mA
+        Row i gives site i its wish, and the others of the set nothing.
+    """
+
+    operator: FrameOperator[FrameJudge]
+    sites: NDArray[np.intp]
+
+    @cached_property
+    def kernels(self) -> Array:
+        return np.asarray(self.operator.independent(self.sites) * self._wish[:, None])
+
+    @property
+    def _wish(self) -> Array:
+        return self.operator.judge.wish_af[self.sites]
+
+    @cached_property
+    def worst_other(self) -> float:
+        """No subset has a larger `FrameFigures.worst_other`."""
+        judge = self.operator.judge
+        reached = [np.maximum(field(self.kernels), 0).sum(axis=0).max() for field in judge.others]
+        return self._against_targets(float(max(reached)))
+
+    @cached_property
+    def worst_spill(self) -> float:
+        """No subset has a larger `FrameFigures.worst_spill`.
+
+        A node counts only where every active site is more than a pitch away:
+        sites within a pitch of it add nothing.
+        """
+        judge = self.operator.judge
+        own = np.maximum(judge.own(self.kernels), 0)
+        for row, site in zip(own, self.sites, strict=True):
+            row[~judge.far(np.array([site]))] = 0
+        return self._against_targets(float(own.sum(axis=0).max()))
+
+    @cached_property
+    def totals_ma(self) -> Array:
+        """What the kernel of each site carries in all, (A,)."""
+        return np.asarray(np.abs(self.kernels).sum(axis=1) / 2)
+
+    @cached_property
+    def total_ma(self) -> float:
+        """No subset has a larger total."""
+        return float(self.totals_ma.sum())
+
+    @cached_property
+    def electrode_ma(self) -> Array:
+        """No subset sends more through an electrode, (E,)."""
+        positive = np.maximum(self.kernels, 0).sum(axis=0)
+        return np.asarray(np.maximum(positive, np.maximum(-self.kernels, 0).sum(axis=0)))
+
+    @cached_property
+    def weakest(self) -> float:
+        """No subset leaves a target that is on less of its wish.
+
+        Below 1 where there are as many wishes as electrodes: currents that sum
+        to zero cannot keep them all.
+        """
+        return float((self._reached / self._wish).min())
+
+    def _against_targets(self, reached: float) -> float:
+        """Return it over the least that a target of any subset gets; infinite if that is none."""
+        return reached / self.smallest if self.smallest > 0 else np.inf
+
+    @cached_property
+    def smallest(self) -> float:
+        """No subset gives a target of level 1 that is on less, V/mm²."""
+        return float(self._reached.min())
+
+    @cached_property
+    def _reached(self) -> Array:
+        each = self.operator.judge.target[self.sites] @ self.kernels.T
+        own = np.diag(each)
+        return np.asarray(own + np.minimum(each - np.diag(own), 0).sum(axis=1))
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """What no subset of a set can break, when its currents have been rounded to whole µA.
+
+    All in V/mm²: what other nodes get is at most ``reached`` times intensity and ``rounding``,
+    of other classes and of the own one; what the weakest target gets, scaled to level 1, is at
+    least ``target`` times intensity less ``lost``.
+    """
+
+    reached: tuple[float, float]
+    rounding: tuple[float, float]
+    target: float
+    lost: float
+
+    @classmethod
+    def of(cls, kernels: SharedKernels, aim: float, faintest: float) -> "Certainty":
+        """Return it for levels from ``faintest`` to 1 and targets that get ``aim`` of their wish.
+
+        Rounding as `whole_ua` does it: what all electrodes up to one carry together is off by
+        half a µA at most, so that each row of a field is off by no more than half of what it
+        differs from electrode to electrode, added up.
+        """
+        judge = kernels.operator.judge
+        rows = judge.target[kernels.sites]
+        each = rows @ kernels.kernels.T
+        own = np.diag(each)
+        # What is fainter than another point gets so much more of what that one's kernel does.
+        least = own + np.minimum(each - np.diag(own), 0).sum(axis=1) / faintest
+        count = rows.shape[1]
+        steps = np.eye(count - 1, count) - np.eye(count - 1, count, 1)
+        other = max(float(np.abs(field(steps)).sum(axis=0).max()) for field in judge.others)
+        spill = float(np.abs(judge.own(steps)).sum(axis=0).max())
+        lost = float(np.abs(rows @ steps.T).sum(axis=1).max()) / faintest
+        smallest = kernels.smallest
+        return cls(
+            (
+                _SINGLE * aim * kernels.worst_other * smallest,
+                _SINGLE * aim * kernels.worst_spill * smallest,
+            ),
+            (_HALF_UA_MA * other, _HALF_UA_MA * spill),
+            aim * float(least.min()),
+            _HALF_UA_MA * lost,
+        )
+
+    def figures(self, intensity: float) -> tuple[float, float]:
+        """Return what no `FrameFigures.worst_other` and no `worst_spill` is above."""
+        weakest = intensity * self.target - self.lost
+        if weakest <= 0:
+            return np.inf, np.inf
+        other, spill = (
+            (intensity * reached + rounding) / weakest
+            for reached, rounding in zip(self.reached, self.rounding, strict=True)
+        )
+        return other, spill
+
+    def least(self, bounds: FrameBounds) -> float:
+        """Return the intensity from which bounds are kept; infinite if there is none."""
+        least = 0.0
+        for most, reached, rounding in zip(
+            (bounds.other, bounds.spill), self.reached, self.rounding, strict=True
+        ):
+            room = most * self.target - reached
+            least = max(least, (rounding + most * self.lost) / room if room > 0 else np.inf)
+        return least
+
+
+def color_classes(operator: FrameOperator[FrameJudge], step: int) -> list[SharedKernels]:
+    """Return the sites of a grid in classes of every so many rows and columns.
+
+    Raises
+    ------
+    DesignError
+        If the array is no grid.
+    """
+    array, driven = operator.judge.profile.electrodes, operator.judge.profile.driven
+    x, column = np.unique(array.position_mm[:, 0].round(6), return_inverse=True)
+    y, row = np.unique(array.position_mm[:, 1].round(6), return_inverse=True)
+    if len(x) * len(y) != len(array):
+        raise DesignError("color classes are for grids: give the sites of each set by yourself")
+    color = (row % step) * step + column % step
+    sets = (driven[color[driven] == each] for each in range(step * step))
+    return [SharedKernels(operator, sites) for sites in sets if len(sites)]
+
+
+def proved_sets(operator: FrameOperator[FrameJudge], bounds: FrameBounds) -> list[SharedKernels]:
+    """Return few sets of sites no subset of which breaks a bound where targets are aimed at `AIM`.
+
+    Limits of single electrodes are kept by any subset, too; what all carry together is not
+    looked at. There are none where the array is no grid or large, or nothing could be proved.
+    """
+    judge, aim = operator.judge, 1 - AIM * bounds.uneven
+    if judge.profile.array.layout != "grid" or len(judge.full_ma) > MOST_PROVED:
+        return []
+    for step in _STEPS:
+        sets = color_classes(operator, step)
+        if all(
+            each.worst_other <= bounds.other
+            and each.worst_spill <= bounds.spill
+            and aim * each.weakest >= 1 - bounds.uneven
+            and (aim * each.electrode_ma <= judge.full_ma).all()
+            for each in sets
+        ):
+            return sets
+    return []

@@ -1,0 +1,150 @@
+"""What currents in all electrodes at once do to every node of a class, quickly.
+
+On a grid of equal electrodes the activating function at a node depends on its
+displacement from each electrode only. That kernel is smooth, so a few products
+of a function of x and a function of y make it up: the field of a whole frame is
+two small matrix products instead of one with every node's row, and neither
+memory nor time grows with nodes times electrodes. Other arrays keep all rows.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.physiology.activation import af_matrix
+from smarttouch.physiology.afferents import Afferents
+from smarttouch.profile import Profile, Skin
+from smarttouch.profile.array import FreeLayout
+
+Array = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+TOLERANCE = 1e-4
+"""Error of a kernel that is made up of products, of its largest value."""
+_MOST_DISTINCT = 2500
+"""Displacements along an axis beyond which products are not sought."""
+_ROUND_MM = 6
+
+
+class FieldMap:
+    """The AF rows of one set of nodes, applied without being kept where the array is a grid.
+
+    Parameters
+    ----------
+    profile : Profile
+        Array of E electrodes, and skin.
+    afferents : Afferents
+        N places with D directions each.
+    skin : Skin, optional
+        Another skin than the profile's.
+
+    Attributes
+    ----------
+    rows_n : int
+        D·N, in the order of `af_matrix`.
+    separable : bool
+        Whether products are used.
+    """
+
+    def __init__(self, profile: Profile, afferents: Afferents, skin: Skin | None = None) -> None:
+        self.directions_n, self.places_n = len(afferents.direction), len(afferents.position_mm)
+        self.rows_n = self.directions_n * self.places_n
+        self.grid = afferents.grid
+        self._electrodes_n = len(profile.electrodes)
+        made = _products(profile, afferents, skin or profile.skin)
+        self.separable = made is not None
+        if made is None:
+            self._dense = np.asarray(af_matrix(profile, afferents, skin), np.float32)
+        else:
+            self._down, self._across, self._place = made
+            self._high, self._rank = self._down.shape[1:]
+            self._left = np.ascontiguousarray(self._down.reshape(len(self._down), -1))
+            self._right = np.ascontiguousarray(self._across.reshape(len(self._across), -1))
+            self._in_order = np.array_equal(self._place, np.arange(self._electrodes_n))
+
+    def __call__(self, current: NDArray[np.floating]) -> Single:
+        """Return the activating function, (F, D·N) V/mm², of currents (F, E) mA."""
+        current = np.asarray(current, np.float32)
+        if not self.separable:
+            return np.asarray(current @ self._dense.T)
+        count = len(current)
+        square = current
+        if not self._in_order:
+            square = np.empty_like(current)
+            square[:, self._place] = current
+        across = square.reshape(count * self._high, -1) @ self._right
+        stacked = across.reshape(count, self._high * self._rank, -1)
+        return np.asarray((self._left @ stacked).reshape(count, self.rows_n))
+
+    def rows(self, index: NDArray[np.intp]) -> Array:
+        """Return chosen rows as they are, (K, E) V/mm² per mA."""
+        if not self.separable:
+            return np.asarray(self._dense[index], np.float64)
+        line, column = np.divmod(index, self.grid[1])
+        pairs = np.einsum("kyr,xrk->kyx", self._down[line], self._across[:, :, column])
+        return np.asarray(pairs.reshape(len(index), self._electrodes_n)[:, self._place], np.float64)
+
+    def gram(self) -> Array:
+        """Return the sum of all rows' outer products, (E, E)."""
+        if not self.separable:
+            dense = self._dense.astype(np.float64)
+            return np.asarray(dense.T @ dense)
+        left, right = self._left.astype(np.float64), self._across.astype(np.float64)
+        high, rank, wide = self._high, self._rank, len(right)
+        lines = (left.T @ left).reshape(high, rank, high, rank)
+        columns = np.einsum("xrn,vsn->xvrs", right, right, optimize=True)
+        both = lines.transpose(0, 2, 1, 3).reshape(high * high, -1) @ (
+            columns.reshape(wide * wide, -1).T
+        )
+        square = both.reshape(high, high, wide, wide).transpose(0, 2, 1, 3)
+        square = square.reshape(high * wide, high * wide)
+        return np.asarray(square[np.ix_(self._place, self._place)])
+
+
+def _products(
+    profile: Profile, afferents: Afferents, skin: Skin
+) -> tuple[Single, Single, NDArray[np.intp]] | None:
+    """Return factors (D·Y, y, R) and (x, R, X), and each electrode's place in (y, x); or None."""
+    position, (lines, columns) = profile.electrodes.position_mm, afferents.grid
+    x, ix = np.unique(position[:, 0].round(_ROUND_MM), return_inverse=True)
+    y, iy = np.unique(position[:, 1].round(_ROUND_MM), return_inverse=True)
+    if len(x) * len(y) != len(position) or min(len(x), len(y), lines, columns) < 2:
+        return None
+    node = afferents.position_mm.reshape(lines, columns, 2)
+    dx, at_x = np.unique((node[0, :, 0] - x[:, None]).round(_ROUND_MM), return_inverse=True)
+    dy, at_y = np.unique((node[:, 0, 1][:, None] - y).round(_ROUND_MM), return_inverse=True)
+    if max(len(dx), len(dy)) > _MOST_DISTINCT:
+        return None
+    kernel = _kernel(profile, afferents, skin, dx, dy)
+    count = len(afferents.direction)
+    left, size, right = np.linalg.svd(kernel.reshape(-1, len(dx)), full_matrices=False)
+    left = left * size
+    rest, rank = kernel.reshape(-1, len(dx)).copy(), 0
+    while np.abs(rest).max() > TOLERANCE * np.abs(kernel).max() and rank < len(size):
+        rest -= np.outer(left[:, rank], right[rank])
+        rank += 1
+    down = left[:, :rank].reshape(count, len(dy), rank)[:, at_y.reshape(lines, len(y))]
+    across = right[:rank][:, at_x.reshape(len(x), columns)].transpose(1, 0, 2)
+    return (
+        np.ascontiguousarray(down.reshape(count * lines, len(y), rank), np.float32),
+        np.ascontiguousarray(across, np.float32),
+        iy * len(x) + ix,
+    )
+
+
+def _kernel(profile: Profile, afferents: Afferents, skin: Skin, dx: Array, dy: Array) -> Array:
+    """Return what one electrode does at all displacements, (D, dy, dx)."""
+    array = profile.electrodes
+    # One electrode is no array: the second one's column is not used.
+    half = array.pitch_mm
+    pair = FreeLayout(
+        layout="free",
+        positions_mm=((-half, 0.0), (half, 0.0)),
+        shape=array.shape,
+        size_mm=array.size_mm,
+    )
+    alone = Profile.model_construct(**(dict(profile) | {"array": pair}))
+    x, y = np.meshgrid(dx - half, dy)
+    there = replace(afferents, position_mm=np.column_stack([x.ravel(), y.ravel()]), grid=x.shape)
+    return af_matrix(alone, there, skin)[:, 0].reshape(len(afferents.direction), len(dy), len(dx))

@@ -1,0 +1,127 @@
+"""What a slot is judged by, and what every judge of slots offers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import DesignError
+from smarttouch.kernels.frames.fields import FieldMap, Single
+from smarttouch.profile import Profile
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FrameFigures:
+    """What one slot is judged by; AF as ratios to the weakest target's, scaled to level 1.
+
+    Attributes
+    ----------
+    worst_other : float
+        Largest activation of any other class.
+    worst_spill : float
+        Largest activation of the own class more than a pitch from every target.
+    weakest, strongest : float
+        Activation of the targets, of what was wished there.
+    total_ma, electrode_ma : float, mA
+        What all cathodes carry together, and the strongest electrode.
+    """
+
+    worst_other: float
+    worst_spill: float
+    weakest: float
+    strongest: float
+    total_ma: float
+    electrode_ma: float
+
+    @property
+    def error(self) -> float:
+        """How far apart the targets are, each against its wish; 0 is even."""
+        return self.strongest / self.weakest - 1 if self.weakest > 0 else np.inf
+
+
+@dataclass(frozen=True)
+class FrameBounds:
+    """What a slot may do at most.
+
+    Attributes
+    ----------
+    other, spill : float
+        Of `FrameFigures.worst_other` and `worst_spill`. 0.30 is what the paper's
+        own single SAI point reaches on its line array (Fig. 8).
+    uneven : float
+        How far targets may be from their wish, of it. All may be as much weaker
+        together, which saves current.
+
+    Raises
+    ------
+    DesignError
+        If one of them is not above zero, or unevenness not below 1.
+    """
+
+    other: float = 0.30
+    spill: float = 0.30
+    uneven: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name, value in (("other", self.other), ("spill", self.spill), ("uneven", self.uneven)):
+            if not 0 < value < (1 if name == "uneven" else np.inf):
+                raise DesignError(
+                    f"bound {name} = {value} of a frame must be above 0, uneven below 1"
+                )
+
+
+Bounded = tuple[FieldMap, float, NDArray[np.bool_] | None]
+"""A field, what it may reach in V/mm², and where; None is everywhere."""
+
+
+class SlotJudge(Protocol):
+    """Judges what currents of a slot do to its P points, and to all else."""
+
+    @property
+    def profile(self) -> Profile: ...
+    @property
+    def target(self) -> Array:
+        """Activating function of each point's target, (P, E) V/mm² per mA."""
+
+    @property
+    def wish_af(self) -> Array:
+        """Activation that a level of 1 wishes for at each point, (P,) V/mm²."""
+
+    @property
+    def full_ma(self) -> Array: ...
+    @property
+    def wanted(self) -> list[FieldMap]:
+        """The classes that are to fire somewhere."""
+
+    @property
+    def unwanted(self) -> list[FieldMap]:
+        """The classes that are not."""
+
+    def reached(self, current: Array) -> list[Single]: ...
+    def limits(
+        self, active: NDArray[np.intp], bounds: FrameBounds, aimed: float
+    ) -> list[Bounded]: ...
+    def judge(
+        self, current: Array, level: Array, reached: Sequence[Single] | None = None
+    ) -> FrameFigures: ...
+
+
+def judge_all(judge: SlotJudge, current: Array, level: Array) -> list[FrameFigures]:
+    """Return the figures of many slots, their fields found together.
+
+    Parameters
+    ----------
+    current : ndarray, (S, E) mA
+    level : ndarray, (S, P)
+    """
+    if not len(current):
+        return []
+    fields = judge.reached(current)
+    return [
+        judge.judge(current[slot], level[slot], [field[slot] for field in fields])
+        for slot in range(len(current))
+    ]

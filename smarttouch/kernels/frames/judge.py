@@ -1,0 +1,202 @@
+"""What finished currents of one slot do: to the points they are for, and to all else."""
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import DesignError
+from smarttouch.kernels.frames.fields import FieldMap, Single
+from smarttouch.kernels.frames.figures import Bounded, FrameBounds, FrameFigures
+from smarttouch.physiology.activation import af_matrix
+from smarttouch.physiology.afferents import Afferents, everywhere, targets
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile, Skin
+
+Array = NDArray[np.float64]
+
+_SAME_MM = 1e-9
+
+
+class FrameJudge:
+    """Judges currents that are to fire one class, on the nodes of one skin.
+
+    Parameters
+    ----------
+    profile : Profile
+        Array of E electrodes, and skin.
+    primary : Primary
+        Class that is to fire.
+    wish_af : ndarray, (E,) V/mm²
+        Activation at each target that a level of 1 wishes for.
+    skin : Skin, optional
+        Another skin than the profile's: depths, conductivities.
+    vary : callable, optional
+        Returns what a set of nodes is to be instead: other directions, say.
+    others : list of FieldMap, optional
+        Of the other classes, where another judge has them already.
+    """
+
+    def __init__(
+        self,
+        profile: Profile,
+        primary: Primary,
+        wish_af: Array,
+        skin: Skin | None = None,
+        vary: Callable[[Afferents], Afferents] = lambda one: one,
+        others: list[FieldMap] | None = None,
+    ) -> None:
+        if skin is not None:
+            profile = profile.model_copy(update={"skin": skin})
+        if np.shape(wish_af) != (len(profile.electrodes),):
+            raise DesignError(
+                f"wish_af has {np.size(wish_af)} values, the array {len(profile.electrodes)} "
+                "electrodes: give one for each"
+            )
+        self.profile, self.primary = profile, primary
+        self.wish_af = np.asarray(wish_af, np.float64)
+        self.target = af_matrix(profile, vary(targets(profile, primary)))
+        """Row s is the activating function of the target under electrode s, (E, E)."""
+        self.others = others or [
+            FieldMap(profile, vary(everywhere(profile, each)))
+            for each in Primary
+            if each is not primary
+        ]
+        place = vary(everywhere(profile, primary))
+        self.own = FieldMap(profile, place)
+        self.wanted, self.unwanted = [self.own], self.others
+        self._near = _near(place.position_mm, profile)
+
+    @cached_property
+    def full_ma(self) -> Array:
+        """The most that each electrode may carry at intensity 1, (E,) mA, 0 where masked.
+
+        Whole µA, as boards have them.
+        """
+        limits = self.profile.limits
+        most = np.minimum(np.asarray(self.profile.full_ma, np.float64), limits.current_ma)
+        if limits.electrode_ma is not None:
+            most = np.minimum(most, np.asarray(limits.electrode_ma))
+        most = np.floor(1000 * most + 1e-6) / 1000
+        return np.where(np.isin(np.arange(len(most)), self.profile.driven), most, 0.0)
+
+    def far(self, active: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Return which own nodes are more than a pitch from every active target, (D·N,)."""
+        mask = np.ones(self.own.places_n + 1, np.bool_)
+        mask[self._near[active]] = False
+        return np.tile(mask[:-1], self.own.directions_n)
+
+    def strongest_far(self, own: Single, active: NDArray[np.intp]) -> float:
+        """Return the largest of a field of the own class far from all active targets."""
+        away = np.empty(self.own.places_n + 1, own.dtype)
+        np.maximum.reduce(own.reshape(self.own.directions_n, -1), axis=0, out=away[:-1])
+        # The last one is nowhere, as is what is near.
+        away[-1] = -np.inf
+        away[self._near[active]] = -np.inf
+        return float(away.max())
+
+    def reference(self, current: Array, level: Array) -> tuple[float, Array]:
+        """Return the weakest target's activation scaled to level 1, and all of its wish, (A,)."""
+        active = np.flatnonzero(level)
+        reached = self.target[active] @ current / level[active]
+        return float(reached.min()), reached / self.wish_af[active]
+
+    @property
+    def by_class(self) -> dict[Primary, FieldMap]:
+        """The fields of the other classes."""
+        names = (each for each in Primary if each is not self.primary)
+        return dict(zip(names, self.others, strict=True))
+
+    def reached(self, current: Array) -> list[Single]:
+        """Return the activating function of currents: of each other class, then the own.
+
+        Parameters
+        ----------
+        current : ndarray, (E,) or (S, E) mA
+
+        Returns
+        -------
+        list of ndarray
+            Each (D·N,) or (S, D·N) V/mm².
+        """
+        return reached([*self.others, self.own], current)
+
+    def limits(self, active: NDArray[np.intp], bounds: FrameBounds, aimed: float) -> list[Bounded]:
+        """Return what each of the fields of `reached` may reach.
+
+        Parameters
+        ----------
+        active : ndarray, (A,)
+            Points of the slot.
+        bounds : FrameBounds
+        aimed : float
+            Part of the wish that targets will get.
+        """
+        smallest = aimed * float(self.wish_af[active].min())
+        others: list[Bounded] = [(field, bounds.other * smallest, None) for field in self.others]
+        return [*others, (self.own, bounds.spill * smallest, self.far(active))]
+
+    def judge(
+        self, current: Array, level: Array, reached: Sequence[Single] | None = None
+    ) -> FrameFigures:
+        """Return what currents (E,) mA do that are to activate sites with level (E,) > 0.
+
+        Where a target is not activated at all the ratios are infinite.
+
+        Parameters
+        ----------
+        reached : list of ndarray, optional
+            What `reached` returned for the currents, where it is known.
+
+        Raises
+        ------
+        DesignError
+            If no site is active.
+        """
+        active = np.flatnonzero(level)
+        if not len(active):
+            raise DesignError("a frame without an active site has no figures: leave its slot out")
+        smallest, ratio = self.reference(current, level)
+        *others, own = self.reached(current) if reached is None else reached
+        other = max(float(field.max()) for field in others)
+        spill = max(self.strongest_far(own, active), 0.0)
+        total, most = float(np.abs(current).sum() / 2), float(np.abs(current).max())
+        if smallest <= 0:
+            return FrameFigures(np.inf, np.inf, ratio.min(), ratio.max(), total, most)
+        return FrameFigures(
+            other / smallest, spill / smallest, float(ratio.min()), float(ratio.max()), total, most
+        )
+
+
+def reached(fields: Sequence[FieldMap], current: Array) -> list[Single]:
+    """Return what fields make of currents (E,) or (S, E) mA."""
+    current = np.asarray(current)
+    many = np.atleast_2d(current)
+    return [field(many).reshape(*current.shape[:-1], -1) for field in fields]
+
+
+def full_wish(profile: Profile, primary: Primary, kernels: Array, receptor: Array) -> Array:
+    """Return what single kernels reach at the strongest comfortable current, (E,) V/mm².
+
+    Parameters
+    ----------
+    kernels : ndarray, (E, E)
+        `KernelBank.kernels` of the primary: peaks of 1, rows of masked sites zero.
+    receptor : ndarray, (E, E), V/mm² per mA
+        `KernelBank.receptor` of the primary.
+    """
+    return np.asarray(profile.full_ma * (receptor * kernels).sum(axis=1), np.float64)
+
+
+def _near(position_mm: Array, profile: Profile) -> NDArray[np.intp]:
+    """Return the places within a pitch of each electrode, (E, K), filled up with N."""
+    array = profile.electrodes
+    found = []
+    for center in array.position_mm:
+        away = np.hypot(*(position_mm - center).T)
+        found.append(np.flatnonzero(away <= array.pitch_mm + _SAME_MM))
+    near = np.full((len(found), max(map(len, found))), len(position_mm), np.intp)
+    for row, places in zip(near, found, strict=True):
+        row[: len(places)] = places
+    return near

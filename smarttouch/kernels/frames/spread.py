@@ -1,0 +1,120 @@
+"""Finished currents on every finger of the profile's spread, and from boards that are not exact."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.kernels.frames.figures import FrameFigures
+from smarttouch.kernels.frames.judge import FrameJudge
+from smarttouch.physiology.afferents import Afferents, depth_mm, flat, tilted
+from smarttouch.physiology.afferents import variants as conductivities
+from smarttouch.primary import Primary
+from smarttouch.profile import Skin
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The worst figures over some variants; each may come from another one."""
+
+    worst_other: float
+    worst_spill: float
+    weakest: float
+    strongest: float
+
+    @classmethod
+    def of(cls, figures: Sequence[FrameFigures]) -> "Worst":
+        return cls(
+            max(each.worst_other for each in figures),
+            max(each.worst_spill for each in figures),
+            min(each.weakest for each in figures),
+            max(each.strongest for each in figures),
+        )
+
+
+def spread_judges(
+    judge: FrameJudge, part: float = 1.0, depth: bool = True, angle: bool = True
+) -> list[FrameJudge]:
+    """Return judges for every finger of the profile's spread, or of a part of it.
+
+    The own class is taken at each depth and in each direction by itself, as
+    ratios are to it; of the other classes each depth is taken by itself, both
+    classes shifted alike (the larger of the two counts, so other combinations
+    say nothing new), and all directions together.
+
+    Parameters
+    ----------
+    part : float
+        Of ``skin.spread``; above 1 is beyond it.
+    depth, angle : bool
+        What varies. Conductivities vary with depth, where skin is layered.
+    """
+    skin, primary = judge.profile.skin, judge.primary
+    turn = skin.spread.angle_deg * part if angle else 0.0
+    shifts = [0.0, 1.0, -1.0] if depth else [0.0]
+    found = []
+    for layered in conductivities(skin) if depth and skin.layers else [skin]:
+        for other_shift in shifts:
+            others = None
+            for own_shift in shifts:
+                moved = _shifted(layered, primary, own_shift * part, other_shift * part)
+                for vary in _turns(primary, turn):
+                    found.append(
+                        FrameJudge(judge.profile, primary, judge.wish_af, moved, vary, others)
+                    )
+                    others = found[-1].others
+    return found
+
+
+def with_gain_error(current: Array, part: float, draws: int, seed: int) -> Iterator[Array]:
+    """Yield currents (E,) of a board whose channels have gain errors, normal with ``part``."""
+    rng = np.random.default_rng(seed)
+    for _ in range(draws):
+        yield current * (1 + part * rng.standard_normal(len(current)))
+
+
+def uneven_levels(level: Array, part: float, seed: int) -> Array:
+    """Return levels (E,) as for thresholds that differ by ± ``part`` between electrodes.
+
+    The least sensitive site has its level, all others less.
+    """
+    rng = np.random.default_rng(seed)
+    return np.asarray(level * rng.uniform(1 - part, 1 + part, len(level)) / (1 + part))
+
+
+def _shifted(skin: Skin, primary: Primary, own: float, other: float) -> Skin:
+    update = {}
+    for each in Primary:
+        name = f"{each.name.lower()}_depth_mm"
+        spread = getattr(skin.spread, name)
+        update[name] = depth_mm(skin, each) + spread * (own if each is primary else other)
+    return skin.model_copy(update=update)
+
+
+def _turns(primary: Primary, turn_deg: float) -> list[Callable[[Afferents], Afferents]]:
+    """Return what turns afferents: the own class one way each, others all ways at once."""
+    if turn_deg == 0:
+        return [lambda one: one]
+
+    def turned(one: Afferents, way: int) -> Afferents:
+        upright = bool(one.direction[0, 2])
+        if one.primary is not primary:
+            way_all = [
+                _turned(one.direction, turn_deg, each) for each in range(5 if upright else 3)
+            ]
+            return replace(one, direction=np.concatenate(way_all))
+        return replace(one, direction=_turned(one.direction, turn_deg, way))
+
+    ways = 5 if primary is Primary.RA else 3
+    return [partial(turned, way=way) for way in range(ways)]
+
+
+def _turned(direction: Array, turn_deg: float, way: int) -> Array:
+    if direction[0, 2]:
+        return tilted(turn_deg)[way : way + 1]
+    angles = np.degrees(np.arctan2(direction[:, 1], direction[:, 0]))
+    return flat(tuple(angles + (0.0, turn_deg, -turn_deg)[way]))

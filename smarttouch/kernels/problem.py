@@ -1,0 +1,288 @@
+"""What a kernel is judged by: the rows of its target, of the other classes, of its own.
+
+A problem holds one set of rows, or under a spread one for each skin that the
+finger might have; a kernel is as good as it is on the worst of them.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import DesignError
+from smarttouch.kernels.symmetry import symmetries
+from smarttouch.physiology.activation import af_matrix
+from smarttouch.physiology.afferents import (
+    Afferents,
+    along_axon,
+    everywhere,
+    flat,
+    targets,
+    tilted,
+    variants,
+)
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile, Skin
+
+Array = NDArray[np.float64]
+Kind = Literal["weighted", "three-state", "one-of-n"]
+
+_ALIKE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Kernel:
+    """Current pattern that stimulates one class of afferents at one site.
+
+    Attributes
+    ----------
+    weights : ndarray, (E,) float64, mA per V/mm²
+        Current of every electrode, positive cathodic, for an activating
+        function of 1 at the target.
+    worst_other : float
+        Largest activation of any other class, of the target's.
+    worst_other_class : Primary
+        Whose it is.
+    own_spill : float
+        Largest activation of the own class beyond one pitch, of the target's.
+    node : int
+        Place of the activated node on its axon; 0 is under the electrode.
+    kind : {"weighted", "three-state", "one-of-n"}
+        What sort of board it is for.
+    gap : float
+        How far below the objective the best possible one might lie, of it; 0
+        is proven optimal.
+    """
+
+    weights: Array
+    worst_other: float
+    worst_other_class: Primary
+    own_spill: float
+    node: int = 0
+    kind: Kind = "weighted"
+    gap: float = 0.0
+
+    @property
+    def peak_normalized(self) -> Array:
+        """Weights as the paper draws them: the largest magnitude is 1 (Fig. 8)."""
+        return np.asarray(self.weights / np.abs(self.weights).max())
+
+
+def masked_site(site: int) -> str:
+    """Return what to say of a site that has no kernel."""
+    return (
+        f"site {site} is masked: its electrode is not driven; choose another, or take it out of "
+        "output.masked of the profile"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """The AF rows of one skin, in V/mm² per mA.
+
+    Attributes
+    ----------
+    target : ndarray, (S, E, E)
+        Row [:, s] are what the target under electrode s might be, the nominal
+        one first.
+    other : ndarray, (N, E)
+        Every node of the other classes.
+    own : ndarray, (M, E)
+        Every node of the own class.
+    """
+
+    target: Array
+    other: Array
+    own: Array
+
+
+class Problem:
+    """The rows of one primary on one profile, shared by all its sites.
+
+    Parameters
+    ----------
+    profile : Profile
+        Array, skin and board.
+    primary : Primary
+        Which class is to fire.
+    others : collection of Primary, optional
+        Which are not to; all others if not given (Eq. 10 has one, Eq. 16 two).
+    spread : bool
+        Whether the kernels are to hold over the profile's ``skin.spread``.
+    """
+
+    def __init__(
+        self,
+        profile: Profile,
+        primary: Primary,
+        others: Collection[Primary] | None = None,
+        spread: bool = False,
+    ) -> None:
+        self.profile, self.primary, self.spread = profile, primary, spread
+        if others is None:
+            others = [each for each in Primary if each is not primary]
+        if primary in others or not others:
+            raise DesignError(
+                f"{primary.name} must be selected against one or two other classes, not against "
+                f"{', '.join(each.name for each in others) or 'none'}"
+            )
+        sets = {each: self._might_be(everywhere(profile, each)) for each in Primary}
+        aims = self._might_be(targets(profile, primary))
+        self.rows = [
+            Rows(
+                np.concatenate([self._by_direction(aim, skin) for aim in aims]),
+                np.concatenate([af_matrix(profile, one, skin) for e in others for one in sets[e]]),
+                np.concatenate([af_matrix(profile, one, skin) for one in sets[primary]]),
+            )
+            for skin in (variants(profile.skin) if spread else [profile.skin])
+        ]
+        self.other_class = np.concatenate(
+            [
+                np.full(len(one.direction) * len(one.position_mm), each, np.int8)
+                for each in others
+                for one in sets[each]
+            ]
+        )
+        self.grids = [
+            (one.grid, len(one.direction)) for each in others for one in sets[each]
+        ]  # fmt: skip
+        self._own_position_mm = np.concatenate(
+            [np.tile(one.position_mm, (len(one.direction), 1)) for one in sets[primary]]
+        )
+
+    @property
+    def target(self) -> Array:
+        """The nominal target row of every site, (E, E)."""
+        return np.asarray(self.rows[0].target[0])
+
+    @property
+    def electrodes(self) -> int:
+        return len(self.profile.electrodes)
+
+    @cached_property
+    def symmetries(self) -> list[NDArray[np.intp]]:
+        return symmetries(self.profile, self.primary)
+
+    @property
+    def driven(self) -> NDArray[np.intp]:
+        """The electrodes that may carry current, which are the sites that have kernels."""
+        return self.profile.driven
+
+    def describe(self, site: int) -> str:
+        return f"{self.primary.name} at site {site} of {self.profile.name or 'this profile'}"
+
+    def check_site(self, site: int) -> None:
+        """Raise a DesignError unless the array has such a site, and it is not masked."""
+        if not 0 <= site < self.electrodes:
+            raise DesignError(
+                f"site {site} is out of range: the array has sites 0 to {self.electrodes - 1}"
+            )
+        if site in self.profile.output.masked:
+            raise DesignError(masked_site(site))
+
+    def beyond_a_pitch(self, site: int) -> NDArray[np.bool_]:
+        """Return which own rows are farther than one pitch from a site's target, (M,)."""
+        electrodes = self.profile.electrodes
+        away = np.linalg.norm(self._own_position_mm - electrodes.position_mm[site], axis=1)
+        return np.asarray(away > electrodes.pitch_mm + 1e-9)
+
+    def full_ma(self, site: int) -> float:
+        """Return the strongest comfortable current at a site, mA."""
+        return float(self.profile.full_ma[site])
+
+    @cached_property
+    def limits_ma(self) -> tuple[float, Array]:
+        """What all cathodes together and each electrode may carry, infinite if unlimited."""
+        limits = self.profile.limits
+        # Sequences hold whole µA: leave every electrode room to be rounded up.
+        room = self.electrodes / 1000
+        electrode = np.array(limits.electrode_ma or np.full(self.electrodes, np.inf)) - room
+        return (self.profile.design_total_ma or np.inf) - room, electrode
+
+    def axon(self, site: int) -> Array:
+        """Return the rows of the target's own axon, the node under the electrode first."""
+        sets = along_axon(self.profile, self.primary, site)
+        return np.concatenate([af_matrix(self.profile, one) for one in sets])
+
+    def axon_mm(self, site: int) -> Array:
+        """Return where the nodes of the target's own axon lie, (K, 3) x, y and depth."""
+        sets = along_axon(self.profile, self.primary, site)
+        return np.concatenate(
+            [np.c_[one.position_mm, np.full(len(one.position_mm), one.depth_mm)] for one in sets]
+        )
+
+    def representative(self, site: int) -> tuple[int, NDArray[np.intp]]:
+        """Return the site that stands for this one, and the way from it to here."""
+        moves = [(int(np.flatnonzero(move == site)[0]), move) for move in self.symmetries]
+        return min(moves, key=lambda pair: pair[0])
+
+    def orbits(self, site: int) -> Array:
+        """Return the patterns that a site's own symmetries allow, (E, O) of 0 and 1.
+
+        A masked electrode is in none of them.
+        """
+        mirrors = np.array([move for move in self.symmetries if move[site] == site])
+        _, orbit = np.unique(mirrors.min(axis=0)[self.driven], return_inverse=True)
+        patterns = np.zeros((self.electrodes, orbit.max() + 1))
+        patterns[self.driven, orbit] = 1.0
+        return patterns
+
+    def judge(
+        self, weights: Array, site: int, node: int = 0, kind: Kind = "weighted", gap: float = 0.0
+    ) -> Kernel:
+        """Return weights scaled to an activation of 1, with what they really do.
+
+        Raises
+        ------
+        DesignError
+            If they do not activate the target, whichever skin it is in.
+        """
+        far = self.beyond_a_pitch(site)
+        worst, spill, whose, smallest = -np.inf, 0.0, 0, np.inf
+        for rows in self.rows:
+            aims = rows.target[:, site] if node == 0 else self.axon(site)[node][None]
+            own_af = float((aims @ weights).min())
+            if own_af <= 0:
+                raise DesignError(
+                    f"the pattern for {self.describe(site)} does not activate its target"
+                )
+            others = rows.other @ weights
+            highest = float(others.max())
+            if highest / own_af > worst:
+                worst = highest / own_af
+                # An optimum often presses two classes alike: let no last bit choose between them.
+                alike = others >= highest - _ALIKE * abs(highest)
+                whose = int(self.other_class[alike].min())
+            if far.any():
+                spill = max(spill, float((rows.own[far] @ weights).max() / own_af))
+            smallest = min(smallest, own_af)
+        scaled = weights / smallest
+        # The last bits of the solver: currents sum to zero.
+        if kind == "weighted":
+            scaled[self.driven] -= scaled[self.driven].mean()
+        return Kernel(scaled, worst, Primary(whose), spill, node, kind, gap)
+
+    def _might_be(self, one: Afferents) -> list[Afferents]:
+        """Return a set of nodes at every depth and direction of the spread, nominal first."""
+        if not self.spread:
+            return [one]
+        spread = self.profile.skin.spread
+        class_name = one.primary.name.lower()
+        depth_spread = getattr(spread, f"{class_name}_depth_mm")
+        if one.ending is not None:
+            direction = tilted(spread.angle_deg)
+        else:
+            angles = np.degrees(np.arctan2(one.direction[:, 1], one.direction[:, 0]))
+            turns = np.array([0.0, spread.angle_deg, -spread.angle_deg])
+            direction = flat(tuple((angles[None, :] + turns[:, None]).ravel()))
+        shifts = [0.0, depth_spread, -depth_spread] if depth_spread else [0.0]
+        return [
+            replace(one, depth_mm=one.depth_mm + shift, direction=direction) for shift in shifts
+        ]
+
+    def _by_direction(self, aim: Afferents, skin: Skin) -> Array:
+        count = self.electrodes
+        return af_matrix(self.profile, aim, skin).reshape(-1, count, count)

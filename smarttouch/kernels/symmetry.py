@@ -1,0 +1,75 @@
+"""Mirrors and turns that leave an array and its afferents as they are."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.physiology.afferents import directions, targets
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+
+_SQUARE = [
+    np.array(matrix)
+    for matrix in (
+        [[1, 0], [0, 1]],
+        [[-1, 0], [0, 1]],
+        [[1, 0], [0, -1]],
+        [[-1, 0], [0, -1]],
+        [[0, 1], [1, 0]],
+        [[0, -1], [1, 0]],
+        [[0, 1], [-1, 0]],
+        [[0, -1], [-1, 0]],
+    )
+]
+"""The symmetries of a square; those of a hexagon beyond them do not keep the node lattice."""
+
+
+def symmetries(profile: Profile, primary: Primary) -> list[NDArray[np.intp]]:
+    """Return the permutations of electrodes that leave the design problem unchanged.
+
+    Returns
+    -------
+    list of ndarray, (E,)
+        ``permutation[e]`` is where electrode e goes. The first is the identity.
+    """
+    array = profile.electrodes
+    kept = []
+    for matrix in _SQUARE:
+        if (
+            array.shape == "rectangle"
+            and matrix[0, 0] == 0
+            and array.size_mm[0] != array.size_mm[1]
+        ):
+            continue
+        moved = array.position_mm @ matrix.T
+        gaps = np.linalg.norm(moved[:, None, :] - array.position_mm[None, :, :], axis=2)
+        if gaps.min(axis=1).max() > 1e-6:
+            continue
+        aims = targets(profile, primary).direction
+        if _keeps(aims, matrix) and all(
+            _keeps(directions(profile.skin, each), matrix) for each in Primary
+        ):
+            kept.append(np.asarray(gaps.argmin(axis=1), np.intp))
+    return [
+        move for move in kept if all(np.array_equal(each[move], each) for each in _own(profile))
+    ]
+
+
+def _own(profile: Profile) -> list[NDArray[np.float64]]:
+    """Return what may set one electrode apart from its mirror image, (E,) each."""
+    limits, own = profile.limits, [profile.admittance]
+    if profile.output.masked:
+        own.append(np.isin(np.arange(len(profile.electrodes)), profile.driven).astype(np.float64))
+    if limits.electrode_ma is not None:
+        own.append(np.array(limits.electrode_ma))
+    if limits.electrode_ma is not None or profile.design_total_ma is not None:
+        # Limits are multiples of a site's full current.
+        own.append(np.asarray(profile.threshold_ma, np.float64))
+    return own
+
+
+def _keeps(axons: NDArray[np.float64], matrix: NDArray[np.int_]) -> bool:
+    """Return whether a set of directions is the same after a move; an axon has no sense."""
+    moved = axons.copy()
+    moved[:, :2] = axons[:, :2] @ matrix.T
+    alike = np.abs(moved @ axons.T)
+    return bool(np.all(alike.max(axis=1) > 1 - 1e-9))

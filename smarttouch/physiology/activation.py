@@ -1,0 +1,107 @@
+"""The activating-function matrix: what every electrode does to every node."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.electrodes import ElectrodeArray
+from smarttouch.errors import DesignError
+from smarttouch.physiology import potential
+from smarttouch.physiology.afferents import Afferents
+from smarttouch.physiology.potential import Field
+from smarttouch.profile import Profile, Skin
+
+
+def field(
+    electrodes: ElectrodeArray, skin: Skin, position_mm: NDArray[np.float64], depth_mm: float
+) -> tuple[Field, float]:
+    """Return what every electrode does at points of one depth.
+
+    Parameters
+    ----------
+    electrodes : ElectrodeArray
+        The E electrodes.
+    skin : Skin
+        The conducting medium.
+    position_mm : ndarray, (N, 2), mm
+        Places along the skin.
+    depth_mm : float, mm
+        Their depth.
+
+    Returns
+    -------
+    Field of ndarray, (N, E)
+        For unit cathodic current at each electrode.
+    float
+        What to multiply it with for volts and millimeters per milliampere.
+    """
+    away = position_mm[:, None, :] - electrodes.position_mm[None, :, :]
+    x, y = away[..., 0], away[..., 1]
+    shape, (outer, inner) = electrodes.shape, electrodes.size_mm
+    if skin.medium == "plane":
+        return potential.line_in_plane(x, depth_mm), 1 / (
+            2 * np.pi * skin.conductivity * electrodes.cell_mm[1]
+        )
+    if shape == "rectangle":
+        if skin.layers:
+            raise DesignError(
+                "layered skin is offered for point, disc and annulus electrodes, not for "
+                "rectangles: use medium 'half-space'"
+            )
+        found = potential.rectangle(x, y, depth_mm, outer, inner)
+    elif skin.layers or shape == "annulus":
+        # scipy's interpolation is slow to import, and only these media need it.
+        from smarttouch.physiology.layered import round_electrode
+
+        layers = [(layer.thickness_mm, layer.conductivity_s_per_m) for layer in skin.layers]
+        radii = (0.0, 0.0) if shape == "point" else (outer / 2, inner / 2)
+        found = round_electrode(x, y, depth_mm, *radii, layers or [(np.inf, 1.0)])
+    elif shape == "point":
+        found = potential.point(x, y, depth_mm)
+    else:
+        found = potential.disc(x, y, depth_mm, outer / 2)
+    conductivity = 1.0 if skin.layers else skin.conductivity
+    half_spaces = 2 if skin.medium == "infinite" else 1
+    return found, 1 / (2 * np.pi * conductivity * half_spaces)
+
+
+def af_matrix(
+    profile: Profile, afferents: Afferents, skin: Skin | None = None
+) -> NDArray[np.float64]:
+    """Return the AF matrix of a set of nodes (Eq. 8 and 9).
+
+    At an active ending there is no curvature: what drives it is the current
+    from its only neighbor, one internode away (McNeal's end node).
+
+    Parameters
+    ----------
+    profile : Profile
+        Array and skin.
+    afferents : Afferents
+        N places with D directions each.
+    skin : Skin, optional
+        Another skin than the profile's.
+
+    Returns
+    -------
+    ndarray, (D·N, E) float64, V/mm² per mA
+        Activating function at each node for unit cathodic current at each
+        electrode, direction by direction; positive depolarizes.
+    """
+    skin = skin or profile.skin
+    here, scale = field(profile.electrodes, skin, afferents.position_mm, afferents.depth_mm)
+    rows = []
+    for direction in afferents.direction:
+        if afferents.ending == "active":
+            step = skin.internode_mm
+            beside = replace(
+                afferents,
+                position_mm=afferents.position_mm + step * direction[:2],
+                depth_mm=float(afferents.depth_mm + step * direction[2]),
+            )
+            next_one, _ = field(profile.electrodes, skin, beside.position_mm, beside.depth_mm)
+            rows.append((next_one.potential - here.potential) / step**2)
+        else:
+            rows.append(here.along(direction))
+    return np.asarray(scale * np.concatenate(rows))

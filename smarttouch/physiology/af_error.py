@@ -1,0 +1,118 @@
+"""How far the activating function can be trusted: its thresholds beside those of a fiber.
+
+If the AF were all that counts, every fiber would fire at the same AF, and one
+threshold would give all others. Here the flat fiber under a cathode at
+`REFERENCE_MM` gives it, and each other place, fiber and polarity is predicted
+from its largest AF and compared with the active cable model of `membrane`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import DesignError
+from smarttouch.physiology.activation import field
+from smarttouch.physiology.membrane import Fiber, threshold_ma
+from smarttouch.profile import Profile
+
+DEPTHS_MM = (0.5, 0.7, 0.9, 1.4, 2.0)
+REFERENCE_MM = 0.9
+_NODES = 161
+
+_FIBERS = {
+    "flat fiber": Fiber(end="through"),
+    "rising, passive ending": Fiber(end="passive"),
+    "rising, active ending": Fiber(end="active"),
+}
+
+
+@dataclass(frozen=True)
+class AfError:
+    """One place of the table.
+
+    Attributes
+    ----------
+    fiber : str
+        How it lies and how it ends.
+    polarity : {"cathodic", "anodic"}
+    depth_mm : float, mm
+        Of the fiber, or of the ending of a rising one.
+    cable_ma : float, mA
+        Threshold of the cable model; NaN if it never fires.
+    af_ma : float, mA
+        Threshold that the AF predicts; infinite where it is nowhere positive.
+    """
+
+    fiber: str
+    polarity: str
+    depth_mm: float
+    cable_ma: float
+    af_ma: float
+
+    @property
+    def ratio(self) -> float:
+        """Predicted over true threshold: above 1 the AF sees too little, below too much."""
+        return self.af_ma / self.cable_ma
+
+
+def af_error_table(profile: Profile, width_us: float = 200.0) -> list[AfError]:
+    """Return predicted and modelled thresholds under one electrode of a profile.
+
+    Parameters
+    ----------
+    profile : Profile
+        Whose electrode and skin; its current returns far away.
+    width_us : float, µs
+        Pulse width.
+
+    Returns
+    -------
+    list of AfError
+        For fibers flat and rising with either ending, both polarities and
+        every depth of `DEPTHS_MM`.
+    """
+    found: list[tuple[str, str, float, float, float]] = []
+    for name, fiber in _FIBERS.items():
+        for depth_mm in DEPTHS_MM:
+            potential = potential_at_nodes(profile, fiber, depth_mm)
+            bend = np.diff(potential, 2)
+            if fiber.end == "active":
+                # McNeal's end node: current from its only neighbor, and none beyond it.
+                bend = np.append(bend, potential[1] - potential[0])
+            for polarity, sign in (("cathodic", 1.0), ("anodic", -1.0)):
+                strongest = max(float((sign * bend).max()), 0.0)
+                try:
+                    cable = threshold_ma(potential, fiber, width_us, cathodic=sign > 0)
+                except DesignError:
+                    cable = np.nan
+                found.append((name, polarity, depth_mm, cable, strongest))
+    firing = next(
+        cable * strongest
+        for name, polarity, depth_mm, cable, strongest in found
+        if (name, polarity, depth_mm) == ("flat fiber", "cathodic", REFERENCE_MM)
+    )
+    return [
+        AfError(name, polarity, depth_mm, cable, firing / strongest if strongest else np.inf)
+        for name, polarity, depth_mm, cable, strongest in found
+    ]
+
+
+def potential_at_nodes(profile: Profile, fiber: Fiber, depth_mm: float) -> NDArray[np.float64]:
+    """Return the potential at a fiber's nodes under the first electrode, mV per mA, (N,)."""
+    center = profile.electrodes.position_mm[0]
+    spaced = np.arange(_NODES) * fiber.internode_mm
+    if fiber.end == "through":
+        away = spaced - spaced[_NODES // 2]
+        here, scale = field(
+            profile.electrodes,
+            profile.skin,
+            center + np.column_stack([away, np.zeros(_NODES)]),
+            depth_mm,
+        )
+        return np.asarray(1000 * scale * here.potential[:, 0])
+    values = []
+    for depth in depth_mm + spaced[: _NODES // 2]:
+        here, scale = field(profile.electrodes, profile.skin, center[None], float(depth))
+        values.append(1000 * scale * float(here.potential[0, 0]))
+    return np.array(values)

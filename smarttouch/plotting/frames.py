@@ -1,0 +1,291 @@
+"""Points that share slots: the currents of each slot, and where they fire what."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.kernels.frames.fields import FieldMap
+from smarttouch.kernels.frames.figures import FrameBounds
+from smarttouch.kernels.frames.judge import FrameJudge, full_wish
+from smarttouch.kernels.frames.mixed import MixedJudge
+from smarttouch.kernels.frames.operator import FrameOperator
+from smarttouch.kernels.frames.slots import FrameSlot, plan_slots
+from smarttouch.physiology.afferents import depth_mm, everywhere
+from smarttouch.plotting.style import GREY, SIGNED_MAP, new_figure, plain
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+from smarttouch.stimulation.frames import why_not
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+LETTER = (
+    "........",
+    ".######.",
+    "...#....",
+    "...#....",
+    "...#....",
+    "...#....",
+    "...#....",
+    "...#....",
+)
+"""Our own drawing of a T, # where RA is to fire."""
+MIXED = (
+    "........",
+    "R.S..R.S",
+    "........",
+    "........",
+    "........",
+    "........",
+    "S.R..S.R",
+    "........",
+)
+"""R where RA is to fire, S where SAI is."""
+
+_CLASSES = (Primary.RA, Primary.SAI)
+_STEP_MM = 0.25
+_MOST_SHOWN = 3
+_DARK = "#303030"
+
+
+@dataclass(frozen=True, eq=False)
+class Shared:
+    """What a plan made of a drawing.
+
+    Attributes
+    ----------
+    judges : tuple of FrameJudge
+        One for each class that is to fire.
+    slots : list of FrameSlot
+        At full intensity; currents positive cathodic.
+    """
+
+    judges: tuple[FrameJudge, ...]
+    slots: list[FrameSlot]
+
+    def sites(self, slot: FrameSlot, primary: Primary) -> NDArray[np.intp]:
+        """Return the electrodes under which a slot is to fire a class."""
+        index = [judge.primary for judge in self.judges].index(primary)
+        owner, site = divmod(slot.sites, len(slot.current))
+        return np.asarray(site[owner == index])
+
+    def weakest(self, slot: FrameSlot, primary: Primary) -> float:
+        """Return the activation of a slot's weakest target of a class, V/mm².
+
+        Of any class where the slot has none of that one.
+        """
+        reached = {
+            judge.primary: judge.target[self.sites(slot, judge.primary)] @ slot.current
+            for judge in self.judges
+        }
+        own = reached[primary]
+        return float((own if len(own) else np.concatenate(list(reached.values()))).min())
+
+
+def drawable(profile: Profile) -> bool:
+    """Return whether a profile has 8 x 8 electrodes, each with its own current, for both drawings.
+
+    None of the points drawn may be masked.
+    """
+    array = profile.array
+    if array.layout != "grid" or why_not(profile) is not None:
+        return False
+    used = ~(_marked(LETTER, ".") & _marked(MIXED, "."))
+    return (array.rows, array.columns) == (len(LETTER), len(LETTER[0])) and bool(
+        np.isin(np.flatnonzero(used), profile.driven).all()
+    )
+
+
+def share_letter(profile: Profile, bank: KernelBank) -> Shared:
+    """Return the slots of `LETTER` in RA, at full intensity."""
+    return _share(profile, bank, {Primary.RA: _marked(LETTER, "#")})
+
+
+def share_mixed(profile: Profile, bank: KernelBank) -> Shared:
+    """Return the slots of `MIXED` in RA and SAI, at full intensity."""
+    return _share(profile, bank, {each: _marked(MIXED, each.name[0]) for each in _CLASSES})
+
+
+def frame_figure(profile: Profile, bank: KernelBank) -> "Figure":
+    """Draw a letter in shared slots, and a slot with points of two classes.
+
+    Parameters
+    ----------
+    profile : Profile
+        One that is `drawable`.
+    bank : KernelBank
+        Its kernels: shared slots are to reach what these would.
+    """
+    letter, mixed = share_letter(profile, bank), share_mixed(profile, bank)
+    both = max(mixed.slots, key=lambda slot: len(slot.sites))
+    alone_ma = {}
+    for each in _CLASSES:
+        own = np.isin(np.arange(len(profile.electrodes)), mixed.sites(both, each))
+        slots = _share(profile, bank, {each: own}).slots
+        alone_ma[each] = sum(slot.figures.total_ma for slot in slots)
+    lattices = {each: _Lattice(profile, each) for each in _CLASSES}
+    drawn_ma = [slot.current for slot in (*letter.slots[:_MOST_SHOWN], both)]
+    figure = new_figure(8.6, 7.9)
+    panels = figure.subplots(3, _MOST_SHOWN + 1, sharex=True, sharey=True)
+    panels[0, 0].locator_params(nbins=4)
+    pen = _Pen(profile, lattices, float(np.abs(drawn_ma).max()))
+    _draw_letter(panels[:2], pen, letter)
+    currents, field = _draw_mixed(panels[2], pen, mixed, both, alone_ma)
+    ends = (
+        (currents, "current (mA), cathodic > 0"),
+        (field, "activating function, of the weakest target's"),
+    )
+    for (drawn, label), beside in zip(ends, (panels[:, :2], panels[:, 2:]), strict=True):
+        bar = figure.colorbar(
+            drawn, ax=beside, orientation="horizontal", aspect=22, shrink=0.9,
+            extend="both" if drawn is field else "neither",
+        )  # fmt: skip
+        bar.set_label(label, fontsize=8)
+        bar.ax.tick_params(labelsize=7)
+    return figure
+
+
+class _Lattice:
+    """What currents do to one class, on nodes close enough together to be drawn."""
+
+    def __init__(self, profile: Profile, primary: Primary) -> None:
+        skin = profile.skin.model_copy(update={"node_spacing_mm": _STEP_MM})
+        close = profile.model_copy(update={"skin": skin})
+        nodes = everywhere(close, primary)
+        self._field, self.grid = FieldMap(close, nodes), nodes.grid
+        place = nodes.position_mm.reshape(*nodes.grid, 2)
+        self.x_mm, self.y_mm = place[0, :, 0], place[:, 0, 1]
+
+    def af(self, plan: Shared, slot: FrameSlot, primary: Primary) -> Array:
+        """Return the AF in the strongest direction, of the slot's weakest target's, (Y, X)."""
+        reached = self._field(slot.current[None]).reshape(-1, *self.grid).max(axis=0)
+        return np.asarray(reached / plan.weakest(slot, primary), np.float64)
+
+
+def _marked(picture: Sequence[str], mark: str) -> NDArray[np.bool_]:
+    return np.array([each == mark for row in picture for each in row])
+
+
+def _share(profile: Profile, bank: KernelBank, points: dict[Primary, NDArray[np.bool_]]) -> Shared:
+    kernels = {each: np.asarray(bank.kernels(each), np.float64) for each in points}
+    judges = tuple(
+        FrameJudge(profile, each, full_wish(profile, each, own, bank.receptor[each]))
+        for each, own in kernels.items()
+    )
+    judge = judges[0] if len(judges) == 1 else MixedJudge(judges)
+    level = np.concatenate(list(points.values())).astype(np.float64)
+    alone = np.concatenate([own * profile.full_ma[:, None] for own in kernels.values()])
+    frames = profile.frames
+    bounds = FrameBounds(frames.other, frames.spill, frames.uneven)
+    slots = plan_slots(FrameOperator(judge), level, bounds, points_ma=alone)
+    return Shared(judges, slots)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pen:
+    """Draws the electrodes of a profile, and what is on and under them."""
+
+    profile: Profile
+    lattices: dict[Primary, _Lattice]
+    scale_ma: float
+
+    def points(self, axes: Any, names: dict[int, str]) -> None:
+        """Draw a name at each of some electrodes."""
+        self._discs(axes, facecolor="none")
+        box = {"boxstyle": "round,pad=0.25", "facecolor": _DARK, "edgecolor": "none"}
+        for site, name in names.items():
+            place = self.profile.electrodes.position_mm[site]
+            axes.text(*place, name, ha="center", va="center", fontsize=7, color="white", bbox=box)
+
+    def currents(self, axes: Any, current_ma: Array) -> Any:
+        discs = self._discs(axes, cmap=SIGNED_MAP, clim=(-self.scale_ma, self.scale_ma))
+        discs.set_array(current_ma)
+        return discs
+
+    def field(self, axes: Any, primary: Primary, af: Array, sites: NDArray[np.intp]) -> Any:
+        """Draw what a class feels, and the targets."""
+        x_mm, y_mm = self.lattices[primary].x_mm, self.lattices[primary].y_mm
+        drawn = axes.pcolormesh(
+            x_mm, y_mm, af, cmap=SIGNED_MAP, vmin=-1, vmax=1, rasterized=True, shading="gouraud"
+        )
+        self._discs(axes, facecolor="none")
+        axes.plot(*self.profile.electrodes.position_mm[sites].T, "+", color="black", ms=6)
+        return drawn
+
+    def where(self, primary: Primary) -> str:
+        return f"at {primary.name}, {depth_mm(self.profile.skin, primary):g} mm deep"
+
+    def _discs(self, axes: Any, **style: Any) -> Any:
+        """Add all electrodes, as large as they are."""
+        from matplotlib.collections import EllipseCollection
+
+        array = self.profile.electrodes
+        size = np.full(len(array), array.size_mm[0])
+        discs = EllipseCollection(
+            size, size, np.zeros(len(array)), units="xy", edgecolor=GREY, linewidth=0.3,
+            offsets=array.position_mm, offset_transform=axes.transData, **style,
+        )  # fmt: skip
+        axes.add_collection(discs)
+        reach = np.abs(array.position_mm).max(axis=0) + array.pitch_mm
+        axes.set(xlim=(-reach[0], reach[0]), ylim=(reach[1], -reach[1]), aspect="equal")
+        return discs
+
+
+def _draw_letter(panels: Any, pen: _Pen, letter: Shared) -> None:
+    """Draw all of a letter in the first column, and a slot in each of the others."""
+    primary, slots = Primary.RA, letter.slots
+    sites = [letter.sites(slot, primary) for slot in slots]
+    af = [pen.lattices[primary].af(letter, slot, primary) for slot in slots]
+    all_sites = np.concatenate(sites)
+    top, below = panels[:, 0]
+    pen.points(top, {int(each): str(number) for number, own in enumerate(sites, 1) for each in own})
+    many = len(slots)
+    title = f"A letter, {primary.name}: {len(all_sites)} slots point\nby point, {many} shared"
+    plain(top, title, "", "y (mm)")
+    pen.field(below, primary, np.max(af, axis=0), all_sites)
+    plain(below, f"all slots together\n{pen.where(primary)}", "", "y (mm)")
+    for index, (top, below) in enumerate(panels[:, 1:].T):
+        if index >= many:
+            top.set_axis_off()
+            below.set_axis_off()
+            continue
+        name = f"slot {index + 1} of {many}"
+        pen.currents(top, slots[index].current)
+        plain(top, f"{name}\ncurrents")
+        pen.field(below, primary, af[index], sites[index])
+        plain(below, f"{name}\n{pen.where(primary)}", _figures(slots[index]))
+
+
+def _draw_mixed(
+    panels: Any,
+    pen: _Pen,
+    mixed: Shared,
+    slot: FrameSlot,
+    alone_ma: dict[Primary, float],
+) -> tuple[Any, Any]:
+    """Draw a slot of two classes; return what has the scale of currents, and of fields."""
+    sites = {each: mixed.sites(slot, each) for each in _CLASSES}
+    pen.points(panels[0], {int(site): each.name for each in _CLASSES for site in sites[each]})
+    count = " and ".join(f"{len(own)} {each.name}" for each, own in sites.items())
+    plain(panels[0], f"One slot, two classes:\n{count} points", _figures(slot), "y (mm)")
+    currents = pen.currents(panels[1], slot.current)
+    needed = ", ".join(f"{each.name} {total:.1f} mA" for each, total in alone_ma.items())
+    plain(panels[1], "mixed slot\ncurrents", f"alone: {needed}")
+    for axes, each in zip(panels[2:], _CLASSES, strict=True):
+        field = pen.field(axes, each, pen.lattices[each].af(mixed, slot, each), sites[each])
+        plain(axes, f"mixed slot\n{pen.where(each)}", "x (mm)")
+    return currents, field
+
+
+def _figures(slot: FrameSlot) -> str:
+    found, count = slot.figures, len(slot.sites)
+    return (
+        f"{count} point{'' if count == 1 else 's'}, {found.total_ma:.1f} mA\n"
+        f"worst other {found.worst_other:.2f}, spill {found.worst_spill:.2f}"
+    )

@@ -1,0 +1,148 @@
+"""Kernels as they lie on the array, and what they do at every class of afferents."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from smarttouch.kernels.problem import Array, Kernel
+from smarttouch.physiology.activation import field
+from smarttouch.physiology.afferents import depth_mm, directions
+from smarttouch.plotting.paper import draw_weights
+from smarttouch.plotting.style import CLASS_COLORS, GREY, SIGNED_MAP, new_figure, plain
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_POINTS = 121
+
+
+def kernel_figure(profile: Profile, kernels: Mapping[Primary, Kernel], site: int) -> "Figure":
+    """Draw kernels of one site and the activation they cause, relative to their target's.
+
+    Parameters
+    ----------
+    profile : Profile
+        Array and skin.
+    kernels : mapping of Primary to Kernel
+        One row of panels each.
+    site : int
+        Whose kernels they are.
+    """
+    if profile.skin.medium == "plane":
+        return _line_figure(profile, kernels)
+    width, height = _reach_mm(profile) * 2
+    tall = min(2.4, max(1.4, 1.9 * height / width))
+    figure = new_figure(8.6, 0.35 + len(kernels) * (tall + 0.35))
+    panels = figure.subplots(len(kernels), 4, squeeze=False, sharex=True, sharey=True)
+    for row, (primary, kernel) in zip(panels, kernels.items(), strict=True):
+        weights_drawn = _draw_array(row[0], profile, kernel.peak_normalized)
+        worst = f"worst other {kernel.worst_other:.2g} ({kernel.worst_other_class.name})"
+        plain(row[0], f"{primary.name} kernel\n{worst}", "", "y (mm)")
+        for axes, shown in zip(row[1:], Primary, strict=True):
+            drawn = _draw_activation(axes, profile, kernel, shown)
+            plain(axes, f"at {shown.name}, {depth_mm(profile.skin, shown):g} mm deep")
+            _outline(axes, profile)
+            axes.plot(*profile.electrodes.position_mm[site], "+", color="black", ms=7)
+    for axes in panels[-1]:
+        axes.set_xlabel("x (mm)", fontsize=8)
+    weights_bar = figure.colorbar(
+        weights_drawn, ax=panels[:, 0], orientation="horizontal", aspect=12
+    )
+    weights_bar.set_label("weight, cathodic > 0", fontsize=8)
+    bar = figure.colorbar(
+        drawn, ax=panels[:, 1:], orientation="horizontal", aspect=40, extend="both"
+    )
+    bar.set_label("activating function, of the target's (strongest direction)", fontsize=8)
+    for each in (weights_bar, bar):
+        each.ax.tick_params(labelsize=7)
+    return figure
+
+
+def _line_figure(profile: Profile, kernels: Mapping[Primary, Kernel]) -> "Figure":
+    figure = new_figure(7.5, 0.3 + 2.2 * len(kernels))
+    panels = figure.subplots(len(kernels), 2, squeeze=False)
+    x = np.linspace(-1, 1, 4 * _POINTS) * _reach_mm(profile)[0]
+    places = np.column_stack([x, np.zeros_like(x)])
+    for (left, right), (primary, kernel) in zip(panels, kernels.items(), strict=True):
+        draw_weights(left, profile, kernel.peak_normalized)
+        plain(left, f"{primary.name} kernel", "electrode (mm)", "weight, cathodic up")
+        for shown in Primary:
+            af = _activation(profile, kernel, shown, places)
+            right.plot(x, af, color=CLASS_COLORS[shown], label=shown.name)
+        right.axhline(0, color=GREY, lw=0.6)
+        right.axhline(1, color=GREY, lw=0.6, ls=":")
+        right.set_ylim(-2.2, max(1.4, 1.1 * kernel.worst_other))
+        if primary is next(iter(kernels)):
+            right.legend(frameon=False, fontsize=7, ncols=3)
+        plain(
+            right,
+            f"worst other {kernel.worst_other:.4g} ({kernel.worst_other_class.name})",
+            "place (mm)",
+            "AF, of the target's",
+        )
+    return figure
+
+
+def _reach_mm(profile: Profile) -> Array:
+    array = profile.electrodes
+    return np.asarray(np.abs(array.position_mm).max(axis=0) + array.pitch_mm)
+
+
+def _activation(profile: Profile, kernel: Kernel, shown: Primary, places: Array) -> Array:
+    """Return the AF that a kernel causes at places, in the class's strongest direction."""
+    skin = profile.skin
+    found, scale = field(profile.electrodes, skin, places, depth_mm(skin, shown))
+    along = [found.along(each) @ kernel.weights for each in directions(skin, shown)]
+    return np.asarray(scale * np.max(along, axis=0))
+
+
+def _draw_activation(axes: Any, profile: Profile, kernel: Kernel, shown: Primary) -> Any:
+    reach = _reach_mm(profile)
+    x, y = (np.linspace(-each, each, _POINTS) for each in reach)
+    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    af = _activation(profile, kernel, shown, places).reshape(len(y), len(x))
+    return axes.pcolormesh(
+        x, y, af, cmap=SIGNED_MAP, vmin=-1, vmax=1, rasterized=True, shading="gouraud"
+    )
+
+
+def _draw_array(axes: Any, profile: Profile, weights: Array) -> Any:
+    from matplotlib.collections import PatchCollection
+
+    collection = PatchCollection(
+        _patches(profile), cmap=SIGNED_MAP, edgecolor=GREY, linewidth=0.3, clim=(-1, 1)
+    )
+    collection.set_array(weights)
+    axes.add_collection(collection)
+    reach = _reach_mm(profile)
+    axes.set(xlim=(-reach[0], reach[0]), ylim=(reach[1], -reach[1]), aspect="equal")
+    return collection
+
+
+def _outline(axes: Any, profile: Profile) -> None:
+    from matplotlib.collections import PatchCollection
+
+    axes.add_collection(
+        PatchCollection(_patches(profile), facecolor="none", edgecolor=GREY, linewidth=0.3)
+    )
+    axes.set_aspect("equal")
+
+
+def _patches(profile: Profile) -> list[Any]:
+    from matplotlib.patches import Annulus, Circle, Rectangle
+
+    array = profile.electrodes
+    first, second = array.size_mm
+    patches: list[Any] = []
+    for x, y in array.position_mm:
+        if array.shape == "rectangle":
+            patches.append(Rectangle((x - first / 2, y - second / 2), first, second))
+        elif array.shape == "annulus":
+            patches.append(Annulus((x, y), first / 2, (first - second) / 2))
+        else:
+            radius = first / 2 if array.shape == "disc" else 0.1 * array.pitch_mm
+            patches.append(Circle((x, y), radius))
+    return patches

@@ -1,0 +1,268 @@
+"""The experiments there are, and how each is put together from what a user asks for."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from smarttouch.errors import ExperimentError
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+from smarttouch.psychophysics.procedures.constant import (
+    REPETITIONS,
+    STANDARDS_HZ,
+    ConstantStimuli,
+    ratio_pairs,
+)
+from smarttouch.psychophysics.procedures.procedure import Procedure
+from smarttouch.psychophysics.procedures.repeats import Repeats
+from smarttouch.psychophysics.stimuli import Stimuli
+from smarttouch.psychophysics.tasks import (
+    DetectionTask,
+    DiscomfortTask,
+    FrequencyTask,
+    LetterTask,
+    LocalizationTask,
+    TwoPointTask,
+)
+from smarttouch.psychophysics.trial import Task
+
+CONSTANT, STAIRCASE, QUESTPLUS, LIMITS = "constant", "staircase", "questplus", "limits"
+ADAPTIVE = (CONSTANT, STAIRCASE, QUESTPLUS)
+PC_STANDARDS_HZ = (*STANDARDS_HZ, 90.0, 100.0)
+"""Beyond those of RA the two at which the paper's thresholds change in PC mode (Fig. 18)."""
+LEVELS = tuple(np.geomspace(0.5, 1.6, 7))
+"""Of the profile's threshold, that detection is asked for at (our own choice)."""
+_FARTHEST = 4
+"""Distances of a point on each side, and most of them between two points."""
+
+_IN_MA = ("detection", "discomfort")
+_SLOWER = 2.0
+"""Than the profile's ramp a current rises whose end is looked for."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a user asks for; what is None was not given.
+
+    Attributes
+    ----------
+    primary : Primary
+    procedure : str
+    standards : tuple of float, Hz
+    repetitions, trials : int
+        Of each condition (constant), of each standard (adaptive).
+    site : int
+    train_s, rate_hz : float
+    letters : str
+    two_intervals : bool
+        Detection: in which of two, and not yes or no.
+    seed : int
+    """
+
+    primary: Primary = Primary.RA
+    procedure: str | None = None
+    standards: tuple[float, ...] | None = None
+    repetitions: int | None = None
+    trials: int | None = None
+    site: int | None = None
+    train_s: float | None = None
+    rate_hz: float | None = None
+    letters: str | None = None
+    two_intervals: bool = False
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Design:
+    """An experiment ready to be run.
+
+    Attributes
+    ----------
+    task : Task
+    procedure : Procedure
+    method : str
+        The procedure's name.
+    again : bool
+        Whether a trial may be felt again.
+    notes : list of str
+        What a user should know of it.
+    """
+
+    task: Task
+    procedure: Procedure
+    method: str
+    again: bool = True
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One experiment of the catalog.
+
+    Attributes
+    ----------
+    about : str
+        In one line.
+    methods : tuple of str
+        Procedures that make sense, the usual one first.
+    train_s : float, s
+        How long trains are if nothing else is said.
+    make : callable
+        Puts it together.
+    """
+
+    about: str
+    methods: tuple[str, ...]
+    train_s: float
+    make: Callable[[Stimuli, Wanted, str], Design]
+
+
+def design(name: str, profile: Profile, wanted: Wanted) -> Design:
+    """Put an experiment of the catalog together.
+
+    Raises
+    ------
+    ExperimentError
+        If there is no such experiment, or it cannot be as it is asked for.
+    """
+    if name not in CATALOG:
+        raise ExperimentError(f"there is no experiment {name!r}: choose {' or '.join(CATALOG)}")
+    entry = CATALOG[name]
+    method = wanted.procedure or entry.methods[0]
+    if method not in entry.methods:
+        raise ExperimentError(
+            f"--procedure {method!r} is not for {name}: choose {' or '.join(entry.methods)}"
+        )
+    site = wanted.site
+    if site is not None and site not in profile.driven:
+        raise ExperimentError(
+            f"--site {site} is masked or none of the {len(profile.electrodes)} sites of "
+            f"{profile.name}: leave it out for the middle"
+        )
+    if name in _IN_MA and profile.pulse.carrier == "width":
+        raise ExperimentError(
+            f"{name} counts in mA, and intensity changes the width of this profile's pulses: set "
+            "pulse.carrier = 'height'"
+        )
+    train_s = entry.train_s if wanted.train_s is None else wanted.train_s
+    return entry.make(Stimuli(profile, wanted.primary, train_s), wanted, method)
+
+
+def _site(stimuli: Stimuli, wanted: Wanted) -> int:
+    return stimuli.middle if wanted.site is None else wanted.site
+
+
+def _rate_hz(stimuli: Stimuli, wanted: Wanted) -> float:
+    return stimuli.profile.pulse.rate_hz if wanted.rate_hz is None else wanted.rate_hz
+
+
+def _constant(
+    pairs: Sequence[tuple[float, float]], wanted: Wanted, two_intervals: bool, usual: int
+) -> ConstantStimuli:
+    repetitions = usual if wanted.repetitions is None else wanted.repetitions
+    return ConstantStimuli(pairs, repetitions, two_intervals, wanted.seed)
+
+
+def _frequency(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
+    standards = wanted.standards or (
+        PC_STANDARDS_HZ if stimuli.primary is Primary.PC else STANDARDS_HZ
+    )
+    highest_hz = stimuli.profile.limits.rate_hz
+    notes = []
+    if method == CONSTANT:
+        pairs = ratio_pairs(standards, highest=highest_hz)
+        left_out = len(ratio_pairs(standards)) - len(pairs)
+        if left_out:
+            notes.append(
+                f"{left_out} comparisons above the profile's limit of {highest_hz:g} Hz are not "
+                "offered"
+            )
+        procedure: Procedure = _constant(pairs, wanted, True, REPETITIONS)
+    else:
+        from smarttouch.psychophysics.procedures.adaptive import frequency_procedures
+
+        procedure = frequency_procedures(method, standards, highest_hz, wanted.trials, wanted.seed)
+    return Design(FrequencyTask(stimuli, _site(stimuli, wanted)), procedure, method, notes=notes)
+
+
+def _detection(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
+    site = _site(stimuli, wanted)
+    threshold_ma, full_ma = (
+        float(each[site]) for each in (stimuli.profile.threshold_ma, stimuli.profile.full_ma)
+    )
+    if method == CONSTANT:
+        levels = sorted({min(round(threshold_ma * each, 3), full_ma) for each in LEVELS})
+        if not wanted.two_intervals:
+            levels = [0.0, *levels]
+        pairs = [(0.0, each) for each in levels]
+        procedure: Procedure = _constant(pairs, wanted, wanted.two_intervals, REPETITIONS)
+    else:
+        from smarttouch.psychophysics.procedures.adaptive import detection_procedure
+
+        procedure = detection_procedure(
+            method, threshold_ma, full_ma, wanted.two_intervals, wanted.trials, wanted.seed
+        )
+    task = DetectionTask(stimuli, site, _rate_hz(stimuli, wanted))
+    # Who may feel it again knows more than one look tells.
+    return Design(task, procedure, method, again=False)
+
+
+def _discomfort(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
+    slowest_s = _SLOWER * stimuli.profile.limits.ramp_s
+    if stimuli.train_s < slowest_s:
+        raise ExperimentError(
+            f"a current that is enough in {stimuli.train_s:g} s comes too suddenly: give --train-s "
+            f"{slowest_s:g} or more"
+        )
+    task = DiscomfortTask(stimuli, _site(stimuli, wanted), _rate_hz(stimuli, wanted))
+    return Design(task, Repeats(wanted.repetitions or 5), method, again=False)
+
+
+def _two_point(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
+    apart_mm = list(stimuli.pairs())
+    if not apart_mm:
+        raise ExperimentError(
+            f"no two electrodes of {stimuli.profile.name} lie beside each other: choose another "
+            "profile"
+        )
+    nearest = apart_mm[: 2 * _FARTHEST]
+    procedure = _constant([(0.0, each) for each in nearest], wanted, True, REPETITIONS)
+    return Design(TwoPointTask(stimuli, _rate_hz(stimuli, wanted)), procedure, method)
+
+
+def _localization(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
+    site = _site(stimuli, wanted)
+    beside = stimuli.beside(site)
+    far_mm = sorted({abs(each) for each in beside if -each in beside})[:_FARTHEST]
+    if not far_mm:
+        raise ExperimentError(
+            f"site {site} has no neighbors as far left as right: choose one in the middle of a row"
+        )
+    pairs = [(0.0, sign * each) for each in far_mm for sign in (-1, 1)]
+    task = LocalizationTask(stimuli, site, _rate_hz(stimuli, wanted))
+    return Design(task, _constant(pairs, wanted, False, REPETITIONS), method)
+
+
+def _letters(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
+    from smarttouch.psychophysics.letters import draw_letter, parse_letters
+
+    letters = parse_letters(wanted.letters)
+    drawn = {each: draw_letter(each, stimuli.profile) for each in letters}
+    pairs = [(0.0, float(place)) for place in range(len(letters))]
+    task = LetterTask(stimuli, drawn, _rate_hz(stimuli, wanted))
+    notes = [f"right by chance: 1 in {len(letters)}"]
+    return Design(task, _constant(pairs, wanted, False, 4), method, notes=notes)
+
+
+CATALOG = {
+    "frequency": Entry("which of two trains is faster (paper, III-C)", ADAPTIVE, 1.0, _frequency),
+    "detection": Entry("is it felt: threshold current, mA", ADAPTIVE, 0.5, _detection),
+    "discomfort": Entry("when is a rising current enough, mA", (LIMITS,), 10.0, _discomfort),
+    "two-point": Entry("which of two had two points: distance, mm", (CONSTANT,), 0.5, _two_point),
+    "localization": Entry(
+        "was the second point left or right: distance, mm", (CONSTANT,), 0.5, _localization
+    ),
+    "letters": Entry("which letter was drawn", (CONSTANT,), 1.0, _letters),
+}  # fmt: skip
+"""By name."""

@@ -1,0 +1,122 @@
+"""Answers to be fitted: which comparison was shown, and what was said of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.psychophysics.fitting.psychometric import MOST_LAPSES, Guess, Model, Shape
+
+Array = NDArray[np.float64]
+
+
+class Counts(NamedTuple):
+    """Answers by comparison.
+
+    Attributes
+    ----------
+    stimulus : ndarray, (K,)
+        Rising.
+    n, k : ndarray, (K,)
+        Answers and successes.
+    """
+
+    stimulus: Array
+    n: Array
+    k: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """All trials of one standard, in their order.
+
+    Attributes
+    ----------
+    standard : float
+        What was compared with; 0 where there is nothing.
+    comparison : ndarray, (N,)
+        In the same unit.
+    success : ndarray, (N,)
+        1 judged higher, felt, or right; 0 not; NaN no answer.
+    interval : ndarray, (N,)
+        Of the comparison, 1 or 2; 0 where there are no two intervals.
+    alternatives : int
+        How many answers there were to choose from; 0 if *yes* and *no*, or not known.
+    """
+
+    standard: float
+    comparison: Array
+    success: Array
+    interval: NDArray[np.int64]
+    alternatives: int = 0
+
+    @property
+    def presented(self) -> int:
+        """Trials."""
+        return len(self.success)
+
+    @property
+    def answered(self) -> int:
+        """Trials with an answer."""
+        return int(np.isfinite(self.success).sum())
+
+    @property
+    def chose_first(self) -> int:
+        """Answers for the first interval."""
+        chosen = np.where(self.success == 1, self.interval, 3 - self.interval)
+        return int((chosen[self._two] == 1).sum())
+
+    @property
+    def compared(self) -> int:
+        """Answers for one of two intervals."""
+        return int(self._two.sum())
+
+    def counts(self) -> Counts:
+        """Return answers by comparison; those that never came are not among them."""
+        given = np.isfinite(self.success)
+        stimulus, which = np.unique(self.comparison[given], return_inverse=True)
+        n, k = np.zeros(len(stimulus)), np.zeros(len(stimulus))
+        np.add.at(n, which, 1.0)
+        np.add.at(k, which, self.success[given])
+        return Counts(stimulus, n, k)
+
+    @property
+    def _two(self) -> NDArray[np.bool_]:
+        return np.asarray(np.isfinite(self.success) & (self.interval > 0))
+
+
+def usual_model(
+    all_answers: Sequence[Answers],
+    shape: Shape = Shape.NORMAL,
+    guess: Guess | None = None,
+    logarithmic: bool | None = None,
+    at: float | None = None,
+    most_lapses: float = MOST_LAPSES,
+) -> Model:
+    """Return the model that belongs to the answers of one experiment.
+
+    Parameters
+    ----------
+    all_answers : sequence of Answers
+        To all standards.
+    shape, at, most_lapses
+        As for `Model`.
+    guess : float, "equal", "free" or None
+        If None: with a standard, or comparisons on both sides of 0, *equal*; else one of the
+        alternatives; else of *felt*, free if some trials showed nothing, and 0 if none did.
+    logarithmic : bool or None
+        If None: unless a comparison is negative.
+    """
+    stimulus = np.concatenate([each.comparison for each in all_answers])
+    signed = bool((stimulus < 0).any())
+    if guess is None:
+        alternatives = max(each.alternatives for each in all_answers)
+        if signed or any(each.standard for each in all_answers):
+            guess = "equal"
+        elif alternatives:
+            guess = 1 / alternatives
+        else:
+            guess = "free" if (stimulus == 0).any() else 0.0
+    return Model(shape, not signed if logarithmic is None else logarithmic, guess, at, most_lapses)

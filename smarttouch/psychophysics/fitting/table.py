@@ -1,0 +1,161 @@
+"""Answers from CSV files: our own, and those of others that have a comparison and a success."""
+
+import csv
+import io
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from smarttouch.errors import ExperimentError
+from smarttouch.files import read_text
+from smarttouch.psychophysics.fitting.answers import Answers
+
+_DELIMITERS = (",", ";", "\t")
+_YES = {"1", "1.0", "true", "yes", "y", "correct"}
+_NO = {"0", "0.0", "false", "no", "n", "incorrect", "wrong"}
+_NONE = {"", "nan", "na", "n/a", "none"}
+_Cells = dict[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """The answers of one file.
+
+    Attributes
+    ----------
+    name : str
+        Of the file, without its ending.
+    unit : str
+        Of standards and comparisons, if it says so.
+    answers : tuple of Answers
+        To each standard, rising.
+    """
+
+    name: str
+    unit: str
+    answers: tuple[Answers, ...]
+
+
+def read_table(
+    path: Path,
+    x: str = "comparison",
+    y: str = "success",
+    standard: str = "standard",
+) -> Table:
+    """Read comparisons and answers.
+
+    Comma, semicolon or tab separate the cells. With a semicolon a decimal comma is one. An answer
+    is 1, true, yes, correct or their contraries; an empty cell is none. If the file does not end
+    in a line break its last line was cut off where it has fewer cells than the others: it is
+    dropped.
+
+    Parameters
+    ----------
+    path : Path
+    x, y, standard : str
+        Columns of comparison, success and standard; the last need not be there. The interval of
+        the comparison (`comparison_interval`) and the words answered (`response`) are used if
+        there are such columns.
+
+    Raises
+    ------
+    ExperimentError
+        If it cannot be read, or has no such columns or values.
+    """
+    head, lines = _cells(path)
+    for option, name in (("--x", x), ("--y", y)):
+        if name not in head:
+            raise ExperimentError(
+                f"{path} has no column {name!r}, but {', '.join(head)}: name one with {option}"
+            )
+    if standard != "standard" and standard not in head:
+        raise ExperimentError(
+            f"{path} has no column {standard!r}, but {', '.join(head)}: name one with --standard"
+        )
+    rows = []
+    for number, cells in lines:
+        where = f"{path}, line {number}"
+        interval = cells.get("comparison_interval", "")
+        rows.append(
+            (
+                _number(cells.get(standard, ""), where, standard) if cells.get(standard) else 0.0,
+                _number(cells[x], where, x),
+                _success(cells[y], where, y),
+                int(_number(interval, where, "comparison_interval")) if interval else 0,
+            )
+        )
+    if not rows:
+        raise ExperimentError(f"{path} has no trials below its first line: give one that has")
+    table = np.array(rows, np.float64)
+    alternatives = _alternatives([cells for _, cells in lines])
+    found = []
+    for each in np.unique(table[:, 0]):
+        _, comparison, success, interval = table[table[:, 0] == each].T
+        found.append(
+            Answers(float(each), comparison, success, interval.astype(np.int64), alternatives)
+        )
+    units = {cells.get("unit", "") for _, cells in lines}
+    return Table(path.stem, units.pop() if len(units) == 1 else "", tuple(found))
+
+
+def _cells(path: Path) -> tuple[list[str], list[tuple[int, _Cells]]]:
+    """Return names of columns, and the cells of each line with its number in the file."""
+    text = read_text(path, ExperimentError)
+    first = text.partition("\n")[0]
+    delimiter = max(_DELIMITERS, key=first.count)
+    try:
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+        lines = [(reader.line_num, line) for line in reader if any(map(str.strip, line))]
+    except csv.Error as error:
+        raise ExperimentError(f"{path} is no CSV file: {error}") from None
+    if not lines:
+        raise ExperimentError(f"{path} is empty: give a file of answers")
+    head = [each.strip() for each in lines[0][1]]
+    if len(lines) > 1 and not text.endswith("\n") and len(lines[-1][1]) < len(head):
+        lines.pop()
+    found = []
+    for number, line in lines[1:]:
+        if len(line) < len(head):
+            raise ExperimentError(
+                f"{path}, line {number}: {len(line)} cells, not {len(head)} as in the first line; "
+                "mend or delete it"
+            )
+        cells = dict(zip(head, map(str.strip, line), strict=False))
+        if delimiter == ";":
+            cells = {name: cell.replace(",", ".") for name, cell in cells.items()}
+        found.append((number, cells))
+    return head, found
+
+
+def _number(text: str, where: str, column: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ExperimentError(f"{where}: {column} is {text!r}, not a number; mend or delete it")
+    return number
+
+
+def _success(text: str, where: str, column: str) -> float:
+    word = text.lower()
+    if word in _NONE:
+        return math.nan
+    if word not in _YES | _NO:
+        raise ExperimentError(
+            f"{where}: {column} is {text!r}, not 1 or 0; name another column with --y"
+        )
+    return float(word in _YES)
+
+
+def _alternatives(lines: list[_Cells]) -> int:
+    """Return how many answers there were to choose from; 0 if yes and no, or not known."""
+    if any(cells.get("comparison_interval") for cells in lines):
+        return 2
+    said = {cells.get("response", "") for cells in lines}
+    shown = {cells.get("target", "") for cells in lines} if said - {""} else set()
+    if said - {""} <= {"y", "n"}:
+        return 0
+    return max(2, len(said | shown - {""}))

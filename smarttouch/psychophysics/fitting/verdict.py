@@ -1,0 +1,237 @@
+"""What the answers to one standard say: a threshold, or why there is none."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from smarttouch.psychophysics.fitting.answers import Answers, Counts, usual_model
+from smarttouch.psychophysics.fitting.bootstrap import Bounded
+from smarttouch.psychophysics.fitting.estimate import Estimate
+from smarttouch.psychophysics.fitting.fit import Fit, How, Sureness, fit, how_sure
+from smarttouch.psychophysics.fitting.psychometric import Model
+
+FEWEST_ANSWERS = 15
+MOST_UNANSWERED = 0.5
+"""Share of trials without an answer: above it those with one may be a choice of the subject's."""
+SAME_INTERVAL = 0.95
+"""Share of answers for the same interval, above which the answers are about nothing else."""
+FLAT = 0.02
+"""Error of the test against answers that know nothing of the comparison."""
+POOR = 0.01
+"""Share of replicas that fit no better than the answers: below it the fit is called poor."""
+_FALLING = -2.58
+"""Standard deviations: one in two hundred by chance."""
+_SAMPLES = 200
+"""Of a bootstrap that only has to tell a standard deviation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """What there is to report of one standard.
+
+    Attributes
+    ----------
+    answers : Answers
+    model : Model
+    how : How
+    fit : Fit or None
+        None where there is no function to speak of.
+    verdict : str or None
+        Why no threshold can be reported, in one sentence; None if one can.
+    beyond : int
+        1 or -1 where the threshold lies above or below all comparisons, 0 else.
+    """
+
+    answers: Answers
+    model: Model
+    how: How
+    fit: Fit | None
+    verdict: str | None = None
+    beyond: int = 0
+
+    @cached_property
+    def sureness(self) -> Sureness | None:
+        """How sure the fit is; None without one."""
+        return None if self.fit is None else how_sure(self.fit, self.how)
+
+    @cached_property
+    def threshold(self) -> Bounded | None:
+        """Where the model's share of answers is reached."""
+        return self._at(self.model.level)
+
+    @cached_property
+    def middle(self) -> Bounded | None:
+        """Where F is a half: the point of subjective equality, if asymptotes are equal."""
+        return self._at(0.5)
+
+    @cached_property
+    def lower(self) -> Bounded | None:
+        """The other threshold, as rarely judged higher as the upper is often.
+
+        None if it lies below all comparisons, or the asymptotes are not equal.
+        """
+        if self.model.guess != "equal":
+            return None
+        found = self._at(1 - self.model.level)
+        return None if found is None or found.value < self.answers.comparison.min() else found
+
+    @property
+    def weber(self) -> Bounded | None:
+        """Upper threshold as a part of the standard, from it (Fig. 16, bottom)."""
+        return self._relative(self.threshold)
+
+    @property
+    def lower_weber(self) -> Bounded | None:
+        """Lower threshold as a part of the standard, from it; negative."""
+        return self._relative(self.lower)
+
+    @property
+    def goodness(self) -> float | None:
+        """How many replicas fit no better, 0 to 1; None where that tells nothing."""
+        return None if self.verdict or self.sureness is None else self.sureness.goodness
+
+    @property
+    def notes(self) -> list[str]:
+        """What to know of a threshold that is reported."""
+        if self.verdict or self.fit is None or self.sureness is None or self.threshold is None:
+            return []
+        notes = []
+        if self.sureness.sudden:
+            notes.append(
+                f"answers change too suddenly around {self.fit.at(0.5):.4g} to tell the slope: the "
+                "interval is that of the posterior"
+            )
+        elif self.sureness.sparse:
+            notes.append("few answers at some comparisons: the interval is that of the posterior")
+        lowest, highest = self.answers.comparison.min(), self.answers.comparison.max()
+        if self.threshold.low < lowest or self.threshold.high > highest:
+            notes.append(
+                f"the interval reaches beyond what was tested, {lowest:.4g} to {highest:.4g}"
+            )
+        if self.goodness is not None and self.goodness < POOR:
+            notes.append(
+                f"the curve fits poorly (deviance {self.fit.deviance:.1f}, "
+                f"p {self.goodness:.3f}): answers may have drifted, or follow another curve"
+            )
+        return notes
+
+    def _at(self, part: float) -> Bounded | None:
+        return None if self.verdict or self.sureness is None else self.sureness.at(part)
+
+    def _relative(self, found: Bounded | None) -> Bounded | None:
+        standard = self.answers.standard
+        if found is None or not standard:
+            return None
+        return Bounded(*(each / standard - 1 for each in found))
+
+
+def judge(answers: Answers, model: Model, how: How | None = None) -> Finding:
+    """Fit the answers to one standard, or say why not.
+
+    Parameters
+    ----------
+    answers : Answers
+    model : Model
+    how : How or None
+        How intervals are found; the usual way if None.
+    """
+    how = how or How()
+
+    def none(why: str, beyond: int = 0, found: Fit | None = None) -> Finding:
+        return Finding(answers, model, how, found, why, beyond)
+
+    unusable = _unusable(answers)
+    if unusable:
+        return none(unusable)
+    counts = answers.counts()
+    low, high = float(counts.stimulus[0]), float(counts.stimulus[-1])
+    total, successes = int(counts.n.sum()), int(counts.k.sum())
+    said = what_was_said(answers, model)
+    if successes == total:
+        return none(f"always {said}, {total} times: a threshold lies below {low:.4g}", -1)
+    if successes == 0:
+        return none(f"never {said} in {total} answers: a threshold lies above {high:.4g}", 1)
+    if len(counts.stimulus) == 1:
+        return none(f"{said} {successes / total:.0%} of {total} times, but all were at {low:.4g}")
+    found = fit(counts, model)
+    if _chance_of_flat(found, _guessing(answers, model)) > FLAT:
+        if _trend(counts) < _FALLING:
+            return none(
+                f"the higher the comparison, the more rarely {said}: the keys, or comparison and "
+                "standard, are mixed up"
+            )
+        return none(
+            f"answers do not depend on the comparison: {said} {successes / total:.0%} of {total} "
+            f"times, without a clear rise from {low:.4g} to {high:.4g}; more trials may show one"
+        )
+    threshold = found.threshold
+    if not low <= threshold <= high:
+        beyond = 1 if threshold > high else -1
+        end = f"above {high:.4g}" if beyond > 0 else f"below {low:.4g}"
+        why = f"{model.share:.0%} is not within the range tested: the threshold lies {end}"
+        return none(why, beyond, found)
+    return Finding(answers, model, how, found)
+
+
+def estimate(answers: Answers) -> Estimate | None:
+    """Return threshold and spread of the answers to one standard; None if there is none."""
+    found = judge(answers, usual_model([answers]), How(samples=_SAMPLES))
+    if found.threshold is None:
+        return None
+    value, low, high = found.threshold
+    # Of a normal distribution, between whose 2.5 and 97.5 % lie 3.92 standard deviations.
+    return Estimate(value, (high - low) / 3.92, answers.answered)
+
+
+def _unusable(answers: Answers) -> str | None:
+    """Return why answers cannot be fitted at all."""
+    answered, presented = answers.answered, answers.presented
+    if answered < (1 - MOST_UNANSWERED) * presented:
+        return f"only {answered} of {presented} trials were answered"
+    if answered < FEWEST_ANSWERS:
+        return f"{answered} answers are too few: at least {FEWEST_ANSWERS} are needed"
+    compared, first = answers.compared, answers.chose_first
+    if compared >= FEWEST_ANSWERS and max(first, compared - first) > SAME_INTERVAL * compared:
+        same, word = max((first, "first"), (compared - first, "second"))
+        return f"the {word} interval was chosen {same} of {compared} times, whatever came in it"
+    return None
+
+
+def what_was_said(answers: Answers, model: Model) -> str:
+    """Return what a success is: *judged higher*, *felt* or *right*."""
+    if model.guess == "equal":
+        return "judged higher" if answers.standard else "judged more"
+    return "felt" if model.guess in ("free", 0) else "right"
+
+
+def _chance_of_flat(found: Fit, share: float) -> float:
+    """Return how often the fit would gain as much on a constant share by chance.
+
+    Likelihood ratio; chi squared with the two degrees of freedom of threshold and spread.
+    """
+    n, k = found.counts.n, found.counts.k
+    constant = float(k.sum() * math.log(share) + (n - k).sum() * math.log1p(-share))
+    return math.exp(min(0.0, constant - float(found.best.log_likelihood[0])))
+
+
+def _guessing(answers: Answers, model: Model) -> float:
+    """Return the share of successes of who only guesses.
+
+    That is known where a success is to be right. Adaptive procedures keep the share of successes
+    nearly the same, so that the slope itself would be a weak proof.
+    """
+    if not isinstance(model.guess, str) and model.guess > 0:
+        return model.guess
+    if model.guess == "equal" and answers.comparison.min() >= answers.standard > 0:
+        return 0.5
+    return float(np.nanmean(answers.success))
+
+
+def _trend(counts: Counts) -> float:
+    """Return the Cochran-Armitage statistic of a rise with the rank of the comparison (1955)."""
+    rank = np.arange(len(counts.n)) * 1.0
+    total, share = counts.n.sum(), counts.k.sum() / counts.n.sum()
+    rank -= (counts.n @ rank) / total
+    return float(counts.k @ rank / math.sqrt(share * (1 - share) * (counts.n @ rank**2)))

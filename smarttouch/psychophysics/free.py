@@ -1,0 +1,283 @@
+"""Free stimulation: amplitude, rate, mode and site in the subject's own hand.
+
+The experiment system of the paper (Section III-A, Fig. 11 and 12), on which its qualitative
+observations were made (Section III-B).
+"""
+
+import csv
+from collections import deque
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Protocol, Self
+
+import numpy as np
+
+from smarttouch.controls import Controls, Wish
+from smarttouch.errors import ExperimentError
+from smarttouch.live import Sent
+from smarttouch.primary import Mode, Primary
+from smarttouch.profile import Profile
+from smarttouch.psychophysics.stimuli import Stimuli, picture
+from smarttouch.sources.frame import Frame, Pose, PulseRequest, Sensor
+
+SLOWEST_HZ, FASTEST_HZ = 10.0, 200.0
+"""Of pulses (paper, Section III-B.1)."""
+_STEP_HZ = 5.0
+_STEP_MM = 50.0
+"""Way of a knob from nothing to the ceiling."""
+COLUMNS = (
+    "time_s", "what", "value", "amplitude_ma", "current_ma", "rate_hz", "mode", "site", "force_n",
+)  # fmt: skip
+
+
+class Knob(Protocol):
+    """Something that is moved by hand."""
+
+    def read(self, time_ns: int) -> tuple[float, float] | None:
+        """Return how far it was moved since the start, x and y in mm; None at its end."""
+
+
+def up_to_the_ceiling(profile: Profile) -> Profile:
+    """Return a profile whose strongest current is the limit of the device, not of the finger.
+
+    The subject's hand is on the amplitude, from zero (paper: 0 to 2.0 mA, Section III-A).
+
+    Raises
+    ------
+    ExperimentError
+        If a threshold is not below that.
+    """
+    limits, count = profile.limits, len(profile.electrodes)
+    # Sequences hold whole µA: charge and total have room for what rounding leaves over.
+    rounding_ma = count / 2000
+    by_charge_ma = 1000 * limits.charge_uc / profile.pulse.width_us - rounding_ma
+    by_total_ma = (limits.total_ma or np.inf) - rounding_ma
+    most_ma = min(limits.current_ma, by_total_ma, by_charge_ma)
+    ceiling_ma = [float(min(most_ma, each)) for each in limits.electrode_ma or [most_ma] * count]
+    if (profile.threshold_ma >= ceiling_ma).any():
+        raise ExperimentError(
+            f"a threshold of {profile.threshold_ma.max():.2f} mA is not below the limit of "
+            f"{most_ma:g} mA: correct perception.threshold_ma or limits.current_ma"
+        )
+    perception = profile.perception.model_dump() | {"comfort_ma": ceiling_ma}
+    return Profile.model_validate({**profile.model_dump(), "perception": perception})
+
+
+class FreeLog:
+    """Every change, on disk at once.
+
+    Parameters
+    ----------
+    path : Path
+        A CSV file; must not be there yet.
+
+    Raises
+    ------
+    ExperimentError
+        If it is there, or cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._file = path.open("x", newline="", encoding="utf-8-sig")
+        except FileExistsError:
+            raise ExperimentError(f"{path} exists: give another --output") from None
+        except OSError as error:
+            raise ExperimentError(f"cannot write {path}: {error.strerror}") from None
+        self._writer = csv.writer(self._file)
+        self.write(COLUMNS)
+
+    def write(self, row: tuple[object, ...]) -> None:
+        """Add a row.
+
+        Raises
+        ------
+        ExperimentError
+            If the disk does not take it.
+        """
+        try:
+            self._writer.writerow(row)
+            self._file.flush()
+        except OSError as error:
+            raise ExperimentError(f"cannot write {self.path}: {error.strerror}") from None
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class HandControls(Controls):
+    """The user's wish, whose level a knob may move: away from you is more.
+
+    Parameters
+    ----------
+    wish, modes
+        See `Controls`.
+    knob : Knob, optional
+    """
+
+    def __init__(
+        self, wish: Wish, modes: tuple[Mode, ...] = (), *, knob: Knob | None = None
+    ) -> None:
+        super().__init__(wish, modes)
+        self._knob, self._y_mm = knob, 0.0
+
+    def wish(self, time_ns: int) -> Wish:
+        """Return what the user wants, with what the knob has added."""
+        moved = None if self._knob is None else self._knob.read(time_ns)
+        # The y axis of a page comes towards you.
+        if moved is not None and moved[1] != self._y_mm:
+            self.change_level((self._y_mm - moved[1]) / _STEP_MM)
+            self._y_mm = moved[1]
+        return super().wish(time_ns)
+
+
+class FreeSensor(Sensor):
+    """Asks for one train that never ends, as the user turns it.
+
+    Another class or site begins at zero intensity.
+
+    Parameters
+    ----------
+    profile : Profile
+        As `up_to_the_ceiling` returns it.
+    offered : tuple of Primary
+        The classes that its kernels reach.
+    log : FreeLog
+        Told of every change.
+    primary : Primary
+    site : int or None
+        To begin with; the middle if None.
+    rate_hz : float, Hz
+    press_n : float, N, optional
+        How hard the finger presses, where there is none.
+
+    Raises
+    ------
+    ExperimentError
+        If that class, site or rate is not offered.
+    """
+
+    asks = True
+    keys_help = "← →  rate    [ ]  site    1 to 9  mark    "
+
+    def __init__(
+        self,
+        profile: Profile,
+        offered: tuple[Primary, ...],
+        log: FreeLog,
+        primary: Primary = Primary.RA,
+        site: int | None = None,
+        rate_hz: float = 50.0,
+        press_n: float | None = None,
+    ) -> None:
+        super().__init__("free stimulation")
+        fastest_hz = min(FASTEST_HZ, profile.limits.rate_hz)
+        if not SLOWEST_HZ <= rate_hz <= fastest_hz:
+            raise ExperimentError(
+                f"--rate {rate_hz:g} must be from {SLOWEST_HZ:g} to {fastest_hz:g} Hz"
+            )
+        if primary not in offered:
+            raise ExperimentError(
+                f"--mode {primary.name} is not possible with {profile.name}: choose "
+                + " or ".join(each.name for each in offered)
+            )
+        if site is not None and site not in profile.driven:
+            raise ExperimentError(f"--site {site} is masked or none of {profile.name}'s sites")
+        self.knows_force = press_n is not None
+        self.primary, self.rate_hz = primary, rate_hz
+        self._profile, self._offered, self._log = profile, offered, log
+        self._sites = profile.driven.tolist()
+        self.site: int = Stimuli(profile, primary, 1.0).middle if site is None else site
+        self._press_n = float("nan") if press_n is None else press_n
+        self._fastest_hz = fastest_hz
+        self._full_ma = profile.full_ma
+        self._asked: deque[Callable[[], None]] = deque()
+        self._now_ns = 0
+        self._force_n = 0.0
+        self._level: float | None = None
+        self._current_ma = 0.0
+        self._from_zero = False
+        self._redraw()
+
+    @property
+    def keys(self) -> Mapping[str, Callable[[], None]]:
+        """Rate, site, mode and marks."""
+        does: dict[str, Callable[[], None]] = {
+            "left": partial(self._turn_rate, -_STEP_HZ),
+            "right": partial(self._turn_rate, _STEP_HZ),
+            "[": partial(self._turn_site, -1),
+            "]": partial(self._turn_site, 1),
+            "m": self._next_mode,
+        }
+        does |= {str(mark): partial(self._changed, "mark", mark) for mark in range(1, 10)}
+        return {key: partial(self._asked.append, act) for key, act in does.items()}
+
+    @property
+    def amplitude_ma(self) -> float:
+        """What the user asks for: of the strongest electrode, mA."""
+        return float(self._full_ma[self.site]) * (self._level or 0.0)
+
+    def read(self, time_ns: int) -> Frame | None:
+        """Return the next pulse."""
+        self._now_ns = time_ns
+        while self._asked:
+            self._asked.popleft()()
+        level, self._from_zero = (0.0 if self._from_zero else 1.0), False
+        request = PulseRequest(self._activation, round(1e6 / self.rate_hz), level)
+        number = self.frames - 1
+        return Frame(self._image, time_ns, Pose(0.0, 0.0), self._press_n, number, request=request)
+
+    def watch(self, sent: Sent) -> None:
+        """Take note of what flowed, and of the user's hand on the amplitude."""
+        current_ua = sent.step.sequence.current_ua
+        self._current_ma = float(np.abs(current_ua).max(initial=0)) / 1000
+        self._force_n = sent.step.frame.force_n
+        if sent.step.level != self._level:
+            self._level = sent.step.level
+            self._changed("amplitude", round(self.amplitude_ma, 3))
+        self.title = (
+            f"{self.primary.name}, site {self.site}, {self.rate_hz:g} Hz, "
+            f"{self.amplitude_ma:.2f} mA asked for, {self._current_ma:.2f} mA flow"
+        )
+
+    def _turn_rate(self, by_hz: float) -> None:
+        self.rate_hz = min(self._fastest_hz, max(SLOWEST_HZ, self.rate_hz + by_hz))
+        self._changed("rate", self.rate_hz)
+
+    def _turn_site(self, by: int) -> None:
+        self.site = self._sites[(self._sites.index(self.site) + by) % len(self._sites)]
+        self._from_zero = True
+        self._redraw()
+        self._changed("site", self.site)
+
+    def _next_mode(self) -> None:
+        place = self._offered.index(self.primary)
+        self.primary = self._offered[(place + 1) % len(self._offered)]
+        self._from_zero = True
+        self._redraw()
+        self._changed("mode", self.primary.name)
+
+    def _redraw(self) -> None:
+        activation = np.zeros((len(Primary), len(self._profile.electrodes)), np.float32)
+        activation[self.primary, self.site] = 1
+        self._activation, self._image = activation, picture(self._profile, activation)
+        self.frames += 1
+
+    def _changed(self, what: str, value: object) -> None:
+        self.tell(self._now_ns, f"{what} {value}")
+        self._log.write(
+            (
+                round(self._now_ns / 1e9, 6), what, value, round(self.amplitude_ma, 3),
+                self._current_ma, self.rate_hz, self.primary.name, self.site,
+                round(self._force_n, 3),
+            )
+        )  # fmt: skip

@@ -1,0 +1,281 @@
+"""Who answers in an experiment where no person does: subjects whose truth is known."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+
+from smarttouch.errors import ExperimentError
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+from smarttouch.psychophysics.observers.felt_map import FeltMap
+from smarttouch.psychophysics.observers.interval import Interval
+from smarttouch.psychophysics.observers.percept import FrequencySense, Recruitment, strength
+
+__all__ = [
+    "Interval", "Observer", "RandomObserver", "SameObserver", "SilentObserver",
+    "SimulatedObserver",
+]  # fmt: skip
+
+GRATING_LIMIT_MM = 0.94
+"""Finest grooves whose direction a fingertip tells reliably (Van Boven and Johnson, Neurology 44,
+1994). That places are told apart as well as grooves, and in 75 %, is our assumption."""
+
+
+class Observer(Protocol):
+    """Answers trials."""
+
+    def respond(
+        self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
+    ) -> str | None:
+        """Return one of the alternatives, or None for no answer.
+
+        Parameters
+        ----------
+        task : str
+            ``faster`` and ``two`` (which interval: 1 or 2), ``felt`` and ``enough`` (y or n),
+            ``side`` (of the second point: l or r), ``which`` (a letter).
+        intervals : sequence of Interval
+            What was felt, in its order.
+        alternatives : sequence of str
+            The answers there are.
+        """
+        ...
+
+
+@dataclass
+class RandomObserver:
+    """Guesses, whatever is felt."""
+
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(self.seed)
+
+    def respond(
+        self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
+    ) -> str | None:
+        return alternatives[int(self._random.integers(len(alternatives)))]
+
+
+@dataclass
+class SameObserver:
+    """Gives the first answer there is, always."""
+
+    def respond(
+        self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
+    ) -> str | None:
+        return alternatives[0]
+
+
+@dataclass
+class SilentObserver:
+    """Never answers."""
+
+    def respond(
+        self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
+    ) -> str | None:
+        return None
+
+
+@dataclass
+class SimulatedObserver:
+    """Feels delivered pulses by a model, answers with noise, and knows what it should answer.
+
+    Everything but the frequency sense is a plain assumption, so that procedures have a
+    known truth to find.
+
+    Attributes
+    ----------
+    profile : Profile
+    bank : KernelBank
+        The profile's.
+    seed : int
+    frequency : FrequencySense
+        How fast trains seem.
+    threshold_ma, enough_ma : ndarray, (E,) mA, optional
+        Strongest electrode's current that is felt, or enough, in half of the trials; the
+        profile's threshold and strongest comfortable current if not given.
+    slope : float
+        Standard deviation of both, in natural logarithms of current.
+    guess, lapse : float
+        How often something is felt that is not there, and how often the answer is not
+        what was felt: of two or more alternatives any one.
+    place_mm : float, mm
+        Standard deviation of a felt place, and of a felt distance.
+    letter_noise : float
+        Standard deviation of each site of a remembered pattern, whose strongest is 1.
+    templates : mapping of str to ndarray, (E,) in [0, 1]
+        The patterns it knows, by their names.
+    """
+
+    profile: Profile
+    bank: KernelBank
+    seed: int = 0
+    frequency: FrequencySense = field(default_factory=FrequencySense)
+    threshold_ma: NDArray[np.float32] | None = None
+    enough_ma: NDArray[np.float32] | None = None
+    slope: float = 0.1
+    guess: float = 0.02
+    lapse: float = 0.02
+    place_mm: float = GRATING_LIMIT_MM / (math.sqrt(2) * float(ndtri(0.75)))
+    letter_noise: float = 0.4
+    templates: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(self.seed)
+        self._recruitment = Recruitment(self.profile, self.bank)
+        self._skin = FeltMap(self.profile, self.bank)
+        self._middles_ma = {
+            "felt": self.profile.threshold_ma if self.threshold_ma is None else self.threshold_ma,
+            "enough": self.profile.full_ma if self.enough_ma is None else self.enough_ma,
+        }
+        self._judges: dict[str, Callable[[Sequence[Interval]], str | None]] = {
+            "faster": self._faster,
+            "two": self._two,
+            "side": self._side,
+        }
+
+    def respond(
+        self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
+    ) -> str | None:
+        """Return the answer to a trial.
+
+        Raises
+        ------
+        ExperimentError
+            If it does not know the task, or not the letters.
+        """
+        if task in self._middles_ma:
+            return "y" if self._random.random() < self._chance_of(task, intervals) else "n"
+        judged = (
+            self._which(intervals, alternatives)
+            if task == "which"
+            else self._judge(task)(intervals)
+        )
+        if judged is None or self._random.random() < self.lapse:
+            return alternatives[int(self._random.integers(len(alternatives)))]
+        return judged
+
+    # -- the truth ---------------------------------------------------------
+
+    def ratio(self, primary: Primary, site: int, level: float = 1.0) -> float:
+        """Return the PC for each RA that a mode's pulses cause at a site.
+
+        Parameters
+        ----------
+        primary : Primary
+            The mode.
+        site : int
+            The electrode.
+        level : float
+            Of the strongest comfortable current.
+        """
+        current_ua = 1000 * level * self.profile.full_ma[site] * self.bank.kernels(primary)[site]
+        pulse = Interval(
+            np.zeros(1),
+            np.full(1, self.profile.pulse.width_us, np.float32),
+            np.rint(current_ua).astype(np.int16)[None],
+        )
+        return self._recruitment.of(pulse).ratio
+
+    def chance_higher(self, standard_hz: float, comparison_hz: float, ratio: float = 0.0) -> float:
+        """Return how likely a comparison is judged faster than a standard, lapses included."""
+        chance = self.frequency.chance_higher(standard_hz, comparison_hz, ratio)
+        return self.lapse / 2 + (1 - self.lapse) * chance
+
+    def chance_felt(self, current_ma: float, electrode: int, task: str = "felt") -> float:
+        """Return how likely a pulse is called felt, or with that task enough."""
+        middle_ma = float(self._middles_ma[task][electrode])
+        above = math.log(current_ma / middle_ma) if current_ma > 0 else -math.inf
+        found = float(ndtr(above / self.slope))
+        # Nobody says enough of nothing.
+        guess = self.guess if task == "felt" else 0.0
+        return guess + (1 - guess - self.lapse) * found
+
+    def chance_apart(self, distance_mm: float) -> float:
+        """Return how likely places or distances that differ so much are put in order."""
+        chance = float(ndtr(distance_mm / (math.sqrt(2) * self.place_mm)))
+        return self.lapse / 2 + (1 - self.lapse) * chance
+
+    # -- the tasks ---------------------------------------------------------
+
+    def _judge(self, task: str) -> Callable[[Sequence[Interval]], str | None]:
+        if task not in self._judges:
+            known = ", ".join([*self._judges, *self._middles_ma, "which"])
+            raise ExperimentError(
+                f"the simulated observer has no answer to {task!r}: it knows {known}"
+            )
+        return self._judges[task]
+
+    def _chance_of(self, task: str, intervals: Sequence[Interval]) -> float:
+        """Return the chance of a yes to the strongest pulse of all."""
+        current_ua = np.concatenate([each.current_ua for each in intervals])
+        if not len(current_ua):
+            return self.chance_felt(0.0, 0, task)
+        width_us = np.concatenate([each.width_us for each in intervals])
+        magnitude = np.abs(current_ua) * strength(width_us, self.profile.pulse)[:, None]
+        strongest = magnitude.argmax(axis=1)
+        felt_ma = magnitude[np.arange(len(magnitude)), strongest] / 1000
+        most = int((felt_ma / self._middles_ma[task][strongest]).argmax())
+        return self.chance_felt(float(felt_ma[most]), int(strongest[most]), task)
+
+    def _faster(self, intervals: Sequence[Interval]) -> str | None:
+        felt = [self._recruitment.of(each) for each in intervals]
+        if any(each.hz == 0 for each in felt):
+            return None
+        perceived = np.log([self.frequency.perceived_hz(each.hz, each.ratio) for each in felt])
+        return self._larger(perceived, self.frequency.spread)
+
+    def _two(self, intervals: Sequence[Interval]) -> str | None:
+        """Return the interval whose points seem farther apart."""
+        wide_mm = [self._skin.width_mm(self._skin.of(each)) for each in intervals]
+        if any(math.isnan(each) for each in wide_mm):
+            return None
+        return self._larger(np.array(wide_mm), self.place_mm)
+
+    def _side(self, intervals: Sequence[Interval]) -> str | None:
+        """Return where the last point is felt, of the first: in two intervals, or one after
+        the other in a single one."""
+        first, last = _first_and_last(intervals)
+        at_mm = [self._skin.center_mm(self._skin.of(each))[0] for each in (first, last)]
+        if any(math.isnan(each) for each in at_mm):
+            return None
+        return "l" if self._larger(np.array(at_mm), self.place_mm) == "1" else "r"
+
+    def _which(self, intervals: Sequence[Interval], alternatives: Sequence[str]) -> str | None:
+        missing = [each for each in alternatives if each not in self.templates]
+        if missing:
+            raise ExperimentError(
+                f"the simulated observer does not know what {missing[0]!r} feels like: give it a "
+                "template of each alternative"
+            )
+        felt = np.max([self._skin.of(each) for each in intervals], axis=0)
+        if not felt.any():
+            return None
+        felt = felt / felt.max() + self.letter_noise * self._random.standard_normal(len(felt))
+        known = np.array([self.templates[each] for each in alternatives], np.float64)
+        known -= known.mean(axis=1, keepdims=True)
+        known /= np.maximum(np.linalg.norm(known, axis=1, keepdims=True), 1e-9)
+        return alternatives[int((known @ felt).argmax())]
+
+    def _larger(self, values: NDArray[np.float64], spread: float) -> str:
+        return str(1 + int((values + spread * self._random.standard_normal(len(values))).argmax()))
+
+
+def _first_and_last(intervals: Sequence[Interval]) -> tuple[Interval, Interval]:
+    """Return the first and last of several intervals, or one cut at its longest pause."""
+    first, last = intervals[0], intervals[-1]
+    if len(intervals) > 1 or len(first.time_s) < 2:
+        return first, last
+    cut = int(np.diff(first.time_s).argmax()) + 1
+    before, after = (
+        Interval(first.time_s[part], first.width_us[part], first.current_ua[part])
+        for part in (slice(None, cut), slice(cut, None))
+    )
+    return before, after

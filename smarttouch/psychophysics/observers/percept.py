@@ -1,0 +1,190 @@
+"""What a subject makes of pulse trains: which afferents they recruit, and how fast they seem.
+
+The paper's own explanation of its thresholds (Section III-C) as a model. Pulses fire RA
+and, if they reach deep enough, PC. RA's pulses tell the frequency; but who has learned
+from mechanical vibration what a frequency feels like expects ever more PC with it. A train
+with too little PC for its frequency is taken for a slower one.
+
+What follows: in RA mode nothing above 65 Hz is believed, as there the receptors' curves meet;
+in PC mode, whose pulses fire RA more than PC, nothing above 100 Hz or so. What is assumed:
+the part of the afferents that an activating function recruits, the form of the soft
+minimum, and two numbers, the `BASE_WEBER` and `SHARPNESS` that fit the paper's RA mode.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.physiology.receptors import MEETING_HZ, best_hz, sensitivity
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+from smarttouch.profile.device import Pulse
+from smarttouch.psychophysics.observers.interval import Interval
+
+Array = NDArray[np.float64]
+
+BASE_WEBER = 0.125
+"""75 % discrimination threshold where nothing contradicts the pulses' own frequency. Ours: with
+it thresholds stay below the 20 % of the paper up to 45 Hz (Section III-C)."""
+SHARPNESS = 3.2
+"""How suddenly a frequency stops being believed. Ours: with it the threshold at 75 Hz in RA mode
+is 0.68, where the paper has 0.7."""
+
+
+@dataclass(frozen=True)
+class Activity:
+    """What an interval did to the vibration senses.
+
+    Attributes
+    ----------
+    hz : float, Hz
+        Of the pulses that fired; 0 where fewer than two did.
+    ra, pc : float
+        Recruited part of the afferents where it is largest, over all pulses.
+    """
+
+    hz: float
+    ra: float
+    pc: float
+
+    @property
+    def ratio(self) -> float:
+        """PC for each RA; infinite where PC alone fired."""
+        if self.ra == 0:
+            return math.inf if self.pc else 0.0
+        return self.pc / self.ra
+
+
+class Recruitment:
+    """Tells which part of RA and PC fires at each pulse.
+
+    A node of Ranvier fires where its activating function (AF) exceeds a threshold, the same
+    for all classes (paper, Section II); here the least AF with which any mode is felt, the
+    profile's detection current through its own kernel. Afferents around a node differ: of
+    an AF x times the threshold a part of 1 − 1/x fires. (That part is our assumption, the
+    simplest that begins at 0 and ends at all.)
+
+    Parameters
+    ----------
+    profile : Profile
+        Thresholds and pulse.
+    bank : KernelBank
+        Receptors, and kernels of the modes that are offered.
+    """
+
+    def __init__(self, profile: Profile, bank: KernelBank) -> None:
+        self._pulse = profile.pulse
+        own = np.stack([(bank.receptor[each] * bank.kernels(each)).sum(1) for each in bank.weights])
+        # Masked sites have no kernel: nothing fires there.
+        least = np.where(own > 0, own, np.inf).min(axis=0)
+        self._threshold_ua = np.asarray(1000 * profile.threshold_ma * least, np.float32)
+        self._axons: dict[Primary, NDArray[np.float32]] = {
+            each: np.ascontiguousarray(bank.receptor[each].T)
+            for each in (Primary.RA, Primary.PC)
+            if each in bank.receptor
+        }
+
+    def of(self, interval: Interval) -> Activity:
+        """Return the activity of a whole interval."""
+        if not len(interval.time_s):
+            return Activity(0.0, 0.0, 0.0)
+        slots, which = interval.distinct()
+        does = strength(interval.width_us[slots], self._pulse)
+        current_ua = interval.current_ua[slots] * does[:, None]
+        ra, pc = (self._recruited(current_ua, each)[which] for each in (Primary.RA, Primary.PC))
+        hz = _hz(interval.time_s, ra) or _hz(interval.time_s, pc)
+        return Activity(hz, float(ra.max(axis=1).sum()), float(pc.max(axis=1).sum()))
+
+    def _recruited(self, current_ua: NDArray[np.float32], primary: Primary) -> NDArray[np.float32]:
+        """Return the part that each slot fires under each electrode, (N, E) in [0, 1)."""
+        axons = self._axons.get(primary)
+        if axons is None:
+            return np.zeros_like(current_ua)
+        above = current_ua @ axons
+        above /= self._threshold_ua
+        return np.asarray(1 - 1 / np.maximum(above, 1), np.float32)
+
+
+def strength(width_us: NDArray[np.float32], pulse: Pulse) -> NDArray[np.float32]:
+    """Return what pulses of given widths do, (N,), of what the profile's full pulse does.
+
+    By Weiss's law, as in `smarttouch.perception`.
+    """
+    chronaxie_us = pulse.chronaxie_us
+    full = 1 + chronaxie_us / pulse.width_us
+    return np.asarray(full / (1 + chronaxie_us / np.maximum(width_us, 1)), np.float32)
+
+
+def _hz(time_s: Array, recruited: NDArray[np.float32]) -> float:
+    """Return the frequency of pulses at the place that fires most."""
+    fired_s = time_s[recruited[:, recruited.sum(axis=0).argmax()] > 0]
+    period_s = float(np.median(np.diff(fired_s))) if len(fired_s) > 1 else 0.0
+    return 1 / period_s if period_s > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class FrequencySense:
+    """How fast a train seems, and how surely two are told apart.
+
+    Perceived is the soft minimum of the pulses' frequency f and of the highest frequency L
+    that the activity of PC and RA lets believe: (f^−n + L^−n)^(−1/n), with noise on its
+    logarithm.
+
+    Attributes
+    ----------
+    weber : float
+        75 % threshold where L is far away.
+    sharpness : float
+        n.
+    """
+
+    weber: float = BASE_WEBER
+    sharpness: float = SHARPNESS
+
+    def believable_hz(self, ratio: float) -> float:
+        """Return the highest frequency that a ratio of PC to RA lets believe, Hz.
+
+        It is the frequency of a mechanical vibration to which PC and RA, each of what it
+        answers at its best, answer in that ratio (paper, Fig. 2). No PC at all means that
+        the vibration lies where only RA answers: below the frequency where the threshold
+        curves meet.
+        """
+        hz, ratios = self._learned
+        return float(np.interp(ratio, ratios, hz))
+
+    @cached_property
+    def _learned(self) -> tuple[Array, Array]:
+        # Up to the best frequency of PC: beyond it the ratio falls again.
+        hz = np.geomspace(MEETING_HZ, best_hz(Primary.PC), 200)
+        return hz, sensitivity(Primary.PC, hz) / sensitivity(Primary.RA, hz)
+
+    @cached_property
+    def spread(self) -> float:
+        """Standard deviation of the logarithm of one perceived frequency."""
+        return math.log1p(self.weber) / float(math.sqrt(2) * ndtri(0.75))
+
+    def perceived_hz(self, hz: float, ratio: float) -> float:
+        """Return what a train is taken for, without noise, Hz."""
+        n, limit_hz = self.sharpness, self.believable_hz(ratio)
+        return float((hz**-n + limit_hz**-n) ** (-1 / n))
+
+    def chance_higher(self, standard_hz: float, comparison_hz: float, ratio: float) -> float:
+        """Return how likely the comparison is judged faster, if both have that ratio."""
+        apart = math.log(
+            self.perceived_hz(comparison_hz, ratio) / self.perceived_hz(standard_hz, ratio)
+        )
+        return float(ndtr(apart / (math.sqrt(2) * self.spread)))
+
+    def weber_fraction(self, standard_hz: float, ratio: float) -> float:
+        """Return how much higher a comparison must be to be judged so in 75 %.
+
+        A part of the standard; infinite where no frequency is high enough.
+        """
+        n, limit_hz = self.sharpness, self.believable_hz(ratio)
+        left = (standard_hz**-n + limit_hz**-n) * (1 + self.weber) ** -n - limit_hz**-n
+        return float(left ** (-1 / n) / standard_hz - 1) if left > 0 else math.inf

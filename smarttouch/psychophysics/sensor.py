@@ -1,0 +1,294 @@
+"""An experiment as a source of frames: it asks for the pulses of its trials, and for answers."""
+
+from collections import deque
+from collections.abc import Callable, Generator, Mapping
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.clock import Clock
+from smarttouch.errors import ExperimentError
+from smarttouch.live import Sent
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+from smarttouch.psychophysics.course import Course
+from smarttouch.psychophysics.stimuli import Train, picture
+from smarttouch.psychophysics.trial import Answer, Trial, Trials
+from smarttouch.sources.frame import Frame, Pose, PulseRequest, Sensor
+from smarttouch.stimulation.intensity import force_gate
+
+SILENT_US = 20_000
+"""Between two looks for a key while there is no current."""
+PAUSE_S = 0.5
+"""Least time between an answer and the next trial."""
+_STEADY = 0.98
+"""Of the intensity that was asked for: a trial begins when that much of it is there."""
+_SPOILED = 0.5
+"""Of it: with less, current was lost within an interval. A key moves it by less; where
+milliamperes count, nothing may."""
+AGAIN = "r"
+"""Key to feel a trial once more."""
+_NUMBERS = ("first", "second")
+
+Requests = Generator[PulseRequest, None, None]
+
+
+class ExperimentSensor(Sensor):
+    """Presents trial after trial.
+
+    Each begins when the intensity is there that the user has chosen; one whose current is lost
+    within an interval (paused, finger lifted, board gone) is presented anew.
+
+    Parameters
+    ----------
+    trials : Trials
+        What is presented.
+    profile : Profile
+        Array, force and limits.
+    course : Course
+        How a trial goes.
+    press_n : float, N, optional
+        How hard the finger presses, where there is none: nobody else is asked then.
+    clock : Clock, optional
+        Tells when a key was pressed between two frames; the time of the last frame counts if
+        not given.
+
+    Attributes
+    ----------
+    asking : Trial or None
+        The one whose answer is waited for.
+    playing : tuple of int or None
+        Which presentation and which of its intervals the last frame belongs to.
+    repeats, spoiled : int
+        Trials felt again because the participant wished so, or presented anew.
+    """
+
+    asks = True
+    ended = "the experiment is over"
+    keys_help = ""
+    hidden = True
+
+    def __init__(
+        self,
+        trials: Trials,
+        profile: Profile,
+        course: Course,
+        press_n: float | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        super().__init__(trials.title)
+        self.knows_force = press_n is not None
+        self.asking: Trial | None = None
+        self.playing: tuple[int, int] | None = None
+        self.repeats = self.spoiled = 0
+        self.rising: Trial | None = None
+        self._trials, self._profile, self._course = trials, profile, course
+        self._press_n = float("nan") if press_n is None else press_n
+        self._clock = clock
+        self._pressed: deque[tuple[str, int]] = deque()
+        self._now_ns, self._looked = 0, (0, 0)
+        self._presentation = 0
+        self._trial: Trial | None = None
+        self._finger = ""
+        self._steady = self._lost = False
+        self._level, self._current_ma = 0.0, 0.0
+        self._silence = np.zeros((len(Primary), len(profile.electrodes)), np.float32)
+        self._silent_us = max(SILENT_US, self._least_us)
+        self._blank = picture(profile, self._silence)
+        self._image = self._blank
+        self._given: NDArray[np.uint8] | None = None
+        self._requests = self._present_all()
+
+    @property
+    def _least_us(self) -> int:
+        return -int(-1e6 // self._profile.limits.rate_hz)
+
+    @property
+    def keys(self) -> Mapping[str, Callable[[], None]]:
+        """The answers of the trial that is on, and the trial once more."""
+        named = "12ynr\n\r" + "".join(map(chr, range(ord("A"), ord("Z") + 1)))
+        return {key: partial(self.press, key) for key in (*named, "left", "right")}
+
+    def press(self, key: str) -> None:
+        """Take a key; from any thread."""
+        time_ns, clock_ns = self._looked
+        since_ns = 0 if self._clock is None else self._clock.now_ns() - clock_ns
+        self._pressed.append((key, time_ns + since_ns))
+
+    def read(self, time_ns: int) -> Frame | None:
+        """Return the next request of the trial that is on; None after the last trial."""
+        self._now_ns = time_ns
+        self._looked = (time_ns, 0 if self._clock is None else self._clock.now_ns())
+        request = next(self._requests, None)
+        if request is None:
+            return None
+        # The same number is the same image.
+        self.frames += self._image is not self._given
+        self._given = self._image
+        return Frame(
+            self._image,
+            time_ns,
+            Pose(0.0, 0.0),
+            self._press_n,
+            number=self.frames - 1,
+            request=request,
+        )
+
+    def watch(self, sent: Sent) -> None:
+        """Take note of how the last request went out."""
+        step, sequence = sent.step, sent.step.sequence
+        request = step.frame.request
+        assert request is not None
+        gate = force_gate(step.frame.force_n, self._profile.force)
+        exact = self._trial is not None and self._trial.exact
+        asked = request.level if exact else request.level * gate * step.level
+        self._level = step.level
+        self._steady = 0 < _STEADY * asked <= sequence.intensity and sent.number is not None
+        if gate == 0:
+            self._finger = "press the finger on the electrodes"
+        elif step.level == 0:
+            self._finger = "raise the intensity with +"
+        else:
+            self._finger = "press firmly, and raise the intensity to the full with +"
+        if self.playing is not None:
+            least = _STEADY if exact else _SPOILED
+            lost = sent.number is None or step.restarted or asked == 0
+            self._lost |= lost or sequence.intensity < least * asked
+            if sequence.period_us != request.period_us and not self.notes:
+                self.notes.append(
+                    f"pulses were asked for at {1e6 / request.period_us:.4g} Hz and went out at "
+                    f"{sequence.rate_hz:.4g} Hz: this board or so many sites cannot do all "
+                    "frequencies"
+                )
+            if sequence.slots:
+                self._current_ma = float(np.abs(sequence.current_ua).max()) / 1000
+
+    def _present_all(self) -> Requests:
+        while (trial := self._trials.next()) is not None:
+            self._trial = trial
+            self.tell(self._now_ns, f"trial {self._trials.done + 1}: {trial.words}")
+            answer = None
+            while answer is None:
+                yield from self._prepare(trial)
+                answer = yield from self._attempt(trial)
+            self.tell(self._now_ns, f"response {self._trials.done + 1}: {_words(answer)}")
+            self._trials.record(trial, answer)
+        self._trial = None
+        self.title = f"{self._trials.title}: over"
+
+    def _prepare(self, trial: Trial) -> Requests:
+        """Be silent until intensity is there."""
+        level = trial.intervals[0].level
+        self._say("")
+        yield from self._be_silent(PAUSE_S, level)
+        began_ns, patience_s = self._now_ns, self._course.patience_s
+        while not self._steady:
+            self._say(self._finger)
+            if patience_s is not None and self._now_ns - began_ns > patience_s * 1e9:
+                raise ExperimentError(
+                    f"no trial could begin for {patience_s:g} s, and nobody is there to "
+                    f"{self._finger}: give more --intensity or --force"
+                )
+            yield self._quiet(self._silent_us, level)
+
+    def _attempt(self, trial: Trial) -> Generator[PulseRequest, None, Answer | None]:
+        """Present a trial and ask; return None if it is to be presented anew."""
+        self._presentation += 1
+        self._lost = False
+        for index, train in enumerate(trial.intervals):
+            if index:
+                yield from self._be_silent(self._course.gap_s, train.level)
+            self._say("feel" if len(trial.intervals) == 1 else _NUMBERS[index])
+            answer = yield from self._play(trial, index, train)
+            self._image = self._blank
+            self.playing = None
+            if self._lost:
+                self.spoiled += 1
+                self.tell(self._now_ns, f"trial {self._trials.done + 1} anew: current was lost")
+                return None
+            if answer is not None:
+                return answer
+        if trial.rises:
+            return self._answer("n", None, self._current_ma)
+        answer = yield from self._ask(trial)
+        return answer
+
+    def _play(
+        self, trial: Trial, index: int, train: Train
+    ) -> Generator[PulseRequest, None, Answer | None]:
+        """Play an interval; an answer ends one that rises."""
+        self._image = picture(self._profile, train.activation)
+        self.rising = trial if train.rises else None
+        self._pressed.clear()
+        for pulse in range(train.pulses):
+            if self._lost:
+                return None
+            if not train.rises:
+                # Whoever answers while the last pulse fades has felt all of them.
+                self._pressed.clear()
+            elif (key := self._key(trial)) is not None:
+                return self._answer(trial.answers[key[0]], None, self._current_ma)
+            self.playing = (self._presentation, index)
+            yield PulseRequest(train.activation, train.period_us, train.level_at(pulse))
+        if train.rises and (key := self._key(trial)) is not None:
+            return self._answer(trial.answers[key[0]], None, self._current_ma)
+        return None
+
+    def _ask(self, trial: Trial) -> Generator[PulseRequest, None, Answer | None]:
+        self._say(trial.question + (f", {AGAIN} again" if self._course.again else ""))
+        asked_ns, waits_s = self._now_ns, self._course.answer_s
+        level = trial.intervals[0].level
+        self.asking = trial
+        try:
+            while waits_s is None or self._now_ns - asked_ns < waits_s * 1e9:
+                key = self._key(trial)
+                if key is None:
+                    yield self._quiet(self._silent_us, level)
+                elif key[0] == AGAIN:
+                    self.repeats += 1
+                    self.tell(self._now_ns, f"trial {self._trials.done + 1} felt again")
+                    return None
+                else:
+                    rt_s = max(0, key[1] - asked_ns) / 1e9
+                    return self._answer(trial.answers[key[0]], rt_s)
+        finally:
+            self.asking = None
+        return self._answer("", None)
+
+    def _answer(self, response: str, rt_s: float | None, reached: float | None = None) -> Answer:
+        self.rising = None
+        return Answer(response, rt_s, self._now_ns / 1e9, self._level, reached)
+
+    def _key(self, trial: Trial) -> tuple[str, int] | None:
+        """Return the first key that means something now, and when it was pressed."""
+        again = self._course.again and not trial.rises
+        while self._pressed:
+            key = self._pressed.popleft()
+            if key[0] in trial.answers or (again and key[0] == AGAIN):
+                return key
+        return None
+
+    def _be_silent(self, seconds: float, level: float) -> Requests:
+        end_ns = self._now_ns + round(seconds * 1e9)
+        while (left_us := (end_ns - self._now_ns) // 1000) >= self._least_us:
+            last = left_us <= self._silent_us + self._least_us
+            yield self._quiet(left_us if last else self._silent_us, level)
+
+    def _quiet(self, period_us: int, level: float) -> PulseRequest:
+        return PulseRequest(self._silence, period_us, level)
+
+    def _say(self, words: str) -> None:
+        total = "" if self._trials.total is None else f" of {self._trials.total}"
+        self.title = f"{self._trials.title}, trial {self._trials.done + 1}{total}" + (
+            f": {words}" if words else ""
+        )
+
+
+def _words(answer: Answer) -> str:
+    if not answer.response:
+        return "none"
+    after = "" if answer.rt_s is None else f" after {answer.rt_s:.2f} s"
+    return (
+        answer.response + after + ("" if answer.reached is None else f" at {answer.reached:.3f} mA")
+    )

@@ -1,0 +1,128 @@
+"""A session: trials of a procedure, and a file that knows how far it has come."""
+
+import math
+from importlib.metadata import version
+
+from smarttouch.errors import ExperimentError
+from smarttouch.psychophysics.procedures.procedure import Condition, Procedure
+from smarttouch.psychophysics.rows import RowFile, TrialRow
+from smarttouch.psychophysics.trial import Answer, Task, Trial
+
+_SAME = 1e-6
+"""Relative difference that writing and reading a condition may make."""
+
+
+class Session:
+    """Hands out trials, and writes a row for each answer before the next one.
+
+    The file is all that is remembered: its answers are given to the procedure anew, which leads
+    to the trial that comes next. A trial without its row is presented again.
+
+    Parameters
+    ----------
+    task : Task
+        What conditions mean.
+    procedure : Procedure
+        A fresh one, of the same arguments as before.
+    file : RowFile
+        Open; with the answers of earlier runs.
+    date : str
+        When this run began.
+
+    Attributes
+    ----------
+    resumed : int
+        Trials that were there already.
+
+    Raises
+    ------
+    ExperimentError
+        If the file's trials are not those of this procedure.
+    """
+
+    def __init__(self, task: Task, procedure: Procedure, file: RowFile, date: str) -> None:
+        self.title = file.about.experiment
+        self._task, self._procedure, self._file, self._date = task, procedure, file, date
+        self._version = version("smarttouch")
+        for number, row in enumerate(file.rows):
+            if procedure.done or not _same(procedure.next(), row):
+                raise ExperimentError(
+                    f"{file.path}, trial {number + 1}, is not of this experiment: go on with the "
+                    "options it was begun with, or give --overwrite or another --output"
+                )
+            procedure.answer(row.success)
+        self.resumed = len(file.rows)
+
+    @property
+    def done(self) -> int:
+        """Trials that are over."""
+        return len(self._file.rows)
+
+    @property
+    def total(self) -> int | None:
+        """Trials there will be; None if that depends on the answers."""
+        return self._procedure.total
+
+    @property
+    def over(self) -> bool:
+        """Whether there is no next trial."""
+        return self._procedure.done
+
+    @property
+    def rows(self) -> list[TrialRow]:
+        """All answers until now."""
+        return self._file.rows
+
+    def next(self) -> Trial | None:
+        """Return the next trial; None after the last."""
+        return None if self._procedure.done else self._task.trial(self._procedure.next())
+
+    def record(self, trial: Trial, answer: Answer) -> None:
+        """Write an answer down, and let the procedure know.
+
+        Raises
+        ------
+        ExperimentError
+            If the file cannot be written.
+        """
+        condition = trial.condition
+        success = answer.response == trial.success if answer.response else None
+        about = self._file.about
+        self._file.append(
+            TrialRow(
+                repetition=condition.repetition,
+                trial=condition.trial,
+                number=self.done,
+                index=condition.index,
+                experiment=about.experiment,
+                procedure=about.procedure,
+                standard=condition.standard if trial.compares else None,
+                comparison=condition.comparison if answer.reached is None else answer.reached,
+                comparison_interval=condition.comparison_interval or None,
+                unit=trial.unit,
+                target=trial.target,
+                response=answer.response,
+                success=success,
+                rt=answer.rt_s,
+                time_s=round(answer.time_s, 6),
+                level=answer.level,
+                participant=about.participant,
+                session=about.session,
+                date=self._date,
+                seed=about.seed,
+                frame_rate_hz=None,
+                version=self._version,
+            )
+        )
+        self._procedure.answer(success)
+
+
+def _same(condition: Condition, row: TrialRow) -> bool:
+    pairs = [(condition.standard, row.standard or 0.0), (condition.comparison, row.comparison)]
+    if math.isnan(condition.comparison):
+        # How far a current will rise is not known beforehand.
+        pairs.pop()
+    same_interval = (condition.comparison_interval or None) == row.comparison_interval
+    return same_interval and all(
+        math.isclose(*each, rel_tol=_SAME, abs_tol=_SAME) for each in pairs
+    )

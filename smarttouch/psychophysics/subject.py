@@ -1,0 +1,176 @@
+"""An observer instead of a person: feels what a simulated board delivered, answers by key."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.boards.board import Board
+from smarttouch.boards.emulator.simulated import Pulses, SimulatedBoard
+from smarttouch.errors import ExperimentError
+from smarttouch.kernels.bank import load_bank
+from smarttouch.live import Sent
+from smarttouch.profile import Profile
+from smarttouch.psychophysics.observers.interval import Interval
+from smarttouch.psychophysics.observers.observer import (
+    Observer,
+    RandomObserver,
+    SameObserver,
+    SilentObserver,
+    SimulatedObserver,
+)
+from smarttouch.psychophysics.sensor import ExperimentSensor
+from smarttouch.psychophysics.trial import Trial
+
+_LOOK_S = 0.25
+"""How often an observer makes up its mind while a current rises (our own choice)."""
+
+
+class Subject:
+    """Sits an experiment in place of a person.
+
+    Parameters
+    ----------
+    sensor : ExperimentSensor
+        Whose questions are answered, by its keys.
+    observer : Observer
+        Who answers.
+    board : Board
+        Open; its account of what flowed is all that the observer is told.
+
+    Raises
+    ------
+    ExperimentError
+        If the board is not a simulated one.
+    """
+
+    def __init__(self, sensor: ExperimentSensor, observer: Observer, board: Board) -> None:
+        if not isinstance(board, SimulatedBoard):
+            raise ExperimentError(
+                "simulated subjects feel simulated currents only: leave --board out, or give "
+                "simulated:"
+            )
+        self._sensor, self._observer, self._board = sensor, observer, board
+        self._starts: dict[tuple[int, int], dict[int, tuple[int, int]]] = {}
+        """By presentation and interval: time and discharge of each sequence, by number."""
+        self._asked: Trial | None = None
+        self._looked_ns = 0
+
+    def watch(self, sent: Sent) -> None:
+        """Live through a step; answer if there is a question."""
+        playing, asking = self._sensor.playing, self._sensor.asking
+        sequence = sent.step.sequence
+        if playing is not None and sent.number is not None:
+            if self._starts and next(iter(self._starts))[0] != playing[0]:
+                self._starts.clear()
+            discharge_us = int(sequence.discharge_us[0]) if sequence.slots else 0
+            starts = self._starts.setdefault(playing, {})
+            starts[sent.number] = (sequence.time_ns, discharge_us)
+            if self._sensor.rising is not None:
+                self._look(self._sensor.rising, sequence.time_ns, starts)
+        elif asking is not None and asking is not self._asked:
+            self._respond(asking, list(self._starts.values()))
+            self._starts.clear()
+        self._asked = asking
+
+    def _look(self, trial: Trial, time_ns: int, starts: dict[int, tuple[int, int]]) -> None:
+        if len(starts) == 1:
+            self._looked_ns = time_ns
+        if time_ns - self._looked_ns >= _LOOK_S * 1e9:
+            self._respond(trial, [starts])
+            self._starts = {next(iter(self._starts)): {}}
+            self._looked_ns = time_ns
+
+    def _respond(self, trial: Trial, parts: list[dict[int, tuple[int, int]]]) -> None:
+        pulses = self._board.take_pulses()
+        felt = [interval_of(pulses, starts) for starts in parts]
+        alternatives = ("y", "n") if trial.rises else trial.alternatives
+        response = self._observer.respond(trial.task, felt, alternatives)
+        # That it is not enough yet is no key.
+        for key in [key for key, says in trial.answers.items() if says == response][:1]:
+            self._sensor.press(key)
+
+
+def interval_of(pulses: Pulses, starts: dict[int, tuple[int, int]]) -> Interval:
+    """Return what the skin got in the sequences of one interval.
+
+    Parameters
+    ----------
+    pulses : tuple of ndarray
+        All that flowed, see `SimulatedBoard.take_pulses`.
+    starts : dict
+        When each sequence of the interval began, ns, and the discharge after each of its slots,
+        µs, by its number.
+    """
+    number, width_us, current_ua = pulses
+    mine = np.isin(number, list(starts))
+    number, width_us, current_ua = number[mine], width_us[mine], current_ua[mine]
+    begin_ns = min((time_ns for time_ns, _ in starts.values()), default=0)
+    at = np.array([starts[each] for each in number.tolist()], np.int64).reshape(-1, 2)
+    taken_us = width_us.astype(np.float64) + at[:, 1]
+    before_us = np.cumsum(taken_us) - taken_us
+    first = np.flatnonzero(np.diff(number.astype(np.int64), prepend=-1))
+    within_us = before_us - np.repeat(before_us[first], np.diff(np.append(first, len(number))))
+    return Interval((at[:, 0] - begin_ns) / 1e9 + within_us / 1e6, width_us, current_ua)
+
+
+def make_observer(
+    kind: str,
+    profile: Profile,
+    seed: int,
+    templates: Mapping[str, NDArray[np.float32]] | None = None,
+) -> Observer:
+    """Return who answers: ``model``, or ``random``, ``first`` and ``silent``, who are of no use.
+
+    Parameters
+    ----------
+    kind : str
+    profile : Profile
+        Whose kernels the model feels.
+    seed : int
+        Of its noise.
+    templates : mapping of str to ndarray, (E,), optional
+        The letters that it knows.
+    """
+    if kind == "random":
+        return RandomObserver(seed)
+    if kind == "first":
+        return SameObserver()
+    if kind == "silent":
+        return SilentObserver()
+    return TwoLooks(
+        SimulatedObserver(profile, load_bank(profile), seed, templates=templates or {}), seed
+    )
+
+
+@dataclass
+class TwoLooks:
+    """Lets one who says whether something is felt tell in which of two intervals it was.
+
+    If it was felt in both or in none, a coin is tossed: so does a threshold that is either passed
+    or not (high-threshold theory, Green and Swets, Signal Detection Theory and Psychophysics, 1966,
+    chapter 5).
+
+    Attributes
+    ----------
+    observer : Observer
+    seed : int
+        Of the coin.
+    """
+
+    observer: Observer
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(self.seed)
+
+    def respond(
+        self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
+    ) -> str | None:
+        """Return the answer to a trial."""
+        if task != "felt" or len(intervals) < 2:
+            return self.observer.respond(task, intervals, alternatives)
+        felt = [self.observer.respond(task, [each], ("y", "n")) == "y" for each in intervals]
+        at = felt.index(True) if sum(felt) == 1 else int(self._random.integers(len(felt)))
+        return alternatives[at]

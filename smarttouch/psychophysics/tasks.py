@@ -1,0 +1,208 @@
+"""What each experiment makes of a condition: intervals, question, and which answer is a success."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.psychophysics.procedures.procedure import Condition
+from smarttouch.psychophysics.stimuli import Stimuli, Train
+from smarttouch.psychophysics.trial import (
+    ENOUGH,
+    FIRST_OR_SECOND,
+    LEFT_OR_RIGHT,
+    YES_OR_NO,
+    Trial,
+)
+
+_WHERE = {1: "first", 2: "second"}
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyTask:
+    """Which of two trains is faster (paper, Section III.C)?"""
+
+    stimuli: Stimuli
+    site: int
+
+    def trial(self, condition: Condition) -> Trial:
+        """Return the trial: two trains of the same length."""
+        standard, comparison, at = (
+            condition.standard,
+            condition.comparison,
+            condition.comparison_interval,
+        )
+        trains = [self.stimuli.train([self.site], each) for each in (comparison, standard)]
+        target = "" if comparison == standard else str(at if comparison > standard else 3 - at)
+        return Trial(
+            condition,
+            tuple(trains if at == 1 else trains[::-1]),
+            task="faster",
+            question="which was faster? 1 or 2",
+            answers=FIRST_OR_SECOND,
+            target=target,
+            success=str(at),
+            words=f"standard {standard:g} Hz, comparison {comparison:g} Hz {_WHERE[at]}",
+            unit="Hz",
+            compares=True,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class DetectionTask:
+    """Is there anything to be felt; or, in two intervals, in which?
+
+    A condition is the current of the strongest electrode of the site's kernel, mA; at 0 nothing
+    flows.
+    """
+
+    stimuli: Stimuli
+    site: int
+    rate_hz: float
+
+    def trial(self, condition: Condition) -> Trial:
+        """Return the trial: a train, or a train and a blank."""
+        current_ma, at = condition.comparison, condition.comparison_interval
+        full_ma = float(self.stimuli.profile.full_ma[self.site])
+        train = self.stimuli.train([self.site], self.rate_hz)
+        blank = train.blank()
+        if current_ma > 0:
+            # A blank keeps the level, so that what follows need not rise first.
+            train, blank = (
+                replace(each, level=min(1.0, current_ma / full_ma)) for each in (train, blank)
+            )
+        else:
+            train = blank
+        if not at:
+            target = "y" if current_ma > 0 else "n"
+            words = f"{current_ma:.3f} mA" if current_ma > 0 else "blank"
+            return Trial(
+                condition, (train,), "felt", "did you feel it? y or n", YES_OR_NO, target, "y",
+                words, "mA", exact=True,
+            )  # fmt: skip
+        return Trial(
+            condition,
+            (train, blank) if at == 1 else (blank, train),
+            task="felt",
+            question="in which did you feel it? 1 or 2",
+            answers=FIRST_OR_SECOND,
+            target=str(at),
+            success=str(at),
+            words=f"{current_ma:.3f} mA {_WHERE[at]}",
+            unit="mA",
+            exact=True,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class DiscomfortTask:
+    """When is a rising current enough? It rises evenly to the strongest of the profile.
+
+    What the condition compares is not a number: it is what will be found.
+    """
+
+    stimuli: Stimuli
+    site: int
+    rate_hz: float
+
+    def trial(self, condition: Condition) -> Trial:
+        """Return the trial: a train that rises until it is enough."""
+        train = replace(self.stimuli.train([self.site], self.rate_hz), rises=True)
+        return Trial(
+            condition,
+            (train,),
+            task="enough",
+            question="press Enter when it is enough",
+            answers=ENOUGH,
+            target="",
+            success="y",
+            words="current rises",
+            unit="mA",
+            exact=True,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TwoPointTask:
+    """In which interval were there two points? They pulse in the same scan."""
+
+    stimuli: Stimuli
+    rate_hz: float
+
+    def trial(self, condition: Condition) -> Trial:
+        """Return the trial: two points, and one in the middle between them."""
+        apart_mm, at = condition.comparison, condition.comparison_interval
+        place_mm = self.stimuli.profile.electrodes.position_mm
+        pairs = self.stimuli.pairs()
+        pair = pairs[min(pairs, key=lambda far_mm: abs(far_mm - apart_mm))]
+        one = self.stimuli.nearest(place_mm[list(pair)].mean(axis=0))
+        two, single = (self.stimuli.train(each, self.rate_hz) for each in (pair, (one,)))
+        return Trial(
+            condition,
+            (two, single) if at == 1 else (single, two),
+            task="two",
+            question="which had two points? 1 or 2",
+            answers=FIRST_OR_SECOND,
+            target=str(at),
+            success=str(at),
+            words=f"two points {apart_mm:g} mm apart {_WHERE[at]}",
+            unit="mm",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LocalizationTask:
+    """Was the second point left or right of the first? A condition is how far right, mm."""
+
+    stimuli: Stimuli
+    site: int
+    rate_hz: float
+
+    def trial(self, condition: Condition) -> Trial:
+        """Return the trial: a point, and another one beside it."""
+        right_mm = condition.comparison
+        beside = self.stimuli.beside(self.site)
+        other = beside[min(beside, key=lambda far_mm: abs(far_mm - right_mm))]
+        return Trial(
+            condition,
+            tuple(self.stimuli.train([each], self.rate_hz) for each in (self.site, other)),
+            task="side",
+            question="was the second left or right? arrow keys",
+            answers=LEFT_OR_RIGHT,
+            target="r" if right_mm > 0 else "l",
+            success="r",
+            words=f"second {abs(right_mm):g} mm {'right' if right_mm > 0 else 'left'}",
+            unit="mm",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LetterTask:
+    """Which letter was it? A condition is its place in the list, from 0.
+
+    Attributes
+    ----------
+    drawn : mapping of str to ndarray, (E,) float32
+        What each electrode does for each letter.
+    """
+
+    stimuli: Stimuli
+    drawn: Mapping[str, NDArray[np.float32]]
+    rate_hz: float
+
+    def trial(self, condition: Condition) -> Trial:
+        """Return the trial: one letter."""
+        letter = list(self.drawn)[int(condition.comparison)]
+        train: Train = self.stimuli.train(self.drawn[letter], self.rate_hz)
+        return Trial(
+            condition,
+            (train,),
+            task="which",
+            question=f"which letter? {''.join(self.drawn)}, in capitals",
+            answers={each: each for each in self.drawn},
+            target=letter,
+            success=letter,
+            words=f"letter {letter}",
+            unit="letter",
+        )

@@ -1,0 +1,118 @@
+"""One trial: its intervals, its question, and what its answers mean."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from smarttouch.psychophysics.procedures.procedure import Condition
+from smarttouch.psychophysics.stimuli import Train
+
+FIRST_OR_SECOND = {"1": "1", "2": "2", "left": "1", "right": "2"}
+YES_OR_NO = {"y": "y", "n": "n"}
+LEFT_OR_RIGHT = {"left": "l", "right": "r", "1": "l", "2": "r"}
+ENOUGH = {"\n": "y", "\r": "y", "y": "y"}
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What a participant feels and is asked.
+
+    Attributes
+    ----------
+    condition : Condition
+        Of the procedure.
+    intervals : tuple of Train
+        One after another.
+    task : str
+        What the question is, for observers: faster, felt, two, side, which, enough.
+    question : str
+        For the screen.
+    answers : mapping of str to str
+        Response by key.
+    target : str
+        The response that is true; empty if none is.
+    success : str
+        The response that is a success, see `TrialRow`.
+    words : str
+        What is shown, for the account of the run.
+    unit : str
+        Of the condition.
+    compares : bool
+        Whether the condition has a standard.
+    exact : bool
+        Whether it counts in milliamperes, so that nothing may lower the current.
+    """
+
+    condition: Condition
+    intervals: tuple[Train, ...]
+    task: str
+    question: str
+    answers: Mapping[str, str]
+    target: str
+    success: str
+    words: str
+    unit: str
+    compares: bool = False
+    exact: bool = False
+
+    @property
+    def alternatives(self) -> tuple[str, ...]:
+        """The responses there are."""
+        return tuple(dict.fromkeys(self.answers.values()))
+
+    @property
+    def rises(self) -> bool:
+        """Whether the answer ends a rising current."""
+        return any(each.rises for each in self.intervals)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came of a trial.
+
+    Attributes
+    ----------
+    response : str
+        Empty if none came.
+    rt_s : float or None, s
+        From the end of the last interval.
+    time_s : float, s
+        Of the run.
+    level : float
+        Amplitude that the user had chosen, 0 to 1.
+    reached : float or None, mA
+        Where a current rose until the answer.
+    """
+
+    response: str
+    rt_s: float | None
+    time_s: float
+    level: float
+    reached: float | None = None
+
+
+class Task(Protocol):
+    """Turns conditions of a procedure into trials."""
+
+    def trial(self, condition: Condition) -> Trial:
+        """Return what a condition lets the finger feel, and what is asked."""
+
+
+class Trials(Protocol):
+    """Where trials come from, and where their answers go."""
+
+    title: str
+
+    @property
+    def done(self) -> int:
+        """Trials that are over."""
+
+    @property
+    def total(self) -> int | None:
+        """Trials there will be; None if that depends on the answers."""
+
+    def next(self) -> Trial | None:
+        """Return the next trial; None if there is none."""
+
+    def record(self, trial: Trial, answer: Answer) -> None:
+        """Keep an answer."""

@@ -1,0 +1,44 @@
+"""Where frames and finger force come from: pages, cameras, files, serial arrays, load cells."""
+
+import inspect
+from typing import Any
+
+from smarttouch.errors import SensorError
+from smarttouch.profile import Profile
+from smarttouch.registry import find_opener
+from smarttouch.sources.frame import Sensor
+
+
+def open_sensor(
+    url: str, profile: Profile, *, light_on_dark: bool = False, **options: Any
+) -> Sensor:
+    """Open a sensor by its URL, for example ``page:FILE`` or ``camera:0``.
+
+    Parameters
+    ----------
+    url : str
+        Kind and place of the sensor.
+    profile : Profile
+        Its optics and the finger's force.
+    light_on_dark : bool
+        For sensors that look for the print by themselves: it is lighter than the paper.
+    **options
+        What the kind of sensor takes, see its module; those that are None were not given.
+
+    Raises
+    ------
+    SensorError
+        If there is no such kind, it does not take an option, or cannot be opened.
+    """
+    opener, rest = find_opener("smarttouch.sensors", url, SensorError)
+    given = {name: value for name, value in options.items() if value is not None}
+    taken = list(inspect.signature(opener).parameters)[2:]
+    for name in given:
+        if name not in taken:
+            kind = url.partition(":")[0]
+            takes = ", ".join(taken) or "none"
+            raise SensorError(f"{kind}: does not take {name}: leave it out (it takes {takes})")
+    if light_on_dark and "light_on_dark" in taken:
+        given["light_on_dark"] = True
+    sensor: Sensor = opener(rest, profile, **given)
+    return sensor

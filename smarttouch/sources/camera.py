@@ -1,0 +1,240 @@
+"""Cameras, through OpenCV."""
+
+import os
+import sys
+import threading
+import time
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import SensorError, SourceLostError
+from smarttouch.profile import Profile
+from smarttouch.sources.capture import LiveSensor, Shot, Source
+
+BUFFERS = 1
+"""Images that the driver may keep: older ones are of no use."""
+FAILURES = 5
+"""So many reads without an image in a row, and the camera is gone."""
+_PAUSE_S = 0.02
+_MANUAL_EXPOSURE = 1
+"""Of V4L2_CID_EXPOSURE_AUTO, as OpenCV passes it on (3 is automatic)."""
+_BELIEVED_AGE_NS = 2_000_000_000
+_MOST_PIXELS = 100_000_000
+_BACKENDS = {"linux": cv2.CAP_V4L2, "darwin": cv2.CAP_AVFOUNDATION}
+"""Named, so that a camera is never mistaken for a file or an address on the network."""
+
+
+def open_camera(
+    rest: str,
+    profile: Profile,
+    *,
+    size: tuple[int, int] | None = None,
+    exposure: float | None = None,
+    fps: float | None = None,
+) -> LiveSensor:
+    """Open ``camera:N``, or a camera by its device, as in ``camera:/dev/video2``.
+
+    Parameters
+    ----------
+    rest : str
+        What stands after the colon.
+    profile : Profile
+        Optics.
+    size : tuple of int, pixels, optional
+        Width and height; the camera's usual ones if not given.
+    exposure : float, optional
+        In the camera's own units, 100 µs with most on Linux; automatic if not given.
+    fps : float, Hz, optional
+        Images a second; the camera's usual rate if not given.
+
+    Raises
+    ------
+    SensorError
+        If there is no such camera, or what is asked of it makes no sense.
+    """
+    return LiveSensor(CameraSource(rest, size, exposure, fps), profile)
+
+
+OPENCV_LOG = cv2.utils.logging if hasattr(cv2.utils, "logging") else cv2
+"""Where OpenCV has its log's level: before 4.13 in the module itself."""
+SILENT = 0
+
+
+class _Quiet:
+    """Silences OpenCV's log as long as any thread is inside: its level is one for all."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._inside = 0
+        self._level = 0
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._inside:
+                self._level = OPENCV_LOG.getLogLevel()
+                OPENCV_LOG.setLogLevel(SILENT)
+            self._inside += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                OPENCV_LOG.setLogLevel(self._level)
+
+
+QUIET_OPENCV = _Quiet()
+"""Keeps OpenCV's own warnings from the terminal: what matters is said in our words."""
+
+
+class CameraSource(Source):
+    """Images of one camera, in grey.
+
+    Parameters
+    ----------
+    rest : str
+        Its number, or its device.
+    size, exposure, fps
+        See `open_camera`. What the camera does not take becomes a note.
+    """
+
+    def __init__(
+        self,
+        rest: str,
+        size: tuple[int, int] | None = None,
+        exposure: float | None = None,
+        fps: float | None = None,
+    ) -> None:
+        self._device = _device(rest)
+        self.title = f"camera {self._device}"
+        if size is not None and not (min(size) >= 2 and size[0] * size[1] <= _MOST_PIXELS):
+            raise SensorError(
+                f"a size of {size[0]} x {size[1]} is no size of an image: give two numbers of "
+                "pixels, for example 640 x 480"
+            )
+        if fps is not None and not 0 < fps <= 1000:
+            raise SensorError(f"{fps:g} images a second cannot be: give above 0, at most 1000")
+        if exposure is not None and not abs(exposure) < 1e9:
+            raise SensorError(f"an exposure of {exposure:g} cannot be: give one the camera knows")
+        self._size, self._exposure, self._fps = size, exposure, fps
+        self._capture: cv2.VideoCapture | None = None
+        self._failures = 0
+
+    def open(self) -> None:
+        # The driver would wait ten seconds for an image before it says that none comes.
+        os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
+        with QUIET_OPENCV:
+            try:
+                self._capture = cv2.VideoCapture(
+                    self._device, _BACKENDS.get(sys.platform, cv2.CAP_ANY)
+                )
+                opened = self._capture.isOpened()
+                if opened:
+                    self._set_up(self._capture)
+            except cv2.error:
+                opened = False
+        if not opened:
+            self.close()
+            raise SensorError(
+                f"cannot open {self.title}: check that it is plugged in, that its number is right "
+                "and that no other program uses it"
+            )
+        self._failures = 0
+
+    def _set_up(self, capture: cv2.VideoCapture) -> None:
+        capture.set(cv2.CAP_PROP_BUFFERSIZE, BUFFERS)
+        if self._size is not None:
+            self._set_size(capture, self._size)
+        if self._fps is not None:
+            capture.set(cv2.CAP_PROP_FPS, self._fps)
+            given_hz = capture.get(cv2.CAP_PROP_FPS)
+            if given_hz > 0 and abs(given_hz - self._fps) > 0.05 * self._fps:
+                self._note(f"gives {given_hz:g} images a second, not {self._fps:g}")
+        if self._exposure is not None:
+            manual = capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
+            if not (capture.set(cv2.CAP_PROP_EXPOSURE, self._exposure) and manual):
+                self._note(f"does not take an exposure of {self._exposure:g}: it keeps its own")
+            else:
+                given = capture.get(cv2.CAP_PROP_EXPOSURE)
+                if abs(given - self._exposure) > 0.1 * abs(self._exposure):
+                    self._note(f"exposes by {given:g}, not {self._exposure:g}")
+
+    def _set_size(self, capture: cv2.VideoCapture, size: tuple[int, int]) -> None:
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
+        width = round(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
+        height = round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        if (width, height) != tuple(size):
+            self._note(f"gives {width} x {height}, not {size[0]} x {size[1]}")
+
+    def _note(self, words: str) -> None:
+        note = f"{self.title} {words}"
+        if note not in self.notes:
+            self.notes.append(note)
+
+    def grab(self, timeout_s: float) -> Shot | None:
+        """Return the next image; waits as long as the driver does, a second at most."""
+        capture = self._capture
+        if capture is None:
+            raise SourceLostError(f"{self.title} is not open")
+        with QUIET_OPENCV:
+            try:
+                taken, image = capture.read()
+            except cv2.error:
+                taken, image = False, None
+        if not taken or image is None or not image.size:
+            self._failures += 1
+            if self._failures >= FAILURES:
+                raise SourceLostError(f"{self.title} gave no image {FAILURES} times in a row")
+            time.sleep(min(timeout_s, _PAUSE_S))
+            return None
+        self._failures = 0
+        return Shot(to_grey(image), self._taken_ns(capture))
+
+    @staticmethod
+    def _taken_ns(capture: cv2.VideoCapture) -> int:
+        """Return when the driver took the image, if it tells by our clock; else now."""
+        now_ns = time.perf_counter_ns()
+        taken_ns = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
+        return taken_ns if 0 <= now_ns - taken_ns <= _BELIEVED_AGE_NS else now_ns
+
+    def close(self) -> None:
+        if self._capture is not None:
+            self._capture.release()
+            self._capture = None
+
+
+def to_grey(image: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return an image of OpenCV's in grey, (H, W); deep ones by their upper eight bits.
+
+    Raises
+    ------
+    SensorError
+        If it is no image.
+    """
+    if image.dtype == np.uint16:
+        image = (image >> 8).astype(np.uint8)
+    channels = 1 if image.ndim == 2 else image.shape[-1]
+    if image.dtype != np.uint8 or image.ndim not in (2, 3) or channels not in (1, 3, 4):
+        raise SensorError(
+            f"images of {image.shape} {image.dtype} are not known: give grey or color"
+        )
+    if channels == 1:
+        return np.ascontiguousarray(image.reshape(image.shape[:2]))
+    code = cv2.COLOR_BGR2GRAY if channels == 3 else cv2.COLOR_BGRA2GRAY
+    return np.asarray(cv2.cvtColor(image, code), np.uint8)
+
+
+def _device(rest: str) -> int | str:
+    number = rest.strip()
+    if number.isascii() and number.isdigit():
+        if len(number) <= 3:
+            return int(number)
+    elif number.startswith("/"):
+        return number
+    raise SensorError(
+        f"camera:{rest} is no camera: give its number, as in camera:0, or its device, as in "
+        "camera:/dev/video2"
+    )

@@ -1,0 +1,298 @@
+"""Images from a device that does not wait: a thread takes them in, the newest wins."""
+
+import math
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import SensorError, SourceLostError
+from smarttouch.profile import Profile
+from smarttouch.sources.frame import Frame, Pose, Sensor
+from smarttouch.sources.intake import Intake
+from smarttouch.sources.notes import Episodes, StandingNotes
+
+STALE_S = 0.5
+"""What an image shows may be gone after so long without another."""
+FIRST_IMAGE_S = 2.0
+"""How long the first read waits: devices start slowly."""
+GRAB_S = 0.1
+"""A source is asked for no longer at a time, so that closing is prompt."""
+RETRY_S = 0.25
+"""A lost source is looked for so often."""
+JOIN_S = 2.0
+"""A driver that hangs longer than this is left behind."""
+
+
+class SourceEndedError(Exception):
+    """A source has no more images, as at the end of a file.
+
+    ``note`` is what a user should know of the end, ``missed`` how many images the source
+    skipped since its last shot.
+    """
+
+    def __init__(self, note: str = "", missed: int = 0) -> None:
+        super().__init__(note)
+        self.missed = missed
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One image as it came.
+
+    Attributes
+    ----------
+    image : ndarray, (H, W) uint8
+        Grey; the source does not write to it again.
+    taken_ns : int
+        `time.perf_counter_ns` when it was taken or came in.
+    missed : int
+        Images of the source that were lost or skipped since the shot before.
+    """
+
+    image: NDArray[np.uint8]
+    taken_ns: int
+    missed: int = 0
+
+
+class Source(ABC):
+    """Where a live sensor's images come from; used by one thread at a time."""
+
+    title: str
+    """What it is, in a few words, for the screen and for errors."""
+    stale_s: float = STALE_S
+    """What an image shows may be gone after so long; longer only for images that are slow."""
+
+    @cached_property
+    def notes(self) -> list[str]:
+        """What a user should know of the source; `LiveSensor` hands it on as its own."""
+        return []
+
+    @abstractmethod
+    def open(self) -> None:
+        """Open it, or open it again after a loss; SensorError if that cannot be."""
+
+    @abstractmethod
+    def grab(self, timeout_s: float) -> Shot | None:
+        """Return the next image; None if none came within ``timeout_s``.
+
+        Raises
+        ------
+        SourceLostError
+            If the device is gone.
+        SourceEndedError
+            If there will be no more images.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the device. Never raises, in whatever state it is."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    image: NDArray[np.uint8]
+    pose: Pose
+    taken_ns: int
+    number: int
+
+
+class LiveSensor(Sensor):
+    """Newest frame wins: a thread grabs, `read` takes what is newest.
+
+    The thread begins with the first `read`; images from before a run are nobody's.
+    Motion is followed from every image to the next, also those that are never read,
+    and summed into the pose, which begins at (0, 0).
+
+    Parameters
+    ----------
+    source : Source
+        Not open yet. The sensor opens it, at once, and closes it.
+    profile : Profile
+        Optics: scale of the motion, flat field.
+    replug_s : float, s
+        How long a lost source is waited for.
+    now_ns : callable
+        The clock of `Shot.taken_ns`.
+
+    Raises
+    ------
+    SensorError
+        If the source cannot be opened.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        profile: Profile,
+        *,
+        replug_s: float = 10.0,
+        now_ns: Callable[[], int] = time.perf_counter_ns,
+    ) -> None:
+        super().__init__(source.title)
+        self.notes = source.notes
+        self._source = source
+        self._replug_s = replug_s
+        self._now_ns = now_ns
+        self._intake = Intake(profile)
+        self._thread: threading.Thread | None = None
+        self._stop = threading.Event()
+        self._changed = threading.Condition()
+        """Guards the books and all that follows."""
+        self._newest: _Look | None = None
+        self._unread = False
+        self._over = False
+        self._closed = False
+        self._failure: tuple[str, Exception | None] | None = None
+        self._told = False
+        self._is_open = True
+        self._lost_ns: int | None = None
+        self._gone = Episodes(StandingNotes(self.notes), f"{source.title} was gone")
+        try:
+            source.open()
+        except BaseException:
+            source.close()
+            raise
+
+    def read(self, time_ns: int) -> Frame | None:
+        """Return the newest frame, without waiting; None at the end of the source.
+
+        The first read waits for the first image. ``force_n`` is not known.
+
+        Raises
+        ------
+        SensorError
+            If no first image came in time, the source is lost, or it failed.
+        """
+        with self._changed:
+            if self._closed:
+                return None
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._grab_all, daemon=True)
+                self._thread.start()
+                self._changed.wait_for(lambda: self._newest or self._over, FIRST_IMAGE_S)
+            if self._failure is not None:
+                words, cause = self._failure
+                self._told = True
+                raise SensorError(words) from cause
+            if self._over and not self._unread:
+                return None
+            look = self._newest
+            if look is None:
+                raise SensorError(
+                    f"no image came within {FIRST_IMAGE_S:g} s from {self.title}: check that it "
+                    "is on, and that no other program uses it"
+                )
+            self._unread = False
+        age_ns = max(0, self._now_ns() - look.taken_ns)
+        return Frame(
+            look.image,
+            time_ns,
+            look.pose,
+            math.nan,
+            number=look.number,
+            age_ns=age_ns,
+            stale=age_ns > self._source.stale_s * 1e9,
+        )
+
+    def close(self) -> None:
+        """Stop the thread, close the source, and count what was never read as dropped."""
+        with self._changed:
+            if self._closed:
+                return
+            self._closed = True
+            self.dropped_frames += self._unread
+            self._unread = False
+            if self._failure is not None and not self._told:
+                self.notes.append(self._failure[0])
+        self._stop.set()
+        if self._thread is None:
+            self._source.close()
+            return
+        self._thread.join(JOIN_S)
+        if self._thread.is_alive():
+            self.notes.append(f"{self.title} did not answer within {JOIN_S:g} s and was left open")
+
+    def _grab_all(self) -> None:
+        """Take in image after image; whatever ends it, `read` hears of it."""
+        try:
+            while not self._stop.is_set():
+                shot = self._grab()
+                if shot is not None:
+                    self._take(shot)
+        except SourceEndedError as end:
+            self._miss(end.missed)
+            if str(end):
+                self.notes.append(str(end))
+        except SensorError as error:
+            self._fail(str(error), None)
+        except Exception as error:
+            self._fail(f"{self.title} failed: {type(error).__name__}: {error}", error)
+        finally:
+            with self._changed:
+                self._over = True
+                self._changed.notify_all()
+            self._source.close()
+
+    def _grab(self) -> Shot | None:
+        """Return the next image; look for the source again where it is lost."""
+        try:
+            if not self._is_open:
+                if self._stop.wait(RETRY_S):
+                    return None
+                self._source.open()
+                self._is_open = True
+            shot = self._source.grab(GRAB_S)
+        except SensorError as error:
+            if self._is_open and not isinstance(error, SourceLostError):
+                raise
+            self._source.close()
+            self._is_open = False
+            shot = None
+            if self._lost_ns is None:
+                self._lost_ns = self._now_ns()
+        if self._lost_ns is not None:
+            self._await_return(self._lost_ns, shot)
+        return shot
+
+    def _await_return(self, lost_ns: int, shot: Shot | None) -> None:
+        """Believe that a source is back when an image comes, not when it can be opened."""
+        gone_s = (self._now_ns() - lost_ns) / 1e9
+        self._gone.update(shot is None, lost_ns + round(gone_s * 1e9), lost_ns)
+        if shot is not None:
+            self._lost_ns = None
+            self._intake.interrupt()
+        elif gone_s > self._replug_s:
+            raise SensorError(
+                f"{self.title} is gone and was not back within {self._replug_s:g} s: plug it in "
+                "and start again"
+            )
+
+    def _take(self, shot: Shot) -> None:
+        image, pose = self._intake.take(shot.image)
+        self._miss(shot.missed)
+        with self._changed:
+            if self._closed:
+                return
+            self.frames += 1
+            self.dropped_frames += self._unread
+            self._newest = _Look(image, pose, shot.taken_ns, self.frames - 1)
+            self._unread = True
+            self._changed.notify_all()
+
+    def _miss(self, images: int) -> None:
+        with self._changed:
+            if not self._closed:
+                self.frames += images
+                self.dropped_frames += images
+
+    def _fail(self, words: str, cause: Exception | None) -> None:
+        with self._changed:
+            if self._closed:
+                self.notes.append(words)
+            self._failure = (words, cause)

@@ -1,0 +1,184 @@
+"""What emulated sensors send: frames of an array, readings of a load cell."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import SensorError
+from smarttouch.profile import Profile
+from smarttouch.sources import open_sensor
+from smarttouch.sources.emulator.faults import Kind
+from smarttouch.sources.forces.force import open_recorded
+from smarttouch.sources.sensor_protocol import encode_force, encode_frame, encode_info
+
+GRAVITY_N_PER_G = 9.80665e-3
+_BLOCK = 4
+_PATTERN_SIDE = 1024
+_PATTERN_PIXELS_S = 40
+_LARGEST_RAW = 2**23 - 1
+
+Look = Callable[[float], NDArray[np.uint8]]
+"""From a time in seconds to the image, (H, W)."""
+
+
+class Device(Protocol):
+    """What sends something at each tick of its rate."""
+
+    def packet(self, number: int, time_s: float, wrong: frozenset[Kind]) -> bytes:
+        """Return what goes over the line now."""
+
+    def heed(self, words: list[str]) -> bool:
+        """Do what a line of input says; return whether it was understood."""
+
+
+class ArrayDevice:
+    """A sensor array.
+
+    Parameters
+    ----------
+    look : callable
+        What it sees at a time.
+    rate_hz : float
+    """
+
+    def __init__(self, look: Look, rate_hz: float) -> None:
+        self._look = look
+        self._every = max(1, round(rate_hz))
+        self._random = np.random.default_rng(0)
+        self._image: NDArray[np.uint8] | None = None
+
+    def packet(self, number: int, time_s: float, wrong: frozenset[Kind]) -> bytes:
+        """Return a frame, and once a second what the device is."""
+        if "freeze" not in wrong or self._image is None:
+            self._image = self._look(time_s)
+        data = encode_frame(number, round(time_s * 1e6), self._image)
+        if "garbage" in wrong:
+            return self._random.bytes(len(data))
+        if number % self._every:
+            return data
+        return encode_info(number // self._every, "emulated sensor array") + data
+
+    def heed(self, words: list[str]) -> bool:
+        """Return False: an array takes no orders."""
+        return False
+
+
+class CellDevice:
+    """A load cell with its converter.
+
+    Parameters
+    ----------
+    force_n : callable
+        What presses on it at a time, N; not a number is nothing.
+    counts_per_n, zero, noise : float
+        Its straight line, and the standard deviation of its noise, in counts.
+    framed : bool
+        Packets instead of lines of text.
+    seed : int
+        Of the noise.
+    """
+
+    def __init__(
+        self,
+        force_n: Callable[[float], float],
+        counts_per_n: float = 50_000.0,
+        zero: float = 80_000.0,
+        noise: float = 60.0,
+        framed: bool = False,
+        seed: int = 0,
+    ) -> None:
+        self._force_n = force_n
+        self._line = (counts_per_n, zero, noise)
+        self._framed = framed
+        self._random = np.random.default_rng(seed)
+        self._reading: int | None = None
+
+    def packet(self, number: int, time_s: float, wrong: frozenset[Kind]) -> bytes:
+        """Return a reading as the cell sends it."""
+        if "freeze" not in wrong or self._reading is None:
+            self._reading = self._convert(time_s)
+        if "garbage" in wrong:
+            # Neither end of a line nor of a packet may be missing in it for ever.
+            return self._random.bytes(18) + (b"\0" if self._framed else b"\r\n")
+        reading = None if "nan" in wrong else self._reading
+        if self._framed:
+            return encode_force(number, round(time_s * 1e6), reading)
+        return f"HX711 reading: {'nan' if reading is None else reading}\r\n".encode()
+
+    def heed(self, words: list[str]) -> bool:
+        """Let something else press: ``weight GRAMS`` or ``force NEWTONS``."""
+        match words:
+            case ["weight", grams]:
+                newtons = _number(grams) * GRAVITY_N_PER_G
+            case ["force", force]:
+                newtons = _number(force)
+            case _:
+                return False
+        self._force_n = lambda _time_s: newtons
+        return True
+
+    def _convert(self, time_s: float) -> int:
+        counts_per_n, zero, noise = self._line
+        force_n = float(np.nan_to_num(self._force_n(time_s)))
+        counts = zero + counts_per_n * force_n + noise * self._random.standard_normal()
+        return int(np.clip(round(counts), -_LARGEST_RAW - 1, _LARGEST_RAW))
+
+
+def look_at_pattern(rows: int, columns: int) -> Look:
+    """Return the sight of random blocks that pass from right to left."""
+    coarse = np.random.default_rng(0).integers(0, 2, (64, _PATTERN_SIDE // _BLOCK))
+    pattern = np.where(np.kron(coarse, np.ones((_BLOCK, _BLOCK))), 220, 40).astype(np.uint8)
+
+    def look(time_s: float) -> NDArray[np.uint8]:
+        start = int(time_s * _PATTERN_PIXELS_S) % (_PATTERN_SIDE - columns)
+        return pattern[:rows, start : start + columns]
+
+    return look
+
+
+def look_at_page(url: str, profile: Profile, rows: int, columns: int) -> Look:
+    """Return the sight of a virtual finger that reads a page again and again.
+
+    Raises
+    ------
+    SensorError
+        If there is no such sensor, or it cannot be asked for any time.
+    """
+    kind = url.partition(":")[0]
+    if kind not in ("page", "text"):
+        raise SensorError(f"--sensor {url!r}: an emulated array looks at page:FILE or text:STRING")
+    shape = {"sensor_rows": rows, "sensor_columns": columns}
+    optics = profile.optics.model_copy(update=shape)
+    sensor = open_sensor(url, profile.model_copy(update={"optics": optics}))
+    lasts_ns = round(1e9 * (sensor.duration_s or 1.0))
+
+    def look(time_s: float) -> NDArray[np.uint8]:
+        frame = sensor.read(round(time_s * 1e9) % lasts_ns)
+        assert frame is not None
+        return frame.image
+
+    return look
+
+
+def press(force_n: float, path: Path | None, profile: Profile) -> Callable[[float], float]:
+    """Return what presses on a load cell at a time: always the same, or as recorded.
+
+    Raises
+    ------
+    SensorError
+        If there is no such record.
+    """
+    if path is None:
+        return lambda _time_s: force_n
+    recorded = open_recorded(str(path), profile)
+    return lambda time_s: recorded.read(round(time_s * 1e9))
+
+
+def _number(word: str) -> float:
+    try:
+        return float(np.nan_to_num(float(word)))
+    except ValueError:
+        raise SensorError(f"{word!r} is no number") from None

@@ -1,0 +1,276 @@
+"""``hx711:PORT`` and ``loadcell:PORT``: finger force from a load cell on a serial line.
+
+``hx711:`` reads lines of text as Arduino sketches for the HX711 print them, at 57,600
+baud as in the examples of its library; ``hx711:PORT?baud=115200`` sets another speed.
+``loadcell:`` reads FORCE packets of `smarttouch.sources.sensor_protocol`.
+
+The profile's ``force.curve`` turns readings into newtons.
+"""
+
+import contextlib
+import math
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import SensorError, SourceLostError
+from smarttouch.profile import Profile
+from smarttouch.sources.forces.force import ForceSource
+from smarttouch.sources.forces.load_cell_watch import CellWatch
+from smarttouch.sources.forces.readings import PacketReadings, Readings, TextReadings
+from smarttouch.sources.line import read_what_came
+from smarttouch.wire.port import LINE_ERRORS, Port, open_port
+
+FIRST_READING_S = 5.0
+"""Opening the port makes some boards start anew, which takes two seconds."""
+RETRY_S = 0.25
+"""A lost port is looked for so often."""
+JOIN_S = 2.0
+"""A driver that hangs longer than this is left behind."""
+LARGEST_N = 100.0
+"""No finger presses harder: the curve is not this cell's."""
+_WAIT_S = 0.05
+_KINDS: dict[str, tuple[int, Callable[[], Readings]]] = {
+    "hx711": (57_600, TextReadings),
+    "loadcell": (921_600, PacketReadings),
+}
+
+
+def open_hx711(rest: str, profile: Profile) -> ForceSource:
+    """Open ``hx711:PORT``, a sketch that prints a reading to a line.
+
+    Raises
+    ------
+    SensorError
+        If the profile has no curve, the port cannot be opened, or no reading comes.
+    """
+    return LoadCellForce(f"hx711:{rest}", profile)
+
+
+def open_loadcell(rest: str, profile: Profile) -> ForceSource:
+    """Open ``loadcell:PORT``, a load cell that speaks the sensors' own format.
+
+    Raises
+    ------
+    SensorError
+        If the profile has no curve, the port cannot be opened, or no reading comes.
+    """
+    return LoadCellForce(f"loadcell:{rest}", profile)
+
+
+def open_cell(url: str) -> "LoadCell":
+    """Open a load cell for its raw readings, without a curve.
+
+    Raises
+    ------
+    SensorError
+        If the URL is none of a load cell, the port cannot be opened, or no reading comes.
+    """
+    # Without a curve contact is not known; a sketch that has set zero stands still there.
+    return LoadCell(url, presses=lambda reading: reading != 0)
+
+
+class LoadCell:
+    """A load cell whose readings a thread takes in.
+
+    Parameters
+    ----------
+    url : str
+        ``hx711:PORT`` or ``loadcell:PORT``, either with ``?baud=N``.
+    presses : callable
+        Whether a reading means contact: only then is standing still a fault.
+
+    Raises
+    ------
+    SensorError
+        If it cannot be opened, or no reading comes from it.
+    """
+
+    def __init__(self, url: str, presses: Callable[[float], bool]) -> None:
+        kind, name, self._baud = _parse(url)
+        self._name = name
+        self.title = f"{'HX711' if kind == 'hx711' else 'load cell'} at {name}"
+        self.notes: list[str] = []
+        self._readings = _KINDS[kind][1]()
+        self._watch = CellWatch(self.title, self.notes, presses)
+        self._news = threading.Condition()
+        """Guards the watch and what is collected."""
+        self._any = self._heard = False
+        self._collected: list[float] | None = None
+        self._closing = threading.Event()
+        port = open_port(name, self._baud, _WAIT_S, SensorError)
+        self._thread = threading.Thread(
+            target=self._listen, args=(port,), name="load cell", daemon=True
+        )
+        self._thread.start()
+        try:
+            self._await_first()
+        except BaseException:
+            self.close()
+            raise
+
+    def reading(self) -> float:
+        """Return the newest raw reading; NaN where none is fresh, or the cell is frozen."""
+        with self._news:
+            return self._watch.reading(time.perf_counter_ns())
+
+    def collect(self, seconds: float) -> NDArray[np.float64]:
+        """Wait, and return the raw readings that came meanwhile, (N,).
+
+        Raises
+        ------
+        SensorError
+            If none came.
+        """
+        with self._news:
+            self._collected = []
+        self._closing.wait(seconds)
+        with self._news:
+            came, self._collected = self._collected, None
+        if not came:
+            raise SensorError(
+                f"no reading came from the {self.title} in {seconds:g} s: check its cable and power"
+            )
+        return np.array(came, np.float64)
+
+    def close(self) -> None:
+        """End the thread and let go of the port."""
+        self._closing.set()
+        self._thread.join(JOIN_S)
+
+    def __enter__(self) -> "LoadCell":
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.close()
+
+    def _await_first(self) -> None:
+        with self._news:
+            if self._news.wait_for(lambda: self._any, FIRST_READING_S):
+                return
+        if self._heard:
+            raise SensorError(
+                f"what comes from the {self.title} is no readings: check its speed (now "
+                f"{self._baud}; another one is set by ?baud=N after the port) and what it sends"
+            )
+        raise SensorError(
+            f"no reading came within {FIRST_READING_S:g} s from the {self.title}: check that it "
+            "is on and sends by itself"
+        )
+
+    def _listen(self, port: Port | None) -> None:
+        while not self._closing.is_set():
+            if port is None:
+                port = self._reopen()
+                continue
+            try:
+                data = read_what_came(port, self.title)
+            except SourceLostError:
+                _let_go(port)
+                port = None
+                continue
+            self._take(data)
+        if port is not None:
+            _let_go(port)
+
+    def _take(self, data: bytes) -> None:
+        came = self._readings.feed(data)
+        now_ns = time.perf_counter_ns()
+        with self._news:
+            self._heard = self._heard or bool(data)
+            self._watch.hear(came, now_ns)
+            self._watch.look(now_ns, self._readings.garbled, self._readings.last_garbled)
+            if came:
+                self._any = True
+                if self._collected is not None:
+                    self._collected += [value for value in came if math.isfinite(value)]
+                self._news.notify_all()
+
+    def _reopen(self) -> Port | None:
+        with self._news:
+            self._watch.lose(time.perf_counter_ns())
+        if self._closing.wait(RETRY_S):
+            return None
+        try:
+            port = open_port(self._name, self._baud, _WAIT_S, SensorError)
+        except SensorError:
+            return None
+        self._readings.restart()
+        return port
+
+
+class LoadCellForce(ForceSource):
+    """Newtons by the profile's curve.
+
+    Parameters
+    ----------
+    url : str
+        Of the cell.
+    profile : Profile
+        With ``force.curve``.
+
+    Raises
+    ------
+    SensorError
+        If the profile has no curve, the port cannot be opened, or no reading comes.
+    """
+
+    def __init__(self, url: str, profile: Profile) -> None:
+        if profile.force.curve is None:
+            raise SensorError(
+                f"profile {profile.name} has no force.curve: run smarttouch calibrate force, or, "
+                "for a sketch that prints grams, set curve = [0, 0.00980665] in [force]"
+            )
+        self._curve = profile.force.curve
+        contact_n = profile.force.contact_n
+        self._cell = LoadCell(url, presses=lambda reading: self._newtons(reading) > contact_n)
+        super().__init__(self._cell.title)
+        self.notes = self._cell.notes
+        self._beyond = False
+
+    def read(self, time_ns: int) -> float:
+        """Return the force by the newest reading, N; NaN where it is not known."""
+        newtons = self._newtons(self._cell.reading())
+        if newtons > LARGEST_N or math.isinf(newtons):
+            if not self._beyond:
+                self._beyond = True
+                self.notes.append(
+                    f"{self.title}: {newtons:.3g} N by force.curve, more than any finger: that "
+                    "is not this cell's curve, run smarttouch calibrate force"
+                )
+            return math.nan
+        return newtons if math.isnan(newtons) else max(0.0, newtons)
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._cell.close()
+
+    def _newtons(self, reading: float) -> float:
+        newtons = 0.0
+        for coefficient in reversed(self._curve):
+            newtons = newtons * reading + coefficient
+        return newtons
+
+
+def _parse(url: str) -> tuple[str, str, int]:
+    """Return the kind, port and speed that a URL names."""
+    kind, _, rest = url.partition(":")
+    if kind not in _KINDS:
+        kinds = " or ".join(f"{each}:PORT" for each in _KINDS)
+        raise SensorError(f"{url!r} is no load cell: give {kinds}")
+    name, asked, speed = rest.partition("?baud=")
+    if not name:
+        raise SensorError(f"{url!r} names no port: give one, as in {kind}:/dev/ttyUSB0")
+    if not asked:
+        return kind, name, _KINDS[kind][0]
+    if not (speed.isdecimal() and 0 < int(speed) < 10**8):
+        raise SensorError(f"{url!r}: {speed!r} is no speed of a line: give bits a second, 115200")
+    return kind, name, int(speed)
+
+
+def _let_go(port: Port) -> None:
+    with contextlib.suppress(*LINE_ERRORS):
+        port.close()

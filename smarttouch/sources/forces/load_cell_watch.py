@@ -1,0 +1,115 @@
+"""What a load cell's readings are worth: fresh, silent, frozen, or none at all. Without a clock."""
+
+import math
+from collections.abc import Callable
+
+from smarttouch.sources.notes import Episodes, StandingNotes
+
+FRESH_S = 0.35
+"""A reading counts for so long: cells that convert ten times a second must pass."""
+FROZEN_READINGS = 20
+FROZEN_S = 2.0
+"""So many equal readings over so long: a converter's noise never stands still."""
+SATURATED = (float(-(2**23)), float(2**23 - 1))
+"""The ends of the HX711's range: overloaded, or nothing is connected."""
+
+
+class CellWatch:
+    """Follows the readings of one cell; time comes in with each call.
+
+    Parameters
+    ----------
+    title : str
+        Of the cell, for the notes.
+    notes : list of str
+        Where they go, one sentence for each cause.
+    presses : callable
+        Whether a reading means contact: only then is standing still a fault.
+    """
+
+    def __init__(self, title: str, notes: list[str], presses: Callable[[float], bool]) -> None:
+        self._title = title
+        self._presses = presses
+        self._value = math.nan
+        self._heard_ns: int | None = None
+        self._same_since_ns = 0
+        self._same = 0
+        self._none = self._saturated = 0
+        self._said = StandingNotes(notes)
+        self._silence = Episodes(
+            self._said,
+            f"{title}: no reading",
+            f"let it send ten a second or more, none counts for longer than {FRESH_S:g} s",
+        )
+        self._frost = Episodes(
+            self._said,
+            f"{title}: readings stood still under pressure",
+            "it is frozen, or prints too few decimals",
+        )
+        self._absence = Episodes(self._said, f"{title} was gone", "check the cable")
+
+    def hear(self, readings: list[float], now_ns: int) -> None:
+        """Take in readings, oldest first, that came now."""
+        for value in readings:
+            known = self._count(value)
+            if known == self._value:
+                self._same += 1
+            else:
+                self._value, self._same, self._same_since_ns = known, 1, now_ns
+        if readings:
+            self._silence.update(False, now_ns)
+            self._absence.update(False, now_ns)
+            self._heard_ns = now_ns
+            self._frost.update(self._frozen(now_ns), now_ns, self._same_since_ns)
+
+    def look(self, now_ns: int, garbled: int, last_garbled: str) -> None:
+        """See what is missing, now and then; ``garbled`` is what came and was no reading."""
+        heard_ns = self._heard_ns
+        if heard_ns is not None and now_ns - heard_ns > FRESH_S * 1e9:
+            self._silence.update(True, now_ns, heard_ns)
+            self._frost.update(False, heard_ns)
+        if self._absence.is_on:
+            self._absence.update(True, now_ns)
+        if garbled:
+            times = "once" if garbled == 1 else f"{garbled} times"
+            self._said.put(
+                "garbled", f"{self._title}: what came was no reading {times}, last {last_garbled}"
+            )
+
+    def lose(self, now_ns: int) -> None:
+        """Say that the port is gone; what was read before counts no more."""
+        self._absence.update(True, now_ns)
+        # Its absence says why nothing came: no silence besides.
+        self._silence.update(False, now_ns)
+        self._frost.update(False, now_ns)
+        self._heard_ns, self._value, self._same = None, math.nan, 0
+
+    def reading(self, now_ns: int) -> float:
+        """Return the newest reading; NaN where it is not known."""
+        if self._heard_ns is None or now_ns - self._heard_ns > FRESH_S * 1e9:
+            return math.nan
+        return math.nan if self._frozen(now_ns) else self._value
+
+    def _frozen(self, now_ns: int) -> bool:
+        return (
+            self._same >= FROZEN_READINGS
+            and now_ns - self._same_since_ns >= FROZEN_S * 1e9
+            and self._presses(self._value)
+        )
+
+    def _count(self, value: float) -> float:
+        """Return a reading, or NaN for one that is none, and say so."""
+        if value in SATURATED:
+            self._saturated += 1
+            self._said.put(
+                "saturated",
+                f"{self._title}: at the end of its range, {value:.0f}, in {self._saturated} "
+                "readings: overloaded, or not connected",
+            )
+            return math.nan
+        if math.isnan(value):
+            self._none += 1
+            self._said.put(
+                "none", f"{self._title}: {self._none} of its readings said that there is none"
+            )
+        return value

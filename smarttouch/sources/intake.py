@@ -1,0 +1,51 @@
+"""What is done with every image that comes in."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.profile import Profile
+from smarttouch.sources.frame import Pose
+from smarttouch.sources.motion import MotionTracker
+
+
+class Intake:
+    """Corrects images by the flat field, and sums the motion between them to a pose.
+
+    Parameters
+    ----------
+    profile : Profile
+        Its optics.
+
+    Raises
+    ------
+    SensorError, CalibrationError
+        If the profile's flat field cannot be read.
+    """
+
+    def __init__(self, profile: Profile) -> None:
+        self._correct: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] | None = None
+        if profile.optics.flat_field is not None:
+            from smarttouch.sources.flat_field import FlatField
+
+            flat_field = FlatField.load(Path(profile.optics.flat_field))
+            # What the first call imports must not delay the first image of a run.
+            flat_field.correct(np.zeros(flat_field.gain.shape, np.uint8))
+            self._correct = flat_field.correct
+        self._tracker = MotionTracker(profile)
+        self._x_mm = self._y_mm = 0.0
+
+    def take(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Pose]:
+        """Return the corrected image, and where it was taken."""
+        if self._correct is not None:
+            image = self._correct(image)
+        x_mm, y_mm = self._tracker.follow(image)
+        self._x_mm += x_mm
+        self._y_mm += y_mm
+        return image, Pose(self._x_mm, self._y_mm)
+
+    def interrupt(self) -> None:
+        """Take no motion from the next image: what was between it and the last is not known."""
+        self._tracker.forget()

@@ -1,0 +1,176 @@
+"""A virtual finger over a page: frames as a photo-sensor patch would take them."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.documents.page_image import Page, load_page
+from smarttouch.documents.printed_text import print_text
+from smarttouch.profile import Profile
+from smarttouch.sources.frame import Frame, Sensor
+from smarttouch.sources.reading_path import Path2D, ReadingPath, RecordedPath
+
+OVERSAMPLING = 2
+"""Samples per pixel and axis; their mean is the pixel's aperture."""
+BLUR_MM = 0.06
+"""Standard deviation of the optics' blur."""
+NOISE_LEVELS = 2.0
+"""Standard deviation of the read noise, in grey levels."""
+USUAL_MM_S = 40.0
+_SHADE = 0.1
+"""How much darker the corners of the patch are lit than its middle."""
+_SLOPE = 0.03
+_MARGIN_MM = 4.0
+_MARGIN_BLUR_MM = 1.0
+"""Paper beyond the page's edges: wide enough for a patch, without the page's texture."""
+_MOST_PIXELS = 60_000_000
+
+
+def open_page(
+    rest: str,
+    profile: Profile,
+    *,
+    dpi: float | None = None,
+    page_width_mm: float | None = None,
+    seed: int = 0,
+    speed_mm_s: float = USUAL_MM_S,
+    path: Path | None = None,
+    light_on_dark: bool = False,
+) -> "PageSensor":
+    """Open ``page:FILE``; options are those of `PageSensor`, and its scale."""
+    page = load_page(Path(rest), dpi=dpi, page_width_mm=page_width_mm)
+    title = Path(rest).name
+    return PageSensor(page, profile, title, seed, speed_mm_s, path, light_on_dark)
+
+
+def open_text(
+    rest: str,
+    profile: Profile,
+    *,
+    seed: int = 0,
+    speed_mm_s: float = USUAL_MM_S,
+    path: Path | None = None,
+    light_on_dark: bool = False,
+) -> "PageSensor":
+    """Open ``text:STRING``, a page printed on the spot."""
+    page = print_text(rest)
+    return PageSensor(page, profile, "printed text", seed, speed_mm_s, path, light_on_dark)
+
+
+class PageSensor(Sensor):
+    """Frames of a finger that moves over a page.
+
+    Parameters
+    ----------
+    page : Page
+        What lies under the finger.
+    profile : Profile
+        Optics and force.
+    title : str
+        What to call it on the screen.
+    seed : int
+        Of noise and force; the same seed gives the same frames, in whatever
+        order they are read.
+    speed_mm_s : float, mm/s
+        Along a line.
+    path : Path, optional
+        CSV of a recorded path, instead of reading line by line.
+    light_on_dark : bool
+        For light print on dark paper.
+    """
+
+    ended = "end of the page"
+    knows_force = True
+
+    def __init__(
+        self,
+        page: Page,
+        profile: Profile,
+        title: str,
+        seed: int = 0,
+        speed_mm_s: float = USUAL_MM_S,
+        path: Path | None = None,
+        light_on_dark: bool = False,
+    ) -> None:
+        super().__init__(title)
+        self.page = page
+        self.path: Path2D = (
+            ReadingPath(page, profile, speed_mm_s, seed, light_on_dark)
+            if path is None
+            else RecordedPath(path)
+        )
+        self.duration_s = self.path.duration_s
+        self._seed = seed
+        optics = profile.optics
+        self._shape = (optics.sensor_rows, optics.sensor_columns)
+        self._pixel_mm = (
+            optics.field_width_mm / optics.sensor_columns / OVERSAMPLING,
+            optics.field_height_mm / optics.sensor_rows / OVERSAMPLING,
+        )
+        self._surface, self._surface_mm, self._margin = _surface(page, min(self._pixel_mm))
+        fine = (self._shape[0] * OVERSAMPLING, self._shape[1] * OVERSAMPLING)
+        self._fine = np.empty(fine, np.uint8)
+        self._coarse = np.empty(self._shape, np.uint8)
+        self._light = _light(self._shape)
+
+    def read(self, time_ns: int) -> Frame | None:
+        """Return the frame at a time since the start; None when the path is over."""
+        if time_ns / 1e9 > self.path.duration_s:
+            return None
+        pose, force_n = self.path.at(time_ns / 1e9)
+        cos, sin = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
+        step_x, step_y = (side / self._surface_mm for side in self._pixel_mm)
+        rows, columns = self._fine.shape
+        to_page = np.array(
+            [
+                [cos * step_x, -sin * step_y, pose.x_mm / self._surface_mm + self._margin - 0.5],
+                [sin * step_x, cos * step_y, pose.y_mm / self._surface_mm + self._margin - 0.5],
+            ]
+        )
+        to_page[:, 2] -= to_page[:, :2] @ [(columns - 1) / 2, (rows - 1) / 2]
+        cv2.warpAffine(
+            self._surface,
+            to_page,
+            (columns, rows),
+            dst=self._fine,
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        cv2.resize(self._fine, self._shape[::-1], dst=self._coarse, interpolation=cv2.INTER_AREA)
+        random = np.random.default_rng((self._seed & 0xFFFFFFFF, time_ns))
+        lit = random.standard_normal(self._shape, np.float32)
+        lit *= NOISE_LEVELS
+        lit += self._coarse * self._light
+        image = np.clip(np.rint(lit, out=lit), 0, 255).astype(np.uint8)
+        self.frames += 1
+        return Frame(image, time_ns, pose, force_n, number=self.frames - 1)
+
+
+def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float, int]:
+    """Return the page through the optics' blur, its scale, and the margin around it."""
+    height, width = page.grey.shape
+    scale = page.mm_per_pixel / finest_mm
+    scale = min(scale, np.sqrt(_MOST_PIXELS / (height * width)))
+    size = (max(2, round(width * scale)), max(2, round(height * scale)))
+    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+    surface = cv2.resize(page.grey, size, interpolation=method)
+    surface_mm = page.mm_per_pixel * width / size[0]
+    surface = cv2.GaussianBlur(
+        surface, (0, 0), BLUR_MM / surface_mm, borderType=cv2.BORDER_REPLICATE
+    )
+    # Beyond its edges the paper goes on, in the grey it has there.
+    margin = round(_MARGIN_MM / surface_mm)
+    paper = cv2.GaussianBlur(
+        surface, (0, 0), _MARGIN_BLUR_MM / surface_mm, borderType=cv2.BORDER_REPLICATE
+    )
+    whole = cv2.copyMakeBorder(paper, margin, margin, margin, margin, cv2.BORDER_REPLICATE)
+    whole[margin:-margin, margin:-margin] = surface
+    return np.asarray(whole, np.uint8), surface_mm, margin
+
+
+def _light(shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Return the light on each pixel: a vignette and a slope, fixed to the sensor."""
+    y, x = np.meshgrid(*(np.linspace(-1, 1, side) for side in shape), indexing="ij")
+    return np.asarray(0.97 - _SHADE / 2 * (x * x + y * y) + _SLOPE * x, np.float32)

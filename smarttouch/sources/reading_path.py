@@ -1,0 +1,187 @@
+"""How a finger moves over a page: line by line, or as it was recorded."""
+
+import csv
+import io
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.documents.page_image import Page
+from smarttouch.documents.text_lines import TextLine, find_lines
+from smarttouch.errors import SensorError
+from smarttouch.files import read_text
+from smarttouch.profile import Profile
+from smarttouch.sources.frame import Pose
+
+Floats = NDArray[np.float64]
+
+RETURN_MM_S = 200.0
+"""Speed of the lifted finger on its way to the next line."""
+SETTLE_S = 0.6
+"""A finger rests at the start of a line while intensity ramps up."""
+LIFT_S = 0.15
+SLOWEST_MM_S, FASTEST_MM_S = 0.1, 500.0
+_PRESS = 1.1
+"""Reading force, of the profile's full force."""
+_WAVER = 0.08
+"""Slow variation of the reading force."""
+_STEP_MM = 2.0
+"""From point to point of a path along a line: it bends less than can be felt."""
+_COLUMNS = ("time_s", "x_mm", "y_mm", "angle_deg", "force_n")
+
+
+class Path2D(Protocol):
+    """Where the finger is, and how hard it presses, at any time."""
+
+    duration_s: float
+
+    def at(self, time_s: float) -> tuple[Pose, float]:
+        """Return the pose and the force in newtons."""
+
+
+class ReadingPath:
+    """Reads the lines of a page one after another; a page without lines in strips.
+
+    Parameters
+    ----------
+    page : Page
+        What is read.
+    profile : Profile
+        Field of view and force.
+    speed_mm_s : float, mm/s
+        Speed along a line.
+    seed : int
+        Of the force's slow variation.
+    light_on_dark : bool
+        For light print on dark paper.
+    """
+
+    def __init__(
+        self,
+        page: Page,
+        profile: Profile,
+        speed_mm_s: float,
+        seed: int = 0,
+        light_on_dark: bool = False,
+    ) -> None:
+        if not SLOWEST_MM_S <= speed_mm_s <= FASTEST_MM_S:
+            raise SensorError(
+                f"--speed {speed_mm_s:g} must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g} mm/s"
+            )
+        field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
+        lines = find_lines(page, light_on_dark) or [_whole(page)]
+        self.lines = [sweep for line in lines for sweep in _sweeps(line, field[1])]
+        self._force_n = _PRESS * profile.force.full_n
+        self._phases = np.random.default_rng(seed).uniform(0, 2 * math.pi, 2)
+        rows: list[tuple[float, float, float, float, float]] = []
+        time_s = 0.0
+        for line in self.lines:
+            x, y, angle, passed_mm = _course(line, field[0])
+            if rows:
+                x_before, y_before = rows[-1][1:3]
+                time_s += math.hypot(x[0] - x_before, y[0] - y_before) / RETURN_MM_S
+            rows.append((time_s, x[0], y[0], angle[0], 0.0))
+            rows.append((time_s + LIFT_S, x[0], y[0], angle[0], 1.0))
+            sweep_at = time_s + SETTLE_S
+            time_s = sweep_at + float(passed_mm[-1]) / speed_mm_s
+            lifting_at = max(sweep_at, time_s - LIFT_S / 3)
+            passing = sweep_at + passed_mm / speed_mm_s
+            times = np.sort(np.append(passing, lifting_at))
+            course = (np.interp(times, passing, each) for each in (x, y, angle))
+            press = np.interp(times, (lifting_at, time_s), (1.0, 0.0))
+            rows.extend(zip(times, *course, press, strict=True))
+        self._table = np.array(rows)
+        self.duration_s = time_s
+
+    def at(self, time_s: float) -> tuple[Pose, float]:
+        """Return the pose and the force in newtons."""
+        times = self._table[:, 0]
+        x, y, angle, press = (
+            float(np.interp(time_s, times, column)) for column in self._table.T[1:]
+        )
+        slow = sum(
+            math.sin(2 * math.pi * rate * time_s + phase)
+            for rate, phase in zip((0.7, 1.9), self._phases, strict=True)
+        )
+        return Pose(x, y, angle), press * self._force_n * (1 + _WAVER / 2 * slow)
+
+
+class RecordedPath:
+    """A path from a CSV file with the columns time_s, x_mm, y_mm, angle_deg, force_n.
+
+    Raises
+    ------
+    SensorError
+        If the file is missing or wrong; it says in which line.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            rows = list(csv.reader(io.StringIO(read_text(path, SensorError), newline="")))
+        except csv.Error:
+            raise SensorError(f"cannot read the path {path}: it is not a text table") from None
+        if not rows or tuple(cell.strip() for cell in rows[0]) != _COLUMNS:
+            raise SensorError(f"{path} must begin with the line {','.join(_COLUMNS)}")
+        table = [_numbers(path, number, row) for number, row in enumerate(rows[1:], 2) if row]
+        if len(table) < 2:
+            raise SensorError(f"{path} has {len(table)} points: a path needs at least two")
+        self._table = np.array(table)
+        steps = np.diff(self._table[:, 0])
+        if (steps <= 0).any():
+            number = int(np.argmax(steps <= 0)) + 3
+            raise SensorError(f"{path}, line {number}: time must rise from line to line")
+        self._start_s = float(self._table[0, 0])
+        self.duration_s = float(self._table[-1, 0]) - self._start_s
+
+    def at(self, time_s: float) -> tuple[Pose, float]:
+        """Return the pose and the force in newtons."""
+        times = self._table[:, 0] - self._start_s
+        x, y, angle, force = (
+            float(np.interp(time_s, times, self._table[:, column])) for column in range(1, 5)
+        )
+        return Pose(x, y, math.radians(angle)), force
+
+
+def _whole(page: Page) -> TextLine:
+    """Return a page without lines as one very tall one."""
+    width_mm, height_mm = page.size_mm
+    return TextLine(0.0, width_mm, (height_mm,), height_mm, height_mm, 0.0)
+
+
+def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
+    """Cut a line that is taller than the field into strips that run as it does."""
+    # A field over: ascenders that just stick out need no second pass.
+    count = max(1, math.ceil(line.height_mm / height_mm - 0.15))
+    step = line.height_mm / count
+    return [
+        replace(
+            line,
+            baseline=(line.baseline[0] - line.ascent_mm + (k + 1) * step, *line.baseline[1:]),
+            ascent_mm=step,
+            descent_mm=0.0,
+        )
+        for k in range(count)
+    ]
+
+
+def _course(line: TextLine, field_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return x, y, angle of a finger along the middle of a line, and how far it has come."""
+    start, end = line.left_mm - field_mm / 2, line.right_mm + field_mm / 2
+    x = np.linspace(start, end, max(2, math.ceil((end - start) / _STEP_MM)))
+    y = line.baseline_mm(x) + (line.descent_mm - line.ascent_mm) / 2
+    passed_mm = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    return x, y, np.arctan(line.slope(x)), passed_mm
+
+
+def _numbers(path: Path, number: int, row: list[str]) -> list[float]:
+    try:
+        values = [float(cell) for cell in row]
+    except ValueError:
+        values = []
+    if len(values) != len(_COLUMNS) or not all(map(math.isfinite, values)):
+        raise SensorError(f"{path}, line {number}: needs {len(_COLUMNS)} numbers, has {row}")
+    return values

@@ -1,0 +1,167 @@
+"""``serial-array:PORT``: a patch of photo-transistors or an optical-mouse sensor on a serial line.
+
+The device streams frames of up to 255 × 255 pixels in the format of
+`smarttouch.sources.sensor_protocol`. What is read at once is taken apart at once;
+of several frames in it the newest is taken and the others are counted.
+"""
+
+import contextlib
+import time
+
+from smarttouch.errors import SensorError
+from smarttouch.profile import Profile
+from smarttouch.sources.capture import LiveSensor, Shot, Source
+from smarttouch.sources.line import read_what_came
+from smarttouch.sources.notes import StandingNotes
+from smarttouch.sources.sensor_protocol import ArrayFrame, Info, MessageStream, gap
+from smarttouch.wire.port import LINE_ERRORS, Port, open_port
+
+USUAL_BAUD = 921_600
+"""What is set where a line has a speed at all; over USB it means nothing."""
+_WAIT_S = 0.05
+"""Longest single read."""
+_UNREADABLE_S = 1.5
+"""Bytes that are no frames for so long, from the start on, are something else."""
+
+
+def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -> LiveSensor:
+    """Open ``serial-array:PORT``.
+
+    Parameters
+    ----------
+    rest : str
+        A device, ``tcp://HOST:PORT``, or any URL that pyserial knows.
+    profile : Profile
+        Optics: scale of the motion, flat field.
+    baud : int, optional
+        Speed of the line; 921,600 if not given.
+
+    Raises
+    ------
+    SensorError
+        If there is no such port, or it cannot be opened.
+    """
+    if not rest:
+        raise SensorError("serial-array: names no port: give one, as in serial-array:/dev/ttyACM0")
+    if baud is not None and baud < 1:
+        raise SensorError(f"--baud {baud} is no speed of a line: give bits a second, as in 115200")
+    return LiveSensor(SerialArraySource(rest, USUAL_BAUD if baud is None else baud), profile)
+
+
+class SerialArraySource(Source):
+    """Frames from a serial line.
+
+    Parameters
+    ----------
+    port : str
+        Its name.
+    baud : int
+
+    Attributes
+    ----------
+    frames : int
+        That came whole.
+    passed_over : int
+        Frames that came together with a newer one.
+    lost : int
+        Frames that are missing by the device's numbers.
+    garbled : int
+        Pieces between zeros that were no packet, or one that says nothing known.
+    device : str
+        What the device says it is; empty if it does not.
+    """
+
+    def __init__(self, port: str, baud: int = USUAL_BAUD) -> None:
+        self.title = f"serial array {port}"
+        self.frames = self.passed_over = self.lost = self.garbled = 0
+        self.device = ""
+        self._name, self._baud = port, baud
+        self._port: Port | None = None
+        self._stream = MessageStream()
+        self._before: int | None = None
+        self._heard = 0
+        self._listening_since_ns: int | None = None
+        self._said = StandingNotes(self.notes)
+
+    def open(self) -> None:
+        """Open the port. What came before the first `grab` is thrown away there."""
+        self._port = open_port(self._name, self._baud, _WAIT_S, SensorError)
+        self._listening_since_ns = None
+
+    def grab(self, timeout_s: float) -> Shot | None:
+        """Return the newest frame of the next read that brings any; None if none came in time."""
+        port = self._port
+        assert port is not None
+        if self._listening_since_ns is None:
+            self._begin(port)
+        deadline = time.monotonic() + timeout_s
+        while True:
+            shot = self._take(read_what_came(port, self.title))
+            if shot is not None:
+                return shot
+            if time.monotonic() >= deadline:
+                self._require_frames()
+                return None
+
+    def close(self) -> None:
+        """Let go of the port."""
+        if self._port is not None:
+            with contextlib.suppress(*LINE_ERRORS):
+                self._port.close()
+        self._port = None
+
+    def _begin(self, port: Port) -> None:
+        with contextlib.suppress(*LINE_ERRORS):
+            # What fails here fails again in the first read.
+            port.reset_input_buffer()
+        self._stream = MessageStream()
+        # What a device sent while nobody listened is not lost on the line.
+        self._before = None
+        self._listening_since_ns = time.perf_counter_ns()
+
+    def _take(self, data: bytes) -> Shot | None:
+        """Return the newest of the frames that are complete with these bytes."""
+        self._heard += len(data)
+        newest, frames, broken = None, 0, self._stream.broken
+        for message in self._stream.feed(data):
+            if isinstance(message, ArrayFrame):
+                newest = message
+                frames += 1
+                self._count_lost(message.number)
+            elif isinstance(message, Info):
+                self.device = message.name
+            # What a load cell of the same device says is for others.
+        self._count_garbled(self._stream.broken - broken)
+        if newest is None:
+            return None
+        self.frames += frames
+        self.passed_over += frames - 1
+        return Shot(newest.image, time.perf_counter_ns(), frames - 1)
+
+    def _count_lost(self, number: int) -> None:
+        missing = 0 if self._before is None else gap(self._before, number)
+        self._before = number
+        if missing:
+            self.lost += missing
+            self._said.put("lost", f"{self.title}: {_count(self.lost, 'frame')} lost on the line")
+
+    def _count_garbled(self, pieces: int) -> None:
+        self.garbled += pieces
+        if pieces and self.frames:
+            what = _count(self.garbled, "piece")
+            self._said.put("garbled", f"{self.title}: {what} of what came could not be read")
+
+    def _require_frames(self) -> None:
+        """Raise if plenty has come and none of it was ever a frame."""
+        assert self._listening_since_ns is not None
+        listened_s = (time.perf_counter_ns() - self._listening_since_ns) / 1e9
+        if self._heard and not self.frames and listened_s > _UNREADABLE_S:
+            raise SensorError(
+                f"what comes from {self._name} is no frames: check its speed (--baud, now "
+                f"{self._baud}) and that the device sends the format of "
+                "smarttouch/sources/sensor_protocol.py"
+            )
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" + ("" if number == 1 else "s")

@@ -1,0 +1,186 @@
+"""What a board measured changes what it is sent next: charge or energy held constant.
+
+The impedance of an electrode drifts with sweat and pressure. A source near its
+greatest voltage then delivers less than asked; and at the same current, more
+voltage is more energy (paper, Section IV-B, which holds that constant).
+"""
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import ScheduleError
+from smarttouch.profile import Profile
+from smarttouch.stimulation.sequence import ScanSequence, whole_ua
+from smarttouch.stimulation.timing import ScanTiming
+
+NEAR = 0.92
+"""Part of the compliance above which a source is taken to be at its end."""
+FASTEST_FALL = 0.8
+FASTEST_RISE = 1.05
+"""Of a site's current from one observation to the next; at 50 Hz, 0.3 s from half to full."""
+FAINTEST_ENERGY = 0.25
+"""Least part of its current that a site keeps to hold energy: 16 times the first impedance."""
+WORTHWHILE = 0.999
+"""A current that would become no less than this of itself is left as it is."""
+
+Array = NDArray[np.float64]
+
+
+class Adaptation:
+    """Follows the impedance of every site, and fits currents and widths to it.
+
+    Parameters
+    ----------
+    profile : Profile
+        Pulse and limits.
+    hold : {"charge", "energy"}
+        ``charge``: where the source is near its compliance, pulses become
+        weaker and as much longer. ``energy``: where impedance has risen since
+        the first observation, pulses become weaker, by its square root.
+    compliance_v : float, V
+        The most that the board's source can give.
+    timing : ScanTiming, optional
+        What the board fixes about the time of a scan.
+
+    Raises
+    ------
+    ScheduleError
+        If charge is to be held on a board with only one pulse width.
+    """
+
+    def __init__(
+        self,
+        profile: Profile,
+        hold: Literal["charge", "energy"],
+        compliance_v: float,
+        timing: ScanTiming | None = None,
+    ) -> None:
+        self._timing = ScanTiming() if timing is None else timing
+        if hold == "charge" and self._timing.width_us is not None:
+            raise ScheduleError(
+                f"charge is held by longer pulses, and this board's last {self._timing.width_us} "
+                "µs always: hold energy"
+            )
+        sites = len(profile.electrodes)
+        self._limits, self._hold = profile.limits, hold
+        self._switched = profile.output.kind != "weighted"
+        self._near_v = NEAR * compliance_v
+        longest = profile.pulse.width_us / profile.limits.pulse_us
+        # Below this a limit would change nothing, and only take long to rise again.
+        self._least_ua = longest * np.asarray(profile.threshold_ma, np.float64) * 1000
+        self._highest_ua = np.full(sites, np.inf)
+        self._first_kohm = np.full(sites, np.nan)
+        self._factor = np.ones(sites)
+        self._limited = np.zeros(sites, np.bool_)
+
+    @property
+    def limited(self) -> tuple[int, ...]:
+        """Sites whose pulses cannot become longer: their charge is no longer held."""
+        return tuple(np.flatnonzero(self._limited).tolist())
+
+    def observe(self, sequence: ScanSequence, volts: NDArray[np.float32]) -> None:
+        """Take in what a sequence needed that was delivered.
+
+        Parameters
+        ----------
+        sequence : ScanSequence
+            As it was sent.
+        volts : ndarray, (S,), V
+            What the source needed at the end of each slot's pulse.
+        """
+        peak_ua = _peak_ua(sequence.current_ua)
+        known = (peak_ua > 0) & np.isfinite(volts) & (np.asarray(volts) > 0)
+        site, peak_ua = sequence.site[known].astype(np.intp), peak_ua[known]
+        needed_v = np.asarray(volts, np.float64)[known]
+        if self._hold == "charge":
+            self._observe_charge(site, peak_ua, needed_v)
+        else:
+            self._observe_energy(site, peak_ua, needed_v)
+
+    def _observe_charge(self, site: NDArray[np.intp], peak_ua: Array, needed_v: Array) -> None:
+        """Let each site's highest current follow what its source can just drive."""
+        near = needed_v > self._near_v
+        highest = self._highest_ua[site]
+        # A source at its end says only that less is needed, not how much: step from what it had.
+        base = np.where(near, peak_ua, highest)
+        found = base.copy()
+        moves = np.isfinite(base)
+        possible = peak_ua[moves] * self._near_v / needed_v[moves]
+        found[moves] *= np.clip(possible / base[moves], FASTEST_FALL, FASTEST_RISE)
+        self._highest_ua[site] = np.maximum(found, self._least_ua[site])
+
+    def _observe_energy(self, site: NDArray[np.intp], peak_ua: Array, needed_v: Array) -> None:
+        kohm = needed_v / peak_ua * 1000
+        first = np.isnan(self._first_kohm[site]) & (needed_v <= self._near_v)
+        self._first_kohm[site[first]] = kohm[first]
+        wanted = np.sqrt(self._first_kohm[site] / kohm)
+        # Nothing comes on suddenly, not even where a lifted finger is back.
+        wanted = np.fmin(wanted, FASTEST_RISE * self._factor[site])
+        self._factor[site] = np.clip(wanted, FAINTEST_ENERGY, 1.0)
+
+    def apply(self, sequence: ScanSequence) -> ScanSequence:
+        """Return the sequence as it should be sent.
+
+        No electrode carries more than in the given one, and no pulse more
+        charge than the limit. Currents are whole µA and sum to zero in every
+        slot; widths are whole µs. The period grows where longer pulses need it.
+        """
+        site = sequence.site.astype(np.intp)
+        peak_ua = _peak_ua(sequence.current_ua)
+        if self._hold == "charge":
+            wanted = np.fmin(self._highest_ua[site] / np.maximum(peak_ua, 1), 1.0)
+            longest = np.minimum(sequence.width_us / self._limits.pulse_us, 1.0)
+            self._limited[site] = wanted < longest
+            factor = np.maximum(wanted, longest)
+        else:
+            factor = self._factor[site]
+        if self._switched:
+            factor = np.maximum(factor, _least_that_switches(sequence.current_ua))
+        changed = np.flatnonzero(factor < WORTHWHILE)
+        if not len(changed):
+            return sequence
+        current_ua, width_us = sequence.current_ua.copy(), sequence.width_us.copy()
+        current_ua[changed] = whole_ua(
+            current_ua[changed].astype(np.float64) * factor[changed, None]
+        )
+        if self._hold == "charge":
+            width_us[changed] = self._stretched(
+                width_us[changed], peak_ua[changed], _peak_ua(current_ua[changed])
+            )
+        return replace(
+            sequence,
+            current_ua=current_ua,
+            width_us=width_us,
+            period_us=max(sequence.period_us, self._shortest_us(sequence, width_us)),
+            proof=None,
+        )
+
+    def _stretched(
+        self, width_us: NDArray[np.uint16], before_ua: Array, after_ua: Array
+    ) -> NDArray[np.uint16]:
+        """Return the widths that carry the charge of before, within the limits."""
+        after_ua = np.maximum(after_ua, 1)
+        most = np.floor(np.minimum(self._limits.pulse_us, self._limits.charge_uc * 1e6 / after_ua))
+        return np.minimum(np.rint(width_us * before_ua / after_ua), most).astype(np.uint16)
+
+    def _shortest_us(self, sequence: ScanSequence, width_us: NDArray[np.uint16]) -> int:
+        pulses_us = float(width_us.mean())
+        scan_us = self._timing.shortest_period_us(
+            sequence.slots, sequence.electrodes, pulses_us, float(sequence.discharge_us.mean())
+        )
+        within_duty_us = int(width_us.sum(dtype=np.int64)) / self._limits.duty
+        return max(scan_us, self._timing.possible_period_us(within_duty_us))
+
+
+def _peak_ua(current_ua: NDArray[np.int16]) -> Array:
+    """Return the strongest current of each slot, (S,) µA (magnitude)."""
+    return np.asarray(np.abs(current_ua.astype(np.float64)).max(axis=1))
+
+
+def _least_that_switches(current_ua: NDArray[np.int16]) -> Array:
+    """Return down to what factor a slot may be scaled before an electrode becomes insulated."""
+    magnitude = np.abs(current_ua.astype(np.float64))
+    return np.asarray(1 / np.where(magnitude > 0, magnitude, np.inf).min(axis=1))

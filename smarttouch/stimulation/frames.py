@@ -1,0 +1,308 @@
+"""Slots with many points each, of one afferent class or two: the same frame in fewer slots."""
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from importlib import import_module
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
+
+from smarttouch.errors import ScheduleError
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.kernels.frames.bound import proved_sets
+from smarttouch.kernels.frames.figures import FrameBounds, SlotJudge, judge_all
+from smarttouch.kernels.frames.judge import FrameJudge, full_wish
+from smarttouch.kernels.frames.mixed import MixedJudge
+from smarttouch.kernels.frames.operator import AIM, FrameOperator
+from smarttouch.kernels.frames.slots import plan_slots
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+from smarttouch.profile.ceilings import CEILING_TOTAL_MA
+from smarttouch.stimulation.kernel_sums import Found, KernelSums
+from smarttouch.stimulation.points import Slots, constant_us, felt_at
+from smarttouch.stimulation.sequence import Proof, whole_ua
+
+Array = NDArray[np.float64]
+
+
+class Sharing(NamedTuple):
+    """Whose points share slots.
+
+    Attributes
+    ----------
+    primaries : tuple of Primary
+    planned : bool
+        Whether each frame's currents are found anew, for as few slots as can be, which takes
+        milliseconds; else kernels are added up of which no subset breaks a bound.
+    """
+
+    primaries: tuple[Primary, ...] = ()
+    planned: bool = True
+
+
+NO_SHARING = Sharing()
+
+REMEMBERED = 256
+"""Frames whose plan is kept: a finger that rests, or comes back, is not planned for anew."""
+
+_ROUNDING = 0.99
+"""Part of a bound that plans keep, so that whole µA keep all of it down to a third of full
+intensity. Nothing is felt below, and what breaks a bound there is shown point by point."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Slots at full intensity: N that were found for the frame, then those of M points alone.
+
+    Attributes
+    ----------
+    found : Found
+        The first N.
+    alone : ndarray, (M,) intp
+        Points that have a slot by themselves, with their own kernels.
+    alone_level : ndarray, (M,)
+        What is wished at each of them.
+    current_ma : ndarray, (N + M, E) mA
+    do : ndarray, (2, N + M) float32
+        What the currents do to other classes, and to their own elsewhere.
+    points, site : ndarray, (N + M,) uint16
+        How many points each slot has, and the electrode of the strongest.
+    """
+
+    found: Found
+    alone: NDArray[np.intp]
+    alone_level: Array
+    current_ma: Array
+    do: NDArray[np.float32]
+    points: NDArray[np.uint16]
+    site: NDArray[np.uint16]
+
+
+class FrameSlots:
+    """Makes the slots of K classes; points whose currents leave one another alone share one.
+
+    Every slot keeps the profile's bounds on what it does to other classes, and to
+    its own class elsewhere, and its limits of current, by the finished currents; a
+    point that no other goes with has a slot of its own.
+
+    Parameters
+    ----------
+    profile : Profile
+        Skin, pulse, limits, bounds and thresholds.
+    bank : KernelBank
+        Kernels of single points.
+    primaries : tuple of Primary
+        Which of them to use; points of several may share slots, too.
+    planned : bool
+        See `Sharing`. Points of a class of which nothing is proved are shown one by one.
+
+    Raises
+    ------
+    ScheduleError
+        If the board cannot give every electrode its own current, pulse width
+        carries intensity, or the profile does not limit total current.
+    """
+
+    def __init__(
+        self,
+        profile: Profile,
+        bank: KernelBank,
+        primaries: tuple[Primary, ...],
+        planned: bool = True,
+    ) -> None:
+        reason = why_not(profile)
+        if reason is not None:
+            raise ScheduleError(f"a whole frame cannot be shown at once: {reason}: choose points")
+        # Matrices are small: with other work on the machine, a second thread costs a hundredfold.
+        self._blas = ThreadpoolController()
+        kernels = [np.asarray(bank.kernels(each), np.float64) for each in primaries]
+        judges = [
+            FrameJudge(profile, each, full_wish(profile, each, own, bank.receptor[each]))
+            for each, own in zip(primaries, kernels, strict=True)
+        ]
+        judge: SlotJudge = judges[0] if len(judges) == 1 else MixedJudge(judges)
+        self._judge = judge
+        self._operator = FrameOperator(judge) if planned else None
+        if planned:
+            # Not by the first frame that breaks a bound: that takes longer than ten frames.
+            import_module("scipy.optimize")
+        full_ma = np.minimum(profile.full_ma, judge.full_ma)
+        self._points_ma = np.concatenate([own * full_ma[:, None] for own in kernels])
+        self._driven = np.isin(np.arange(len(full_ma)), profile.driven)
+        each = np.flatnonzero(np.tile(self._driven, len(primaries)))
+        self._points_do = np.full((2, len(self._points_ma)), np.nan)
+        self._points_do[:, each] = _selectivity(
+            judge, self._points_ma[each], np.eye(len(self._points_ma))[each]
+        )
+        frames = profile.frames
+        self._bounds = FrameBounds(frames.other, frames.spill, frames.uneven)
+        self._planned_bounds = FrameBounds(
+            _ROUNDING * frames.other, _ROUNDING * frames.spill, frames.uneven
+        )
+        self._limit_ma = profile.limits.total_ma or CEILING_TOTAL_MA
+        # Less what rounding hardly ever adds; where it does, a slot is shown point by point.
+        self._planned_ma = self._limit_ma - 0.002 * np.sqrt(len(full_ma))
+        self._felt_at = [felt_at(profile, each) for each in primaries]
+        self._faintest = profile.threshold_ma / profile.full_ma
+        self._widths_us = constant_us(len(self._points_ma), profile.pulse.width_us)
+        self._plans: OrderedDict[bytes, Plan] = OrderedDict()
+        self._sums = None
+        if not planned:
+            self._sums = KernelSums(
+                [proved_sets(FrameOperator(each), self._planned_bounds) for each in judges],
+                len(self._points_ma),
+                1 - AIM * frames.uneven,
+                self._planned_ma,
+                self._bounds,
+                float(self._faintest[self._driven].min()),
+            )
+
+    def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
+        """Return the slots of the classes' rows of a tactile image, with their proof.
+
+        An active point is activated as its own kernel would, with its threshold
+        current times intensity at the faintest activation and its strongest
+        comfortable current times intensity at full activation, but for the
+        unevenness that the profile allows. Currents are whole µA that sum to zero
+        in every slot. A masked electrode has no slot.
+
+        Parameters
+        ----------
+        activation : ndarray, (K, E) float32, in [0, 1]
+            What should be felt at each electrode.
+        intensity : float, in [0, 1]
+            What all currents are scaled with.
+        """
+        plan = self._planned(activation if intensity > 0 else 0 * activation)
+        current_ua, proof, certain = self._finished(plan, intensity)
+        if not certain:
+            broken = self._broken(current_ua, proof)
+            if broken.any():
+                plan = self._one_by_one(plan, broken)
+                current_ua, proof, _ = self._finished(plan, intensity)
+        return Slots(plan.site, current_ua, self._widths_us[: len(plan.site)], proof)
+
+    def _finished(self, plan: Plan, intensity: float) -> tuple[NDArray[np.int16], Proof, bool]:
+        """Return currents as they are sent, what these do, and whether all is kept for certain.
+
+        What single points do is that of their kernels, as designed.
+        """
+        current_ua = whole_ua(1000 * intensity * plan.current_ma)
+        found, do = plan.found, plan.do.copy()
+        if self._sums is not None and intensity >= self._sums.certain_from:
+            do[:, : len(found.owner)] = self._sums.figures(intensity)[:, found.owner]
+            # All that rounding can add is half a µA for each electrode.
+            most_ua = 1000 * intensity * found.most_ma + len(self._driven) / 2
+            return current_ua, Proof(plan.points, *do), most_ua < 1000 * self._limit_ma
+        shared = np.flatnonzero(plan.points > 1)
+        with self._blas.limit(limits=1, user_api="blas"):
+            do[:, shared] = _selectivity(
+                self._judge, current_ua[shared] / 1000, found.level[shared]
+            )
+        return current_ua, Proof(plan.points, *do), False
+
+    def _broken(self, current_ua: NDArray[np.int16], proof: Proof) -> NDArray[np.bool_]:
+        """Return which slots of several points break a bound or carry too much in all."""
+        # In balance: what flows in is half of all that flows.
+        total_ua = np.abs(current_ua).sum(axis=1, dtype=np.int64)
+        broken = np.asarray(proof.worst_other > self._bounds.other)
+        broken |= proof.worst_spill > self._bounds.spill
+        broken |= total_ua > 2000 * self._limit_ma
+        broken &= proof.points > 1
+        return broken
+
+    def _planned(self, activation: NDArray[np.float32]) -> Plan:
+        key = activation.tobytes()
+        if key not in self._plans:
+            self._plans[key] = self._plan(activation)
+            if len(self._plans) > REMEMBERED:
+                self._plans.popitem(last=False)
+        self._plans.move_to_end(key)
+        return self._plans[key]
+
+    def _plan(self, activation: NDArray[np.float32]) -> Plan:
+        asked = activation
+        if any(felt is not None for felt in self._felt_at):
+            asked = np.array(
+                [
+                    row if felt is None else np.append(row, np.float32(0))[felt]
+                    for row, felt in zip(activation, self._felt_at, strict=True)
+                ]
+            )
+        active = (asked > 0) & self._driven
+        level = np.where(active, self._faintest + (1 - self._faintest) * asked, 0.0).ravel()
+        # Slots aim a little low, which saves current; the faintest would not be felt then.
+        level = np.minimum(level / (1 - AIM * self._bounds.uneven), 1.0)
+        if self._sums is not None:
+            found = self._sums.add_up(level)
+        else:
+            with self._blas.limit(limits=1, user_api="blas"):
+                found = self._found(level)
+        alone = np.flatnonzero(np.where(found.level.any(axis=0), 0.0, level))
+        return self._completed(found, alone, level[alone])
+
+    def _found(self, level: Array) -> Found:
+        """Return slots with currents of this frame's own."""
+        assert self._operator is not None
+        slots = plan_slots(
+            self._operator, level, self._planned_bounds, self._planned_ma, self._points_ma
+        )
+        levels = np.zeros((len(slots), len(level)))
+        currents_ma = np.zeros((len(slots), self._points_ma.shape[1]))
+        for row, current_ma, slot in zip(levels, currents_ma, slots, strict=True):
+            row[slot.sites], current_ma[:] = level[slot.sites], slot.current
+        do = [[each.figures.worst_other, each.figures.worst_spill] for each in slots]
+        points = np.array([len(each.sites) for each in slots], np.intp)
+        return Found(levels, currents_ma, points, np.array(do, np.float32).reshape(-1, 2).T)
+
+    def _one_by_one(self, plan: Plan, broken: NDArray[np.bool_]) -> Plan:
+        """Return a plan in which the points of some slots have slots of their own."""
+        broken = broken[: len(plan.found.level)]
+        level = plan.found.level[broken].sum(axis=0)
+        added = np.flatnonzero(level)
+        return self._completed(
+            plan.found.without(broken),
+            np.concatenate([plan.alone, added]),
+            np.concatenate([plan.alone_level, level[added]]),
+        )
+
+    def _completed(self, found: Found, alone: NDArray[np.intp], level: Array) -> Plan:
+        """Return a plan with a slot more for each of some points, by its own kernel."""
+        count = len(found.level)
+        points = np.ones(count + len(alone), np.uint16)
+        points[:count] = found.points
+        strongest = found.level.argmax(axis=1)
+        if not len(alone):
+            site = (strongest % len(self._driven)).astype(np.uint16)
+            return Plan(found, alone, level, found.current_ma, found.do, points, site)
+        strongest = np.concatenate([strongest, alone])
+        return Plan(
+            found,
+            alone,
+            level,
+            np.concatenate([found.current_ma, level[:, None] * self._points_ma[alone]]),
+            # A faint point does so much less: figures are scaled to level 1.
+            np.concatenate([found.do, self._points_do[:, alone] * level], axis=1, dtype=np.float32),
+            points,
+            (strongest % len(self._driven)).astype(np.uint16),
+        )
+
+
+def _selectivity(judge: SlotJudge, current_ma: Array, level: Array) -> Array:
+    """Return worst other and worst spill of many slots, (2, S)."""
+    figures = judge_all(judge, current_ma, level)
+    found = [(each.worst_other, each.worst_spill) for each in figures]
+    return np.array(found, np.float64).reshape(len(found), 2).T
+
+
+def why_not(profile: Profile) -> str | None:
+    """Return why a profile's board can show points only one by one; None if it need not."""
+    if profile.output.kind != "weighted":
+        return f"the board is {profile.output.kind}, with one source for all electrodes"
+    if profile.pulse.carrier == "width":
+        return "pulse.carrier is 'width', one for all points of a slot"
+    if not profile.shares:
+        return "frames.share is not on, or limits.total_ma is not set, which bounds their current"
+    return None

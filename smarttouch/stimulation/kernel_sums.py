@@ -1,0 +1,165 @@
+"""Kernels of which no subset breaks a bound, added up: the slots of a frame without a search."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.kernels.frames.bound import Certainty, SharedKernels
+from smarttouch.kernels.frames.figures import FrameBounds
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Slots of several points, at full intensity.
+
+    Attributes
+    ----------
+    level : ndarray, (S, P)
+        What is wished at each point of a slot, 0 at all others.
+    current_ma : ndarray, (S, E) mA
+    points : ndarray, (S,) intp
+        How many each slot has.
+    do : ndarray, (2, S) float32
+        What the currents do to other classes, and to their own elsewhere; of sums of kernels
+        see `KernelSums.figures`.
+    owner : ndarray, (S,) intp
+        Of which proved set the points of each slot are; empty where there are none.
+    most_ma : float, mA
+        No slot carries more in all.
+    """
+
+    level: Array
+    current_ma: Array
+    points: NDArray[np.intp]
+    do: NDArray[np.float32]
+    owner: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
+    most_ma: float = np.inf
+
+    def without(self, broken: NDArray[np.bool_]) -> "Found":
+        """Return the others."""
+        kept = ~broken
+        return Found(
+            self.level[kept],
+            self.current_ma[kept],
+            self.points[kept],
+            self.do[:, kept],
+            self.owner[kept] if len(self.owner) else self.owner,
+            self.most_ma,
+        )
+
+
+class KernelSums:
+    """Adds up kernels of proved sets, as many at once as total current allows.
+
+    Parameters
+    ----------
+    sets : sequence of sequence of SharedKernels
+        Those of each class.
+    points : int
+        P, the sites of all classes.
+    aim : float
+        Part of their wish that targets get.
+    most_ma : float, mA
+        What all cathodes of a slot may carry.
+    bounds : FrameBounds
+        What finished currents keep.
+    faintest : float, in (0, 1]
+        Lowest level of a point that is active.
+    """
+
+    def __init__(
+        self,
+        sets: Sequence[Sequence[SharedKernels]],
+        points: int,
+        aim: float,
+        most_ma: float,
+        bounds: FrameBounds,
+        faintest: float,
+    ) -> None:
+        self._points_n, self._aim, self._most_ma = points, aim, most_ma
+        self._electrodes = points // len(sets)
+        every = [(index, each) for index, own in enumerate(sets) for each in own]
+        nothing = np.empty(0, np.intp)
+        self._points = np.concatenate(
+            [nothing, *(each.sites + index * self._electrodes for index, each in every)]
+        )
+        self._kernels_ma = np.concatenate(
+            [np.empty((0, self._electrodes)), *(each.kernels for _, each in every)]
+        )
+        self._scratch_ma = np.empty_like(self._kernels_ma)
+        self._totals_ma = np.concatenate([np.empty(0), *(each.totals_ma for _, each in every)])
+        self._owner = np.repeat(np.arange(len(every)), [len(each.sites) for _, each in every])
+        self._certain = [Certainty.of(each, aim, faintest) for _, each in every]
+        self.certain_from = max((each.least(bounds) for each in self._certain), default=0.0)
+        """Intensity from which no sum breaks a bound, whatever rounding to whole µA does."""
+        self._figures: tuple[float, NDArray[np.float32]] = -1.0, np.empty((2, 0), np.float32)
+
+    def figures(self, intensity: float) -> NDArray[np.float32]:
+        """Return what no slot's worst other and worst spill are above, of each set, (2, sets)."""
+        if intensity != self._figures[0]:
+            found = [each.figures(intensity) for each in self._certain]
+            self._figures = intensity, np.array(found, np.float32).reshape(-1, 2).T
+        return self._figures[1]
+
+    def add_up(self, level: Array) -> Found:
+        """Return the slots in which several points find together, at levels (P,)."""
+        wanted = level[self._points]
+        aimed = self._aim * wanted
+        totals_ma = aimed * self._totals_ma
+        active = np.flatnonzero(totals_ma)
+        # Set after set, the strongest of each first.
+        order = np.lexsort((-totals_ma[active], self._owner[active]))
+        active = active[order]
+        owner = self._owner[active]
+        parts, most_ma = _parts(totals_ma[active].tolist(), owner.tolist(), self._most_ma)
+        count = len(parts)
+        size = np.array([len(part) for part in parts], np.intp)
+        slot = np.arange(count).repeat(size)
+        index = np.array([each for part in parts for each in part], np.intp)
+        chosen = active[index]
+        levels = np.zeros((count, self._points_n))
+        levels[slot, self._points[chosen]] = wanted[chosen]
+        aimed, kernels_ma = aimed[chosen], self._scratch_ma[: len(chosen)]
+        # With "raise", numpy would fill a copy first.
+        self._kernels_ma.take(chosen, axis=0, out=kernels_ma, mode="clip")
+        current_ma = np.empty((count, self._electrodes))
+        ends = size.cumsum()
+        begin = 0
+        for row, end in zip(current_ma, ends.tolist(), strict=True):
+            aimed[begin:end].dot(kernels_ma[begin:end], out=row)
+            begin = end
+        first = owner[index[ends - size]]
+        return Found(levels, current_ma, size, np.zeros((2, count), np.float32), first, most_ma)
+
+
+def _parts(
+    totals_ma: list[float], owners: list[int], most_ma: float
+) -> tuple[list[list[int]], float]:
+    """Cut what is of one owner into parts of several that stay below a total.
+
+    One after the other, each into the first part of its owner that has room.
+
+    Returns
+    -------
+    list of list of int, float
+        And the largest total of one part.
+    """
+    parts: list[list[int]] = []
+    sums_ma: list[float] = []
+    first, before = 0, -1
+    for index, (total_ma, owner) in enumerate(zip(totals_ma, owners, strict=True)):
+        if owner != before:
+            first, before = len(parts), owner
+        for part in range(first, len(parts)):
+            if sums_ma[part] + total_ma <= most_ma:
+                parts[part].append(index)
+                sums_ma[part] += total_ma
+                break
+        else:
+            parts.append([index])
+            sums_ma.append(total_ma)
+    return [part for part in parts if len(part) > 1], max(sums_ma, default=0.0)

@@ -1,0 +1,249 @@
+"""The slots of one afferent class: a kernel at each active point, as strong as it should be."""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import ScheduleError
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+from smarttouch.profile.ceilings import CEILING_TOTAL_MA
+from smarttouch.stimulation.sequence import Proof, whole_ua
+from smarttouch.stimulation.sums import rows_of_block
+from smarttouch.stimulation.timing import ScanTiming
+
+SHORTEST_PULSE_US = 10
+"""Where pulse width carries intensity, what would be shorter is not felt."""
+
+
+class Slots(NamedTuple):
+    """The slots of one class.
+
+    Attributes
+    ----------
+    site : ndarray, (S,) uint16
+    current_ua : ndarray, (S, E) int16, µA
+    width_us : ndarray, (S,) uint16, µs
+    proof : Proof, optional
+        Where points share slots.
+    """
+
+    site: NDArray[np.uint16]
+    current_ua: NDArray[np.int16]
+    width_us: NDArray[np.uint16]
+    proof: Proof | None = None
+
+
+class PointSlots:
+    """Makes the slots of one primary.
+
+    Parameters
+    ----------
+    profile : Profile
+        Pulse, limits and thresholds.
+    bank : KernelBank
+        Kernels of the profile's array.
+    primary : Primary
+        Which of them to use.
+    timing : ScanTiming
+        Whether the order of slots is the board's.
+
+    Raises
+    ------
+    ScheduleError
+        If the bank drives a masked electrode.
+    """
+
+    def __init__(
+        self, profile: Profile, bank: KernelBank, primary: Primary, timing: ScanTiming
+    ) -> None:
+        weights = np.asarray(bank.kernels(primary), np.float32)
+        masked = list(profile.output.masked)
+        if weights[:, masked].any():
+            raise ScheduleError(
+                f"the kernels drive an electrode that output.masked {masked} lists: design the "
+                "bank of this very profile"
+            )
+        self._kernels_ua = weights * (profile.full_ma * 1000)[:, None]
+        self._strongest = np.abs(weights).argmax(axis=1)
+        limits, pulse_us = profile.limits, profile.pulse.width_us
+        highest_ma = min(limits.current_ma, 1000 * limits.charge_uc / pulse_us)
+        most_ma = np.full(len(weights), highest_ma)
+        if limits.electrode_ma is not None:
+            most_ma = np.minimum(most_ma, limits.electrode_ma)
+        self._most_ua = np.floor(1000 * most_ma[self._strongest] + 1e-6)
+        self._prove_totals(profile)
+        rounding_ua = len(weights) / 2
+        self._tight = bool((1000 * profile.full_ma + rounding_ua > self._most_ua).any())
+        self._faintest = np.asarray(profile.threshold_ma / profile.full_ma, np.float32)
+        self._range = 1 - self._faintest
+        self._weakest_level = self._weakest_that_switches(profile.output.kind)
+        self._weakest_level[masked] = np.inf
+        self._always_switches = not self._weakest_level.any()
+        count = len(weights)
+        self._scratch = np.empty((min(rows_of_block(count), count), count), np.float32)
+        self._ones = np.ones(count, np.float32)
+        self._row_starts = count * np.arange(count)
+        self._widths_all_us = constant_us(count, profile.pulse.width_us)
+        self._felt_at = felt_at(profile, primary)
+        self._pulse = profile.pulse
+        self._by_width = profile.pulse.carrier == "width"
+        self._in_index_order = timing.in_index_order
+
+    def _prove_totals(self, profile: Profile) -> None:
+        """Raise if a kernel at full strength carries more in all than any slot may."""
+        most_ma = profile.limits.total_ma or CEILING_TOTAL_MA
+        total_ma = np.abs(self._kernels_ua).sum(axis=1) / 2000
+        if total_ma.max() > most_ma:
+            site = int(total_ma.argmax())
+            raise ScheduleError(
+                f"the kernel of electrode {site} carries {total_ma[site]:.2f} mA in all at full "
+                f"strength, above the {most_ma:g} mA of a slot: lower perception.comfort_ratio, or "
+                "set limits.total_ma below it and kernels are designed within"
+            )
+
+    def _weakest_that_switches(self, kind: str) -> NDArray[np.float32]:
+        """Level per site below which a switched electrode would round to insulated."""
+        if kind == "weighted":
+            return np.zeros(len(self._kernels_ua), np.float32)
+        magnitude = np.abs(self._kernels_ua)
+        return np.asarray(1 / np.where(magnitude > 0, magnitude, np.inf).min(axis=1))
+
+    def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
+        """Return the slots of one row of a tactile image.
+
+        An active point gets its threshold current times intensity at the
+        faintest activation and its strongest comfortable current times
+        intensity at full activation; where width is the carrier, the strongest
+        current for as short as does the same. Currents are whole µA that sum to
+        zero in every slot: what rounding leaves over goes to the strongest
+        electrode of the kernel, or is carried on from electrode to electrode where
+        that would be above its limit. A masked electrode has no slot.
+
+        Parameters
+        ----------
+        activation : ndarray, (E,) float32, in [0, 1]
+            What should be felt at each electrode; the electrode whose receptors lie there
+            is stimulated.
+        intensity : float, in [0, 1]
+            What all currents are scaled with.
+        """
+        if self._felt_at is not None:
+            # The last one stands for nowhere.
+            activation = np.append(activation, np.float32(0))[self._felt_at]
+        site = activation.nonzero()[0] if intensity > 0 else np.empty(0, np.intp)
+        if not self._in_index_order:
+            site = site.take(spread_order(len(site)))
+        level = activation.take(site)
+        level *= self._range.take(site)
+        level += self._faintest.take(site)
+        level *= intensity
+        width_us = felt = None
+        if self._by_width:
+            width_us = self._widths_us(level)
+            level = np.where(width_us >= SHORTEST_PULSE_US, np.float32(1), np.float32(0))
+            felt = level > 0
+        elif not self._always_switches:
+            felt = level >= self._weakest_level[site]
+        if felt is not None and not felt.all():
+            site, level = site[felt], level[felt]
+            width_us = None if width_us is None else width_us[felt]
+        slots = len(site)
+        if width_us is None:
+            width_us = self._widths_all_us[:slots]
+        current_ua, surplus = self._rounded(site, level)
+        strongest = self._row_starts[:slots] + self._strongest.take(site)
+        flat = current_ua.reshape(-1)
+        flat[strongest] -= surplus
+        if self._tight and (over := np.abs(flat[strongest]) > self._most_ua[site]).any():
+            current_ua[over] = self._carried(site[over], level[over])
+        return Slots(site.astype(np.uint16), current_ua, width_us)
+
+    def _rounded(
+        self, site: NDArray[np.intp], level: NDArray[np.float32]
+    ) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
+        """Return each kernel times its level in whole µA, (S, E), and what each is off, (S,)."""
+        slots, rows = len(site), len(self._scratch)
+        current_ua = np.empty((slots, len(self._ones)), np.int16)
+        surplus = np.empty(slots, np.float32)
+        for first in range(0, slots, rows):
+            part = slice(first, min(slots, first + rows))
+            block = self._scratch[: part.stop - first]
+            # With "raise", numpy would fill a copy of the block first.
+            np.take(self._kernels_ua, site[part], axis=0, out=block, mode="clip")
+            block *= level[part, None]
+            np.rint(block, out=block)
+            # Whole numbers far below 2^24: exact in single precision.
+            block.dot(self._ones, out=surplus[part])
+            np.copyto(current_ua[part], block, casting="unsafe")
+        return current_ua, surplus.astype(np.int16)
+
+    def _carried(self, site: NDArray[np.intp], level: NDArray[np.float32]) -> NDArray[np.int16]:
+        """Return slots in which no electrode is off by a µA, and none above its limit, (S, E)."""
+        exact_ua = self._kernels_ua[site].astype(np.float64) * level[:, None]
+        # A little below the limit, which is whole: what is carried cannot lift it above.
+        peak_ua = np.abs(exact_ua).max(axis=1)
+        exact_ua *= np.minimum(1, (self._most_ua[site] - 1e-3) / peak_ua)[:, None]
+        return whole_ua(exact_ua)
+
+    def _widths_us(self, level: NDArray[np.float32]) -> NDArray[np.uint16]:
+        """Return how long the strongest current does what a part of it does for a whole pulse, µs.
+
+        By Weiss's law a pulse of width w needs a current in proportion to 1 + c/w, c the
+        chronaxie.
+        """
+        full, chronaxie = self._pulse.width_us, self._pulse.chronaxie_us
+        width = chronaxie * level / (1 + chronaxie / full - level)
+        return np.asarray(np.floor(width + 1e-3), np.uint16)
+
+
+def felt_at(profile: Profile, primary: Primary) -> NDArray[np.intp] | None:
+    """Return at which electrode each electrode's point is felt, E if at none of them.
+
+    Parameters
+    ----------
+    profile : Profile
+        Its ``perception.pc_shift_mm`` and the like (paper, Section III-B.4).
+    primary : Primary
+        Whose axons are stimulated.
+
+    Returns
+    -------
+    ndarray or None, (E,)
+        None where every point is felt where it is.
+    """
+    felt = profile.perception
+    shift_mm = (felt.ra_shift_mm, felt.sai_shift_mm, felt.pc_shift_mm)[primary]
+    if not any(shift_mm):
+        return None
+    place_mm = profile.electrodes.position_mm
+    away_mm = np.abs(place_mm[:, None] + shift_mm - place_mm)
+    nearest = np.hypot(*away_mm.transpose(2, 0, 1)).argmin(axis=1)
+    # Half a cell away it is still that electrode's.
+    half_mm = np.array(profile.electrodes.cell_mm) / 2 + 1e-9
+    here = (away_mm[np.arange(len(nearest)), nearest] <= half_mm).all(axis=1)
+    return np.asarray(np.where(here, nearest, len(nearest)), np.intp)
+
+
+def constant_us(count: int, time_us: int) -> NDArray[np.uint16]:
+    """Return the same time for many slots, (count,): frames take the first of it as they are."""
+    times = np.full(count, time_us, np.uint16)
+    times.setflags(write=False)
+    return times
+
+
+@lru_cache(maxsize=4096)
+def spread_order(count: int) -> NDArray[np.intp]:
+    """Return an order of ``count`` points that keeps successive ones apart.
+
+    Steps through the row-by-row list by about the golden section of its
+    length, the stride whose neighbors in time are evenly far in the list.
+    """
+    stride = round(count * 0.382)
+    while stride > 1 and math.gcd(stride, count) > 1:
+        stride += 1
+    return np.asarray(np.arange(count) * max(1, stride) % max(1, count), np.intp)

@@ -1,0 +1,292 @@
+"""Tactile image times kernels times intensity: the slots of one frame."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import ScheduleError
+from smarttouch.imaging.tactile_image import TactileImage
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+from smarttouch.stimulation.exposure import BURST_US, Load, shortest_period_us
+from smarttouch.stimulation.frames import NO_SHARING, FrameSlots, Sharing
+from smarttouch.stimulation.limits import SafetyLimits
+from smarttouch.stimulation.points import PointSlots, Slots, constant_us
+from smarttouch.stimulation.rates import PulseRates, rate_share
+from smarttouch.stimulation.sequence import Proof, ScanSequence
+from smarttouch.stimulation.sums import SlotAdder, common_us
+from smarttouch.stimulation.timing import ScanTiming
+
+_SLOWEST_HZ = 0.1
+_BOTH = (Primary.RA, Primary.SAI)
+"""Of opposite polarity: where both are due, a point of one is the return of one of the other."""
+
+
+class PointScan:
+    """Schedules one slot for each active point (paper, Section IV-A, Fig. 19), or fewer.
+
+    Parameters
+    ----------
+    profile : Profile
+        Pulse, limits and thresholds.
+    bank : KernelBank
+        Kernels of the profile's array.
+    primaries : tuple of Primary
+        Which of them to use; each of several has its own pulse rate.
+    rate_hz : float, Hz, optional
+        Sequences a second asked for, with one primary; with several, the
+        profile says how often each pulses.
+    timing : ScanTiming, optional
+        What the board fixes; nothing if not given.
+    softness : float, in [0, 1]
+        How little the rate of SAI pulses follows force.
+    vibrated : bool
+        Whether mechanical vibrators do what PC is to feel, and no current.
+    sharing : Sharing
+        Classes whose points share a slot where their currents leave one another alone.
+
+    Attributes
+    ----------
+    asked_us : int, µs
+        Period that the last sequence would have if its slots fit.
+
+    Raises
+    ------
+    ScheduleError
+        If the rate is impossible, the board has other pulses than the profile
+        or only one rate, or the bank drives a masked electrode.
+    """
+
+    def __init__(
+        self,
+        profile: Profile,
+        bank: KernelBank,
+        primaries: tuple[Primary, ...],
+        rate_hz: float | None = None,
+        timing: ScanTiming | None = None,
+        softness: float = 1.0,
+        vibrated: bool = False,
+        sharing: Sharing = NO_SHARING,
+    ) -> None:
+        timing = ScanTiming() if timing is None else timing
+        timing.check(profile)
+        pulse, limits = profile.pulse, profile.limits
+        rates_hz = {primaries[0]: pulse.rate_hz if rate_hz is None else rate_hz}
+        if Primary.PC in primaries and len(primaries) > 1:
+            # All three never pulse by themselves.
+            rates_hz = {}
+        elif len(primaries) > 1:
+            rates_hz = {Primary.RA: pulse.ra_rate_hz, Primary.SAI: pulse.sai_rate_hz}
+            if rate_hz is not None:
+                raise ScheduleError(
+                    f"one rate of {rate_hz:g} Hz is not for several classes at once: set "
+                    "pulse.ra_rate_hz and pulse.sai_rate_hz of the profile"
+                )
+            if timing.whole_hz or timing.every_electrode or timing.in_index_order:
+                raise ScheduleError(
+                    "natural mode pulses at two rates, and this board scans all electrodes at "
+                    "one: choose RA or SAI"
+                )
+        for each_hz in rates_hz.values():
+            if not _SLOWEST_HZ <= each_hz <= limits.rate_hz:
+                raise ScheduleError(
+                    f"a rate of {each_hz:g} Hz is not possible: it must be at least "
+                    f"{_SLOWEST_HZ:g} Hz and at most the profile's limit of {limits.rate_hz:g} Hz"
+                )
+        self._vibrated = vibrated
+        driven = [each for each in primaries if not (vibrated and each is Primary.PC)]
+        self._driven = tuple(driven)
+        self._points = {
+            each: PointSlots(profile, bank, each, timing)
+            for each in driven
+            if each not in sharing.primaries
+        }
+        shared: list[tuple[Primary, ...]] = [
+            (each,) for each in driven if each in sharing.primaries
+        ]
+        if sharing.planned and {(each,) for each in _BOTH} <= set(shared):
+            shared.append(_BOTH)
+        self._frames = {
+            classes: FrameSlots(profile, bank, classes, sharing.planned) for classes in shared
+        }
+        self.asked_us = 0
+        self._first = driven[0]
+        self._softness = softness
+        self._least_us = math.ceil(1e6 / limits.rate_hz)
+        self._rates = PulseRates(rates_hz, self._least_us)
+        self._one_rate_hz = rates_hz[primaries[0]] if len(primaries) == 1 else None
+        self._discharge_us = pulse.discharge_us
+        # At most one slot for each point of each class.
+        most = len(profile.electrodes) * len(primaries)
+        self._discharges_us = constant_us(most, pulse.discharge_us)
+        self._duty = limits.duty
+        self._timing = timing
+        self._electrodes = len(profile.electrodes)
+        self._adder = SlotAdder(SafetyLimits.of(profile).felt_ua)
+        # Before anything is sent: the longest scan must be possible too.
+        self._shortest_us(np.full(self._electrodes, pulse.width_us, np.uint16))
+        self._full_us = self._shortest_of_all()
+
+    def restart(self) -> None:
+        """Begin anew: all classes are due."""
+        self._rates.restart()
+
+    def schedule(
+        self,
+        image: TactileImage,
+        intensity: float,
+        pressure: float = 1.0,
+        period_us: int | None = None,
+    ) -> ScanSequence:
+        """Return the sequence for one tactile image.
+
+        Where the slots do not fit the period asked for, the period grows. At
+        intensity 0 there are none.
+
+        Parameters
+        ----------
+        image : TactileImage
+            What to feel.
+        intensity : float, in [0, 1]
+            What all currents are scaled with.
+        pressure : float, in [0, 1]
+            What the finger's force asks for: the rate of SAI pulses follows it.
+        period_us : int, µs, optional
+            Given, every active class pulses now, and not again before this has passed.
+
+        Raises
+        ------
+        ScheduleError
+            If a period is given that the profile's limits forbid, or a class is active that
+            cannot be driven.
+        """
+        if period_us is None:
+            due, self.asked_us = self._due(image.time_ns, pressure)
+        else:
+            due, self.asked_us = self._active(image.activation, period_us), period_us
+        # None is due where the rate has fallen since this time was set.
+        parts = self._parts(due or (self._first,), image, intensity if due else 0.0)
+        site, current_ua, width_us, proof = parts[0] if len(parts) == 1 else _joined(parts)
+        period_us = max(self._timing.possible_period_us(self.asked_us), self._shortest_us(width_us))
+        if period_us < self._full_us:
+            needed_us = self._exposed_us(current_ua, width_us)
+            period_us = max(period_us, self._timing.possible_period_us(needed_us))
+        return ScanSequence(
+            current_ua=current_ua,
+            width_us=width_us,
+            discharge_us=self._discharges_us[: len(site)],
+            site=site,
+            period_us=period_us,
+            intensity=float(intensity),
+            time_ns=image.time_ns,
+            vibration=image.activation[Primary.PC] * np.float32(intensity)
+            if self._vibrated
+            else None,
+            proof=proof,
+        )
+
+    def _parts(
+        self, classes: tuple[Primary, ...], image: TactileImage, intensity: float
+    ) -> list[Slots]:
+        """Return the slots of each class, or of two together."""
+        groups: list[tuple[Primary, ...]] = [(each,) for each in classes]
+        if _BOTH in self._frames and set(_BOTH) <= set(classes):
+            groups = [_BOTH, *(each for each in groups if each[0] not in _BOTH)]
+        return [
+            self._frames[group].slots(image.activation[list(group)], intensity)
+            if group in self._frames
+            else self._points[group[0]].slots(image.activation[group[0]], intensity)
+            for group in groups
+        ]
+
+    def _active(self, activation: NDArray[np.float32], period_us: int) -> tuple[Primary, ...]:
+        """Return the classes that a request lets pulse."""
+        if period_us < self._least_us:
+            raise ScheduleError(
+                f"pulses {period_us} µs apart are not possible: the profile's limit of "
+                f"{1e6 / self._least_us:g} Hz asks for {self._least_us} µs or more"
+            )
+        driven = []
+        for each in np.flatnonzero(activation.any(axis=1)).tolist():
+            if each in self._driven:
+                driven.append(Primary(each))
+            elif not (self._vibrated and each == Primary.PC):
+                offered = ", ".join(primary.name for primary in self._driven) or "none"
+                raise ScheduleError(
+                    f"{Primary(each).name} was asked for and cannot be driven here: choose of "
+                    f"{offered}"
+                )
+        return tuple(driven)
+
+    def _due(self, time_ns: int, pressure: float) -> tuple[tuple[Primary, ...], int]:
+        """Return which classes pulse now, and how long until the next is due, µs."""
+        share = rate_share(pressure, self._softness)
+        if self._one_rate_hz is None:
+            return self._rates.due(time_ns, {Primary.RA: 1.0, Primary.SAI: share})
+        slowed_hz = self._one_rate_hz * (share if self._first is Primary.SAI else 1.0)
+        return (self._first,), self._timing.possible_period_us(1e6 / slowed_hz)
+
+    def _shortest_of_all(self) -> float:
+        """Return a period that exposes no electrode too much, whatever is felt, µs.
+
+        Infinite where points share slots: what these carry is known when they are planned.
+
+        Raises
+        ------
+        ScheduleError
+            If a point alone, or all together, are too much for any period.
+        """
+        if self._frames:
+            return math.inf
+        load = np.zeros((2, self._electrodes))
+        everywhere = np.ones(self._electrodes, np.float32)
+        for points in self._points.values():
+            all_points = points.slots(everywhere, 1.0)
+            load += self._load(all_points.current_ua, all_points.width_us)
+        return self._checked_us(load)
+
+    def _exposed_us(self, current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> int:
+        """Return the shortest period in which slots expose no electrode too much, µs."""
+        return self._checked_us(self._load(current_ua, width_us))
+
+    def _load(self, current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> Load:
+        if not len(width_us):
+            return np.zeros((2, self._electrodes))
+        return self._adder.add_up(current_ua, width_us).load
+
+    def _checked_us(self, load: Load) -> int:
+        needed_us = shortest_period_us(load)
+        if needed_us > BURST_US:
+            raise ScheduleError(
+                f"the points of one frame expose an electrode as much as {needed_us / 1000:.0f} ms "
+                f"allow, and one sequence may bring at most {BURST_US / 1000:.0f} ms of it: lower "
+                "perception.comfort_ratio or pulse.width_us, or choose another mode"
+            )
+        return needed_us
+
+    def _shortest_us(self, width_us: NDArray[np.uint16]) -> int:
+        """Return the shortest period that slots of these widths need, µs."""
+        timing, slots = self._timing, len(width_us)
+        each_us = common_us(width_us) if slots else 0
+        pulses_us = slots * each_us if each_us is not None else int(width_us.sum(dtype=np.int64))
+        mean_us = pulses_us / slots if slots else 0.0
+        shortest = timing.shortest_period_us(slots, self._electrodes, mean_us, self._discharge_us)
+        return max(shortest, timing.possible_period_us(pulses_us / self._duty))
+
+
+def _joined(parts: list[Slots]) -> Slots:
+    """Return the slots of several classes one after another."""
+    site = np.concatenate([each.site for each in parts])
+    current_ua = np.concatenate([each.current_ua for each in parts])
+    width_us = np.concatenate([each.width_us for each in parts])
+    proof = None
+    if any(each.proof is not None for each in parts):
+        proofs = [each.proof or Proof.of_nothing(len(each.site)) for each in parts]
+        proof = Proof(
+            np.concatenate([each.points for each in proofs]),
+            np.concatenate([each.worst_other for each in proofs]),
+            np.concatenate([each.worst_spill for each in proofs]),
+        )
+    return Slots(site, current_ua, width_us, proof)

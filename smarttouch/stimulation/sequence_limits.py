@@ -1,0 +1,245 @@
+"""Limits of a single scan sequence, checked in whole numbers on its frozen copy."""
+
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import SafetyError
+from smarttouch.profile.ceilings import LEAST_DISCHARGE_US
+from smarttouch.stimulation.exposure import PER_PC, Load
+from smarttouch.stimulation.limits import PPB, SafetyLimits
+from smarttouch.stimulation.recharge import prove_recharge
+from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.sums import SlotAdder, common_us
+
+LONGEST_PERIOD_US = 60_000_000
+LARGEST_TIME_NS = 2**62
+_WIDTH_LEEWAY = Fraction(1001, 1000)
+"""Pulses have whole microseconds, rounded down but for what single precision loses."""
+
+
+def prove_fields(sequence: ScanSequence, limits: SafetyLimits) -> None:
+    """Raise unless numbers are in their ranges and arrays of the right length."""
+    electrodes = limits.electrodes
+    if sequence.electrodes != electrodes:
+        raise SafetyError(
+            f"currents are of {sequence.electrodes} electrodes, must be of {electrodes}",
+            limit="electrodes",
+            value=sequence.electrodes,
+            allowed=electrodes,
+        )
+    if not 0 <= sequence.intensity <= 1:
+        raise SafetyError(
+            f"intensity {sequence.intensity} must lie between 0 and 1",
+            limit="intensity",
+            value=sequence.intensity,
+            allowed=1,
+        )
+    if not 0 <= sequence.time_ns < LARGEST_TIME_NS:
+        raise SafetyError(
+            f"time {sequence.time_ns} ns must be from 0 to below 2^62",
+            limit="time_ns",
+            value=sequence.time_ns,
+            allowed=LARGEST_TIME_NS,
+        )
+    vibration = sequence.vibration
+    if vibration is None:
+        return
+    if vibration.shape != (electrodes,):
+        raise SafetyError(
+            f"vibration is of {len(vibration)} electrodes, must be of {electrodes}",
+            limit="vibration",
+            value=len(vibration),
+            allowed=electrodes,
+        )
+    # Not "any above": nothing is above NaN. In double precision, as the intensity is.
+    wide = vibration.astype(np.float64)
+    if not ((wide >= 0) & (wide <= sequence.intensity + 1e-6)).all():
+        raise SafetyError(
+            f"vibration from {vibration.min():g} to {vibration.max():g} is not between 0 and "
+            f"the intensity {sequence.intensity:.3f} that was stated",
+            limit="vibration",
+            value=float(vibration.max()),
+            allowed=sequence.intensity,
+        )
+
+
+def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int, adder: SlotAdder) -> Load:
+    """Return what slots that keep every limit bring each electrode, (2, E).
+
+    Parameters
+    ----------
+    sequence : ScanSequence
+        Frozen.
+    limits : SafetyLimits
+    ppb : int
+        Its intensity, parts per billion.
+    adder : SlotAdder
+        Of the limits' `felt_ua`.
+
+    Raises
+    ------
+    SafetyError
+        Naming the limit, the slot and electrode, and by how much.
+    """
+    slots = sequence.slots
+    longest_us, pulses_us = _prove_times(sequence, limits)
+    prove_recharge(sequence, limits.faint_ua, limits.total_ua)
+    if not slots:
+        return np.zeros((2, limits.electrodes))
+    sums = adder.add_up(sequence.current_ua, sequence.width_us)
+    net_ua, total_ua, highest_ua, load = sums
+    # Whole numbers: their squares add up to zero only where all of them are.
+    if net_ua.dot(net_ua):
+        slot = int(np.abs(net_ua).argmax())
+        raise SafetyError(
+            f"slot {slot} is out of balance by {int(net_ua[slot])} µA: currents must sum to zero",
+            limit="balance",
+            value=int(net_ua[slot]),
+            allowed=0,
+            slot=slot,
+        )
+    if highest_ua > limits.least_current_ua:
+        magnitude = _magnitude(sequence)
+        if (magnitude > limits.current_ua).any():
+            raise _above("current_ma", magnitude, limits.current_ua, 1000, "mA")
+    # In balance: what flows in is half of all that flows.
+    if np.maximum.reduce(total_ua) > 2 * limits.total_ua:
+        slot = int(total_ua.argmax())
+        raise SafetyError(
+            f"slot {slot}: {total_ua[slot] / 2000:.3f} mA flow in all, above the limit of "
+            f"{limits.total_ma:g} mA",
+            limit="total_ma",
+            value=total_ua[slot] / 2000,
+            allowed=limits.total_ma,
+            slot=slot,
+        )
+    highest_pc = highest_ua * longest_us
+    if highest_pc > limits.least_charge_pc or pulses_us != slots * longest_us:
+        charge_pc = _magnitude(sequence) * sequence.width_us[:, None]
+        if (charge_pc > limits.charge_pc).any():
+            raise _above("charge_uc", charge_pc, limits.charge_pc, 1_000_000, "µC")
+        highest_pc = int(charge_pc.max())
+    _prove_intensity(limits, ppb, highest_ua, highest_pc)
+    if sequence.recharge_ua is not None:
+        passed_pc = np.abs(sequence.recharge_ua, dtype=np.float64) * sequence.recharge_us
+        load[1] += PER_PC * passed_pc
+    return load
+
+
+def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int]:
+    """Return the longest and the added pulse width, µs, where all times keep their limits."""
+    period_us, slots = sequence.period_us, sequence.slots
+    if not limits.period_us <= period_us <= LONGEST_PERIOD_US:
+        raise SafetyError(
+            f"a period of {period_us} µs is not from {limits.period_us} µs, for the limit of "
+            f"{limits.rate_hz:g} Hz, to a minute",
+            limit="rate_hz",
+            value=period_us,
+            allowed=limits.period_us,
+        )
+    if not slots:
+        return 0, 0
+    shortest_us, longest_us, pulses_us = _extent(sequence.width_us)
+    least_us, _, rests_us = _extent(sequence.discharge_us)
+    if pulses_us + rests_us > period_us:
+        raise SafetyError(
+            f"{slots} slots take {pulses_us + rests_us} µs, longer than the period of "
+            f"{period_us} µs: lower the rate",
+            limit="period_us",
+            value=pulses_us + rests_us,
+            allowed=period_us,
+        )
+    part, whole = limits.duty_ratio
+    if pulses_us * whole > part * period_us:
+        raise SafetyError(
+            f"current flows {pulses_us / period_us:.0%} of the time, above the limit of "
+            f"{limits.duty:.0%}: lower the rate",
+            limit="duty",
+            value=pulses_us / period_us,
+            allowed=limits.duty,
+        )
+    if longest_us > limits.pulse_whole_us or shortest_us == 0:
+        raise SafetyError(
+            f"pulse widths run from {shortest_us} to {longest_us} µs: they must be above 0 "
+            f"and at most {limits.pulse_us:g} µs",
+            limit="pulse_us",
+            value=longest_us,
+            allowed=limits.pulse_us,
+        )
+    if least_us < LEAST_DISCHARGE_US:
+        slot = int(sequence.discharge_us.argmin())
+        raise SafetyError(
+            f"slot {slot}: a discharge of {least_us} µs is below {LEAST_DISCHARGE_US} µs, and its "
+            "charge would add to that of the next pulse",
+            limit="discharge_us",
+            value=least_us,
+            allowed=LEAST_DISCHARGE_US,
+            slot=slot,
+        )
+    if (site := int(np.maximum.reduce(sequence.site))) >= limits.electrodes:
+        raise SafetyError(
+            f"site {site} is none of {limits.electrodes} electrodes",
+            limit="site",
+            value=site,
+            allowed=limits.electrodes - 1,
+        )
+    return longest_us, pulses_us
+
+
+def _extent(times_us: NDArray[np.uint16]) -> tuple[int, int, int]:
+    """Return the shortest, the longest and the sum of times, which often are all the same."""
+    each = common_us(times_us)
+    if each is not None:
+        return each, each, each * len(times_us)
+    return int(times_us.min()), int(times_us.max()), int(times_us.sum(dtype=np.int64))
+
+
+def _magnitude(sequence: ScanSequence) -> NDArray[np.float64]:
+    """Return all magnitudes, (S, E) µA: for what sums do not say."""
+    return np.abs(sequence.current_ua.astype(np.float64))
+
+
+def _above(
+    limit: str,
+    each: Load,
+    allowed: NDArray[np.float64],
+    unit: int,
+    symbol: str,
+) -> SafetyError:
+    slot, electrode = divmod(int((each - allowed).argmax()), each.shape[1])
+    value, most = each[slot, electrode] / unit, allowed[electrode] / unit
+    return SafetyError(
+        f"slot {slot}, electrode {electrode}: {value:.3f} {symbol} is above the limit of "
+        f"{most:g} {symbol}",
+        limit=limit,
+        value=value,
+        allowed=most,
+        slot=slot,
+        electrode=electrode,
+    )
+
+
+def _prove_intensity(limits: SafetyLimits, ppb: int, peak_ua: int, charge_pc: int) -> None:
+    """Raise unless current, or charge where width carries intensity, is in proportion to it."""
+    highest = limits.most_ua(ppb if limits.full_us is None else PPB)
+    if limits.full_us is not None:
+        full = limits.full_ua + limits.rounding_ua
+        most_pc = full * round(limits.full_us) * _WIDTH_LEEWAY * ppb / PPB
+        if charge_pc > most_pc:
+            raise SafetyError(
+                f"{charge_pc / 1e6:.3f} µC is more than intensity {ppb / PPB:.3f} allows, "
+                f"{float(most_pc) / 1e6:.3f} µC",
+                limit="intensity",
+                value=charge_pc / 1e6,
+                allowed=float(most_pc) / 1e6,
+            )
+    if peak_ua > highest:
+        raise SafetyError(
+            f"{peak_ua / 1000:.3f} mA is more than intensity {ppb / PPB:.3f} allows, "
+            f"{highest / 1000:.3f} mA",
+            limit="intensity",
+            value=peak_ua / 1000,
+            allowed=highest / 1000,
+        )

@@ -1,0 +1,114 @@
+"""Sums over the slots of a sequence, exact, in memory that is used for one frame after another."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.stimulation.exposure import PER_PC, PER_PULSE, Load
+
+BLOCK = 131_072
+"""Currents that are worked on at once: in single precision half a megabyte, which stays in a
+processor's own cache."""
+_EXACT_SINGLE = 2**24
+"""Whole numbers below are exact in single precision."""
+
+_largest = np.maximum.reduce
+
+
+def rows_of_block(electrodes: int) -> int:
+    """Return how many slots are worked on at once."""
+    return max(1, BLOCK // electrodes)
+
+
+def common_us(times_us: NDArray[np.uint16]) -> int | None:
+    """Return the time that all slots have, (S,) with S > 0; None if they differ."""
+    data = times_us.tobytes()
+    return int(times_us[0]) if data == data[:2] * len(times_us) else None
+
+
+class SlotSums(NamedTuple):
+    """Sums over the currents of S slots.
+
+    Attributes
+    ----------
+    net_ua : ndarray, (S,) float, µA
+        Of each slot: zero where it is in balance.
+    total_ua : ndarray, (S,) float, µA
+        Of all magnitudes of each slot.
+    highest_ua : int, µA
+        Largest magnitude of all.
+    load : ndarray, (2, E)
+        What the slots bring each electrode.
+    """
+
+    net_ua: NDArray[np.floating]
+    total_ua: NDArray[np.floating]
+    highest_ua: int
+    load: Load
+
+
+class SlotAdder:
+    """Adds up slots, block by block; not for two threads at once.
+
+    Parameters
+    ----------
+    felt_ua : ndarray, (E,) float32, µA
+        Current from which a pulse of each electrode counts as felt.
+    """
+
+    def __init__(self, felt_ua: NDArray[np.float32]) -> None:
+        self._felt_ua, self._electrodes = felt_ua, len(felt_ua)
+        self._rows = rows_of_block(self._electrodes)
+        self._most = max(self._rows, self._electrodes)
+        self._scratch: dict[type[np.floating], tuple[NDArray[Any], NDArray[Any]]] = {}
+
+    def add_up(self, current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> SlotSums:
+        """Return the sums of slots.
+
+        Parameters
+        ----------
+        current_ua : ndarray, (S, E) int16, µA
+            With S > 0.
+        width_us : ndarray, (S,) uint16, µs
+        """
+        sums = self._added(current_ua, width_us, np.float32)
+        # No sum on the way is larger than that of all magnitudes.
+        if sums.highest_ua * self._most >= _EXACT_SINGLE:
+            sums = self._added(current_ua, width_us, np.float64)
+        return sums
+
+    def _added(
+        self,
+        current_ua: NDArray[np.int16],
+        width_us: NDArray[np.uint16],
+        kind: type[np.floating],
+    ) -> SlotSums:
+        slots = len(current_ua)
+        if kind not in self._scratch:
+            block = np.empty((self._rows, self._electrodes), kind)
+            self._scratch[kind] = block, np.ones(self._most, kind)
+        scratch, ones = self._scratch[kind]
+        across = ones[: self._electrodes]
+        each_us = common_us(width_us)
+        net, total = np.empty(slots, kind), np.empty(slots, kind)
+        load = np.zeros((2, self._electrodes))
+        felt, charge = load
+        highest = 0
+        for first in range(0, slots, self._rows):
+            part = slice(first, min(slots, first + self._rows))
+            block = scratch[: part.stop - first]
+            down = ones[: len(block)]
+            np.copyto(block, current_ua[part])
+            block.dot(across, out=net[part])
+            np.abs(block, out=block)
+            highest = max(highest, int(_largest(block, axis=None)))
+            block.dot(across, out=total[part])
+            if each_us is None:
+                charge += width_us[part].astype(np.float64).dot(block)
+            else:
+                charge += down.dot(block)
+            felt += down.dot(np.greater_equal(block, self._felt_ua, out=block, casting="unsafe"))
+        felt *= PER_PULSE
+        charge *= PER_PC if each_us is None else PER_PC * each_us
+        return SlotSums(net, total, highest, load)

@@ -1,0 +1,93 @@
+"""Parallel ridges, by formula."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import PageError
+from smarttouch.texture.texture import COARSEST_PITCH_MM, FINEST_PITCH_MM, Passed, Texture
+
+_LEVELS = 256
+_WAVE = np.asarray(
+    np.rint(127.5 * (1 - np.cos(2 * np.pi * (np.arange(_LEVELS) + 0.5) / _LEVELS))), np.uint8
+)
+"""Grey levels of one period, dark on the ridge."""
+
+
+class Grating(Texture):
+    """Ridges at one pitch, without ends; one runs through the origin.
+
+    Parameters
+    ----------
+    pitch_mm : float, mm
+        From ridge to ridge.
+    angle_deg : float, degrees
+        How far the ridges are turned clockwise from upright.
+
+    Raises
+    ------
+    PageError
+        If no finger could feel that.
+    """
+
+    def __init__(self, pitch_mm: float, angle_deg: float = 0.0) -> None:
+        if not FINEST_PITCH_MM <= pitch_mm <= COARSEST_PITCH_MM:
+            raise PageError(
+                f"a grating of {pitch_mm:g} mm cannot be felt: give {FINEST_PITCH_MM:g} to "
+                f"{COARSEST_PITCH_MM:g} mm"
+            )
+        if not abs(angle_deg) <= 360:
+            raise PageError(f"{angle_deg:g} degrees are no angle: give -360 to 360")
+        turned = f", turned by {angle_deg:g}°" if angle_deg else ""
+        super().__init__(f"grating of {pitch_mm:g} mm{turned}", None)
+        angle = math.radians(angle_deg)
+        self.pitch_mm = pitch_mm
+        self.per_mm = np.array([math.cos(angle), math.sin(angle)]) / pitch_mm
+        """Cycles for each mm to the right and down, (2,)."""
+
+    def feeler(self, position_mm: NDArray[np.float64]) -> "GratingFeeler":
+        """Return electrodes over it."""
+        return GratingFeeler(self.per_mm, position_mm)
+
+    def draw(
+        self, left_mm: float, top_mm: float, shape: tuple[int, int], pixel_mm: float
+    ) -> NDArray[np.uint8]:
+        """Return a part of it as ink on paper, (H, W) uint8."""
+        rows, columns = shape
+        across = (left_mm + pixel_mm * (np.arange(columns) + 0.5)) * self.per_mm[0]
+        down = (top_mm + pixel_mm * (np.arange(rows) + 0.5)) * self.per_mm[1]
+        # Sums of bytes go round as phases do.
+        across, down = ((each % 1 * _LEVELS).astype(np.uint8) for each in (across, down))
+        return np.asarray(_WAVE[across[None] + down[:, None]])
+
+
+class GratingFeeler:
+    """Each electrode has a phase of the grating; a ridge passes at each whole number.
+
+    The phase is the spatial frequency times the place in the world, so that an
+    electrode pulses spatial frequency times speed times a second (paper,
+    Section IV-C), at places that do not move with the hand.
+
+    Parameters
+    ----------
+    per_mm : ndarray, (2,), cycles/mm
+    position_mm : ndarray, (E, 2), mm
+    """
+
+    def __init__(self, per_mm: NDArray[np.float64], position_mm: NDArray[np.float64]) -> None:
+        self._per_x, self._per_y = per_mm.tolist()
+        self._own = position_mm @ per_mm
+        self._before = np.floor(self._own)
+
+    def place(self, x_mm: float, y_mm: float) -> None:
+        """Put the middle of the array somewhere."""
+        self._before = np.floor(self._own + (x_mm * self._per_x + y_mm * self._per_y))
+
+    def move(self, x_mm: float, y_mm: float) -> Passed:
+        """Move the middle of the array there; the order of ridges on the way does not matter."""
+        before = self._before
+        self.place(x_mm, y_mm)
+        ridges = np.abs(self._before - before)
+        height = np.minimum(ridges, 1).astype(np.float32)
+        return Passed(height, int(ridges.sum() - height.sum()))

@@ -1,0 +1,90 @@
+"""How the hand moves: the contract of what tells it, and opening it by URL."""
+
+import inspect
+import math
+from abc import ABC, abstractmethod
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any
+
+from smarttouch.errors import SensorError
+from smarttouch.sources.device import Device
+
+_OPENERS = {
+    "evdev": "smarttouch.texture.evdev_motion",
+    "path": "smarttouch.texture.path_motion",
+    "sweep": "smarttouch.texture.sweep_motion",
+    "window": "smarttouch.texture.window_motion",
+}
+"""Modules by name of the kind; each has a function ``open_it(rest, **options)``."""
+_ANY_SENSOR = "smarttouch.texture.sensor_motion"
+
+
+class Motion(Device, ABC):
+    """Tells how far a hand has moved, opened by its URL.
+
+    Attributes
+    ----------
+    origin_mm : tuple of float, mm, or None
+        Where on a texture it begins, from its top left corner; in its middle if None.
+        Known after the first look.
+    force_n : float, N
+        How hard the finger pressed at the last look, where ``knows_force``.
+    """
+
+    duration_s: float | None = None
+    """How long it lasts; None if it never ends by itself."""
+    resolution_mm: float = 0.0
+    """Smallest motion that it tells: at rest it may jump to and fro by so much."""
+
+    def __init__(self, title: str) -> None:
+        super().__init__(title)
+        self.knows_force = False
+        self.force_n = math.nan
+        self.origin_mm: tuple[float, float] | None = None
+
+    @abstractmethod
+    def read(self, time_ns: int) -> tuple[float, float] | None:
+        """Return how far the hand is from where it began, right and down; None at the end.
+
+        Parameters
+        ----------
+        time_ns : int
+            Since the start of the run; rises from call to call.
+
+        Returns
+        -------
+        tuple of float, mm, or None
+        """
+
+
+def open_motion(url: str, **options: Any) -> Motion:
+    """Open what tells how a hand moves, for example ``evdev:`` or ``sweep:``.
+
+    Parameters
+    ----------
+    url : str
+        ``sweep:``, ``evdev:DEVICE``, ``window:``, ``path:CSV``, or the URL of any sensor
+        whose frames have a pose, as ``camera:0``.
+    **options
+        What the kind takes, see ``open_it`` in its module; those that are None were not given.
+
+    Raises
+    ------
+    SensorError
+        If there is no such kind, it does not take an option, or cannot be opened.
+    """
+    kind, colon, rest = url.partition(":")
+    sensors = {point.name for point in entry_points(group="smarttouch.sensors")}
+    if not colon or kind not in _OPENERS.keys() | sensors:
+        names = ", ".join(f"{each}:" for each in [*_OPENERS, *sorted(sensors)])
+        raise SensorError(f"unknown motion {url!r}: it must begin with one of {names}")
+    opener = import_module(_OPENERS.get(kind, _ANY_SENSOR)).open_it
+    given = {name: value for name, value in options.items() if value is not None}
+    taken = list(inspect.signature(opener).parameters)[1:]
+    for name in given:
+        if name not in taken:
+            takes = ", ".join(taken) or "none"
+            raise SensorError(f"{kind}: does not take {name}: leave it out (it takes {takes})")
+    motion: Motion = opener(rest if kind in _OPENERS else url, **given)
+    return motion

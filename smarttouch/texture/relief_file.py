@@ -1,0 +1,145 @@
+"""Heights from files and texts."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import ImageOps
+
+from smarttouch.arrays import read_array
+from smarttouch.documents.page_image import (
+    check_scale_options,
+    open_image,
+    read_grey,
+    require_pixels,
+    require_size_mm,
+)
+from smarttouch.documents.printed_text import print_text
+from smarttouch.errors import PageError
+from smarttouch.files import MOST_BANK_BYTES, open_file
+
+LETTER_MM = 12.0
+"""Height of printed letters: wide enough strokes for electrodes 2 mm apart."""
+_PRINTED_MM = 4.2
+"""What `print_text` makes them, ascender to descender."""
+_MARGIN_MM = 4.0
+_SCALE = "--dpi or --width-mm"
+_LEAST_RANGE = 0.03
+"""Of the range that a file can hold: what varies less shows nothing."""
+
+
+class Heights(NamedTuple):
+    """A relief before its grain is known."""
+
+    title: str
+    height: NDArray[np.float32]
+    """(H, W) in [0, 1]."""
+    mm_per_pixel: float
+    photo: bool = True
+    """Whether it may show a texture that has a pitch; print has none."""
+
+
+def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = None) -> Heights:
+    """Load an image, of which ink is high, or a height map, of which bright is high.
+
+    Parameters
+    ----------
+    path : Path
+        An image; one of 16 bits, of floating point, or a .npy file of two axes is a height map.
+    dpi, width_mm : float, optional
+        Its scale, if it does not say.
+
+    Raises
+    ------
+    PageError
+        If it cannot be read, shows nothing, or does not say how large it is.
+    """
+    check_scale_options(dpi, width_mm)
+    if path.suffix.lower() == ".npy":
+        values, mm_per_pixel = _load_array(path, dpi, width_mm)
+        height = _stretched(path.name, values, 0.0)
+    else:
+        with open_image(path) as image:
+            grey, scale = read_grey(path, image, dpi, width_mm)
+            deep = image.mode.startswith("I") or image.mode == "F"
+            if deep:
+                values = np.asarray(ImageOps.exif_transpose(image), np.float64)
+        if scale is None:
+            raise PageError(f"{path} does not say how large it is: give {_SCALE}")
+        mm_per_pixel = scale
+        if deep:
+            height = _stretched(path.name, _like(values, grey.shape), 0.0)
+        else:
+            height = _stretched(path.name, 255 - grey.astype(np.float64), 255 * _LEAST_RANGE)
+    rows, columns = height.shape
+    require_size_mm(str(path), columns * mm_per_pixel, rows * mm_per_pixel, _SCALE)
+    return Heights(path.name, height, mm_per_pixel)
+
+
+def print_heights(text: str, width_mm: float | None = None) -> Heights:
+    """Print a text in large letters.
+
+    Parameters
+    ----------
+    text : str
+    width_mm : float, optional, mm
+        Of the whole; letters are 12 mm high if not given.
+
+    Raises
+    ------
+    PageError
+        If there is nothing to print, or too much.
+    """
+    check_scale_options(None, width_mm)
+    page = print_text(text)
+    mm_per_pixel = page.mm_per_pixel * LETTER_MM / _PRINTED_MM
+    ink = page.grey < 128
+    rows, columns = (np.flatnonzero(ink.any(axis=axis)) for axis in (1, 0))
+    grey = page.grey[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    grey = np.asarray(np.pad(grey, round(_MARGIN_MM / mm_per_pixel), constant_values=255))
+    if width_mm is not None:
+        mm_per_pixel = width_mm / grey.shape[1]
+    require_size_mm(
+        "the text", grey.shape[1] * mm_per_pixel, grey.shape[0] * mm_per_pixel, "--width-mm"
+    )
+    return Heights(f"“{text}”", np.asarray(1 - grey / 255, np.float32), mm_per_pixel, photo=False)
+
+
+def _load_array(
+    path: Path, dpi: float | None, width_mm: float | None
+) -> tuple[NDArray[np.float64], float]:
+    with open_file(path, PageError, MOST_BANK_BYTES) as file:
+        try:
+            heights = np.asarray(read_array(file, path.stat().st_size), np.float64)
+        except (OSError, ValueError, TypeError) as error:
+            raise PageError(
+                f"cannot read the height map {path}: it is not an array of numbers ({error})"
+            ) from None
+    if heights.ndim != 2:
+        raise PageError(f"{path} has {heights.ndim} axes: a height map has two, rows and columns")
+    require_pixels(str(path), heights.shape[1], heights.shape[0])
+    if dpi is not None:
+        return heights, 25.4 / dpi
+    if width_mm is None:
+        raise PageError(f"{path} does not say how large it is: give {_SCALE}")
+    return heights, width_mm / heights.shape[1]
+
+
+def _like(values: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return values at the size of an image whose pixels were made square."""
+    if values.shape == shape:
+        return values
+    return np.asarray(cv2.resize(values, shape[::-1], interpolation=cv2.INTER_LINEAR))
+
+
+def _stretched(name: str, values: NDArray[np.float64], least: float) -> NDArray[np.float32]:
+    """Return values from 0 to 1, without the few that stick out."""
+    values = np.nan_to_num(values, posinf=0.0, neginf=0.0)
+    low, high = np.percentile(values, (0.5, 99.5))
+    if high - low <= max(least, 1e-12):
+        low, high = values.min(), values.max()
+    if high - low <= max(least, 1e-12):
+        raise PageError(f"{name} is flat: there is nothing on it that could be felt")
+    return np.asarray(np.clip((values - low) / (high - low), 0, 1), np.float32)

@@ -1,0 +1,222 @@
+"""The electric mouse as a source of frames, which asks for its pulses itself."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import SensorError
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.primary import Mode, Primary
+from smarttouch.profile import Profile
+from smarttouch.reading.window import pixel_of
+from smarttouch.sources.frame import Frame, Pose, PulseRequest, Sensor
+from smarttouch.sources.notes import StandingNotes
+from smarttouch.texture.felt import FeltMap
+from smarttouch.texture.motion import Motion
+from smarttouch.texture.steady import Steady
+from smarttouch.texture.texture import Texture
+
+USUAL_RATE_HZ = 100.0
+FASTEST_HZ = 100.0
+"""Pulses above that are not interpreted correctly (paper, Sections III-B.3 and V)."""
+SLOWEST_RATE_HZ = 10.0
+JUMP_MM = 20.0
+"""Between two frames: 2 m/s at 100 Hz. A place that changes by more was lost, and is found again;
+nothing has passed under the finger."""
+_EARLY = 1e-3
+"""Of the shortest time between two pulses: frames come at whole microseconds."""
+
+
+class PulseLimit:
+    """Lets no electrode pulse more often than a finger can tell.
+
+    Parameters
+    ----------
+    electrodes : int
+    fastest_hz : float, Hz
+
+    Attributes
+    ----------
+    left_out : int
+        Pulses that came too soon after the one before.
+    """
+
+    def __init__(self, electrodes: int, fastest_hz: float) -> None:
+        self._shortest_ns = int((1 - _EARLY) * 1e9 / fastest_hz)
+        self._last_ns = np.full(electrodes, -(10**15), np.int64)
+        self.left_out = 0
+
+    def keep(self, wanted: NDArray[np.float32], time_ns: int) -> NDArray[np.float32]:
+        """Return what may pulse now, (E,); zero where it may not."""
+        active = wanted > 0
+        due = active & (time_ns - self._last_ns >= self._shortest_ns)
+        self._last_ns[due] = time_ns
+        self.left_out += int(active.sum()) - int(due.sum())
+        return wanted * due
+
+
+class MouseSensor(Sensor):
+    """Asks for a pulse at each electrode under which a ridge of the texture passes.
+
+    So each electrode pulses spatial frequency times speed times a second, the
+    pattern stays where it is in the world, and a hand at rest feels nothing
+    (paper, Section IV-C). The pose of a frame is the middle of the array on the
+    texture.
+
+    Parameters
+    ----------
+    texture : Texture
+        What lies under the hand.
+    motion : Motion
+        An open one, which is closed with this.
+    profile : Profile
+        As `profile_for_reading` returns it: frames show what lies under the array.
+    mode : Mode
+        Which class pulses: one of RA, SAI and PC.
+    rate_hz : float, Hz
+        Frames a second.
+    fastest_hz : float, Hz, optional
+        Pulses a second of each electrode; as many as a finger can tell, and at most
+        half the frames, if not given.
+    scale : float
+        Millimeters of the texture for one of the hand.
+    press_n : float, N, optional
+        How hard the finger presses, where the motion does not know.
+
+    Raises
+    ------
+    SensorError
+        If a rate or the scale is impossible, or the mode is not one class.
+    """
+
+    asks = True
+    ended = "the hand has stopped"
+
+    def __init__(
+        self,
+        texture: Texture,
+        motion: Motion,
+        profile: Profile,
+        mode: Mode = Mode.RA,
+        rate_hz: float = USUAL_RATE_HZ,
+        fastest_hz: float | None = None,
+        scale: float = 1.0,
+        press_n: float | None = None,
+    ) -> None:
+        super().__init__(f"{texture.title} under {motion.title}")
+        if len(mode.primaries) != 1:
+            raise SensorError(f"--mode {mode} is more than one class: choose RA, SAI or PC")
+        if not 0 < scale < math.inf:
+            raise SensorError(f"--scale {scale:g} must be above 0")
+        self.fastest_hz = _possible_hz(rate_hz, fastest_hz, profile.limits.rate_hz)
+        self.duration_s = motion.duration_s
+        self.knows_force = motion.knows_force or press_n is not None
+        self.texture, self.motion, self.mode = texture, motion, mode
+        self.merged = 0
+        """Ridges that passed under an electrode in the same frame as another."""
+        self._electrodes = len(profile.electrodes)
+        self._limit = PulseLimit(self._electrodes, self.fastest_hz)
+        self._primary: Primary = mode.primaries[0]
+        self._period_us = round(1e6 / rate_hz)
+        self._scale, self._press_n = scale, press_n
+        self._steady = Steady(motion.resolution_mm)
+        self._feeler = texture.feeler(profile.electrodes.position_mm)
+        self._pixel_mm = pixel_of(profile)
+        self._shape = (profile.optics.sensor_rows, profile.optics.sensor_columns)
+        self._origin: tuple[float, float] | None = None
+        self._place = (math.nan, math.nan)
+        self._image = np.full(self._shape, 255, np.uint8)
+        self._said = StandingNotes(self.notes)
+        self._told = False
+
+    def read(self, time_ns: int) -> Frame | None:
+        """Return what passes under the array at a time; None at the end of the motion."""
+        moved = self.motion.read(time_ns)
+        if moved is None:
+            self._sum_up()
+            return None
+        if self._origin is None:
+            self._origin = self.motion.origin_mm or self.texture.middle_mm
+        x, y = self._steady.follow(*moved)
+        place = (self._origin[0] + self._scale * x, self._origin[1] + self._scale * y)
+        activation = np.zeros((len(Primary), self._electrodes), np.float32)
+        if place != self._place:
+            activation[self._primary] = self._feel(place, time_ns)
+            self._look(place)
+        force_n = self.motion.force_n if self.motion.knows_force else self._press_n
+        return Frame(
+            self._image,
+            time_ns,
+            Pose(*place),
+            math.nan if force_n is None else force_n,
+            number=self.frames - 1,
+            request=PulseRequest(activation, self._period_us),
+        )
+
+    def drawing(self, profile: Profile, bank: KernelBank) -> FeltMap:
+        """Return what draws the pulses of a run: the mouse's are too few to be averaged."""
+        return FeltMap(profile, bank, (self._primary,), self.texture)
+
+    def close(self) -> None:
+        """Let go of what tells the motion, and say what was left out."""
+        self._sum_up()
+        self.motion.close()
+        for note in [*self.texture.notes, *self.motion.notes]:
+            self._said.put(note, note)
+
+    def _feel(self, place: tuple[float, float], time_ns: int) -> NDArray[np.float32]:
+        before, self._place = self._place, place
+        # Also the first place: it is no distance from nowhere.
+        if not math.dist(place, before) <= JUMP_MM:
+            self._feeler.place(*place)
+            return np.zeros(self._electrodes, np.float32)
+        passed = self._feeler.move(*place)
+        self.merged += passed.merged
+        kept = self._limit.keep(passed.height, time_ns)
+        if self._limit.left_out and not self._told:
+            self._told = True
+            self.tell(
+                time_ns,
+                f"the texture passes faster than {self.fastest_hz:g} pulses a second can tell: "
+                "some are left out",
+            )
+        return kept
+
+    def _look(self, place: tuple[float, float]) -> None:
+        rows, columns = self._shape
+        left = place[0] - columns * self._pixel_mm / 2
+        top = place[1] - rows * self._pixel_mm / 2
+        self._image = self.texture.draw(left, top, self._shape, self._pixel_mm)
+        self.frames += 1
+
+    def _sum_up(self) -> None:
+        if self._limit.left_out:
+            self._said.put(
+                "left out",
+                f"{self._limit.left_out} pulses of single electrodes were left out, above "
+                f"{self.fastest_hz:g} a second: move more slowly, or raise --rate and --fastest",
+            )
+        if self.merged:
+            self._said.put(
+                "merged",
+                f"{self.merged} ridges passed an electrode together with another in one frame: "
+                "move more slowly",
+            )
+
+
+def _possible_hz(rate_hz: float, fastest_hz: float | None, most_hz: float) -> float:
+    """Return the most pulses a second, or raise if the rates do not go together."""
+    if not SLOWEST_RATE_HZ <= rate_hz <= most_hz:
+        raise SensorError(
+            f"--rate {rate_hz:g} is not possible: give {SLOWEST_RATE_HZ:g} to {most_hz:g} frames a "
+            "second, the limit of the profile"
+        )
+    if fastest_hz is None:
+        return min(FASTEST_HZ, rate_hz / 2)
+    if not 0 < fastest_hz <= rate_hz / 2:
+        raise SensorError(
+            f"--fastest {fastest_hz:g} is not possible with {rate_hz:g} frames a second: give at "
+            f"most half of them, {rate_hz / 2:g}, or raise --rate"
+        )
+    return fastest_hz

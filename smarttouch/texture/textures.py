@@ -1,0 +1,69 @@
+"""Opening a texture by what a user writes."""
+
+import re
+from pathlib import Path
+
+from smarttouch.errors import PageError
+from smarttouch.texture.grating import Grating
+from smarttouch.texture.relief import Relief
+from smarttouch.texture.relief_file import load_heights, print_heights
+from smarttouch.texture.texture import Texture
+
+_NUMBER = r"([0-9]*\.?[0-9]+)"
+
+
+def open_texture(
+    spec: str,
+    *,
+    dpi: float | None = None,
+    width_mm: float | None = None,
+    grain_mm: float | None = None,
+    tiled: bool = False,
+    light_on_dark: bool = False,
+) -> Texture:
+    """Open a texture.
+
+    Parameters
+    ----------
+    spec : str
+        ``grating:4mm``, ``grating:4mm,30deg``, ``text:STRING``, or a file: an image (ink is
+        high), or a height map (16 bits or floating point, or .npy: bright is high).
+    dpi, width_mm : float, optional
+        Scale of a file that does not say; width of a text.
+    grain_mm : float, optional, mm
+        Way between two pulses on what is high and wide; measured if not given.
+    tiled : bool
+        Repeat it without end.
+    light_on_dark : bool
+        What is bright is high.
+
+    Raises
+    ------
+    PageError
+        If there is no such texture, or an option is not for it.
+    """
+    kind, _, rest = spec.partition(":")
+    if kind == "grating" and ":" in spec:
+        given = {
+            "--dpi": dpi, "--width-mm": width_mm, "--grain-mm": grain_mm, "--tiled": tiled,
+            "--light-on-dark": light_on_dark,
+        }  # fmt: skip
+        for name, value in given.items():
+            if value:
+                raise PageError(f"{name} is for images, and {spec} is exact: leave it out")
+        return _grating(spec, rest)
+    if kind == "text" and ":" in spec:
+        if dpi is not None:
+            raise PageError("--dpi is for images, and a text is printed anew: give --width-mm")
+        heights = print_heights(rest, width_mm)
+    else:
+        heights = load_heights(Path(spec), dpi, width_mm)
+    return Relief(heights, grain_mm, tiled, light_on_dark)
+
+
+def _grating(spec: str, rest: str) -> Texture:
+    match = re.fullmatch(rf"\s*{_NUMBER}\s*(mm)?\s*(,\s*([-+]?){_NUMBER}\s*(deg|°)?)?\s*", rest)
+    if match is None:
+        raise PageError(f"{spec!r} is no grating: write grating:4mm or grating:4mm,30deg")
+    pitch_mm, sign, angle = float(match[1]), match[4], float(match[5] or 0)
+    return Grating(pitch_mm, -angle if sign == "-" else angle)

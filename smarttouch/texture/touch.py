@@ -1,0 +1,89 @@
+"""A texture felt without hardware: the whole chain to a simulated board, and what the skin got."""
+
+from dataclasses import dataclass
+
+from smarttouch.boards.emulator.simulated import SimulatedBoard
+from smarttouch.clock import SimulatedClock
+from smarttouch.controls import Controls, Wish
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.live import Sent, run
+from smarttouch.pipeline import Pipeline
+from smarttouch.profile import Profile
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stopping import StopRequest
+from smarttouch.tally import Tally
+from smarttouch.texture.felt import FeltMap
+from smarttouch.texture.sensor import MouseSensor
+
+
+@dataclass(frozen=True, eq=False)
+class Touched:
+    """What came of it.
+
+    Attributes
+    ----------
+    felt : FeltMap
+        Every delivered pulse, in the world.
+    times_ns : dict of int to int, ns
+        When each sequence began, by its number.
+    poses_mm : dict of int to tuple of float, mm
+        Where the hand was then.
+    tally : Tally
+    """
+
+    felt: FeltMap
+    times_ns: dict[int, int]
+    poses_mm: dict[int, tuple[float, float]]
+    tally: Tally
+
+
+def feel(
+    sensor: MouseSensor,
+    profile: Profile,
+    bank: KernelBank,
+    seconds: float | None = None,
+) -> Touched:
+    """Let a finger feel a texture until the hand stops; frames, kernels, safety are a live run's.
+
+    Parameters
+    ----------
+    sensor : MouseSensor
+        Closed at the end.
+    profile : Profile
+        As `profile_for_reading` returns it.
+    bank : KernelBank
+    seconds : float, optional
+        Longest run.
+
+    Raises
+    ------
+    SmartTouchError
+        Whatever would end such a run.
+    """
+    felt = sensor.drawing(profile, bank)
+    times_ns: dict[int, int] = {}
+    poses_mm: dict[int, tuple[float, float]] = {}
+    tally = Tally()
+
+    def watch(sent: Sent) -> None:
+        felt.watch(sent)
+        if sent.number is not None:
+            frame = sent.step.frame
+            times_ns[sent.number] = frame.time_ns
+            poses_mm[sent.number] = (frame.pose.x_mm, frame.pose.y_mm)
+
+    limits = SafetyLimits.of(profile)
+    with sensor, SimulatedBoard("", limits, profile.output) as board:
+        run(
+            sensor,
+            Pipeline(profile, bank, sensor.mode),
+            board,
+            stop=StopRequest(),
+            tally=tally,
+            seconds=seconds,
+            observers=[watch],
+            controls=Controls(Wish(sensor.mode)),
+            clock=SimulatedClock(),
+        )
+        felt.deliver(*board.take_pulses())
+    return Touched(felt, times_ns, poses_mm, tally)

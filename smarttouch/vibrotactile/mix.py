@@ -1,0 +1,243 @@
+"""What three classes answer, mixed into one train of requests for pulses.
+
+Each class keeps its own pulses: RA and PC locked to the phase of the vibration, at every
+cycle or, where cycles come faster than the board can follow, at every second, third ...;
+SAI at the rate that follows pressure. A sequence carries pulses of several classes, see
+`smarttouch.vibrotactile.train`.
+"""
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import ScheduleError
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.primary import Mode, Primary
+from smarttouch.profile import Profile
+from smarttouch.sources.frame import PulseRequest
+from smarttouch.stimulation.timing import ScanTiming
+from smarttouch.vibrotactile.sites import chosen, disc, stimulated
+from smarttouch.vibrotactile.split import Answer, split
+from smarttouch.vibrotactile.trace import Trace
+from smarttouch.vibrotactile.train import Times, merged, shortest_us, thinned
+
+PC_RATE_HZ = 150.0
+"""Most pulses of PC a second, so one for every second cycle at its best frequency. Ours; faster
+ones told the paper's subjects little in PC mode (Section III-C.1, above 100 Hz)."""
+VIBRATION_US = 20_000
+"""How often vibrators are told anew how strongly to shake. Ours."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """A train of requests.
+
+    Attributes
+    ----------
+    time_us : ndarray, (R,) int64, µs
+        When each is to be made, rising.
+    drive : ndarray, (R, 3) float32, in [0, 1]
+        Of each class then; 0 is no pulse.
+    sites : ndarray, (S,)
+        Electrodes that pulse.
+    electrodes : int
+        E.
+    end_us : int, µs
+        When all is over.
+    least_us : int, µs
+        The shortest sequence that carries pulses of all classes.
+    ideal_us : dict of Primary to ndarray, (K,) int64, µs
+        When each pulse of a class should be.
+    carried : dict of Primary to ndarray, (K,)
+        Which request carries it.
+    left_out : tuple of Primary
+        Classes that answer, but the board cannot drive.
+    vibrated : bool
+        Whether the row of PC is for vibrators, held until the next request.
+    """
+
+    time_us: Times
+    drive: NDArray[np.float32]
+    sites: NDArray[np.intp]
+    electrodes: int
+    end_us: int
+    least_us: int
+    ideal_us: dict[Primary, Times]
+    carried: dict[Primary, NDArray[np.intp]]
+    left_out: tuple[Primary, ...]
+    vibrated: bool
+
+    @property
+    def mode(self) -> Mode:
+        """In which its requests are to be processed: of one class alone, where it is one."""
+        if len(self.ideal_us) == 1 and not self.vibrated:
+            return Mode[next(iter(self.ideal_us)).name]
+        return Mode.COLOR
+
+    @property
+    def requests(self) -> list[tuple[int, PulseRequest]]:
+        """All of them, each with its time in µs; each lasts until the next one."""
+        periods = np.diff(self.time_us, append=self.end_us)
+        return [
+            (int(time), self.request(drive, int(period)))
+            for time, drive, period in zip(self.time_us, self.drive, periods, strict=True)
+        ]
+
+    def request(self, drive: NDArray[np.float32], period_us: int) -> PulseRequest:
+        """Return a request for each class's drive, (3,), at all sites."""
+        activation = np.zeros((len(Primary), self.electrodes), np.float32)
+        activation[:, self.sites] = drive[:, None]
+        return PulseRequest(activation, period_us)
+
+    def error_us(self, primary: Primary) -> Times:
+        """Return how much later than it should each pulse of a class is, (K,) µs."""
+        return self.time_us[self.carried[primary]] - self.ideal_us[primary]
+
+    def pulses(self, primary: Primary) -> int:
+        """Return how many pulses of a class each site gets."""
+        return len(self.ideal_us.get(primary, ()))
+
+
+def mix_colors(
+    trace: Trace,
+    profile: Profile,
+    bank: KernelBank,
+    sites: Collection[int] | None = None,
+    timing: ScanTiming | None = None,
+    vibrated: bool = False,
+    pc_rate_hz: float = PC_RATE_HZ,
+) -> Mixture:
+    """Return the pulses that let a finger feel a trace.
+
+    Parameters
+    ----------
+    trace : Trace
+        What is to be felt.
+    profile : Profile
+        Its force law says at which pressure SAI is driven in full, its limits how fast
+        sequences may follow one another.
+    bank : KernelBank
+        Its kernels say which classes the board can drive.
+    sites : collection of int, optional
+        Electrodes that pulse; those of `disc` if not given.
+    timing : ScanTiming, optional
+        What the board fixes about time.
+    vibrated : bool
+        Whether mechanical vibrators do what PC is to feel.
+    pc_rate_hz : float, Hz
+        Most pulses of PC a second.
+
+    Raises
+    ------
+    ScheduleError
+        If the board can drive none of the classes that answer or has one rate for several, or
+        a site cannot pulse.
+
+    Examples
+    --------
+    >>> from smarttouch.vibrotactile.mix import mix_colors
+    >>> from smarttouch.vibrotactile.spec import open_trace
+    >>> from smarttouch.kernels.bank import load_bank
+    >>> from smarttouch.primary import Primary
+    >>> from smarttouch.profile import load_profile
+    >>> profile = load_profile("electric-mouse")
+    >>> trace = open_trace("tone:30Hz,8um+press:0.45N", seconds=1.0)
+    >>> mixture = mix_colors(trace, profile, load_bank(profile))
+    >>> [mixture.pulses(each) for each in Primary]  # RA, SAI, PC
+    [29, 24, 0]
+    >>> time_us, request = mixture.requests[0]
+    >>> request.activation.shape
+    (3, 64)
+    """
+    answers = split(trace, sai_full_n=profile.force.full_n, sai_rate_hz=profile.pulse.sai_rate_hz)
+    return mix(answers, trace.duration_s, profile, bank, sites, timing, vibrated, pc_rate_hz)
+
+
+def mix(
+    answers: Mapping[Primary, Answer],
+    duration_s: float,
+    profile: Profile,
+    bank: KernelBank,
+    sites: Collection[int] | None = None,
+    timing: ScanTiming | None = None,
+    vibrated: bool = False,
+    pc_rate_hz: float = PC_RATE_HZ,
+) -> Mixture:
+    """Return the pulses of answers that `split`, or somebody else, has made; see `mix_colors`."""
+    timing = ScanTiming() if timing is None else timing
+    places = disc(profile) if sites is None else chosen(profile, sites)
+    pulsing, left_out = _drivable(answers, profile, bank, places, vibrated)
+    shaking = vibrated and Primary.PC in pulsing
+    electrical = [each for each in pulsing if not (shaking and each is Primary.PC)]
+    least_us = shortest_us(profile, len(places) * max(1, len(electrical)), timing)
+    apart_us = dict.fromkeys(Primary, least_us)
+    apart_us[Primary.PC] = max(least_us, math.ceil(1e6 / pc_rate_hz))
+    ideal = {
+        each: thinned(np.rint(answers[each].spike_s * 1e6).astype(np.int64), apart_us[each])
+        for each in electrical
+    }
+    if len(electrical) > 1 and (timing.whole_hz or timing.every_electrode or timing.in_index_order):
+        raise ScheduleError(
+            f"{' and '.join(each.name for each in electrical)} answer this, each at a rate of its "
+            "own, and this board scans all electrodes at one: choose another board, or something "
+            "that one class alone answers"
+        )
+    trains = list(ideal.values())
+    if shaking:
+        step_us = max(VIBRATION_US, least_us)
+        trains.append(np.arange(0, round(duration_s * 1e6), step_us))
+    time_us, given = merged(trains, least_us)
+    carried = dict(zip(ideal, given, strict=False))
+    drive = np.zeros((len(time_us), len(Primary)), np.float32)
+    for each, which in carried.items():
+        drive[which, each] = _drive_at(answers[each], ideal[each], duration_s)
+    if shaking:
+        drive[:, Primary.PC] = _drive_at(answers[Primary.PC], time_us, duration_s)
+    over_us = int(time_us[-1]) + least_us if len(time_us) else 0
+    return Mixture(
+        time_us,
+        drive,
+        places,
+        len(profile.electrodes),
+        max(over_us, round(duration_s * 1e6)),
+        least_us,
+        ideal,
+        carried,
+        left_out,
+        shaking,
+    )
+
+
+def _drivable(
+    answers: Mapping[Primary, Answer],
+    profile: Profile,
+    bank: KernelBank,
+    places: NDArray[np.intp],
+    vibrated: bool,
+) -> tuple[list[Primary], tuple[Primary, ...]]:
+    """Return the classes that answer and can be driven, and those that cannot."""
+    made = [
+        each
+        for each in Primary
+        if (vibrated and each is Primary.PC)
+        or (each in bank.weights and len(stimulated(profile, each, places)))
+    ]
+    answering = [each for each in Primary if len(answers[each].spike_s)]
+    left_out = tuple(each for each in answering if each not in made)
+    if left_out and len(left_out) == len(answering):
+        raise ScheduleError(
+            f"only {' and '.join(each.name for each in left_out)} would answer this, and the "
+            f"board of {profile.name} drives {' and '.join(each.name for each in made)} at these "
+            "sites: choose another profile, or something that others answer too"
+        )
+    return [each for each in answering if each in made], left_out
+
+
+def _drive_at(answer: Answer, time_us: Times, duration_s: float) -> NDArray[np.float32]:
+    """Return the drive at some times, (K,)."""
+    last = len(answer.drive) - 1
+    sample = np.rint(time_us * ((last + 1) / duration_s / 1e6)).astype(np.intp)
+    return np.asarray(answer.drive[np.minimum(sample, last)], np.float32)

@@ -1,0 +1,55 @@
+"""What it costs to drive PC by current: how much the classes above it are driven with it.
+
+PC lies below RA and SAI, and no current from the skin reaches it alone (paper, Section II-D;
+the best kernels that there are do more to another class than to PC, `smarttouch.kernels`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+from smarttouch.vibrotactile.sites import stimulated
+
+
+@dataclass(frozen=True, eq=False)
+class PacinianPrice:
+    """How much pulses for PC do to other classes.
+
+    Attributes
+    ----------
+    times : ndarray, (S,) float64
+        Activating function at the worst node of another class over that at PC's, by electrode.
+    worst : tuple of Primary, (S,)
+        Whose node that is.
+    """
+
+    times: NDArray[np.float64]
+    worst: tuple[Primary, ...]
+
+    @property
+    def mean(self) -> float:
+        """Of ``times``, over the electrodes."""
+        return float(self.times.mean())
+
+    def __str__(self) -> str:
+        names = " or ".join(each.name for each in Primary if each in self.worst)
+        return (
+            f"PC pulses also reach {names}, {self.mean:.1f} times as strongly as PC (mean of "
+            f"{len(self.times)} electrodes, at most {self.times.max():.1f}): current cannot drive "
+            "PC alone"
+        )
+
+
+def pacinian_price(
+    profile: Profile, bank: KernelBank, sites: NDArray[np.intp]
+) -> PacinianPrice | None:
+    """Return what it costs to let PC be felt at sites, (S,); None where it cannot be driven."""
+    places = stimulated(profile, Primary.PC, sites)
+    if Primary.PC not in bank.weights or not len(places):
+        return None
+    worst = tuple(Primary(int(each)) for each in bank.worst_class[Primary.PC][places])
+    return PacinianPrice(np.asarray(bank.worst_other[Primary.PC][places], np.float64), worst)

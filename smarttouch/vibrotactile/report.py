@@ -1,0 +1,104 @@
+"""What each class answered and what of it went out, as numbers."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from smarttouch.primary import Primary
+from smarttouch.vibrotactile.mix import Mixture
+from smarttouch.vibrotactile.price import PacinianPrice
+from smarttouch.vibrotactile.sensor import ColorSensor
+from smarttouch.vibrotactile.split import Answer, shares
+
+
+@dataclass(frozen=True)
+class Answered:
+    """What one class would have answered: means over the trace, of the rate while it fires."""
+
+    mean_drive: float
+    peak_drive: float
+    rate_hz: float
+    share: float
+
+
+@dataclass(frozen=True)
+class SentOut:
+    """What one class got: pulses at each site, and how much later than ideal they were."""
+
+    pulses: int
+    planned: int
+    rate_hz: float
+    off_p50_us: float
+    off_max_us: float
+
+
+def answered(answers: Mapping[Primary, Answer]) -> dict[Primary, Answered]:
+    """Return what each class answered."""
+    part = shares(answers)
+    return {
+        primary: Answered(each.mean_drive, each.peak_drive, each.mean_rate_hz, part[primary])
+        for primary, each in answers.items()
+    }
+
+
+def sent_out(mixture: Mixture, sensor: ColorSensor) -> dict[Primary, SentOut]:
+    """Return what went out to each class that had pulses."""
+    rows = {}
+    for primary, ideal_us in mixture.ideal_us.items():
+        off_us = np.abs(sensor.error_us(primary))
+        median, most = (np.median(off_us), off_us.max()) if len(off_us) else (0.0, 0.0)
+        lasts_s = float(np.ptp(ideal_us)) / 1e6
+        rows[primary] = SentOut(
+            sensor.sent(primary),
+            len(ideal_us),
+            (len(ideal_us) - 1) / lasts_s if lasts_s else 0.0,
+            float(median),
+            float(most),
+        )
+    return rows
+
+
+def notes(mixture: Mixture, answers: Mapping[Primary, Answer]) -> list[str]:
+    """Return what a user should know of a mixture, a sentence each."""
+    said = []
+    if mixture.left_out:
+        names = " and ".join(each.name for each in mixture.left_out)
+        said.append(f"{names} would answer too, and this board cannot drive it here: left out")
+    for primary, ideal_us in mixture.ideal_us.items():
+        spikes = len(answers[primary].spike_s)
+        if primary is not Primary.PC and len(ideal_us) < 0.9 * spikes:
+            said.append(
+                f"{primary.name} gets {len(ideal_us)} of {spikes} pulses: a sequence for "
+                f"{len(mixture.sites)} sites takes {mixture.least_us / 1000:.1f} ms, choose fewer"
+            )
+    return said
+
+
+def as_figures(
+    answers: Mapping[Primary, Answer],
+    mixture: Mixture | None = None,
+    sensor: ColorSensor | None = None,
+    price: PacinianPrice | None = None,
+) -> dict[str, object]:
+    """Return all of it for a JSON file."""
+    classes: dict[str, dict[str, object]] = {
+        primary.name: {"answered": asdict(each)} for primary, each in answered(answers).items()
+    }
+    figures: dict[str, object] = {"classes": classes}
+    if mixture is not None and sensor is not None:
+        for primary, row in sent_out(mixture, sensor).items():
+            classes[primary.name]["sent"] = asdict(row)
+        figures |= {
+            "sites": mixture.sites.tolist(),
+            "vibrated": mixture.vibrated,
+            "left_out": [each.name for each in mixture.left_out],
+            "shortest_sequence_us": mixture.least_us,
+        }
+    if price is not None:
+        figures["pc_also_reaches"] = {
+            "classes": sorted({each.name for each in price.worst}),
+            "mean_times": price.mean,
+            "worst_times": float(price.times.max()),
+        }
+    return figures

@@ -1,0 +1,91 @@
+"""A mixture as a source of frames, and what went out of it."""
+
+import math
+from collections import Counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.live import Sent
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+from smarttouch.sources.frame import Frame, Pose, PulseRequest, Sensor
+from smarttouch.vibrotactile.mix import Mixture
+from smarttouch.vibrotactile.train import Times
+
+LONGEST_US = 20_000
+"""So often frames come where no pulse is due: a finger that is lifted is not overlooked."""
+
+
+class ColorSensor(Sensor):
+    """Asks for the pulses of a mixture as time goes.
+
+    If sequences take longer than was foreseen, pulses wait, and those of several
+    requests go out together.
+
+    Parameters
+    ----------
+    title : str
+        What is felt.
+    profile : Profile
+        Whose finger.
+    mixture : Mixture
+    force_n : float, N
+        How hard a virtual finger presses; NaN if others know.
+    """
+
+    asks = True
+    ended = "the end of the trace"
+
+    def __init__(
+        self, title: str, profile: Profile, mixture: Mixture, force_n: float = math.nan
+    ) -> None:
+        super().__init__(title)
+        self.knows_force = not math.isnan(force_n)
+        self.duration_s = mixture.end_us / 1e6
+        self._mixture, self._force_n = mixture, force_n
+        optics = profile.optics
+        self._blank = np.full((optics.sensor_rows, optics.sensor_columns), 255, np.uint8)
+        self._next = 0
+        self._given_us = np.full(len(mixture.time_us), -1, np.int64)
+        self._count = Counter[Primary]()
+
+    def read(self, time_ns: int) -> Frame | None:
+        """Return the request that is due; None after the last one."""
+        now_us = time_ns // 1000
+        if now_us >= self._mixture.end_us:
+            return None
+        self.frames += 1
+        request = self._request(now_us)
+        pose = Pose(0.0, 0.0)
+        return Frame(self._blank, time_ns, pose, self._force_n, self.frames - 1, request=request)
+
+    def _request(self, now_us: int) -> PulseRequest:
+        mixture, first = self._mixture, self._next
+        due_us = now_us + mixture.least_us // 2
+        self._next += int(np.searchsorted(mixture.time_us[first:], due_us, side="right"))
+        self._given_us[first : self._next] = now_us
+        drive = mixture.drive[first : self._next].max(axis=0, initial=0.0)
+        if mixture.vibrated and first == self._next > 0:
+            # Vibrators go on as they were told.
+            drive[Primary.PC] = mixture.drive[first - 1, Primary.PC]
+        more = self._next < len(mixture.time_us)
+        wait_us = int(mixture.time_us[self._next] if more else mixture.end_us) - now_us
+        parts = max(1, min(-(-wait_us // LONGEST_US), wait_us // mixture.least_us))
+        return mixture.request(drive, max(mixture.least_us, wait_us // parts))
+
+    def watch(self, sent: Sent) -> None:
+        """Count the pulses that went out with a step."""
+        if sent.number is not None and sent.step.sequence.intensity > 0:
+            active = np.flatnonzero(sent.step.tactile.activation.any(axis=1))
+            self._count.update(Primary(each) for each in active.tolist())
+
+    def sent(self, primary: Primary) -> int:
+        """Return how many pulses of a class went out to each site, so far."""
+        return self._count[primary]
+
+    def error_us(self, primary: Primary) -> Times:
+        """Return how much later than it should each pulse of a class was asked for, (K,) µs."""
+        mixture = self._mixture
+        given_us: NDArray[np.int64] = self._given_us[mixture.carried[primary]]
+        return (given_us - mixture.ideal_us[primary])[given_us >= 0]

@@ -1,0 +1,62 @@
+"""Which electrodes pulse."""
+
+from collections.abc import Collection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import ScheduleError
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+from smarttouch.stimulation.points import felt_at
+
+
+def disc(profile: Profile, radius_mm: float | None = None) -> NDArray[np.intp]:
+    """Return the electrodes in the middle of the array, (S,), rising.
+
+    Parameters
+    ----------
+    profile : Profile
+        Whose array; masked electrodes are left out.
+    radius_mm : float, mm, optional
+        How far they may be from the middle; one pitch if not given. The nearest one
+        is always among them.
+    """
+    electrodes = profile.electrodes
+    off_mm = electrodes.position_mm[profile.driven] - electrodes.position_mm.mean(axis=0)
+    away_mm = np.hypot(off_mm[:, 0], off_mm[:, 1])
+    radius = electrodes.pitch_mm if radius_mm is None else radius_mm
+    return np.asarray(profile.driven[away_mm <= max(radius, away_mm.min()) + 1e-9])
+
+
+def stimulated(profile: Profile, primary: Primary, sites: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the electrodes at which a class is stimulated so that it is felt at sites, (S',).
+
+    Others than those where the profile knows that the class is felt elsewhere (paper,
+    Section III-B.4), and fewer where the array ends.
+    """
+    felt = felt_at(profile, primary)
+    if felt is None:
+        return sites
+    there = np.flatnonzero(np.isin(felt, sites))
+    return np.asarray(np.intersect1d(there, profile.driven))
+
+
+def chosen(profile: Profile, sites: Collection[int]) -> NDArray[np.intp]:
+    """Return sites that were named, each once, (S,), rising.
+
+    Raises
+    ------
+    ScheduleError
+        If there are none, or one is not on the array or masked.
+    """
+    if len(sites) == 0:
+        raise ScheduleError("no site is to pulse: choose at least one")
+    count, masked = len(profile.electrodes), profile.output.masked
+    for each in sites:
+        if not 0 <= each < count or each in masked:
+            without = f" without {', '.join(map(str, sorted(masked)))}" if masked else ""
+            raise ScheduleError(
+                f"site {each} cannot pulse: {profile.name} has sites 0 to {count - 1}{without}"
+            )
+    return np.unique(np.array(list(sites), np.intp))

@@ -1,0 +1,196 @@
+"""A vibration split into what each class of receptor would have answered.
+
+RA and PC see the displacement through their sensitivity (`smarttouch.physiology.receptors`),
+in units of their threshold, by a filter without delay (all of the trace is known
+beforehand). Two things are read from its analytic signal: its envelope, how far above
+threshold, and its phase, whose turns are the cycles of the vibration. In their band both
+fire one spike each cycle (Talbot, Darian-Smith, Kornhuber and Mountcastle, J. Neurophysiol.
+31, 1968; Johansson, Landström and Lundström, Brain Res. 244, 1982), and the rate at which
+those under the stimulus fire grows with the logarithm of amplitude (Muniak, Ray, Hsiao, Dammann
+and Bensmaia, J. Neurosci. 27, 2007): so drive is linear in decibels above threshold.
+
+SAI sees pressure, and indentation below a few hertz. Its drive is linear in both, as the
+firing of SAI afferents is in compressive stress (rat: Ge and Khalsa, J. Neurophysiol. 87,
+2002); its rate follows (paper, Section III-B.2).
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import ifft, irfft, next_fast_len, rfft
+
+from smarttouch.errors import ScheduleError
+from smarttouch.physiology.receptors import sensitivity, threshold_um
+from smarttouch.primary import Primary
+from smarttouch.stimulation.rates import SLOWEST
+from smarttouch.vibrotactile.trace import Array, Trace
+
+SPAN_DB = 15.0
+"""From threshold to a drive of 1. Ours: a tone of 30 Hz that far above RA's threshold just reaches
+PC's, so that RA alone can be driven in full."""
+SAI_FORCE_N = 0.0013
+"""Median force at which human SAI afferents begin to fire (Johansson, Vallbo and Westling, Brain
+Res. 184, 1980)."""
+SAI_FULL_N = 1.0
+"""Force at which SAI is driven in full, where no profile says. Ours."""
+SAI_FULL_UM = 1500.0
+"""SAI afferents fire faster up to this indentation (J. Neurophysiol. 101:1033, 2009, Table 1)."""
+SAI_RATE_HZ = 50.0
+"""At full drive, where no profile says, the usual ``pulse.sai_rate_hz``; at the lightest touch
+a fifth of it."""
+_PAD_S = 1.0
+"""What joins the trace's end to its beginning, for the circle that Fourier sees."""
+_GAP_S = 0.05
+"""Longest silence between two beats of one vibration."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What one class would have answered to a trace.
+
+    Attributes
+    ----------
+    primary : Primary
+    drive : ndarray, (N,) float64, in [0, 1]
+        How strongly at each sample of the trace: 0 at threshold and below.
+    rate_hz : ndarray, (N,) float64, Hz
+        How fast its afferents fire.
+    spike_s : ndarray, (K,) float64, s
+        When.
+    """
+
+    primary: Primary
+    drive: Array
+    rate_hz: Array
+    spike_s: Array
+
+    @property
+    def mean_drive(self) -> float:
+        return float(self.drive.mean())
+
+    @property
+    def peak_drive(self) -> float:
+        return float(self.drive.max())
+
+    @property
+    def mean_rate_hz(self) -> float:
+        """While it fires; 0 if it never does."""
+        firing = self.rate_hz[self.drive > 0]
+        return float(firing.mean()) if len(firing) else 0.0
+
+
+def split(
+    trace: Trace,
+    span_db: float = SPAN_DB,
+    sai_full_n: float = SAI_FULL_N,
+    sai_rate_hz: float = SAI_RATE_HZ,
+) -> dict[Primary, Answer]:
+    """Return what each class would have answered.
+
+    Parameters
+    ----------
+    trace : Trace
+    span_db : float, dB
+        From the threshold of RA or PC to a drive of 1.
+    sai_full_n : float, N
+        Force at which SAI is driven in full.
+    sai_rate_hz : float, Hz
+        At which it then fires.
+
+    Raises
+    ------
+    ScheduleError
+        If SAI is driven in full before it answers at all.
+    """
+    if not sai_full_n > SAI_FORCE_N:
+        raise ScheduleError(
+            f"full force at {sai_full_n:g} N is no more than the {SAI_FORCE_N:g} N at which SAI "
+            "begins to answer: raise force.full_n of the profile"
+        )
+    return {
+        Primary.RA: _vibration(trace, Primary.RA, span_db),
+        Primary.SAI: _pressure(trace, sai_full_n, sai_rate_hz),
+        Primary.PC: _vibration(trace, Primary.PC, span_db),
+    }
+
+
+def shares(answers: Mapping[Primary, Answer]) -> dict[Primary, float]:
+    """Return each class's part of the mean drive of all; zeros if nothing is felt."""
+    total = sum(each.mean_drive for each in answers.values())
+    return {
+        primary: each.mean_drive / total if total > 0 else 0.0 for primary, each in answers.items()
+    }
+
+
+def _vibration(trace: Trace, primary: Primary, span_db: float) -> Answer:
+    padded, first, frequency_hz = _padded(trace.displacement_um, trace.sample_hz)
+    gain = 1 / threshold_um(primary, frequency_hz)
+    half = np.zeros(len(padded), np.complex128)
+    half[: len(gain)] = 2 * rfft(padded) * gain
+    turning = ifft(half)[first : first + len(trace.force_n)]
+    level = np.abs(turning)
+    with np.errstate(divide="ignore"):
+        drive = np.clip(20 * np.log10(level) / span_db, 0, 1)
+    spike_s = _upward(turning, drive > 0, round(_GAP_S * trace.sample_hz)) / trace.sample_hz
+    return Answer(primary, drive, _rate_hz(spike_s, trace, drive), spike_s)
+
+
+def _pressure(trace: Trace, full_n: float, rate_hz: float) -> Answer:
+    drives = []
+    rows = (
+        (trace.force_n, SAI_FORCE_N, full_n),
+        (trace.displacement_um, float(threshold_um(Primary.SAI, 0)), SAI_FULL_UM),
+    )
+    for row, faintest, full in rows:
+        padded, first, frequency_hz = _padded(row, trace.sample_hz)
+        slow = irfft(rfft(padded) * sensitivity(Primary.SAI, frequency_hz), len(padded))
+        drives.append((slow[first : first + len(row)] - faintest) / (full - faintest))
+    drive = np.clip(np.maximum(*drives), 0, 1)
+    firing_hz = np.where(drive > 0, rate_hz * np.maximum(SLOWEST, drive), 0.0)
+    due = np.cumsum(firing_hz) / trace.sample_hz
+    # A first spike as soon as it is touched.
+    spike = np.flatnonzero(np.diff(np.ceil(due), prepend=0.0) > 0)
+    return Answer(Primary.SAI, drive, firing_hz, spike / trace.sample_hz)
+
+
+def _padded(row: Array, sample_hz: float) -> tuple[Array, int, Array]:
+    """Return a row closed to a circle, where it begins in it, and the circle's frequencies."""
+    pad = round(_PAD_S * sample_hz)
+    length = next_fast_len(len(row) + 2 * pad)
+    joint = length - len(row)
+    turn = (1 - np.cos(np.linspace(0, math.pi, joint))) / 2
+    closed = np.concatenate([row, row[-1] + (row[0] - row[-1]) * turn])
+    return np.roll(closed, pad), pad, np.asarray(np.fft.rfftfreq(length, 1 / sample_hz))
+
+
+def _upward(turning: NDArray[np.complex128], driven: NDArray[np.bool_], gap: int) -> Array:
+    """Return where the real part rises through zero while driven, in samples, once each turn.
+
+    Turns are counted on through silences no longer than ``gap`` samples.
+    """
+    turns = (np.unwrap(np.angle(turning)) + math.pi / 2) / (2 * math.pi)
+    whole = np.floor(turns).astype(np.int64)
+    on = np.flatnonzero(driven)
+    if not len(on):
+        return np.empty(0)
+    # Where it trembles back over zero the turn has been counted: only new heights count, stretch
+    # by stretch, each set off above the one before.
+    starts = on[np.diff(on, prepend=-gap - 1) > gap]
+    stretch = np.cumsum(np.bincount(starts, minlength=len(driven))) - 1
+    height = whole - whole[starts][stretch] + stretch * (2 * len(driven))
+    highest = np.maximum.accumulate(height)
+    at = np.flatnonzero((np.diff(highest) > 0) & driven[:-1] & driven[1:])
+    step = turns[at + 1] - turns[at]
+    return np.asarray(at + np.clip((whole[at + 1] - turns[at]) / step, 0, 1))
+
+
+def _rate_hz(spike_s: Array, trace: Trace, drive: Array) -> Array:
+    """Return the rate between successive spikes at each sample where a class is driven, (N,) Hz."""
+    if len(spike_s) < 2:
+        return np.zeros_like(drive)
+    between = 1 / np.diff(spike_s)
+    index = np.searchsorted(spike_s, trace.time_s, side="right") - 1
+    return np.where(drive > 0, between[np.clip(index, 0, len(between) - 1)], 0.0)

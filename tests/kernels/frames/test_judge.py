@@ -1,0 +1,97 @@
+"""Figures of finished currents: those that all rows give."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.errors import DesignError
+from smarttouch.kernels.frames.figures import FrameBounds
+from smarttouch.kernels.frames.judge import FrameJudge, full_wish
+from smarttouch.kernels.problem import Problem
+from smarttouch.primary import Primary
+from smarttouch.profile import load_profile
+
+
+@pytest.fixture(scope="module", params=[Primary.RA, Primary.SAI], ids=lambda each: each.name)
+def judged(request, profile, bank):
+    primary = request.param
+    wish = full_wish(profile, primary, bank.kernels(primary), bank.receptor[primary])
+    return FrameJudge(profile, primary, wish), Problem(profile, primary)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 30))
+def test_figures_are_those_of_all_rows(judged, seed, points):
+    judge, problem = judged
+    rng = np.random.default_rng(seed)
+    level = np.zeros(64)
+    active = rng.choice(64, points, replace=False)
+    level[active] = rng.uniform(0.5, 1, points)
+    # Rough currents, so that every figure counts.
+    current = np.linalg.solve(problem.target, level * judge.wish_af) + 0.1 * rng.normal(size=64)
+    figures, rows = judge.judge(current, level), problem.rows[0]
+    reached = problem.target[active] @ current
+    smallest = (reached / level[active]).min()
+    assert figures.total_ma == pytest.approx(np.abs(current).sum() / 2)
+    assert figures.electrode_ma == pytest.approx(np.abs(current).max())
+    ratio = reached / (level * judge.wish_af)[active]
+    assert (figures.weakest, figures.strongest) == pytest.approx((ratio.min(), ratio.max()))
+    if smallest <= 0:
+        assert figures.worst_other == figures.worst_spill == np.inf
+        return
+    # What the quick judge may miss of either figure: below 2 %.
+    assert figures.worst_other == pytest.approx((rows.other @ current).max() / smallest, rel=0.02)
+    far = np.logical_and.reduce([problem.beyond_a_pitch(site) for site in active])
+    spill = max((rows.own[far] @ current).max(initial=0) / smallest, 0)
+    assert figures.worst_spill == pytest.approx(spill, rel=0.02, abs=0.002)
+    assert judge.far(active) == pytest.approx(far)
+
+
+@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
+@pytest.mark.parametrize("shallow", [Primary.SAI, Primary.PC])
+def test_every_class_counts(profile, changed, primary, shallow):
+    """Whichever lies highest answers most."""
+    if primary is shallow:
+        shallow = Primary.RA
+    mine = changed(profile, {f"skin.{shallow.name.lower()}_depth_mm": 0.45})
+    problem, judge = Problem(mine, primary), FrameJudge(mine, primary, np.ones(64))
+    level = np.zeros(64)
+    level[[9, 27, 50]] = 1.0
+    current = np.linalg.solve(problem.target, level)
+    reached = problem.rows[0].other @ current
+    assert problem.other_class[reached.argmax()] == shallow
+    expected = reached.max() / (problem.target[level > 0] @ current).min()
+    assert judge.judge(current, level).worst_other == pytest.approx(expected, rel=0.02)
+
+
+def test_a_single_kernel_has_its_bank_s_figures(judged, profile, bank):
+    judge, _ = judged
+    level = np.eye(64)[27]
+    current = bank.kernels(judge.primary)[27] * profile.full_ma[27]
+    figures = judge.judge(current, level)
+    assert figures.weakest == figures.strongest == pytest.approx(1, abs=1e-3)
+    assert figures.error == 0
+    assert figures.worst_other == pytest.approx(bank.worst_other[judge.primary][27], rel=0.02)
+    assert figures.worst_spill == pytest.approx(bank.own_spill[judge.primary][27], rel=0.02)
+
+
+def test_limits_are_the_smallest_of_all(profile, changed):
+    keys = {"output.masked": [3], "limits.electrode_ma": [2.5] + [5.0] * 63}
+    keys["perception.comfort_ma"] = [2.4] * 63 + [2.0]
+    judge = FrameJudge(changed(profile, keys), Primary.RA, np.ones(64))
+    assert judge.full_ma[[0, 3, 10, 63]] == pytest.approx([2.4, 0, 2.4, 2.0])
+
+
+def test_what_cannot_be_judged_is_said(profile):
+    with pytest.raises(DesignError, match="wish_af has 3 values, the array 64"):
+        FrameJudge(profile, Primary.RA, np.ones(3))
+    judge = FrameJudge(load_profile("smarttouch-4x4"), Primary.RA, np.ones(16))
+    with pytest.raises(DesignError, match="without an active site"):
+        judge.judge(np.zeros(16), np.zeros(16))
+
+
+@pytest.mark.parametrize("bound", [{"other": 0.0}, {"spill": -1.0}, {"uneven": 1.0}])
+def test_bounds_that_are_none_are_refused(bound):
+    with pytest.raises(DesignError, match="must be above 0"):
+        FrameBounds(**bound)

@@ -1,0 +1,157 @@
+"""Currents of a slot from precomputed matrices, alone and within bounds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.errors import DesignError
+from smarttouch.kernels.frames.figures import FrameBounds
+from smarttouch.kernels.frames.judge import FrameJudge, full_wish
+from smarttouch.kernels.frames.operator import FrameOperator, Weights, keeps
+from smarttouch.physiology.activation import af_matrix
+from smarttouch.physiology.afferents import everywhere
+from smarttouch.primary import Primary
+from smarttouch.profile import load_profile
+
+LETTER_T = "........ .#####.. ...#.... ...#.... ...#.... ...#.... ...#.... ...#...."
+
+
+@pytest.fixture(scope="module")
+def make_operator(profile, bank):
+    made = {}
+
+    def make(primary):
+        if primary not in made:
+            wish = full_wish(profile, primary, bank.kernels(primary), bank.receptor[primary])
+            made[primary] = FrameOperator(FrameJudge(profile, primary, wish))
+        return made[primary]
+
+    return make
+
+
+def drawn(picture):
+    return np.array([each == "#" for each in picture.replace(" ", "")], np.float64)
+
+
+def scattered(seed, points, sites=64):
+    level = np.zeros(sites)
+    level[np.random.default_rng(seed).choice(sites, points, replace=False)] = 1.0
+    return level
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.sampled_from([Primary.RA, Primary.SAI]), st.integers(0, 2**32 - 1), st.integers(1, 30)
+)  # fmt: skip
+def test_targets_get_their_wish_and_currents_sum_to_zero(make_operator, primary, seed, points):
+    operator = make_operator(primary)
+    level = scattered(seed, points) * np.random.default_rng(seed).uniform(0.5, 1, 64)
+    current = operator.currents(level)
+    active = level > 0
+    reached = operator.judge.target[active] @ current
+    assert reached == pytest.approx((level * operator.judge.wish_af)[active], rel=1e-3)
+    assert current.sum() == pytest.approx(0, abs=1e-9)
+    single = operator.matrix @ (level * operator.judge.wish_af)
+    assert single.sum() == pytest.approx(0, abs=1e-7)
+    # One unknown too few for 64 wishes: what is left is the same everywhere, as a mean.
+    missed = operator.judge.target @ single - level * operator.judge.wish_af
+    assert missed.std() < 0.1 * np.abs(missed).max() + 1e-6
+
+
+def test_no_other_currents_with_the_same_targets_cause_less(profile, make_operator):
+    operator = FrameOperator(make_operator(Primary.SAI).judge, Weights(1.0, 0.3, 0.2))
+    judge, level = operator.judge, scattered(4, 6)
+    current, active = operator.currents(level), np.flatnonzero(level)
+
+    def harm(each):
+        sums = 0.2 * each @ each
+        for primary, factor in ((Primary.RA, 1.0), (Primary.PC, 1.0), (Primary.SAI, 0.3)):
+            rows = af_matrix(profile, everywhere(profile, primary))
+            sums += factor * 64 * ((rows @ each) ** 2).sum() / (rows**2).sum()
+        return sums
+
+    kept = np.vstack([judge.target[active], np.ones(64)])
+    free = np.linalg.svd(kept)[2][len(kept) :]
+    least = harm(current)
+    for seed in range(5):
+        step = np.random.default_rng(seed).normal(size=len(free)) @ free
+        for size in (1e-2, -1e-2):
+            assert harm(current + size * step) > least * (1 - 1e-6)
+
+
+def test_a_letter_in_one_slot_is_as_selective_as_a_single_point_of_the_paper(make_operator):
+    operator = make_operator(Primary.RA)
+    figures = operator.judge.judge(operator.currents(drawn(LETTER_T)), drawn(LETTER_T))
+    assert figures.worst_other < 0.25
+    assert figures.worst_spill < 0.10
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_bounds_hold_where_the_least_squares_break_them(make_operator, seed):
+    operator, level = make_operator(Primary.SAI), scattered(seed, 3)
+    judge, bounds = operator.judge, FrameBounds()
+    assert judge.judge(operator.currents(level), level).worst_other > bounds.other
+    current, figures = operator.bounded(level, bounds)
+    assert figures == judge.judge(current, level)
+    assert keeps(judge, figures, bounds, current, judge.profile.limits.total_ma)
+    assert figures.worst_other <= bounds.other
+    assert figures.worst_spill <= bounds.spill
+    assert figures.weakest >= 1 - bounds.uneven
+    assert figures.total_ma <= 10
+    assert (np.abs(current) <= judge.full_ma).all()
+    assert current.sum() == pytest.approx(0, abs=1e-9)
+
+
+def test_what_cannot_be_kept_is_said_by_its_figures(make_operator):
+    operator, level = make_operator(Primary.SAI), scattered(0, 30)
+    current, figures = operator.bounded(level, FrameBounds(), 10.0)
+    assert not keeps(operator.judge, figures, FrameBounds(), current, 10.0)
+    assert figures.worst_other > 0.3
+
+
+def test_each_bound_counts(make_operator):
+    judge = make_operator(Primary.RA).judge
+    current, level = np.zeros(64), scattered(0, 1)
+    good = judge.judge(make_operator(Primary.RA).currents(level), level)
+    good = replace(good, worst_other=0.1, worst_spill=0.1, weakest=1.0, strongest=1.0, total_ma=5.0)
+    assert keeps(judge, good, FrameBounds(), current, 10.0)
+    for bad in (
+        {"worst_other": 0.31}, {"worst_spill": 0.31}, {"weakest": 0.94}, {"strongest": 1.06},
+        {"total_ma": 10.1},
+    ):  # fmt: skip
+        assert not keeps(judge, replace(good, **bad), FrameBounds(), current, 10.0)
+    over = current + 2.5 * np.eye(64)[3]
+    assert not keeps(judge, good, FrameBounds(), over, 10.0)
+
+
+def test_masked_electrodes_carry_nothing(profile, changed):
+    mine = changed(profile, {"output.masked": [0, 28]})
+    operator = FrameOperator(FrameJudge(mine, Primary.RA, np.full(64, 2.2)))
+    level = np.zeros(64)
+    level[[10, 27, 52]] = 1
+    current, _ = operator.bounded(level, FrameBounds())
+    assert (current[[0, 28]] == 0).all()
+    assert (operator.matrix[[0, 28]] == 0).all()
+    assert np.abs(current[27]) > 1
+    assert not keeps(
+        operator.judge,
+        operator.judge.judge(current, level),
+        FrameBounds(),
+        current + 1e-6 * np.eye(64)[28],
+        None,
+    )
+    level[28] = 1
+    with pytest.raises(DesignError, match="site 28 is masked"):
+        operator.currents(level)
+
+
+def test_arrays_that_are_no_grid_have_operators(make_operator):
+    mine = load_profile("kajimoto-61")
+    mine = type(mine).model_validate(mine.model_dump() | {"output": {"kind": "weighted"}})
+    operator = FrameOperator(FrameJudge(mine, Primary.RA, np.full(61, 1.0)))
+    level = scattered(1, 4, 61)
+    reached = operator.judge.target[level > 0] @ operator.currents(level)
+    assert reached == pytest.approx(np.ones(4), rel=1e-3)

@@ -1,0 +1,316 @@
+"""Banks: shipped ones are current, and no broken file is believed."""
+
+import io
+import os
+import random
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+
+from smarttouch.errors import DesignError
+from smarttouch.kernels import bank as banks
+from smarttouch.kernels.bank import (
+    design_bank,
+    load_bank,
+    make_bank,
+    problem_hash,
+    shipped_bank,
+    write_bank,
+)
+from smarttouch.kernels.batch import design_sites
+from smarttouch.kernels.design import design_kernel
+from smarttouch.kernels.problem import Problem
+from smarttouch.primary import Primary
+from smarttouch.profile import load_profile, profile_names
+
+MUTANTS = int(os.environ.get("SMARTTOUCH_MUTANTS", "100"))
+PAIRS = int(os.environ.get("SMARTTOUCH_PAIRS", "1"))
+"""Rounds in which three processes design one bank at once."""
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setattr("platformdirs.user_cache_path", lambda _: tmp_path / "cache")
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def no_design(monkeypatch):
+    def refuse(*_):
+        raise AssertionError("designed although a bank was there")
+
+    monkeypatch.setattr(banks, "design_bank", refuse)
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_shipped_banks_answer_their_profiles(name, cache, no_design):
+    profile = load_profile(name)
+    bank = load_bank(profile)
+    count = len(profile.electrodes)
+    for primary, weights in bank.weights.items():
+        assert weights.shape == bank.receptor[primary].shape == (count, count)
+        assert np.abs(weights.sum(axis=1)).max() < 1e-9
+        assert (weights * bank.receptor[primary]).sum(axis=1) == pytest.approx(
+            np.ones(count), rel=1e-4
+        )
+        assert np.abs(bank.kernels(primary)).max(axis=1) == pytest.approx(np.ones(count))
+        own = np.diag(weights)
+        if primary is Primary.RA:
+            assert np.all(own < 0)
+        elif primary is Primary.SAI:
+            assert np.all(own > 0)
+    assert not cache.exists()
+
+
+@pytest.mark.parametrize("name", ["electric-mouse", "line-7", "line-8"])
+def test_weighted_kernels_are_confined(name):
+    bank = load_bank(load_profile(name))
+    for primary in (Primary.RA, Primary.SAI):
+        assert bank.own_spill[primary].max() <= 0.2 + 1e-5
+
+
+def test_total_current_is_limited_in_every_kernel():
+    for name in ("electric-mouse", "optacon-24x6"):
+        profile = load_profile(name)
+        for primary in Primary:
+            source = np.abs(load_bank(profile).kernels(primary)).sum(axis=1) / 2 * 2.4
+            assert source.max() < profile.limits.total_ma
+
+
+@pytest.mark.parametrize(("primary", "site"), [(Primary.RA, 0), (Primary.SAI, 27), (Primary.PC, 9)])
+def test_shipped_kernels_can_be_reproduced(profile, bank, primary, site):
+    kernel = design_kernel(Problem(profile, primary), site)
+    strongest = np.abs(kernel.weights).max()
+    assert bank.weights[primary][site] == pytest.approx(kernel.weights, abs=1e-6 * strongest)
+    assert bank.worst_other[primary][site] == pytest.approx(kernel.worst_other, abs=1e-6)
+
+
+def test_three_states_share_one_source():
+    bank = load_bank(load_profile("smarttouch-4x4"))
+    for weights in bank.weights.values():
+        for row in weights:
+            assert row[row > 0] == pytest.approx(row.max())
+            assert row[row < 0] == pytest.approx(row.min())
+
+
+def test_one_against_all_offers_its_polarity_only():
+    bank = load_bank(load_profile("kajimoto-61"))
+    row = bank.kernels(Primary.RA)[30]
+    assert row[30] == -1
+    assert np.delete(row, 30) == pytest.approx(np.full(60, 1 / 60))
+    with pytest.raises(DesignError, match=r"mode SAI is not possible.*offers RA"):
+        bank.kernels(Primary.SAI)
+
+
+@pytest.fixture
+def mine():
+    """A profile that no bank is shipped for."""
+    profile = load_profile("smarttouch-4x4")
+    table = profile.model_dump()
+    table["name"] = "mine"
+    table["array"] |= {"rows": 2, "columns": 3, "pitch_x_mm": 1.8}
+    return type(profile).model_validate(table)
+
+
+def test_a_profile_of_one_s_own_is_designed_once(cache, mine, monkeypatch):
+    told = []
+    first = load_bank(mine, lambda done, total: told.append((done, total)))
+    assert told[-1][0] == told[-1][1] > 0
+    monkeypatch.setattr(banks, "design_bank", None)
+    again = load_bank(mine)
+    for primary in first.weights:
+        assert np.array_equal(first.weights[primary], again.weights[primary])
+
+
+def test_an_interrupted_bank_goes_on_where_it_was(tmp_path, mine):
+    path, told = tmp_path / "mine.npz", []
+
+    def interrupt(done, total):
+        told.append((done, total))
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make_bank(path, mine, interrupt)
+    (parts,) = tmp_path.iterdir()
+    assert len(list(parts.glob("RA-*.json"))) >= 2
+    told.clear()
+    bank = make_bank(path, mine, lambda *done: told.append(done))
+    assert told[0][0] > 2
+    assert list(tmp_path.iterdir()) == [path]
+    whole = load_bank(mine)
+    for primary in whole.weights:
+        assert bank.weights[primary] == pytest.approx(whole.weights[primary])
+
+
+@pytest.mark.parametrize("junk", [b"", b"PK\x03\x04 not really", b"\0" * 100])
+def test_a_broken_cache_is_designed_anew(cache, mine, junk):
+    cache.mkdir()
+    path = cache / f"{problem_hash(mine)}.npz"
+    path.write_bytes(junk)
+    assert Primary.RA in load_bank(mine).weights
+    assert path.stat().st_size > 500
+
+
+def test_a_bank_of_another_problem_is_not_taken(tmp_path, mine):
+    write_bank(tmp_path / "x.npz", load_profile("line-7"), load_bank(load_profile("line-7")))
+    assert banks._read(tmp_path / "x.npz", mine) is None
+
+
+def test_an_unwritable_cache_is_no_error(tmp_path, mine, monkeypatch):
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setattr("platformdirs.user_cache_path", lambda _: tmp_path / "file" / "cache")
+    assert Primary.RA in load_bank(mine).weights
+
+
+def test_optics_and_force_do_not_matter_to_kernels(profile):
+    moved = profile.model_copy(
+        update={"optics": profile.optics.model_copy(update={"rotation_deg": 5.0})}
+    )
+    assert problem_hash(moved) == problem_hash(profile)
+
+
+def test_the_board_s_scale_and_wiring_do_not_matter_to_kernels(profile, changed):
+    keys = {"output.ua_per_count": 9.7, "output.wiring": list(range(64))[::-1]}
+    assert problem_hash(changed(profile, keys)) == problem_hash(profile)
+
+
+def test_masked_electrodes_matter_to_kernels_their_order_not(profile, changed):
+    one, other = (changed(profile, {"output.masked": each}) for each in ([3, 9], [9, 3]))
+    assert problem_hash(one) == problem_hash(other) != problem_hash(profile)
+
+
+@pytest.mark.parametrize(
+    ("name", "keys"),
+    [("smarttouch-4x4", {"array.rows": 2}), ("etactilekit-32", {}), ("line-7", {})],
+)
+def test_a_bank_around_masked_electrodes(name, keys, changed):
+    masked = [1, 5]
+    mine = changed(load_profile(name), keys | {"output.masked": masked})
+    bank, count = design_bank(mine), len(mine.electrodes)
+    for primary, weights in bank.weights.items():
+        assert weights.shape == bank.receptor[primary].shape == (count, count)
+        assert not weights[masked].any()
+        assert not weights[:, masked].any()
+        assert np.abs(weights.sum(axis=1)).max() < 1e-9
+        assert np.abs(bank.kernels(primary)).max(axis=1)[mine.driven] == pytest.approx(1)
+        assert not bank.kernels(primary)[masked].any()
+        fired = (weights * bank.receptor[primary]).sum(axis=1)
+        assert fired[mine.driven] == pytest.approx(1, rel=1e-4)
+        with pytest.raises(DesignError, match=r"site 5 is masked.*output\.masked"):
+            bank.kernel(primary, 5, "weighted")
+        assert bank.kernel(primary, 2, "weighted").worst_other > 0
+
+
+def test_kernels_around_one_electrode_stay_selective(profile, bank, changed):
+    """What is left makes up for it: RA loses a sixth at its neighbors, SAI next to nothing."""
+    masked, near = changed(profile, {"output.masked": [27]}), [18, 19, 20, 26, 28, 34, 35, 36]
+    for primary, loss in ((Primary.RA, 1.17), (Primary.SAI, 1.01)):
+        kernels = [
+            kernel for kernel, _ in design_sites(Problem(masked, primary), design_kernel, near)
+        ]
+        other = np.array([kernel.worst_other for kernel in kernels])
+        ratio = other / bank.worst_other[primary][near]
+        assert ratio.max() <= loss
+        assert ratio.min() >= 1 - 1e-6, "fewer electrodes cannot do better"
+        assert max(kernel.own_spill for kernel in kernels) <= 0.2 + 1e-5
+
+
+def test_shipped_banks_lie_where_the_package_looks():
+    assert shipped_bank("electric-mouse").is_file()
+
+
+def mutant(data, arrays, chance):
+    """Return the bytes of a bank that is cut, changed, or of arrays that make no bank."""
+    how = chance.randrange(3)
+    if how == 0:
+        return data[: chance.randrange(len(data))]
+    if how == 1:
+        broken = bytearray(data)
+        for _ in range(chance.choice((1, 1, 3, 30))):
+            broken[chance.randrange(len(broken))] = chance.randrange(256)
+        return bytes(broken)
+    changed = dict(arrays)
+    name = chance.choice(sorted(arrays))
+    shape = changed[name].shape
+    changed[name] = chance.choice(
+        (
+            np.zeros(0), np.zeros((3, 3)), np.array("x"), np.full(shape, np.nan), np.int64(3),
+            np.full(shape, 127, np.int8), np.ones(shape, complex), np.full(shape, b"x"),
+            np.ones((*shape, 1)), np.array([{}], object),
+        )
+    )  # fmt: skip
+    if chance.random() < 0.2:
+        del changed[name]
+    if chance.random() < 0.2:
+        changed["weights_XX"] = np.zeros(3)
+    file = io.BytesIO()
+    np.savez_compressed(file, **changed)
+    return file.getvalue()
+
+
+def test_no_mutant_of_a_bank_is_more_than_no_bank(tmp_path):
+    profile = load_profile("line-7")
+    data, path, taken = shipped_bank("line-7").read_bytes(), tmp_path / "mutant.npz", 0
+    whole = banks._read(shipped_bank("line-7"), profile)
+    with np.load(io.BytesIO(data)) as file:
+        arrays = {name: file[name] for name in file.files}
+    for seed in range(MUTANTS):
+        path.write_bytes(mutant(data, arrays, random.Random(seed)))
+        found = banks._read(path, profile)
+        if found is not None:
+            taken += 1
+            for primary in Primary:
+                assert found.kernels(primary).shape == (7, 7)
+                assert found.kernel(primary, 3, "weighted").weights.any()
+            assert whole.weights.keys() == found.weights.keys()
+    assert taken < MUTANTS / 3
+
+
+def test_a_bank_that_would_be_unpickled_or_unpacked_without_end(tmp_path):
+    profile = load_profile("line-7")
+    path = tmp_path / "bomb.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("key.npy", bytes(400_000_000))
+    assert banks._read(path, profile) is None
+    os.mkfifo(tmp_path / "pipe")
+    assert banks._read(tmp_path / "pipe", profile) is None
+
+
+def test_a_bank_takes_no_pipe_s_place(tmp_path, mine, no_design):
+    os.mkfifo(tmp_path / "pipe.npz")
+    with pytest.raises(DesignError):
+        make_bank(tmp_path / "pipe.npz", mine)
+
+
+def test_a_bank_that_cannot_be_kept_is_used_all_the_same(cache, mine, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(banks, "write_bank", full)
+    assert Primary.RA in load_bank(mine).weights
+    with pytest.raises(DesignError, match="No space left"):
+        make_bank(cache / "mine.npz", mine)
+
+
+@pytest.mark.parametrize("round_", range(PAIRS))
+def test_processes_that_design_one_bank_at_once(tmp_path, mine, round_):
+    code = (
+        "import sys; from smarttouch.kernels.bank import load_bank; "
+        "from smarttouch.profile import Profile; "
+        "bank = load_bank(Profile.model_validate_json(sys.argv[1])); "
+        "print(sum(float(abs(each).sum()) for each in bank.weights.values()))"
+    )
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    command = [sys.executable, "-c", code, mine.model_dump_json()]
+    running = [
+        subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+        for _ in range(3)
+    ]
+    told = [each.communicate()[0] for each in running]
+    assert [each.returncode for each in running] == [0, 0, 0]
+    assert len({round(float(each), 6) for each in told}) == 1
+    assert [each.suffix for each in (tmp_path / "smarttouch").iterdir()] == [".npz"]

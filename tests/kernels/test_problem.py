@@ -1,0 +1,140 @@
+"""The rows of a problem, its symmetries, and how kernels are judged."""
+
+import numpy as np
+import pytest
+
+from smarttouch.errors import DesignError
+from smarttouch.kernels.problem import Problem
+from smarttouch.physiology.activation import af_matrix
+from smarttouch.physiology.afferents import everywhere
+from smarttouch.primary import Primary
+from smarttouch.profile import load_profile
+
+
+def test_distinct_sites(profile):
+    ra, sai = Problem(profile, Primary.RA), Problem(profile, Primary.SAI)
+    assert len({ra.representative(site)[0] for site in range(64)}) == 10
+    assert len({sai.representative(site)[0] for site in range(64)}) == 16
+
+
+@pytest.mark.parametrize("name", ["electric-mouse", "kajimoto-61", "line-7"])
+@pytest.mark.parametrize("primary", list(Primary))
+def test_symmetries_leave_the_targets_and_the_rows_alone(name, primary):
+    problem = Problem(load_profile(name), primary)
+    assert np.array_equal(problem.symmetries[0], np.arange(problem.electrodes))
+    for move in problem.symmetries:
+        moved = problem.target[np.ix_(move, move)]
+        assert moved == pytest.approx(problem.target)
+        rows = problem.rows[0].other
+        before, after = (np.sort(each.max(axis=1)) for each in (rows, rows[:, move]))
+        assert after == pytest.approx(before)
+
+
+def test_a_free_array_has_no_symmetry_but_none(profile, changed):
+    array = {"layout": "free", "positions_mm": [[0, 0], [2, 0], [1, 1.7], [3.1, 2.4]]}
+    problem = Problem(changed(profile, {"array": array}), Primary.RA)
+    assert len(problem.symmetries) == 1
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"output.impedance_kohm": [2.0] + [1.0] * 15},
+        {"limits.electrode_ma": [2.4] * 15 + [2.5]},
+        {"limits.total_ma": 5.0, "perception.threshold_ma": [1.2] * 4 + [1.1] + [1.2] * 11},
+    ],
+    ids=lambda keys: next(iter(keys)),
+)
+def test_an_electrode_of_its_own_kind_has_no_mirror_image(changed, keys):
+    profile = load_profile("smarttouch-4x4")
+    assert len(Problem(profile, Primary.RA).symmetries) == 8
+    mine = changed(profile, keys)
+    for move in Problem(mine, Primary.RA).symmetries:
+        assert np.array_equal(mine.admittance[move], mine.admittance)
+        assert np.array_equal(mine.threshold_ma[move], mine.threshold_ma)
+    assert len(Problem(mine, Primary.RA).symmetries) < 8
+
+
+def test_masked_electrodes_have_no_mirror_image(profile, changed):
+    mine = changed(profile, {"output.masked": [27]})
+    assert len(Problem(mine, Primary.RA).symmetries) == 2, "the diagonal through it is left"
+
+
+def test_thresholds_alone_do_not_change_kernels(changed):
+    mine = changed(load_profile("smarttouch-4x4"), {"perception.threshold_ma": [1.2] * 15 + [1.1]})
+    assert len(Problem(mine, Primary.RA).symmetries) == 8
+
+
+def test_a_rectangle_does_not_turn(profile, changed):
+    array = {
+        "layout": "free",
+        "positions_mm": [[0, 0], [2, 0], [0, 2], [2, 2]],
+        "shape": "rectangle",
+        "size_mm": [0.5, 1.5],
+    }
+    upright = Problem(changed(profile, {"array": array}), Primary.RA)
+    square = Problem(changed(profile, {"array": array | {"size_mm": [1.0, 1.0]}}), Primary.RA)
+    assert len(upright.symmetries) == 4
+    assert len(square.symmetries) == 8
+
+
+def test_judging_says_what_weights_do(profile):
+    problem = Problem(profile, Primary.SAI)
+    weights = np.zeros(64)
+    weights[27], weights[0] = 1.0, -1.0
+    kernel = problem.judge(weights, 27, kind="three-state")
+    assert problem.target[27] @ kernel.weights == pytest.approx(1)
+    af = {
+        each: (af_matrix(profile, everywhere(profile, each)) @ kernel.weights).max()
+        for each in Primary
+    }
+    assert kernel.worst_other == pytest.approx(max(af[Primary.RA], af[Primary.PC]))
+    assert af[kernel.worst_other_class] == pytest.approx(kernel.worst_other)
+    assert kernel.peak_normalized[27] == 1
+    with pytest.raises(DesignError, match="SAI at site 27 of electric-mouse does not activate"):
+        problem.judge(-weights, 27)
+
+
+def test_no_last_bit_chooses_between_classes_pressed_alike(profile):
+    problem = Problem(profile, Primary.PC)
+    weights = np.zeros(64)
+    weights[27], weights[0] = 1.0, -1.0
+    ra, sai = (np.flatnonzero(problem.other_class == each)[0] for each in (Primary.RA, Primary.SAI))
+    rows = problem.rows[0].other
+    rows[sai] = 10 * rows[(rows @ weights).argmax()]
+    rows[ra] = rows[sai] * (1 - 1e-12)
+    assert problem.judge(weights, 27).worst_other_class is Primary.RA
+    rows[ra] = rows[sai] * (1 - 1e-3)
+    assert problem.judge(weights, 27).worst_other_class is Primary.SAI
+
+
+def test_a_spread_has_rows_for_every_depth_and_direction(profile):
+    nominal, spread = Problem(profile, Primary.RA), Problem(profile, Primary.RA, spread=True)
+    # RA at 3 depths leaning 5 ways; SAI and PC at 3 depths with each direction turned 3 ways.
+    assert spread.rows[0].target.shape[0] == 15
+    assert len(spread.rows[0].other) == 9 * len(nominal.rows[0].other)
+    assert spread.target == pytest.approx(nominal.target)
+
+
+def test_a_spread_of_layers_has_rows_for_every_conductivity(profile, changed):
+    layers = [
+        {"thickness_mm": 0.3, "conductivity_s_per_m": 0.02},
+        {"conductivity_s_per_m": 0.4},
+    ]
+    mine = changed(
+        profile,
+        {
+            "array.rows": 2,
+            "array.columns": 2,
+            "skin.medium": "layered",
+            "skin.layers": layers,
+            "skin.conductivity_s_per_m": None,
+        },
+    )
+    assert len(Problem(mine, Primary.RA, spread=True).rows) == 5
+
+
+@pytest.mark.parametrize("others", [[], [Primary.RA], [Primary.RA, Primary.PC]])
+def test_a_class_cannot_be_selected_against_itself(profile, others):
+    with pytest.raises(DesignError, match="one or two other classes, not against"):
+        Problem(profile, Primary.RA, others)

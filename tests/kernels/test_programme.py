@@ -1,0 +1,70 @@
+"""The min–max programme: against scipy, without a bottom, and with a solver that goes astray."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+
+from smarttouch.kernels import programme
+from smarttouch.kernels.programme import Programme
+
+
+def random_programme(seed, rows=120, unknowns=6):
+    rng = np.random.default_rng(seed)
+    coefficients, aim = rng.normal(size=(rows, unknowns)), rng.normal(size=(1, unknowns))
+    size = np.ones(unknowns)
+    return (
+        coefficients,
+        aim,
+        Programme(coefficients, np.ones(rows), np.zeros(rows), aim, size, (size,)),
+    )
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_linprog_agrees(seed):
+    rows, aim, mine = random_programme(seed)
+    count = rows.shape[1]
+    theirs = linprog(
+        np.r_[np.zeros(count), 1],
+        np.c_[rows, -np.ones(len(rows))],
+        np.zeros(len(rows)),
+        np.c_[np.vstack([aim, np.ones(count)]), [0, 0]],
+        [1, 0],
+        bounds=[(None, None)] * (count + 1),
+    )
+    assert mine.most_selective() == pytest.approx(theirs.fun, rel=1e-6, abs=1e-7)
+
+
+def test_what_cannot_be_reached_is_infinite():
+    even = np.ones((1, 4))
+    unreachable = Programme(
+        np.eye(4), np.ones(4), np.zeros(4), even, np.ones(4), (np.ones(4),)
+    )  # fmt: skip
+    assert unreachable.most_selective() == np.inf
+
+
+def test_only_the_optimum_is_proven():
+    _, _, mine = random_programme(1)
+    mine.most_selective()
+    answer = np.asarray(mine._solver.getSolution().col_value)
+    assert mine._proven(answer)
+    assert not mine._proven(answer + 1e-3)
+
+
+def test_an_answer_that_is_not_proven_is_sought_anew(monkeypatch):
+    _, _, usual = random_programme(2)
+    expected, asked = usual.most_selective(), []
+    monkeypatch.setattr(Programme, "_proven", lambda *_: bool(asked.append(1)))
+    _, _, doubted = random_programme(2)
+    assert doubted.most_selective() == pytest.approx(expected, abs=1e-9)
+    assert asked == [1], "the cold answer is believed"
+
+
+def test_a_simplex_that_runs_in_circles_gives_way(monkeypatch):
+    _, _, usual = random_programme(3)
+    expected = usual.most_selective()
+    monkeypatch.setattr(programme, "_PATIENCE", 0)
+    _, _, stuck = random_programme(3)
+    assert stuck.most_selective() == pytest.approx(expected, abs=1e-6)

@@ -1,0 +1,177 @@
+"""Switched kernels: against every assignment there is, and against the paper."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from smarttouch.errors import DesignError
+from smarttouch.kernels import assignment
+from smarttouch.kernels.design import design_kernel
+from smarttouch.kernels.problem import Problem
+from smarttouch.kernels.switching import (
+    design_one_of_n,
+    design_three_state,
+    polarity,
+    possible_modes,
+)
+from smarttouch.primary import Primary
+from smarttouch.profile import load_profile
+
+
+@pytest.fixture(scope="module")
+def small(changed):
+    """A 2 x 3 array of three states, with electrodes of any impedance."""
+
+    def make(impedance_kohm=1.0, **more):
+        profile = load_profile("smarttouch-4x4")
+        keys = {"array.rows": 2, "array.columns": 3, "output.impedance_kohm": impedance_kohm}
+        return changed(profile, keys | more)
+
+    return make
+
+
+def by_trying_all(problem, site):
+    """Return the least worst other, or spill where that passes 0.2, of all assignments."""
+    admittance, best = problem.profile.admittance, np.inf
+    for chosen in itertools.product((0, 1, -1), repeat=len(problem.driven)):
+        states = np.zeros(problem.electrodes, int)
+        states[problem.driven] = chosen
+        if not ((states > 0).any() and (states < 0).any()):
+            continue
+        shares = np.zeros(len(states))
+        for pole in (1, -1):
+            connected = states == pole
+            shares[connected] = pole * admittance[connected] / admittance[connected].sum()
+        try:
+            kernel = problem.judge(shares, site, kind="three-state")
+        except DesignError:
+            continue
+        spills = kernel.own_spill > 0.2
+        best = min(
+            best, max(kernel.worst_other, kernel.own_spill) if spills else kernel.worst_other
+        )
+    return best
+
+
+IMPEDANCES = [1.0, [1.0, 3.0, 0.5, 2.0, 1.0, 0.7]]
+
+
+@pytest.mark.parametrize("impedance_kohm", IMPEDANCES, ids=["equal", "measured"])
+@pytest.mark.parametrize("site", [0, 1])
+@pytest.mark.parametrize("primary", list(Primary))
+def test_no_assignment_is_better(small, primary, site, impedance_kohm):
+    problem = Problem(small(impedance_kohm), primary)
+    kernel = design_three_state(problem, site)
+    assert kernel.gap == 0
+    assert kernel.kind == "three-state"
+    objective = max(kernel.worst_other, kernel.own_spill if kernel.own_spill > 0.2 else 0)
+    assert objective == pytest.approx(by_trying_all(problem, site), rel=1e-9)
+    assert objective >= design_kernel(problem, site).worst_other - 1e-9
+
+
+@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
+def test_no_assignment_is_better_on_the_worst_finger(small, primary):
+    nominal, spread = (Problem(small(), primary, spread=each) for each in (False, True))
+    kernel = design_three_state(spread, 1)
+    assert kernel.gap == 0
+    assert kernel.worst_other == pytest.approx(by_trying_all(spread, 1), rel=1e-9)
+    assert nominal.judge(kernel.weights, 1, kind="three-state").worst_other < kernel.worst_other
+
+
+def test_a_source_divides_by_admittance(small):
+    profile = small(IMPEDANCES[1])
+    kernel = design_three_state(Problem(profile, Primary.SAI), 1)
+    for pole in (kernel.weights > 0, kernel.weights < 0):
+        share = kernel.weights[pole] / profile.admittance[pole]
+        assert share == pytest.approx(share[0])
+    assert abs(kernel.weights.sum()) < 1e-12 * np.abs(kernel.weights).max()
+
+
+def test_where_a_proof_is_too_much_the_gap_is_stated(small, monkeypatch):
+    problem = Problem(small(), Primary.RA)
+    proven = design_three_state(problem, 0)
+    monkeypatch.setattr(assignment, "EXACT", 5)
+    found = design_three_state(problem, 0)
+    assert found.worst_other >= proven.worst_other - 1e-12
+    weighted = design_kernel(problem, 0).worst_other
+    assert found.gap == pytest.approx((found.worst_other - weighted) / found.worst_other)
+    assert found.worst_other * (1 - found.gap) <= proven.worst_other
+
+
+def test_a_proof_is_given_up_not_awaited(small, monkeypatch):
+    monkeypatch.setattr(assignment, "_BRANCHES", 3)
+    assert design_three_state(Problem(small(), Primary.RA), 0).gap > 0
+
+
+def test_the_proof_holds_where_the_search_was_led_astray(small, monkeypatch):
+    """Branch and bound must find the best from a bad start, not only confirm a good one."""
+    problem = Problem(small(), Primary.SAI)
+    expected = design_three_state(problem, 1)
+    bad = np.array([0, 1, 0, 0, 0, -1], np.int8)
+
+    def search(judge, *_):
+        return bad, float(judge.reached(bad[None])[0])
+
+    monkeypatch.setattr(assignment, "_local_search", search)
+    found = design_three_state(problem, 1)
+    assert found.worst_other == pytest.approx(expected.worst_other, rel=1e-9)
+
+
+def test_switched_currents_keep_the_limits(small):
+    free = design_three_state(Problem(small(), Primary.RA), 1)
+    carrying = int(np.argmax(free.weights))
+    lowered = [2.4] * 6
+    lowered[carrying] = 0.2
+    threshold = [1.2] * 6
+    threshold[carrying] = 0.1
+    mine = small(**{"limits.electrode_ma": lowered, "perception.threshold_ma": threshold})
+    kept = design_three_state(Problem(mine, Primary.RA), 1)
+    assert abs(kept.peak_normalized[carrying]) * 2.4 <= 0.2
+    assert kept.worst_other > free.worst_other
+
+
+def test_one_of_n_is_one_against_all_others(small):
+    problem = Problem(small(), Primary.RA)
+    kernel = design_one_of_n(problem, 4)
+    assert kernel.peak_normalized == pytest.approx([0.2, 0.2, 0.2, 0.2, -1, 0.2])
+    assert design_one_of_n(Problem(small(), Primary.SAI), 4).peak_normalized[4] == 1
+
+
+@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
+def test_no_assignment_around_a_masked_electrode_is_better(small, primary):
+    problem = Problem(small(IMPEDANCES[1], **{"output.masked": [2]}), primary)
+    kernel = design_three_state(problem, 1)
+    assert kernel.gap == 0
+    assert kernel.weights[2] == 0
+    objective = max(kernel.worst_other, kernel.own_spill if kernel.own_spill > 0.2 else 0)
+    assert objective == pytest.approx(by_trying_all(problem, 1), rel=1e-9)
+
+
+def test_one_of_n_counts_on_no_masked_electrode(small):
+    problem = Problem(small(**{"output.masked": [0]}), Primary.RA)
+    assert design_one_of_n(problem, 4).peak_normalized == pytest.approx(
+        [0, 0.25, 0.25, 0.25, -1, 0.25]
+    )
+
+
+@pytest.mark.parametrize("design", [design_kernel, design_one_of_n, design_three_state])
+def test_a_masked_site_has_no_kernel(small, design):
+    with pytest.raises(DesignError, match=r"site 2 is masked.*output\.masked"):
+        design(Problem(small(**{"output.masked": [2]}), Primary.RA), 2)
+
+
+@pytest.mark.parametrize("site", [-1, 6])
+def test_site_out_of_range(small, site):
+    for design in (design_one_of_n, design_three_state):
+        with pytest.raises(DesignError, match="out of range"):
+            design(Problem(small(), Primary.RA), site)
+
+
+def test_polarity_follows_the_ending(changed):
+    profile = load_profile("kajimoto-61")
+    assert polarity(profile, Primary.RA) == "anodic"
+    assert possible_modes(profile) == [Primary.RA]
+    active = changed(profile, {"skin.ra_ending": "active"})
+    assert polarity(active, Primary.RA) == "cathodic"
+    assert possible_modes(active) == []

@@ -1,0 +1,125 @@
+"""The AF matrix: signs, superposition, every shape of electrode, and the axon's ending."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smarttouch.errors import DesignError
+from smarttouch.physiology.activation import af_matrix, field
+from smarttouch.physiology.afferents import everywhere, targets
+from smarttouch.primary import Primary
+from smarttouch.profile import load_profile, profile_names
+
+LAYERS = [
+    {"name": "stratum corneum", "thickness_mm": 0.3, "conductivity_s_per_m": 0.02},
+    {"name": "epidermis and dermis", "thickness_mm": 1.2, "conductivity_s_per_m": 0.43},
+    {"name": "fat", "conductivity_s_per_m": 0.025},
+]
+
+
+@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("primary", list(Primary))
+def test_shape_and_sign_at_the_target(name, primary):
+    profile = load_profile(name)
+    matrix = af_matrix(profile, targets(profile, primary))
+    count = len(profile.electrodes)
+    assert matrix.shape == (count, count)
+    own = np.diag(matrix)
+    assert np.all(own < 0) if primary is Primary.RA else np.all(own > 0)
+
+
+def test_superposition_is_linear_in_conductivity(profile, changed):
+    half = changed(profile, {"skin.conductivity_s_per_m": 0.215})
+    nodes = targets(profile, Primary.SAI)
+    assert af_matrix(half, nodes) == pytest.approx(2 * af_matrix(profile, nodes))
+
+
+def test_the_paper_s_own_matrix():
+    """Eq. 3, 5 and 9 by hand: the SAI target under the middle of seven lines."""
+    profile = load_profile("line-7")
+    row = af_matrix(profile, targets(profile, Primary.SAI))[3]
+    x = np.arange(-3, 4)
+    expected = (0.81 - x**2) / (0.81 + x**2) ** 2 / (2 * np.pi * 0.43 * 10)
+    assert row == pytest.approx(expected)
+
+
+def test_an_infinite_medium_has_half_the_field(profile, changed):
+    infinite = changed(profile, {"skin.medium": "infinite"})
+    nodes = everywhere(profile, Primary.PC)
+    assert af_matrix(infinite, nodes) == pytest.approx(af_matrix(profile, nodes) / 2)
+
+
+def test_every_shape_on_every_medium_it_goes_with(profile, changed):
+    free = {"layout": "free", "positions_mm": [[0, 0], [2, 0], [1, 1.7]]}
+    shapes = {
+        "point": [0, 0],
+        "disc": [1.0, 0],
+        "annulus": [1.0, 0.5],
+        "rectangle": [0.5, 10.0],
+    }
+    layered = {"skin.medium": "layered", "skin.layers": LAYERS, "skin.conductivity_s_per_m": None}
+    for shape, size in shapes.items():
+        array = free | {"shape": shape, "size_mm": size}
+        for medium in ({}, {"skin.medium": "infinite"}, layered):
+            mine = changed(profile, {"array": array, **medium})
+            nodes = targets(mine, Primary.SAI)
+            if shape == "rectangle" and medium is layered:
+                with pytest.raises(DesignError, match="not for rectangles: use medium"):
+                    af_matrix(mine, nodes)
+            else:
+                assert np.all(np.diag(af_matrix(mine, nodes)) > 0)
+
+
+def test_layers_of_one_conductivity_are_the_half_space(profile, changed):
+    same = [layer | {"conductivity_s_per_m": 0.43} for layer in LAYERS]
+    layered = changed(
+        profile,
+        {"skin.medium": "layered", "skin.layers": same, "skin.conductivity_s_per_m": None},
+    )
+    for primary in Primary:
+        nodes = everywhere(profile, primary)
+        one, other = af_matrix(profile, nodes), af_matrix(layered, nodes)
+        np.testing.assert_allclose(other, one, rtol=1e-4, atol=1e-6 * np.abs(one).max())
+
+
+def test_an_active_ending_answers_the_cathode(profile, changed):
+    active = changed(profile, {"skin.ra_ending": "active"})
+    nodes = targets(active, Primary.RA)
+    assert nodes.ending == "active"
+    assert np.all(np.diag(af_matrix(active, nodes)) > 0)
+    assert np.all(np.diag(af_matrix(profile, targets(profile, Primary.RA))) < 0)
+
+
+def test_an_active_ending_is_mcneal_s_end_node(profile, changed):
+    active = changed(profile, {"skin.ra_ending": "active"})
+    nodes, step = targets(active, Primary.RA), active.skin.internode_mm
+    potentials = [
+        field(active.electrodes, active.skin, nodes.position_mm, 0.7 + down) for down in (0, step)
+    ]
+    (end, scale), (next_one, _) = potentials
+    expected = scale * (next_one.potential - end.potential) / step**2
+    assert af_matrix(active, nodes) == pytest.approx(expected)
+
+
+def test_depth_selection_of_figure_9():
+    """Anodes around a cathode: the AF is gone in the deep. Cathodes around it: it reaches there."""
+    profile = load_profile("line-7")
+    flat = targets(profile, Primary.SAI)
+    shallow, deep = (af_matrix(profile, replace(flat, depth_mm=each))[3] for each in (0.7, 2.0))
+    alone, narrow, broad = (
+        np.array([0, 0, beside, 1, beside, 0, 0]) for beside in (0.0, -0.5, 1.0)
+    )
+    lone, narrowed, broadened = (deep @ w / (shallow @ w) for w in (alone, narrow, broad))
+    assert narrowed < 0.6 * lone
+    assert broadened > 2 * lone
+
+
+def test_orientation_selection_of_figure_10():
+    """The same place, the other polarity: flat axons against rising ones (Laplace's equation)."""
+    profile = load_profile("line-7")
+    depth = replace(targets(profile, Primary.SAI), depth_mm=0.8)
+    flat = af_matrix(profile, depth)
+    rising = af_matrix(profile, replace(depth, direction=np.array([[0.0, 0.0, 1.0]])))
+    assert rising == pytest.approx(-flat)
+    assert flat[3, 3] > 0

@@ -1,0 +1,205 @@
+"""Thresholds of the active fiber: against an independent integrator and known physiology."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from smarttouch.errors import DesignError
+from smarttouch.physiology.membrane import Axon, Fiber, strength_duration, threshold_ma, weiss_fit
+
+SPACING_MM = Fiber().internode_mm
+TRUNK = {"internode_mm": 0.33}  # 100 outer diameters
+
+
+def point_mv_per_ma(across_mm, depth_mm):
+    """Half space of 0.43 S/m under a point cathode: −ρ / (2π R)."""
+    return -1000 / (2 * np.pi * 0.43 * np.hypot(across_mm, depth_mm))
+
+
+def disc_mv_per_ma(across_mm, depth_mm, radius_mm=0.5):
+    """Half space under an equipotential disc cathode."""
+    near = np.hypot(across_mm - radius_mm, depth_mm)
+    far = np.hypot(across_mm + radius_mm, depth_mm)
+    return -1000 / (2 * np.pi * 0.43 * radius_mm) * np.arcsin(2 * radius_mm / (near + far))
+
+
+def flat(depth_mm, source=point_mv_per_ma, nodes=101):
+    return source((np.arange(nodes) - nodes // 2) * SPACING_MM, depth_mm)
+
+
+def upright(source=disc_mv_per_ma, depth_mm=0.7, nodes=80, internode_mm=SPACING_MM):
+    return source(np.zeros(nodes), depth_mm + np.arange(nodes) * internode_mm)
+
+
+def polarities(potential, fiber, **options):
+    return [
+        threshold_ma(potential, fiber, cathodic=cathodic, **options) for cathodic in (True, False)
+    ]
+
+
+def fires_by_integration(potential, current_ma, width_us):
+    """The same equations, written out anew per node and left to LSODA; ending active."""
+    nodes = potential.size
+    axial_us = 1.98e-4 / (4 * 54.7 * SPACING_MM * 0.1 * 2.5 * 1.5e-4)
+
+    def rates(v):
+        v = np.clip(v, -200, 200)
+        opening_m = (97 + 0.363 * v) / (1 + np.exp((31 - v) / 5.3))
+        closing_m = opening_m / np.exp((v - 23.8) / 4.17)
+        closing_h = 15.6 / (1 + np.exp((24 - v) / 10))
+        opening_h = closing_h / np.exp((v - 5.5) / 5)
+        return opening_m / 1e3, closing_m / 1e3, opening_h / 1e3, closing_h / 1e3
+
+    def slopes(_, state, drive):
+        v, m, h = state.reshape(3, nodes)
+        opening_m, closing_m, opening_h, closing_h = rates(v)
+        inside = v + drive
+        axial = axial_us * np.diff(np.diff(inside, prepend=inside[0], append=inside[-1]))
+        ionic = 1.445 / 2.5 * m**2 * h * (v - 115) + 0.128 / 2.5 * (v + 0.01)
+        return np.concatenate(
+            [
+                axial - ionic,
+                opening_m * (1 - m) - closing_m * m,
+                opening_h * (1 - h) - closing_h * h,
+            ]
+        )
+
+    opening_m, closing_m, opening_h, closing_h = rates(np.zeros(nodes))
+    state = np.concatenate(
+        [
+            np.zeros(nodes),
+            opening_m / (opening_m + closing_m),
+            opening_h / (opening_h + closing_h),
+        ]
+    )
+    highest = 0.0
+    for span_us, drive in ((width_us, current_ma * potential), (700.0, 0 * potential)):
+        run = solve_ivp(slopes, (0, span_us), state, "LSODA", args=(drive,), rtol=1e-5, atol=1e-5)
+        state = run.y[:, -1]
+        highest = max(highest, run.y[nodes - 5].max())
+    return highest > 80
+
+
+@pytest.mark.parametrize("end", ["passive", "active", "through"])
+def test_rest_stays_at_rest(end):
+    axon = Axon(upright(), Fiber(end=end), 2.0)
+    state = axon.rest(1)
+    for _ in range(500):
+        state = axon.advance(state, np.zeros(1))
+    assert np.abs(state[0]).max() < 1e-9
+
+
+def test_an_action_potential_travels_unharmed():
+    potential = np.zeros(60)
+    potential[0] = -1000.0
+    axon = Axon(potential, Fiber(end="active"), 2.0)
+    state, course = axon.rest(1), []
+    for step in range(400):
+        state = axon.advance(state, np.array([0.03]) if step < 50 else None)
+        course.append(state[0][0])
+    course = np.array(course)
+    assert 85 < course[:, 20].max() < 100
+    assert course[:, 50].max() == pytest.approx(course[:, 20].max(), rel=0.01)
+    delay_us = 2.0 * (course[:, 50].argmax() - course[:, 20].argmax())
+    assert 5 < 30 * SPACING_MM * 1000 / delay_us < 15  # m/s; 3 to 5 per µm of diameter
+    assert np.abs(course[-1, :40]).max() < 1
+
+
+def test_an_independent_integrator_finds_the_same_threshold():
+    potential = upright(nodes=60)
+    threshold = threshold_ma(potential, Fiber(end="active"), cathodic=True)
+    assert fires_by_integration(potential, 1.01 * threshold, 200.0)
+    assert not fires_by_integration(potential, 0.99 * threshold, 200.0)
+
+
+@pytest.mark.parametrize("end", ["passive", "active"])
+@pytest.mark.parametrize("width_us", [50.0, 200.0])
+def test_halving_the_step_changes_little(end, width_us):
+    fiber = Fiber(end=end)
+    normal = polarities(upright(), fiber, width_us=width_us)
+    halved = polarities(upright(), fiber, width_us=width_us, step_us=1.0)
+    assert normal == pytest.approx(halved, rel=0.01)
+
+
+@pytest.mark.parametrize("cathodic", [True, False])
+def test_charge_rises_linearly_with_width(cathodic):
+    """Weiss' law within 3 %, from the shortest pulses to the customary 200 µs."""
+    widths_us = np.array([20.0, 50.0, 100.0, 200.0])
+    thresholds = strength_duration(flat(0.9), Fiber(end="through"), widths_us, cathodic=cathodic)
+    rheobase_ma, chronaxie_us = weiss_fit(widths_us, thresholds)
+    assert rheobase_ma * (widths_us + chronaxie_us) == pytest.approx(
+        widths_us * thresholds, rel=0.03
+    )
+    assert 20 < chronaxie_us < 100
+    assert np.all(np.diff(thresholds) < 0)
+
+
+def test_weiss_fit_recovers_an_exact_curve():
+    widths_us = np.array([30.0, 90.0, 400.0])
+    assert weiss_fit(widths_us, 0.7 * (1 + 55 / widths_us)) == pytest.approx((0.7, 55.0))
+
+
+@pytest.mark.parametrize("depth_mm", [0.7, 0.9, 1.4])
+@pytest.mark.parametrize("source", [point_mv_per_ma, disc_mv_per_ma])
+def test_flat_fiber_prefers_the_cathode(depth_mm, source):
+    cathodic, anodic = polarities(flat(depth_mm, source, 131), Fiber(end="through"))
+    assert 3 < anodic / cathodic < 6
+
+
+def test_deeper_takes_more():
+    depths_mm = [0.5, 0.7, 0.9, 1.4, 2.0]
+    fiber = Fiber(end="through")
+    thresholds = [threshold_ma(flat(each), fiber, cathodic=True) for each in depths_mm]
+    assert np.all(np.diff(thresholds) > 0)
+
+
+def test_far_ends_do_not_matter_once_out_of_the_field():
+    fiber = Fiber(end="through")
+    short, long = (polarities(flat(0.9, nodes=nodes), fiber) for nodes in (101, 151))
+    assert short == pytest.approx(long, rel=0.005)
+    assert polarities(flat(0.9, nodes=151), Fiber()) == pytest.approx(long, rel=0.005)
+
+
+@pytest.mark.parametrize("source", [point_mv_per_ma, disc_mv_per_ma])
+@pytest.mark.parametrize("geometry", [{}, TRUNK])
+def test_the_ending_decides_what_fires_an_upright_fiber(source, geometry):
+    potential = upright(source, **geometry)
+    cathodic, anodic = polarities(potential, Fiber(end="passive", **geometry))
+    assert anodic < 0.6 * cathodic
+    cathodic, anodic = polarities(potential, Fiber(end="active", **geometry))
+    assert cathodic < 0.25 * anodic
+
+
+def test_a_small_passive_terminal_follows_the_field_and_lets_the_cathode_win():
+    cathodic, anodic = polarities(upright(), Fiber(terminal_um2=500.0))
+    assert cathodic < anodic
+
+
+def test_thicker_fibers_fire_first():
+    thin, thick = (
+        threshold_ma(flat(0.9), Fiber(diameter_um=each, end="through"), cathodic=True)
+        for each in (2.0, 6.0)
+    )
+    assert thick < thin
+
+
+def test_scales_with_the_potential():
+    fiber = Fiber(end="through")
+    once = threshold_ma(flat(0.9), fiber, cathodic=True)
+    assert threshold_ma(5 * flat(0.9), fiber, cathodic=True) == pytest.approx(once / 5, rel=0.002)
+    assert threshold_ma(-flat(0.9), fiber, cathodic=False) == once
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1e6])
+def test_no_threshold_is_one_clear_error(scale):
+    with pytest.raises(DesignError, match=r"no anodic threshold from 0.0001 to 1000 mA"):
+        threshold_ma(scale * upright(), Fiber(), cathodic=False)
+
+
+def test_refuses_what_is_no_fiber():
+    with pytest.raises(ValueError, match="positive"):
+        Fiber(internode_mm=0.0)
+    with pytest.raises(ValueError, match="open"):
+        Fiber(end="open")
+    with pytest.raises(ValueError, match="two nodes"):
+        threshold_ma([1.0], Fiber(), cathodic=True)

@@ -1,0 +1,154 @@
+"""Closed forms against quadrature, finite differences and Laplace's equation."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.physiology.potential import Field, disc, line_in_plane, point, rectangle
+
+NODES, SHARES = np.polynomial.legendre.leggauss(400)
+COARSE, PARTS = np.polynomial.legendre.leggauss(80)
+STEP_MM = 0.02
+
+PLACES = [(0.0, 0.0, 0.7), (0.7, 0.4, 0.7), (2.0, -1.0, 0.9), (0.5, 0.0, 2.0)]
+
+
+def point_potential(x, y, z):
+    return 1 / np.sqrt(x * x + y * y + z * z)
+
+
+def disc_potential(radius):
+    """Weber's equipotential disc as evenly spread complex point sources."""
+
+    def potential(x, y, z):
+        distance = np.sqrt(x * x + y * y + (z + 1j * radius * NODES) ** 2)
+        return float((SHARES / distance).sum().real / 2)
+
+    return potential
+
+
+def rectangle_potential(width, height):
+    """Point sources spread evenly over a rectangle, by Gauss's rule."""
+
+    def potential(x, y, z):
+        u, v = COARSE[:, None] * width / 2, COARSE[None] * height / 2
+        return float(PARTS @ (1 / np.sqrt((x - u) ** 2 + (y - v) ** 2 + z * z)) @ PARTS) / 4
+
+    return potential
+
+
+CLOSED = [
+    (lambda x, y, z: point(x, y, z), point_potential),
+    (lambda x, y, z: disc(x, y, z, 0.25), disc_potential(0.25)),
+    (lambda x, y, z: disc(x, y, z, 0.5), disc_potential(0.5)),
+    (lambda x, y, z: disc(x, y, z, 0.8), disc_potential(0.8)),
+    (lambda x, y, z: rectangle(x, y, z, 0.5, 10.0), rectangle_potential(0.5, 10.0)),
+    (lambda x, y, z: rectangle(x, y, z, 1.5, 1.0), rectangle_potential(1.5, 1.0)),
+]
+
+
+def at(field, x, y, z):
+    return Field(*(float(part) for part in field(np.array(x), np.array(y), z)))
+
+
+def by_differences(potential, place):
+    """All seven parts of a field from 19 potentials around a place, fourth order in the step."""
+
+    def shifted(*steps):
+        return -potential(*(np.array(place) + STEP_MM * np.array(steps)))
+
+    axes = np.eye(3)
+    straight = [
+        (
+            16 * (shifted(*axis) + shifted(*-axis))
+            - shifted(*(2 * axis))
+            - shifted(*(-2 * axis))
+            - 30 * shifted(0, 0, 0)
+        )
+        / (12 * (STEP_MM) ** 2)
+        for axis in axes
+    ]
+
+    def mixed(first, second, reach):
+        a, b = axes[first] * reach, axes[second] * reach
+        return (shifted(*(a + b)) + shifted(*(-a - b)) - shifted(*(a - b)) - shifted(*(b - a))) / (
+            4 * (STEP_MM * reach) ** 2
+        )
+
+    slanted = [
+        (4 * mixed(first, second, 1) - mixed(first, second, 2)) / 3
+        for first, second in ((0, 1), (0, 2), (1, 2))
+    ]
+    return Field(shifted(0, 0, 0), *straight, *slanted)
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize(("closed", "potential"), CLOSED)
+def test_closed_forms_against_quadrature_and_differences(closed, potential, place):
+    expected = by_differences(potential, place)
+    strongest = max(abs(part) for part in expected[1:])
+    for mine, theirs in zip(at(closed, *place), expected, strict=True):
+        assert mine == pytest.approx(theirs, rel=1e-4, abs=1e-5 * strongest)
+
+
+@given(st.floats(-8, 8), st.floats(-8, 8), st.floats(0.2, 3))
+@pytest.mark.parametrize("closed", [closed for closed, _ in CLOSED])
+def test_laplace(closed, x, y, z):
+    field = at(closed, x, y, z)
+    scale = abs(field.xx) + abs(field.yy) + abs(field.zz)
+    assert abs(field.xx + field.yy + field.zz) <= 1e-9 * scale + 1e-12
+
+
+def test_far_electrodes_are_points():
+    far = at(point, 30.0, 0.0, 40.0)
+    for closed, _ in CLOSED[1:]:
+        field = at(closed, 30.0, 0.0, 40.0)
+        assert field.potential == pytest.approx(far.potential, rel=3e-3)
+        assert field.zz == pytest.approx(far.zz, rel=2e-2)
+
+
+def test_along_a_diagonal_is_along_the_turned_axis():
+    turned = at(CLOSED[2][0], 0.6, 0.6, 0.7).along(np.array([1, 1, 0]) / np.sqrt(2))
+    assert turned == pytest.approx(at(CLOSED[2][0], 0.6 * np.sqrt(2), 0.0, 0.7).xx)
+
+
+def test_along_a_slant_is_the_second_difference_along_it():
+    direction = np.array([2, -1, 2]) / 3
+    potential = disc_potential(0.5)
+    place = np.array([0.4, 0.3, 0.8])
+    ahead, here, behind = (-potential(*(place + step * direction)) for step in (2e-3, 0, -2e-3))
+    slanted = at(CLOSED[2][0], *place).along(direction)
+    assert slanted == pytest.approx((ahead - 2 * here + behind) / 4e-6, rel=1e-4)
+
+
+def test_equation_5():
+    assert line_in_plane(np.array([0.0, 0.9, 2.0]), 0.9).xx == pytest.approx(
+        [1 / 0.81, 0.0, (0.81 - 4) / (0.81 + 4) ** 2]
+    )
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.7), (0.6, 0.9), (-2.0, 1.4)])
+def test_line_against_differences_of_its_logarithm(place):
+    def potential(x, _, z):
+        return -np.log(np.hypot(x, z))
+
+    expected = by_differences(potential, (place[0], 0.0, place[1]))
+    field = line_in_plane(np.array(place[0]), place[1])
+    for mine, theirs in zip(field, expected, strict=True):
+        assert float(mine) == pytest.approx(theirs, rel=1e-4, abs=1e-5)
+
+
+def test_a_long_thin_rectangle_is_the_line_of_the_paper():
+    length = 400.0
+    field = at(lambda x, y, z: rectangle(x, y, z, 1e-3, length), 0.4, 0.0, 0.7)
+    line = line_in_plane(np.array(0.4), 0.7)
+    # On a half space, ρI/2π per point against ρI/2πL per line in a whole plane: twice.
+    assert field.xx * length / 2 == pytest.approx(float(line.xx), rel=1e-3)
+
+
+def test_under_a_cathode_flat_axons_fire_and_upright_ones_do_not():
+    for closed, _ in CLOSED:
+        field = at(closed, 0.0, 0.0, 0.7)
+        assert field.xx > 0 > field.zz
+        assert field.potential < 0

@@ -1,0 +1,102 @@
+"""A whole experiment on a simulated board, answered by observers that know what they feel."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from smarttouch.boards.emulator.simulated import SimulatedBoard
+from smarttouch.clock import SimulatedClock
+from smarttouch.controls import Controls, Wish
+from smarttouch.live import run
+from smarttouch.pipeline import Pipeline
+from smarttouch.primary import Mode
+from smarttouch.psychophysics.course import Course
+from smarttouch.psychophysics.rows import About, RowFile
+from smarttouch.psychophysics.sensor import ExperimentSensor
+from smarttouch.psychophysics.session import Session
+from smarttouch.psychophysics.subject import Subject
+from smarttouch.reading.window import press_n
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stopping import StopRequest
+from smarttouch.tally import Tally
+
+DATE = "2026-01-01T00:00:00+00:00"
+
+
+@dataclass
+class Perfect:
+    """Measures the time between pulses, counts them, and keeps what it felt."""
+
+    felt: list = field(default_factory=list)
+
+    def respond(self, task, intervals, alternatives):
+        self.felt.append((task, intervals))
+        pulses = [len(each.time_s) for each in intervals]
+        if task == "faster":
+            return str(1 + int(np.argmin([np.diff(each.time_s).mean() for each in intervals])))
+        if len(intervals) == 2:
+            return str(1 + int(np.argmax(pulses)))
+        return "y" if pulses[0] else "n"
+
+
+@dataclass
+class Sat:
+    """What came of a run."""
+
+    sensor: ExperimentSensor
+    session: Session
+    tally: Tally
+    pulses: list
+    told: list
+    report: object
+
+
+def sit(
+    made,
+    profile,
+    bank,
+    path,
+    observer,
+    *,
+    stop_after=None,
+    experiment="frequency-RA",
+    course=None,
+    watch=None,
+    overwrite=False,
+    controls=None,
+    mode=Mode.RA,
+    seed=0,
+):
+    """Run an experiment; stop it before the answer of a trial is written if asked to."""
+    stop, tally, told = StopRequest(), Tally(), []
+    about = About(experiment, made.method, "p1", "s1", seed)
+    with RowFile(path, about, overwrite) as file:
+        session = Session(made.task, made.procedure, file, DATE)
+        sensor = ExperimentSensor(session, profile, course or Course(), press_n(profile))
+        sensor.tell = lambda time_ns, words: told.append((time_ns, words))
+        pipeline = Pipeline(profile, bank, mode)
+        controls = controls or Controls(Wish(mode))
+        with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
+            subject = Subject(sensor, observer, board)
+
+            def observe(sent):
+                sensor.watch(sent)
+                subject.watch(sent)
+                if watch is not None:
+                    watch(sent, sensor, controls)
+                if stop_after is not None and session.done >= stop_after and sensor.playing:
+                    stop.ask("killed")
+
+            run(
+                sensor,
+                pipeline,
+                board,
+                stop=stop,
+                tally=tally,
+                observers=[observe],
+                controls=controls,
+                clock=SimulatedClock(),
+            )
+            pulses = board.take_pulses()
+            report = board.report()
+    return Sat(sensor, session, tally, pulses, told, report)

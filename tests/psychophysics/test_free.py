@@ -1,0 +1,175 @@
+"""The subject's own hand on amplitude, rate, mode and site."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from smarttouch.boards.emulator.simulated import SimulatedBoard
+from smarttouch.clock import SimulatedClock
+from smarttouch.controls import Wish
+from smarttouch.errors import ExperimentError
+from smarttouch.kernels.bank import load_bank
+from smarttouch.live import run
+from smarttouch.pipeline import Pipeline
+from smarttouch.primary import Mode, Primary
+from smarttouch.profile import load_profile
+from smarttouch.psychophysics.free import FreeLog, FreeSensor, HandControls, up_to_the_ceiling
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stopping import StopRequest
+from smarttouch.tally import Tally
+
+ALL = tuple(Primary)
+
+
+@pytest.fixture(scope="module")
+def line():
+    return up_to_the_ceiling(load_profile("line-8"))
+
+
+@pytest.fixture
+def play(line, tmp_path):
+    """Return a runner: keys and levels by the second, to steps, rows and the board's report."""
+
+    def run_it(seconds, does, knob=None, level=0.0):
+        steps, waiting = [], sorted(does.items())
+        log = FreeLog(tmp_path / "free.csv")
+        sensor = FreeSensor(line, ALL, log, press_n=1.0)
+        controls = HandControls(Wish(Mode.COLOR, level), knob=knob)
+
+        def watch(sent):
+            sensor.watch(sent)
+            steps.append(sent.step)
+            while waiting and sent.step.frame.time_ns >= waiting[0][0] * 1e9:
+                _, act = waiting.pop(0)
+                if isinstance(act, str):
+                    sensor.keys[act]()
+                else:
+                    controls.change_level(act)
+
+        with SimulatedBoard("", SafetyLimits.of(line), line.output) as board:
+            run(
+                sensor, Pipeline(line, load_bank(line), Mode.COLOR), board, stop=StopRequest(),
+                tally=Tally(), seconds=seconds, observers=[watch], controls=controls,
+                clock=SimulatedClock(),
+            )  # fmt: skip
+            report = board.report()
+        log.close()
+        text = (tmp_path / "free.csv").read_text(encoding="utf-8-sig")
+        rows = list(csv.DictReader(text.splitlines()))
+        return steps, rows, report, sensor
+
+    return run_it
+
+
+def test_the_ceiling_is_the_device_s(line):
+    assert line.full_ma == pytest.approx(2.0)
+    assert line.threshold_ma == pytest.approx(0.4)
+    assert line.name == "line-8"
+
+
+def test_the_ceiling_keeps_charge_and_single_electrodes(profile, changed):
+    tight = changed(profile, {"limits.charge_uc": 0.49})
+    assert up_to_the_ceiling(tight).full_ma == pytest.approx(2.45 - 0.032)
+    single = changed(profile, {"limits.electrode_ma": (2.4,) * 63 + (2.45,)})
+    assert up_to_the_ceiling(single).full_ma[[0, -1]] == pytest.approx([2.4, 2.45])
+
+
+def test_the_amplitude_follows_the_hand_in_milliamperes(play):
+    steps, rows, report, sensor = play(4, {1: 0.5, 2: 0.5})
+    strongest = {
+        time_s: max(
+            np.abs(step.sequence.current_ua).max(initial=0) / 1000
+            for step in steps if time_s - 0.1 < step.frame.time_ns / 1e9 <= time_s
+        )
+        for time_s in (0.9, 1.9, 3.9)
+    }  # fmt: skip
+    assert strongest == pytest.approx({0.9: 0.0, 1.9: 1.0, 3.9: 2.0}, abs=0.005)
+    amplitudes = [(row["value"], row["amplitude_ma"]) for row in rows if row["what"] == "amplitude"]
+    assert amplitudes == [("0.0", "0.0"), ("1.0", "1.0"), ("2.0", "2.0")]
+    assert report.violations == 0
+    assert report.max_current_ma <= 2.0
+    assert "2.00 mA asked for, 2.00 mA flow" in sensor.title
+
+
+def test_a_mode_begins_at_zero(play):
+    steps, rows, report, _ = play(4, {1: 0.5, 2: "m"})
+    rows_used = [np.flatnonzero(step.frame.request.activation.any(axis=1)).item() for step in steps]
+    turn = rows_used.index(int(Primary.SAI))
+    assert steps[turn].sequence.slots == 0
+    assert steps[turn].sequence.intensity == 0
+    assert steps[turn + 1].sequence.intensity <= 0.05
+    assert steps[-1].sequence.intensity == 0.5
+    kernels = load_bank(load_profile("line-8")).kernels(Primary.SAI)
+    assert steps[-1].sequence.current_ua[0] == pytest.approx(1000 * kernels[3], abs=5)
+    assert ("mode", "SAI") in [(row["what"], row["value"]) for row in rows]
+    assert report.violations == 0
+
+
+def test_rate_and_site_are_turned_and_every_change_is_a_row(play):
+    steps, rows, _, sensor = play(
+        3, {0.5: 0.5, 1: "right", 1.5: "left", 1.6: "left", 2: "]", 2.5: "7"}
+    )
+    assert sensor.rate_hz == 45
+    assert steps[-1].sequence.period_us == 22_222
+    assert steps[-1].sequence.site.tolist() == [4]
+    assert [(row["what"], row["value"]) for row in rows] == [
+        ("amplitude", "0.0"), ("amplitude", "1.0"), ("rate", "55.0"), ("rate", "50.0"),
+        ("rate", "45.0"), ("site", "4"), ("mark", "7"),
+    ]  # fmt: skip
+    assert rows[-1]["rate_hz"] == "45.0"
+    assert rows[-1]["mode"] == "RA"
+    assert float(rows[-1]["time_s"]) == pytest.approx(2.5, abs=0.05)
+
+
+def test_a_knob_raises_the_amplitude_when_it_moves_away(play):
+    class Knob:
+        def read(self, time_ns):
+            return (3.0, -min(25.0, time_ns / 1e9 * 25)) if time_ns < 2e9 else None
+
+    steps, rows, _, _ = play(3, {}, knob=Knob())
+    assert steps[-1].level == pytest.approx(0.5, abs=1e-3)
+    levels = [step.level for step in steps]
+    assert levels == sorted(levels)
+    assert len([row for row in rows if row["what"] == "amplitude"]) > 20
+
+
+def test_rates_stay_within_the_paper_s_range(line, tmp_path):
+    log = FreeLog(tmp_path / "free.csv")
+    sensor = FreeSensor(line, ALL, log, rate_hz=195, press_n=1.0)
+    for _ in range(3):
+        sensor.keys["right"]()
+    assert sensor.read(0).request.period_us == 5000
+    for _ in range(60):
+        sensor.keys["left"]()
+    assert sensor.read(1).request.period_us == 100_000
+    log.close()
+
+
+def test_rows_are_on_disk_at_once(line, tmp_path):
+    log = FreeLog(tmp_path / "free.csv")
+    sensor = FreeSensor(line, ALL, log, press_n=1.0)
+    told = []
+    sensor.tell = lambda time_ns, words: told.append(words)
+    sensor.keys["m"]()
+    sensor.read(1_000_000)
+    assert (tmp_path / "free.csv").read_text(encoding="utf-8-sig").splitlines()[-1] == (
+        "0.001,mode,SAI,0.0,0.0,50.0,SAI,3,0.0"
+    )
+    assert told == ["mode SAI"]
+    log.close()
+    with pytest.raises(ExperimentError, match=r"free\.csv exists"):
+        FreeLog(tmp_path / "free.csv")
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"rate_hz": 5.0}, "--rate 5 must be from 10 to 200 Hz"),
+        ({"primary": Primary.PC}, "--mode PC is not possible with line-8: choose RA"),
+        ({"site": 8}, "--site 8 is masked or none"),
+    ],
+)
+def test_what_cannot_be_asked_for(line, tmp_path, options, says):
+    with FreeLog(tmp_path / "free.csv") as log, pytest.raises(ExperimentError, match=says):
+        FreeSensor(line, (Primary.RA,), log, **options)

@@ -1,0 +1,359 @@
+"""Trials reach the skin as they are asked for, or are presented again."""
+
+import numpy as np
+import pytest
+
+from smarttouch.controls import Controls, Wish
+from smarttouch.errors import ExperimentError
+from smarttouch.primary import Mode
+from smarttouch.psychophysics.catalog import Wanted, design
+from smarttouch.psychophysics.course import Course
+from smarttouch.psychophysics.observers.observer import SilentObserver
+from smarttouch.psychophysics.rows import read_rows
+from smarttouch.psychophysics.sensor import ExperimentSensor
+
+from .sitting import Perfect, sit
+
+FEW = Wanted(repetitions=1, standards=(30.0,), train_s=0.15)
+
+
+def test_trains_have_the_asked_frequency_to_the_microsecond(profile, bank, tmp_path):
+    """Five standards, ten comparisons each; times and pulses by the board's account."""
+    observer = Perfect()
+    made = design("frequency", profile, Wanted(repetitions=1, train_s=0.27))
+    sat = sit(made, profile, bank, tmp_path / "rows.csv", observer)
+    rows = read_rows(tmp_path / "rows.csv")
+    assert len(rows) == len(observer.felt) == 50
+    for row, (_, intervals) in zip(rows, observer.felt, strict=True):
+        order = (row.comparison, row.standard)
+        for hz, felt in zip(order if row.comparison_interval == 1 else order[::-1], intervals,
+                            strict=True):  # fmt: skip
+            assert len(felt.time_s) == round(0.27 * hz)
+            assert np.diff(felt.time_s) * 1e6 == pytest.approx(round(1e6 / hz), abs=1e-3)
+            # The kernel of the middle, at full strength in every pulse.
+            strongest = np.abs(felt.current_ua).max(axis=1) / 1000
+            assert strongest == pytest.approx(profile.full_ma[27], abs=0.005)
+            assert felt.width_us == pytest.approx(200)
+            assert felt.time_s[0] == 0
+    assert sat.report.violations == 0
+    assert sat.sensor.notes == []
+    assert sat.sensor.spoiled == 0
+
+
+def test_between_the_intervals_there_is_silence_as_long_as_asked(profile, bank, tmp_path):
+    steps = []
+    sit(
+        design("frequency", profile, FEW),
+        profile,
+        bank,
+        tmp_path / "rows.csv",
+        Perfect(),
+        course=Course(gap_s=0.333),
+        watch=lambda sent, sensor, _: steps.append((sensor.playing, sent.step.sequence)),
+    )
+    at = {}
+    for playing, sequence in steps:
+        if playing is not None:
+            at.setdefault(playing, []).append(sequence)
+        else:
+            assert sequence.slots == 0
+    for presentation in range(1, 11):
+        first, second = at[presentation, 0], at[presentation, 1]
+        over_ns = first[-1].time_ns + 1000 * first[-1].period_us
+        assert (second[0].time_ns - over_ns) / 1e9 == pytest.approx(0.333, abs=1e-6)
+
+
+def test_before_a_trial_intensity_is_there(profile, bank, tmp_path):
+    """The first pulse of all comes after the soft start, at full intensity."""
+    steps = []
+    sit(
+        design("frequency", profile, FEW), profile, bank, tmp_path / "rows.csv", Perfect(),
+        watch=lambda sent, *_: steps.append(sent.step.sequence),
+    )  # fmt: skip
+    assert steps[0].intensity == 0
+    felt = [each for each in steps if each.slots]
+    assert felt[0].time_ns >= 0.5e9
+    assert {each.intensity for each in felt} == {1.0}
+
+
+@pytest.mark.parametrize("how", ["pause", "silence"])
+def test_a_trial_whose_current_was_lost_is_presented_again(profile, bank, tmp_path, how):
+    done = []
+
+    def watch(sent, sensor, controls):
+        if sensor.playing == (3, 1) and not done:
+            done.append(sent)
+            controls.toggle_pause() if how == "pause" else controls.silence()
+        elif done and sensor.playing is None and controls.wish(0).current_level == 0:
+            controls.toggle_pause() if how == "pause" else controls.change_level(1)
+
+    observer = Perfect()
+    sat = sit(
+        design("frequency", profile, FEW), profile, bank, tmp_path / "rows.csv", observer,
+        watch=watch, controls=Controls(Wish(Mode.RA)),
+    )  # fmt: skip
+    rows = read_rows(tmp_path / "rows.csv")
+    assert sat.sensor.spoiled == 1
+    assert len(rows) == len(observer.felt) == 10
+    assert all(row.response == row.target for row in rows)
+    assert "trial 3 anew: current was lost" in [words for _, words in sat.told]
+
+
+def test_the_user_regulates_the_amplitude_and_rows_tell(profile, bank, tmp_path):
+    def watch(_, sensor, controls):
+        if sensor.playing == (5, 0):
+            controls.change_level(-0.01)
+
+    observer = Perfect()
+    sit(
+        design("frequency", profile, FEW), profile, bank, tmp_path / "rows.csv", observer,
+        watch=watch, controls=Controls(Wish(Mode.RA)),
+    )  # fmt: skip
+    levels = [row.level for row in read_rows(tmp_path / "rows.csv")]
+    assert levels[:4] == [1.0] * 4
+    assert levels[4] == levels[-1] < 1
+    last = np.abs(observer.felt[-1][1][0].current_ua).max() / 1000
+    assert last == pytest.approx(levels[-1] * profile.full_ma[27], abs=0.005)
+
+
+def test_currents_that_count_wait_for_full_intensity(profile, bank, tmp_path):
+    """Detection at half the user's own level would be another current."""
+    titles = []
+
+    def watch(sent, sensor, controls):
+        titles.append(sensor.title)
+        if sent.step.sequence.time_ns > 2e9 and controls.wish(0).level < 1:
+            assert not any(felt.slots for felt in before)
+            controls.change_level(0.5)
+        before.append(sent.step.sequence)
+
+    before = []
+    observer = Perfect()
+    made = design("detection", profile, Wanted(repetitions=1, train_s=0.1))
+    sit(
+        made, profile, bank, tmp_path / "rows.csv", observer, watch=watch,
+        controls=Controls(Wish(Mode.RA, 0.5)),
+    )  # fmt: skip
+    assert any("raise the intensity to the full with +" in title for title in titles)
+    for row, (_, (felt,)) in zip(read_rows(tmp_path / "rows.csv"), observer.felt, strict=True):
+        strongest_ma = np.abs(felt.current_ua).max(initial=0) / 1000
+        # Whole microamperes of 64 electrodes are balanced by the strongest.
+        assert strongest_ma == pytest.approx(row.comparison, abs=0.02)
+        assert row.success == (row.comparison > 0)
+
+
+def test_where_currents_count_no_key_changes_one_unnoticed(profile, bank, tmp_path):
+    def watch(_, sensor, controls):
+        if sensor.playing == (4, 0):
+            controls.change_level(-0.05)
+        elif sensor.playing is None and sensor.spoiled:
+            controls.change_level(1)
+
+    made = design("detection", profile, Wanted(repetitions=1, train_s=0.1))
+    sat = sit(
+        made, profile, bank, tmp_path / "rows.csv", Perfect(), watch=watch,
+        controls=Controls(Wish(Mode.RA)),
+    )  # fmt: skip
+    assert sat.sensor.spoiled == 1
+    assert {row.level for row in read_rows(tmp_path / "rows.csv")} == {1.0}
+
+
+def test_a_trial_that_cannot_begin_is_not_waited_for_where_nobody_is(profile, bank, tmp_path):
+    with pytest.raises(ExperimentError, match="no trial could begin for 3 s, and nobody is there"):
+        sit(
+            design("frequency", profile, FEW), profile, bank, tmp_path / "rows.csv", Perfect(),
+            controls=Controls(Wish(Mode.RA, 0.0)), course=Course(patience_s=3),
+        )  # fmt: skip
+
+
+def test_nobody_answers(profile, bank, tmp_path):
+    """Every trial comes again once, at the end."""
+    sat = sit(
+        design("frequency", profile, FEW), profile, bank, tmp_path / "rows.csv", SilentObserver(),
+        course=Course(answer_s=0.2),
+    )  # fmt: skip
+    rows = read_rows(tmp_path / "rows.csv")
+    assert len(rows) == 20
+    assert {(row.response, row.success, row.rt) for row in rows} == {("", None, None)}
+    assert [words for _, words in sat.told if words.startswith("response 2:")] == [
+        "response 2: none"
+    ]
+
+
+class OneTrial:
+    """A frequency trial, and its answers; on a run without board and loop."""
+
+    title, done, total = "try", 0, 1
+
+    def __init__(self, profile, name="frequency", train_s=0.1):
+        made = design(name, profile, Wanted(train_s=train_s))
+        self.trial = made.task.trial(made.procedure.next())
+        self.answers = []
+
+    def next(self):
+        return None if self.answers else self.trial
+
+    def record(self, trial, answer):
+        self.answers.append(answer)
+
+
+class Loop:
+    """Asks a sensor for frames as the loop does, with everything in order."""
+
+    def __init__(self, sensor, pipeline):
+        self.sensor, self.pipeline, self.time_ns = sensor, pipeline, 0
+        self.frames = []
+
+    def step(self):
+        from smarttouch.live import Sent
+
+        frame = self.sensor.read(self.time_ns)
+        if frame is None:
+            return False
+        self.frames.append(frame)
+        step = self.pipeline.process(frame)
+        self.sensor.watch(Sent(step, 1, 0.0))
+        self.time_ns += 1000 * step.sequence.period_us
+        return True
+
+    def until(self, what):
+        while not what() and self.step():
+            assert len(self.frames) < 5000
+
+
+@pytest.fixture
+def loop(profile, bank):
+    from smarttouch.pipeline import Pipeline
+
+    trials = OneTrial(profile)
+    sensor = ExperimentSensor(trials, profile, Course(answer_s=5.0), press_n=1.0)
+    return Loop(sensor, Pipeline(profile, bank, Mode.RA)), trials
+
+
+def test_keys_before_the_question_do_not_count(loop):
+    loop, trials = loop
+    loop.until(lambda: loop.sensor.playing == (1, 1))
+    loop.sensor.keys["1"]()
+    loop.until(lambda: loop.sensor.asking)
+    asked_ns = loop.time_ns
+    while loop.time_ns < asked_ns + 1e9:
+        loop.step()
+    assert trials.answers == []
+    assert "which was faster? 1 or 2, r again" in loop.sensor.title
+    loop.sensor.keys["x" if "x" in loop.sensor.keys else "y"]()
+    loop.step()
+    assert trials.answers == []
+    loop.sensor.keys["right"]()
+    loop.until(lambda: trials.answers)
+    (answer,) = trials.answers
+    assert answer.response == "2"
+    assert answer.rt_s == pytest.approx(1.0, abs=0.05)
+    assert not loop.step()
+
+
+def test_a_trial_is_felt_again_on_request(loop):
+    loop, trials = loop
+    loop.until(lambda: loop.sensor.asking)
+    pulses = sum(bool(each.request.activation.any()) for each in loop.frames)
+    loop.sensor.keys["r"]()
+    loop.step()
+    loop.until(lambda: loop.sensor.asking)
+    assert sum(bool(each.request.activation.any()) for each in loop.frames) == 2 * pulses
+    assert loop.sensor.repeats == 1
+    loop.sensor.keys["1"]()
+    loop.until(lambda: trials.answers)
+    assert trials.answers[0].response == "1"
+
+
+def test_an_experiment_may_forbid_to_feel_again(profile, bank):
+    from smarttouch.pipeline import Pipeline
+
+    trials = OneTrial(profile)
+    sensor = ExperimentSensor(trials, profile, Course(again=False), press_n=1.0)
+    loop = Loop(sensor, Pipeline(profile, bank, Mode.RA))
+    loop.until(lambda: sensor.asking)
+    sensor.keys["r"]()
+    for _ in range(20):
+        loop.step()
+    assert sensor.asking is trials.trial
+    assert sensor.repeats == 0
+    assert "again" not in sensor.title
+
+
+def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(profile, bank):
+    from smarttouch.pipeline import Pipeline
+
+    class Clock:
+        ns = 0
+
+        def now_ns(self):
+            return self.ns
+
+    trials, clock = OneTrial(profile), Clock()
+    sensor = ExperimentSensor(trials, profile, Course(), press_n=1.0, clock=clock)
+    loop = Loop(sensor, Pipeline(profile, bank, Mode.RA))
+    loop.until(lambda: sensor.asking)
+    clock.ns += 7_000_000
+    sensor.press("1")
+    clock.ns += 13_000_000
+    loop.until(lambda: trials.answers)
+    assert trials.answers[0].rt_s == pytest.approx(0.007)
+
+
+def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, bank):
+    from smarttouch.pipeline import Pipeline
+
+    trials = OneTrial(profile, "discomfort", 2.0)
+    sensor = ExperimentSensor(trials, profile, Course(), press_n=1.0)
+    loop = Loop(sensor, Pipeline(profile, bank, Mode.RA))
+    loop.until(lambda: sensor.playing)
+    for _ in range(20):
+        loop.step()
+    level = loop.frames[-1].request.level
+    assert 0 < level < 1
+    sensor.keys["\n"]()
+    loop.step()
+    (answer,) = trials.answers
+    assert (answer.response, answer.rt_s, answer.level) == ("y", None, 1.0)
+    assert answer.time_s == pytest.approx(loop.time_ns / 1e9)
+    assert answer.reached == pytest.approx(level * profile.full_ma[27], abs=0.02)
+
+
+def test_a_current_that_is_never_enough_stops_at_the_ceiling(profile, bank, tmp_path):
+    made = design("discomfort", profile, Wanted(repetitions=2, train_s=1.0))
+    sat = sit(made, profile, bank, tmp_path / "rows.csv", SilentObserver(), experiment="d")
+    rows = read_rows(tmp_path / "rows.csv")
+    full_ma = profile.full_ma[27]
+    assert [row.response for row in rows] == ["n", "n"]
+    assert [row.comparison for row in rows] == pytest.approx([full_ma] * 2, abs=0.005)
+    assert sat.report.max_current_ma == pytest.approx(full_ma, abs=0.01)
+
+
+def test_every_frame_is_read_and_the_same_number_is_the_same_image(loop):
+    loop, _ = loop
+    loop.until(lambda: loop.sensor.asking)
+    images = {}
+    for frame in loop.frames:
+        assert images.setdefault(frame.number, frame.image) is frame.image
+    assert sorted(images) == list(range(loop.sensor.frames))
+    assert len({image.tobytes() for image in images.values()}) == 2
+
+
+@pytest.mark.parametrize(
+    "arguments", [{"gap_s": -1}, {"gap_s": float("nan")}, {"answer_s": 0}, {"answer_s": 1e9}]
+)
+def test_courses_that_cannot_be(arguments):
+    with pytest.raises(ExperimentError, match=f"--{next(iter(arguments)).replace('_', '-')}"):
+        Course(**arguments)
+
+
+def test_a_board_that_cannot_keep_a_frequency_is_noted(profile, changed, tmp_path):
+    """A profile whose slots take longer than the period asked for."""
+    from smarttouch.kernels.bank import load_bank
+
+    slow = changed(profile, {"pulse.discharge_us": 5000})
+    made = design("letters", slow, Wanted(letters="EF", repetitions=1, train_s=0.1))
+    sat = sit(made, slow, load_bank(slow), tmp_path / "rows.csv", Perfect(), experiment="l",
+              course=Course(answer_s=0.1))  # fmt: skip
+    assert len(sat.sensor.notes) == 1
+    assert "asked for at 50 Hz and went out at" in sat.sensor.notes[0]

@@ -1,0 +1,96 @@
+"""Trains have the frequency, the sites and the length that were asked for."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.errors import ExperimentError
+from smarttouch.primary import Primary
+from smarttouch.profile import load_profile
+from smarttouch.psychophysics.stimuli import Stimuli, picture
+
+
+@pytest.fixture(scope="module")
+def stimuli(profile):
+    return Stimuli(profile, Primary.PC, 0.5)
+
+
+HALF_A_SECOND = Stimuli(load_profile("electric-mouse"), Primary.RA, 0.5)
+
+
+@given(st.floats(4, 200))
+def test_a_train_is_as_fast_and_as_long_as_asked(rate_hz):
+    train = HALF_A_SECOND.train([3], rate_hz)
+    assert abs(train.period_us - 1e6 / rate_hz) <= 0.5
+    assert abs(train.pulses * train.period_us - 500_000) <= train.period_us
+    assert train.pulses >= 2
+    assert [*np.flatnonzero(train.activation[Primary.RA])] == [3]
+    assert not train.activation[[Primary.SAI, Primary.PC]].any()
+
+
+def test_a_blank_is_as_long_as_its_train(stimuli):
+    train = stimuli.train([1, 2], 30)
+    blank = train.blank()
+    assert not blank.activation.any()
+    assert (blank.pulses, blank.period_us, blank.level) == (15, 33_333, 1.0)
+    assert train.activation[Primary.PC].sum() == 2
+
+
+def test_a_rising_train_reaches_its_level_at_its_last_pulse(stimuli):
+    from dataclasses import replace
+
+    train = replace(stimuli.train([1], 20), rises=True, level=0.8)
+    levels = [train.level_at(each) for each in range(train.pulses)]
+    assert levels[0] == pytest.approx(0.08)
+    assert levels[-1] == pytest.approx(0.8)
+    assert np.diff(levels) == pytest.approx(0.08)
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "says"), [(201, "the profile's limit of 200 Hz"), (2.9, "raise --train-s")]
+)
+def test_trains_that_cannot_be(stimuli, rate_hz, says):
+    with pytest.raises(ExperimentError, match=says):
+        stimuli.train([0], rate_hz)
+
+
+@pytest.mark.parametrize("train_s", [0, -1, float("nan"), 1e9])
+def test_lengths_that_cannot_be(profile, train_s):
+    with pytest.raises(ExperimentError, match="--train-s"):
+        Stimuli(profile, Primary.RA, train_s)
+
+
+def test_the_middle_is_driven(profile, changed):
+    middle = Stimuli(profile, Primary.RA, 1).middle
+    assert np.hypot(*profile.electrodes.position_mm[middle]) < 1.5
+    without = changed(profile, {"output.masked": (middle,)})
+    other = Stimuli(without, Primary.RA, 1).middle
+    assert other != middle
+    assert np.hypot(*profile.electrodes.position_mm[other]) < 1.5
+
+
+def test_pairs_are_as_far_apart_as_they_say_and_around_the_middle(profile, stimuli):
+    pairs = stimuli.pairs()
+    assert list(pairs) == [2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 14.0]
+    place_mm = profile.electrodes.position_mm
+    for far_mm, (left, right) in pairs.items():
+        assert place_mm[right] - place_mm[left] == pytest.approx((far_mm, 0))
+        assert np.abs(place_mm[[left, right]].mean(axis=0)).max() <= 1.0
+
+
+def test_beside_is_to_the_right_and_on_the_same_row(profile, stimuli):
+    place_mm = profile.electrodes.position_mm
+    for right_mm, other in stimuli.beside(27).items():
+        assert place_mm[other] - place_mm[27] == pytest.approx((right_mm, 0))
+
+
+def test_a_picture_is_dark_where_a_site_is_active(profile):
+    activation = np.zeros((3, 64), np.float32)
+    activation[Primary.SAI, 8 * 2 + 5] = 1
+    activation[Primary.RA, 0] = 0.5
+    image = picture(profile, activation)
+    assert image.shape == (32, 32)
+    assert (image[8:12, 20:24] == 0).all()
+    assert (image[:4, :4] == 128).all()
+    assert (image < 255).sum() == 32

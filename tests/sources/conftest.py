@@ -1,0 +1,13 @@
+"""Devices that start as slowly as the machine lets them."""
+
+import pytest
+
+from smarttouch.sources import capture
+from smarttouch.sources.forces import load_cell
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch):
+    """Wait for a first image or reading until a test would hang: how soon it comes says nothing."""
+    monkeypatch.setattr(capture, "FIRST_IMAGE_S", 60.0)
+    monkeypatch.setattr(load_cell, "FIRST_READING_S", 60.0)

@@ -1,0 +1,98 @@
+"""Force that is fixed or recorded."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.errors import SensorError
+from smarttouch.sources.forces.force import RecordedForce, open_force
+
+HEADER = "time_s,force_n\n"
+SECOND = 10**9
+
+
+@pytest.fixture
+def recorded(tmp_path, profile):
+    def make(text):
+        file = tmp_path / "force.csv"
+        file.write_text(text, encoding="utf-8")
+        return open_force(f"recorded:{file}", profile)
+
+    return make
+
+
+@pytest.mark.parametrize(("text", "force_n"), [("0", 0), ("0.5", 0.5), ("20", 20)])
+def test_fixed_force(profile, text, force_n):
+    with open_force(f"fixed:{text}", profile) as source:
+        assert source.read(0) == source.read(10**12) == force_n
+        assert source.title == f"fixed {force_n:g} N"
+        assert source.notes == []
+
+
+@pytest.mark.parametrize("text", ["", "x", "-0.1", "20.1", "nan", "inf", "0.5 N"])
+def test_what_is_no_fixed_force(profile, text):
+    with pytest.raises(SensorError, match="is no force: give newtons from 0 to 20"):
+        open_force(f"fixed:{text}", profile)
+
+
+def test_unknown_kinds_of_force(profile):
+    with pytest.raises(SensorError, match=r"unknown force 'spring:1': .*fixed:, hx711:, loadcell:"):
+        open_force("spring:1", profile)
+
+
+def test_recorded_force_is_interpolated_and_unknown_outside(recorded):
+    source = recorded("\ufefftime_s, force_n\n1,0.2\n\n2,0.4\n4,-0.5\n")
+    assert source.read(SECOND) == 0.2
+    assert source.read(SECOND * 3 // 2) == pytest.approx(0.3)
+    assert source.read(SECOND * 4) == 0.0, "no finger pulls"
+    assert math.isnan(source.read(SECOND - 1))
+    assert math.isnan(source.read(4 * SECOND + 1))
+
+
+def test_a_recorded_path_is_a_recorded_force_too(recorded):
+    source = recorded("time_s,x_mm,y_mm,angle_deg,force_n\n0,0,0,0,0\n1,9,9,9,1\n")
+    assert source.read(SECOND // 4) == 0.25
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "must begin with a line that names the columns time_s,force_n"),
+        ("0,1\n1,2\n", "must begin with a line"),
+        (HEADER, "0 rows"),
+        (HEADER + "0,1\n", "1 rows"),
+        (HEADER + "0,1\n1,x\n", "line 3: needs numbers"),
+        (HEADER + "0,1\n\n1\n", "line 4: needs numbers"),
+        (HEADER + "0,1\n1,nan\n", "line 3: needs numbers"),
+        (HEADER + "0,1\ninf,1\n", "line 3: needs numbers"),
+        (HEADER + "0,1\n1,150\n", "line 3: 150 N is more than any finger"),
+        (HEADER + "0,1\n\n2,1\n2,1\n3,1\n", "line 5: time must rise"),
+        (HEADER + '0,1\n1,"', "needs numbers"),
+    ],
+)
+def test_bad_records(recorded, text, words):
+    with pytest.raises(SensorError, match=words):
+        recorded(text)
+
+
+def test_no_record(tmp_path, profile):
+    for path in (tmp_path / "none.csv", tmp_path):
+        with pytest.raises(SensorError, match=r"no file|is a folder"):
+            open_force(f"recorded:{path}", profile)
+    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(SensorError, match="not a text in UTF-8"):
+        open_force(f"recorded:{tmp_path / 'binary'}", profile)
+
+
+@given(st.one_of(st.text(max_size=200), st.text(max_size=200).map(lambda tail: HEADER + tail)))
+def test_no_text_crashes_the_record(tmp_path_factory, text):
+    file = tmp_path_factory.mktemp("fuzz") / "force.csv"
+    file.write_text(text, encoding="utf-8", errors="replace", newline="")
+    try:
+        source = RecordedForce(file)
+    except SensorError:
+        return
+    force_n = source.read(0)
+    assert math.isnan(force_n) or force_n >= 0

@@ -1,0 +1,302 @@
+"""Cameras: what they do not take is said, gone is noticed, and OpenCV keeps quiet.
+
+There is no camera where tests run: `FakeCapture` is one that can be unplugged.
+"""
+
+import os
+import re
+import sys
+import threading
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from smarttouch.errors import SensorError, SourceLostError
+from smarttouch.sources import camera, capture, open_sensor
+from smarttouch.sources.camera import OPENCV_LOG, QUIET_OPENCV, SILENT, CameraSource, to_grey
+
+without_a_camera = pytest.mark.skipif(
+    Path("/dev/video0").exists() or sys.platform == "darwin",
+    reason="a test must not switch on a camera that is there",
+)
+
+
+class Device:
+    """What a camera is on its end of the cable."""
+
+    def __init__(self):
+        self.plugged = True
+        self.sizes = [(640, 480), (320, 240)]
+        self.rates = [30.0]
+        self.exposures = (1, 5000)
+        self.taken_ms = 0.0
+        self.pictures = 0
+        self.opened = []
+        self.properties = {}
+
+
+class FakeCapture:
+    """`cv2.VideoCapture` in front of a device."""
+
+    device: Device
+
+    def __init__(self, place, backend):
+        self.device.opened.append((place, backend))
+        self._open = self.device.plugged
+        self._values = {
+            cv2.CAP_PROP_FRAME_WIDTH: 640.0,
+            cv2.CAP_PROP_FRAME_HEIGHT: 480.0,
+            cv2.CAP_PROP_FPS: 30.0,
+            cv2.CAP_PROP_EXPOSURE: 156.0,
+        }
+
+    def isOpened(self):  # noqa: N802 (OpenCV calls it that)
+        return self._open
+
+    def set(self, key, value):
+        device = self.device
+        device.properties[key] = value
+        if key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT):
+            axis = int(key == cv2.CAP_PROP_FRAME_HEIGHT)
+            value = min((size[axis] for size in device.sizes), key=lambda side: abs(side - value))
+        if key == cv2.CAP_PROP_FPS:
+            value = min(device.rates, key=lambda rate: abs(rate - value))
+        if key == cv2.CAP_PROP_EXPOSURE:
+            if device.exposures is None:
+                return False
+            value = min(max(value, device.exposures[0]), device.exposures[1])
+        self._values[key] = float(value)
+        return True
+
+    def get(self, key):
+        return self.device.taken_ms if key == cv2.CAP_PROP_POS_MSEC else self._values.get(key, -1.0)
+
+    def read(self):
+        if not (self._open and self.device.plugged):
+            self._open = False
+            return False, None
+        time.sleep(0.001)
+        self.device.pictures += 1
+        return True, np.full((480, 640, 3), (0, 255, 0), np.uint8)
+
+    def release(self):
+        self._open = False
+
+
+@pytest.fixture
+def device(monkeypatch):
+    device = Device()
+    monkeypatch.setattr(FakeCapture, "device", device, raising=False)
+    monkeypatch.setattr(cv2, "VideoCapture", FakeCapture)
+    monkeypatch.setattr(capture, "RETRY_S", 0.001)
+    monkeypatch.setattr(camera, "_PAUSE_S", 0.0)
+    return device
+
+
+def until(condition):
+    deadline = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.001)
+
+
+def test_frames_are_grey_and_the_books_exact(profile, device):
+    with open_sensor("camera:0", profile) as sensor:
+        assert sensor.title == "camera 0"
+        numbers = {sensor.read(0).number for _ in range(100)}
+        until(lambda: sensor.frames > 5)
+        frame = sensor.read(0)
+        numbers.add(frame.number)
+    assert frame.image.shape == (480, 640)
+    assert (frame.image == 150).all()
+    assert sensor.frames == len(numbers) + sensor.dropped_frames
+    assert sensor.notes == []
+    assert device.properties[cv2.CAP_PROP_BUFFERSIZE] == 1
+
+
+@pytest.mark.parametrize(("rest", "place"), [("3", 3), ("/dev/video2", "/dev/video2")])
+def test_by_number_or_device(profile, device, rest, place):
+    open_sensor(f"camera:{rest}", profile).close()
+    assert [opened[0] for opened in device.opened] == [place]
+
+
+def test_a_camera_is_never_taken_for_a_file(profile, device, monkeypatch):
+    monkeypatch.setattr("sys.platform", "linux")
+    open_sensor("camera:/dev/video2", profile).close()
+    assert device.opened == [("/dev/video2", cv2.CAP_V4L2)]
+
+
+def test_what_the_camera_takes_is_set_without_a_word(profile, device):
+    options = {"size": (320, 240), "exposure": 200.0, "fps": 30.0}
+    with open_sensor("camera:0", profile, **options) as sensor:
+        assert sensor.notes == []
+    assert device.properties[cv2.CAP_PROP_EXPOSURE] == 200
+    assert device.properties[cv2.CAP_PROP_AUTO_EXPOSURE] == 1
+    assert device.properties[cv2.CAP_PROP_FRAME_WIDTH] == 320
+
+
+def test_what_the_camera_does_not_take_is_said_once(profile, device):
+    source = CameraSource("0", (800, 600), 9000.0, 120.0)
+    source.open()
+    source.open()
+    assert source.notes == [
+        "camera 0 gives 640 x 480, not 800 x 600",
+        "camera 0 gives 30 images a second, not 120",
+        "camera 0 exposes by 5000, not 9000",
+    ]
+    device.exposures = None
+    source = CameraSource("0", exposure=50.0)
+    source.open()
+    assert source.notes == ["camera 0 does not take an exposure of 50: it keeps its own"]
+
+
+@pytest.mark.parametrize(
+    ("url", "options", "words"),
+    [
+        ("camera:", {}, "camera: is no camera: give its number"),
+        ("camera:-1", {}, "camera:-1 is no camera"),
+        ("camera:1e3", {}, "camera:1e3 is no camera"),
+        ("camera:99999", {}, "is no camera"),
+        ("camera:http://x/y", {}, "is no camera"),
+        ("camera:0", {"size": (0, 480)}, "a size of 0 x 480"),
+        ("camera:0", {"size": (10**6, 10**6)}, "a size of 1000000 x"),
+        ("camera:0", {"fps": float("nan")}, "nan images a second"),
+        ("camera:0", {"fps": -5.0}, "-5 images a second"),
+        ("camera:0", {"exposure": float("nan")}, "an exposure of nan"),
+    ],
+)
+def test_what_cannot_be(profile, device, url, options, words):
+    with pytest.raises(SensorError, match=words):
+        open_sensor(url, profile, **options)
+    assert device.opened == []
+
+
+def test_unplugged_and_plugged_in_again(profile, device):
+    with open_sensor("camera:0", profile) as sensor:
+        read = {sensor.read(0).number}
+        device.plugged = False
+        until(lambda: len(device.opened) > 3)
+        read.add(sensor.read(0).number)
+        pictures = device.pictures
+        device.plugged = True
+        until(lambda: device.pictures > pictures)
+        until(lambda: sensor.frames > max(read) + 1)
+        read.add(sensor.read(0).number)
+    assert len(sensor.notes) == 1
+    assert re.fullmatch(r"camera 0 was gone for \d+\.\d s", sensor.notes[0])
+    assert sensor.frames == len(read) + sensor.dropped_frames
+
+
+def test_gone_is_several_failures_in_a_row(device):
+    source = CameraSource("0")
+    source.open()
+    device.plugged = False
+    assert [source.grab(0.0) for _ in range(camera.FAILURES - 1)] == [None] * 4
+    with pytest.raises(SourceLostError, match="gave no image 5 times in a row"):
+        source.grab(0.0)
+    source.close()
+    source.close()
+    with pytest.raises(SourceLostError):
+        source.grab(0.0)
+
+
+def test_failures_now_and_then_are_no_loss(device):
+    source = CameraSource("0")
+    source.open()
+    for _ in range(camera.FAILURES):
+        device.plugged = False
+        assert source.grab(0.0) is None
+        device.plugged = source._capture._open = True
+        assert source.grab(0.0) is not None
+
+
+def test_an_odd_failure_is_no_image(device, monkeypatch):
+    def fail(self):
+        raise cv2.error("assertion failed")
+
+    monkeypatch.setattr(FakeCapture, "read", fail)
+    source = CameraSource("0")
+    source.open()
+    assert source.grab(0.0) is None
+
+
+def test_the_driver_may_tell_when_an_image_was_taken(device, monkeypatch):
+    now_ns = 7_000_000_000_000
+    monkeypatch.setattr(camera.time, "perf_counter_ns", lambda: now_ns)
+    source = CameraSource("0")
+    source.open()
+    for age_ms in (0, 30, 1999):
+        device.taken_ms = now_ns / 1e6 - age_ms
+        assert source.grab(0.0).taken_ns == now_ns - age_ms * 1_000_000
+    for elsewhen_ms in (0.0, -1.0, now_ns / 1e6 + 1, now_ns / 1e6 - 2001):
+        device.taken_ms = elsewhen_ms
+        assert source.grab(0.0).taken_ns == now_ns
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        pytest.param("camera:0", marks=without_a_camera),
+        "camera:971",
+        "camera:/dev/null",
+        "camera:/dev/video971",
+    ],
+)
+def test_a_missing_camera_is_one_sentence_and_nothing_else(profile, capfd, place):
+    """The real OpenCV."""
+    with pytest.raises(SensorError, match=r"^cannot open camera .*: check that it is plugged in"):
+        open_sensor(place, profile)
+    captured = capfd.readouterr()
+    assert captured.out == captured.err == ""
+
+
+def test_opencv_speaks_again_when_all_are_done():
+    level = OPENCV_LOG.getLogLevel()
+    assert level != SILENT
+    first, second = threading.Event(), threading.Event()
+
+    def meanwhile():
+        with QUIET_OPENCV:
+            first.set()
+            second.wait(60)
+
+    thread = threading.Thread(target=meanwhile)
+    with QUIET_OPENCV:
+        thread.start()
+        first.wait(60)
+    assert OPENCV_LOG.getLogLevel() == SILENT
+    second.set()
+    thread.join()
+    assert OPENCV_LOG.getLogLevel() == level
+
+
+@pytest.mark.parametrize(
+    ("image", "level"),
+    [
+        (np.full((3, 4), 77, np.uint8), 77),
+        (np.full((3, 4, 1), 77, np.uint8), 77),
+        (np.full((3, 4, 3), 77, np.uint8), 77),
+        (np.full((3, 4, 4), 77, np.uint8), 77),
+        (np.full((3, 4), 77 * 256, np.uint16), 77),
+    ],
+)
+def test_every_image_becomes_grey(image, level):
+    grey = to_grey(image)
+    assert grey.shape == (3, 4)
+    assert grey.dtype == np.uint8
+    assert (grey == level).all()
+
+
+@pytest.mark.parametrize("image", [np.zeros((3, 4, 2), np.uint8), np.zeros((3, 4), np.float64)])
+def test_what_is_no_image(image):
+    with pytest.raises(SensorError, match="are not known"):
+        to_grey(image)
+
+
+def test_the_driver_is_not_waited_for_long(device, monkeypatch):
+    monkeypatch.delenv("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", raising=False)
+    CameraSource("0").open()
+    assert os.environ["OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT"] == "1"

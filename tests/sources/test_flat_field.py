@@ -1,0 +1,163 @@
+"""Blank paper looks blank, and a damaged file is told in one sentence."""
+
+import contextlib
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.calibrate.simulated import SimulatedPatch
+from smarttouch.errors import CalibrationError, SensorError
+from smarttouch.sources.flat_field import FlatField
+
+
+def measured(patch, frames=32):
+    return FlatField.measure(patch.images(frames, light=False), patch.images(frames, light=True))
+
+
+@pytest.fixture(scope="module")
+def patch():
+    return SimulatedPatch((48, 64), dead=4, hot=3, seed=5)
+
+
+@pytest.fixture(scope="module")
+def field(patch):
+    return measured(patch)
+
+
+def test_every_grey_is_even_after_correction(patch, field):
+    for grey in (0.3, 0.6, 1.0):
+        seen = np.mean(patch.see(np.full((48, 64), grey), 30), axis=0)
+        corrected = np.mean(
+            [field.correct(each) for each in patch.see(np.full((48, 64), grey), 30)], axis=0
+        )
+        assert seen.std() / seen.mean() > 0.1
+        # What is left is the noise of 30 frames, and rounding.
+        assert corrected.std() / corrected.mean() < 0.015
+        assert corrected.mean() == pytest.approx(grey * corrected_white(patch, field), rel=0.02)
+
+
+def corrected_white(patch, field):
+    return np.mean([field.correct(each) for each in patch.images(30, light=True)])
+
+
+def test_black_is_zero_and_white_as_bright_as_before(patch, field):
+    dark = np.mean([field.correct(each) for each in patch.images(30, light=False)])
+    assert dark < 2
+    white = np.median(np.mean(patch.images(30, light=True), axis=0))
+    assert corrected_white(patch, field) == pytest.approx(white, rel=0.02)
+
+
+def test_broken_pixels_show_what_the_nearest_good_one_does(patch, field):
+    assert field.broken == 7
+    scene = np.ones((48, 64))
+    scene[:, 32:] = 0.0
+    image = field.correct(patch.see(scene)[0])
+    assert image[:, :31].min() > 150
+    assert image[:, 33:].max() < 30
+
+
+def test_it_is_a_new_image_and_saturates(field):
+    image = np.full((48, 64), 255, np.uint8)
+    before = image.copy()
+    assert field.correct(image).max() == 255
+    assert field.correct(np.zeros((48, 64), np.uint8)).max() == 0
+    assert (image == before).all()
+
+
+def test_another_shape(field):
+    with pytest.raises(SensorError, match=r"64 × 48, this one has 48 × 64"):
+        field.correct(np.zeros((64, 48), np.uint8))
+
+
+def test_saved_and_loaded(field, tmp_path):
+    field.save(tmp_path / "a.npz")
+    again = FlatField.load(tmp_path / "a.npz")
+    assert (again.dark == field.dark).all()
+    assert (again.gain == field.gain).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    rows=st.integers(1, 12),
+    columns=st.integers(1, 12),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_any_field_is_read_back_as_it_was_written(tmp_path_factory, rows, columns, seed):
+    random = np.random.default_rng(seed)
+    dark = random.uniform(0, 60, (rows, columns)).astype(np.float32)
+    gain = random.uniform(0.5, 3, (rows, columns)).astype(np.float32)
+    path = tmp_path_factory.mktemp("field") / "f.npz"
+    FlatField(dark, gain).save(path)
+    again = FlatField.load(path)
+    assert (again.dark == dark).all()
+    assert (again.gain == gain).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(cut=st.integers(0, 400), at=st.integers(0, 10_000), value=st.integers(0, 255))
+def test_a_damaged_file_is_refused_or_still_a_field(tmp_path_factory, cut, at, value):
+    random = np.random.default_rng(0)
+    shape = (4, 5)
+    field = FlatField(np.zeros(shape, np.float32), random.uniform(1, 2, shape).astype(np.float32))
+    content = bytearray(field.to_bytes())
+    content[at % len(content)] = value
+    path = tmp_path_factory.mktemp("field") / "f.npz"
+    path.write_bytes(content[: len(content) - cut])
+    with contextlib.suppress(SensorError):
+        again = FlatField.load(path)
+        assert np.isfinite(again.gain).all()
+        assert again.correct(np.zeros(again.gain.shape, np.uint8)).dtype == np.uint8
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [(None, "no flat field"), (b"", "is not a flat field"), (b"garbage" * 50, "is not a flat")],
+)
+def test_a_file_that_is_none(tmp_path, content, said):
+    path = tmp_path / "f.npz"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(SensorError, match=said):
+        FlatField.load(path)
+
+
+@pytest.mark.parametrize(
+    ("dark", "gain", "said"),
+    [
+        (np.zeros((2, 2)), np.ones((2, 3)), "go|none"),
+        (np.zeros((2, 2)), np.full((2, 2), np.nan), "no numbers"),
+        (np.zeros((2, 2)), -np.ones((2, 2)), "negative"),
+        (np.zeros((2, 2)), np.zeros((2, 2)), "every pixel dead"),
+        (np.zeros(4), np.ones(4), "is none"),
+    ],
+)
+def test_arrays_that_are_no_field(dark, gain, said):
+    with pytest.raises(SensorError, match=said):
+        FlatField(dark.astype(np.float32), gain.astype(np.float32))
+
+
+def grey(level, shape=(8, 8)):
+    return [np.full(shape, level, np.uint8)]
+
+
+@pytest.mark.parametrize(
+    ("dark", "white", "said"),
+    [
+        ([], grey(200), "no frames"),
+        (grey(10), grey(30), "only 20 grey levels brighter"),
+        (grey(200), grey(20), "only -180 grey levels"),
+        (grey(10), grey(255), "saturated"),
+        (grey(10), grey(200, (8, 9)), "one sensor for both"),
+        (grey(10), grey(200) + grey(200, (9, 9)), "differ in shape"),
+    ],
+)
+def test_references_that_are_none(dark, white, said):
+    with pytest.raises(CalibrationError, match=said):
+        FlatField.measure(dark, white)
+
+
+def test_too_many_broken_pixels():
+    with pytest.raises(CalibrationError, match=r"200 of 4096 pixels are dead or hot"):
+        measured(SimulatedPatch(dead=200))

@@ -1,0 +1,191 @@
+"""Motion between images: the right way, the right size, and none where nothing is known."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from smarttouch.documents.page_image import load_page
+from smarttouch.resources import data_folder
+from smarttouch.sources.motion import MotionTracker, page_per_pixel
+from smarttouch.sources.page import PageSensor
+
+FIELD_MM = 5.0
+
+
+@pytest.fixture(scope="module")
+def blots():
+    """A page of dark blots, 400 x 400 pixels."""
+    random = np.random.default_rng(2).integers(0, 2, (400, 400)).astype(np.float32)
+    page = cv2.GaussianBlur(255 * random, (0, 0), 2.5)
+    return np.clip(6 * (page - 100), 0, 255).astype(np.float32)
+
+
+@pytest.fixture
+def look(blots):
+    """Return a taker of patches around (200 + x, 200 + y) pixels of the page, with noise."""
+    noise = np.random.default_rng(3)
+
+    def take(x=0.0, y=0.0, size=(64, 64), level=2.0):
+        patch = cv2.getRectSubPix(blots, size, (200 + x, 200 + y))
+        patch = patch + noise.normal(0, level, patch.shape)
+        return np.clip(np.rint(patch), 0, 255).astype(np.uint8)
+
+    return take
+
+
+def follow(tracker, *images):
+    """Return the motion at the last of the images."""
+    for image in images:
+        motion = tracker.follow(image)
+    return motion
+
+
+@pytest.mark.parametrize(("x", "y"), [(3, 0), (0, -5), (1.5, 2.25), (-20, 12), (0.3, -0.2)])
+def test_the_patch_moves_against_its_print(profile, look, x, y):
+    pixel_mm = FIELD_MM / 64
+    motion = follow(MotionTracker(profile), look(), look(x, y))
+    assert motion == pytest.approx((x * pixel_mm, y * pixel_mm), abs=0.1 * pixel_mm)
+
+
+def test_the_first_image_and_one_after_a_gap_tell_nothing(profile, look):
+    tracker = MotionTracker(profile)
+    assert tracker.follow(look()) == (0, 0)
+    tracker.forget()
+    assert tracker.follow(look(3)) == (0, 0)
+    assert tracker.follow(look(6))[0] > 0
+
+
+def test_another_size_starts_anew(profile, look):
+    tracker = MotionTracker(profile)
+    assert follow(tracker, look(), look(3, size=(48, 32))) == (0, 0)
+    x_mm, _ = tracker.follow(look(6, size=(48, 32)))
+    assert x_mm == pytest.approx(3 * FIELD_MM / 48, rel=0.05)
+
+
+@pytest.mark.parametrize("size", [(16, 16), (32, 24), (200, 150), (384, 128)])
+def test_the_field_spreads_over_images_of_any_size(profile, look, size):
+    zoom = max(1, max(size) // 64)
+    seen = size[0] // zoom, size[1] // zoom
+    images = [cv2.resize(look(*at, size=seen), size) for at in ((0, 0), (2, 1))]
+    x_mm, y_mm = follow(MotionTracker(profile), *images)
+    assert x_mm == pytest.approx(2 * FIELD_MM / seen[0], abs=0.15 * FIELD_MM / seen[0])
+    assert y_mm == pytest.approx(1 * FIELD_MM / seen[1], abs=0.15 * FIELD_MM / seen[1])
+
+
+def test_a_turned_sensor(profile, changed, look):
+    """A patch turned by 90 degrees shows the page's right below."""
+    turned = changed(profile, {"optics.rotation_deg": 90.0})
+    x_mm, y_mm = follow(MotionTracker(turned), look(), look(0, 4))
+    assert (x_mm, y_mm) == pytest.approx((4 * FIELD_MM / 64, 0), abs=0.01)
+
+
+@given(st.floats(-180, 180), st.floats(-3, 3), st.floats(-3, 3))
+def test_the_scale_is_the_inverse_of_the_registration(profile, changed, degrees, x_mm, y_mm):
+    optics = changed(
+        profile,
+        {"optics.rotation_deg": degrees, "optics.sensor_columns": 80, "optics.sensor_rows": 50},
+    ).optics
+    turn = math.radians(degrees)
+    # As imaging.registration puts a point of the page into the image.
+    column = (x_mm * math.cos(turn) - y_mm * math.sin(turn)) * 80 / optics.field_width_mm
+    row = (x_mm * math.sin(turn) + y_mm * math.cos(turn)) * 50 / optics.field_height_mm
+    back = np.array(page_per_pixel(optics, (50, 80))) @ [column, row]
+    assert back == pytest.approx([x_mm, y_mm], abs=1e-9)
+
+
+def test_the_scale_of_a_tilted_camera_is_that_of_its_middle(profile, changed):
+    homography = np.array([[12.0, 1.0, 31.5], [-0.5, 13.0, 31.5], [0.02, -0.01, 1.0]])
+    optics = changed(profile, {"optics.homography": tuple(homography.ravel().tolist())}).optics
+
+    def pixel(x_mm, y_mm):
+        x, y, scale = homography @ [x_mm, y_mm, 1]
+        return np.array([x, y]) / scale / 2
+
+    middle = pixel(0, 0)
+    for x_mm, y_mm in [(1e-4, 0), (0, 1e-4)]:
+        back = np.array(page_per_pixel(optics, (32, 32))) @ (pixel(x_mm, y_mm) - middle)
+        assert back == pytest.approx([x_mm, y_mm], abs=1e-8)
+
+
+def test_light_that_changes_is_no_motion(profile, look):
+    tracker = MotionTracker(profile)
+    assert follow(tracker, look() // 2, look() // 2 + 110) == pytest.approx((0, 0), abs=0.005)
+    x_mm, _ = tracker.follow(look(3) // 2)
+    assert x_mm == pytest.approx(3 * FIELD_MM / 64, abs=0.005)
+
+
+def paper(random, slope=0.0):
+    """Blank, unevenly lit, noisy."""
+    level = 220 + slope * np.linspace(-16, 16, 64) + random.normal(0, 2, (64, 64))
+    return np.clip(np.rint(level), 0, 255).astype(np.uint8)
+
+
+def test_blank_paper_shows_no_motion(profile):
+    random = np.random.default_rng(0)
+    tracker = MotionTracker(profile)
+    motions = [tracker.follow(paper(random, 1.0)) for _ in range(50)]
+    assert motions == [(0, 0)] * 50
+
+
+def test_two_images_that_have_nothing_in_common(profile, look):
+    assert follow(MotionTracker(profile), look(-100, -100), look(100, 100)) == (0, 0)
+    assert follow(MotionTracker(profile), look(), look(50, 0)) == (0, 0)
+
+
+def test_motion_along_an_edge_is_not_known(profile):
+    """Of a long vertical stroke only the way across can be seen."""
+    random = np.random.default_rng(1)
+    tracker = MotionTracker(profile)
+    down = []
+    for step in range(30):
+        image = paper(random).astype(np.float32)
+        image[:, 20 + step // 3 : 34 + step // 3] -= 180
+        image = cv2.GaussianBlur(np.clip(image, 0, 255), (0, 0), 0.8).astype(np.uint8)
+        down.append(tracker.follow(image)[1])
+    assert np.abs(down).max() < 0.003
+
+
+@pytest.mark.parametrize(
+    ("side", "speed_mm_s", "most_px", "most_drift"),
+    [(64, 40, 0.03, 0.005), (64, 200, 0.1, 0.005), (32, 40, 0.04, 0.01), (16, 40, 0.06, 0.03)],
+)
+def test_a_line_of_print(profile, changed, tmp_path, side, speed_mm_s, most_px, most_drift):
+    """At 100 images a second over the last line of the sample page, wavering up and down."""
+    times = np.linspace(0, 60 / speed_mm_s, 200)
+    x = 10 + speed_mm_s * times
+    y = 34.5 + 0.6 * np.sin(0.2 * x)
+    path = tmp_path / "path.csv"
+    rows = [
+        f"{t:.6f},{a:.6f},{b:.6f},0,1"
+        for t, a, b in zip(times.tolist(), x.tolist(), y.tolist(), strict=True)
+    ]
+    path.write_text("time_s,x_mm,y_mm,angle_deg,force_n\n" + "\n".join(rows))
+    optics = {"optics.sensor_columns": side, "optics.sensor_rows": side}
+    profile = changed(profile, optics)
+    page = load_page(data_folder("sample_images") / "page.png")
+    sensor, tracker = PageSensor(page, profile, "line", path=path), MotionTracker(profile)
+    frames = [sensor.read(10_000_000 * k) for k in range(int(100 * times[-1]))]
+    motions = np.array([tracker.follow(frame.image) for frame in frames])[1:]
+    truth = np.diff([(frame.pose.x_mm, frame.pose.y_mm) for frame in frames], axis=0)
+    error_px = np.hypot(*(motions - truth).T) * side / FIELD_MM
+    assert np.percentile(error_px, 95) < most_px
+    assert np.abs((motions - truth).sum(axis=0)).max() < most_drift * truth[:, 0].sum()
+
+
+@settings(deadline=None, max_examples=100)
+@given(
+    st.lists(
+        hnp.arrays(np.uint8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=80)),
+        min_size=2,
+        max_size=4,
+    )
+)
+def test_no_image_is_too_much(profile, images):
+    tracker = MotionTracker(profile)
+    for image in images:
+        assert all(map(math.isfinite, follow(tracker, image, image)))

@@ -1,0 +1,178 @@
+"""The finger reads line by line, or as it was recorded."""
+
+import itertools
+import math
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from skimage import data
+
+from smarttouch.documents.page_image import Page
+from smarttouch.documents.printed_text import print_text
+from smarttouch.documents.text_lines import find_lines
+from smarttouch.errors import SensorError
+from smarttouch.sources.reading_path import ReadingPath, RecordedPath
+
+HEADER = "time_s,x_mm,y_mm,angle_deg,force_n\n"
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_printed_lines_are_all_found(count):
+    page = print_text("\n".join(["finger tips"] * count))
+    lines = find_lines(page)
+    assert len(lines) == count
+    # Ascender to descender, of letters of 5.3 mm.
+    assert all(5.0 < line.bottom_mm - line.top_mm < 5.5 for line in lines)
+    for line in lines:
+        top, bottom = (round(edge / page.mm_per_pixel) for edge in (line.top_mm, line.bottom_mm))
+        rows = np.flatnonzero((page.grey[top:bottom] < 128).any(axis=1))
+        assert 2.5 < (rows[-1] - rows[0] + 1) * page.mm_per_pixel < 5.2
+
+
+def test_lines_of_a_photographed_page():
+    lines = find_lines(Page(data.page(), 110 / 384))
+    assert 7 <= len(lines) <= 9
+    for above, below in itertools.pairwise(lines):
+        # They slope, and are not equally long: what counts is where both are.
+        shared = np.array([max(above.left_mm, below.left_mm), min(above.right_mm, below.right_mm)])
+        lower = above.baseline_mm(shared) + above.descent_mm
+        assert (lower <= below.baseline_mm(shared) - below.ascent_mm).all()
+
+
+def test_light_on_dark_lines():
+    page = print_text("one\ntwo")
+    assert len(find_lines(Page(255 - page.grey, page.mm_per_pixel), light_on_dark=True)) == 2
+
+
+@pytest.mark.parametrize("grey", [255, 128, 0])
+def test_blank_pages_have_no_lines(grey):
+    assert find_lines(Page(np.full((300, 400), grey, np.uint8), 0.2)) == []
+
+
+def test_a_blank_page_is_read_in_strips(profile):
+    path = ReadingPath(Page(np.full((300, 400), 255, np.uint8), 0.1), profile, 40)
+    assert len(path.lines) == 6
+    assert path.lines[-1].bottom_mm == pytest.approx(30)
+
+
+def test_the_finger_lands_settles_sweeps_and_lifts(profile):
+    path = ReadingPath(print_text("one line\nand another"), profile, 40)
+    times = np.arange(0, path.duration_s, 0.01)
+    poses, forces = zip(*(path.at(time) for time in times), strict=True)
+    x = np.array([pose.x_mm for pose in poses])
+    pressing = np.array(forces) > profile.force.full_n * 0.9
+    starts = np.flatnonzero(np.diff(pressing.astype(int)) == 1)
+    assert len(starts) == 2
+    assert forces[0] == 0
+    assert path.at(path.duration_s)[1] == pytest.approx(0)
+    assert np.diff(x[pressing]).min() >= -60
+    sweeping = np.diff(x) / 0.01
+    assert np.median(sweeping[sweeping > 1]) == pytest.approx(40, rel=0.01)
+    assert path.at(0.55)[0].x_mm == path.at(0)[0].x_mm, "it rests while intensity ramps up"
+
+
+@pytest.mark.parametrize("speed", [2, 40, 400])
+def test_the_finger_presses_until_just_before_the_end(profile, speed):
+    path = ReadingPath(print_text("on"), profile, speed)
+    full_n = profile.force.full_n
+    assert path.at(path.duration_s - 0.06)[1] > full_n
+    assert path.at(path.duration_s - 0.01)[1] < 0.5 * full_n
+
+
+def test_line_centers_are_followed(profile):
+    page = print_text("one")
+    line = find_lines(page)[0]
+    pose, _ = ReadingPath(page, profile, 40).at(1.0)
+    assert pose.y_mm == pytest.approx((line.top_mm + line.bottom_mm) / 2)
+
+
+@pytest.mark.parametrize("skew_deg", [-3, 3])
+def test_a_tilted_line_is_followed_by_hand_and_patch(profile, skew_deg):
+    page = print_text("many fingers read on\nand on they read")
+    middle = tuple(side / 2 for side in page.grey.shape[::-1])
+    turn = cv2.getRotationMatrix2D(middle, -skew_deg, 1)
+    grey = cv2.warpAffine(page.grey, turn, page.grey.shape[::-1], borderValue=255)
+    path = ReadingPath(Page(grey, page.mm_per_pixel), profile, 40)
+    line = path.lines[0]
+    for time in np.arange(0.8, 2.0, 0.1):
+        pose, _ = path.at(time)
+        base_mm = float(line.baseline_mm(np.array(pose.x_mm)))
+        assert pose.y_mm == pytest.approx(
+            base_mm + (line.descent_mm - line.ascent_mm) / 2, abs=0.01
+        )
+        assert pose.angle_rad == pytest.approx(math.radians(skew_deg), abs=math.radians(0.3))
+    begin, end = path.at(0.8)[0], path.at(1.8)[0]
+    way_mm = math.hypot(end.x_mm - begin.x_mm, end.y_mm - begin.y_mm)
+    assert way_mm == pytest.approx(40, rel=0.01)
+
+
+def test_a_tall_line_takes_several_sweeps(profile):
+    small = print_text("on they read")
+    path = ReadingPath(Page(small.grey, 3 * small.mm_per_pixel), profile, 40)
+    line = find_lines(Page(small.grey, 3 * small.mm_per_pixel))[0]
+    assert len(path.lines) == 3
+    assert path.lines[0].top_mm == pytest.approx(line.top_mm)
+    assert path.lines[-1].bottom_mm == pytest.approx(line.bottom_mm)
+    assert all(a.bottom_mm == pytest.approx(b.top_mm) for a, b in itertools.pairwise(path.lines))
+
+
+def test_a_tall_block_takes_several_sweeps(profile):
+    grey = np.full((400, 400), 255, np.uint8)
+    grey[100:250, 50:350] = 0
+    grey[100:250, ::20] = 255
+    assert len(ReadingPath(Page(grey, 0.1), profile, 40).lines) >= 3
+
+
+@pytest.mark.parametrize("speed", [0, -1, 501, math.nan, math.inf])
+def test_impossible_speeds(profile, speed):
+    with pytest.raises(SensorError, match="--speed"):
+        ReadingPath(print_text("x"), profile, speed)
+
+
+def test_recorded_path(tmp_path):
+    file = tmp_path / "path.csv"
+    file.write_text(HEADER + "10,0,0,0,0\n11,10,4,90,1\n")
+    path = RecordedPath(file)
+    pose, force = path.at(0.5)
+    assert (pose.x_mm, pose.y_mm, force) == (5, 2, 0.5)
+    assert pose.angle_rad == pytest.approx(math.pi / 4)
+    assert path.duration_s == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "must begin with the line"),
+        ("a,b\n", "must begin with the line"),
+        (HEADER, "0 points"),
+        (HEADER + "0,0,0,0,0\n", "1 points"),
+        (HEADER + "0,0,0,0,0\n1,x,0,0,0\n", "line 3: needs 5 numbers"),
+        (HEADER + "0,0,0,0,0\n1,nan,0,0,0\n", "line 3: needs 5 numbers"),
+        (HEADER + "0,0,0,0,0\n1,0,0,0\n", "line 3: needs 5 numbers"),
+        (HEADER + "0,0,0,0,0\n0,0,0,0,0\n", "line 3: time must rise"),
+    ],
+)
+def test_bad_recorded_paths(tmp_path, text, words):
+    file = tmp_path / "path.csv"
+    file.write_text(text)
+    with pytest.raises(SensorError, match=words):
+        RecordedPath(file)
+
+
+def test_missing_path(tmp_path):
+    with pytest.raises(SensorError, match="no file"):
+        RecordedPath(tmp_path / "none.csv")
+
+
+@given(st.one_of(st.text(max_size=200), st.text(max_size=200).map(lambda tail: HEADER + tail)))
+def test_no_text_crashes_the_path(tmp_path_factory, text):
+    file = tmp_path_factory.mktemp("fuzz") / "path.csv"
+    file.write_text(text, encoding="utf-8", errors="replace", newline="")
+    try:
+        duration_s = RecordedPath(file).duration_s
+    except SensorError:
+        return
+    assert duration_s > 0

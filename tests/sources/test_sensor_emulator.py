@@ -1,0 +1,394 @@
+"""Emulated sensors: deadlines, books, faults, and the process."""
+
+import json
+import math
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smarttouch.errors import SensorError
+from smarttouch.sources import open_sensor
+from smarttouch.sources.emulator.__main__ import main
+from smarttouch.sources.emulator.devices import (
+    ArrayDevice,
+    CellDevice,
+    look_at_page,
+    look_at_pattern,
+    press,
+)
+from smarttouch.sources.emulator.faults import Fault, Faults, parse_fault
+from smarttouch.sources.emulator.serve import Server, Socket
+from smarttouch.sources.forces.force import open_force
+from smarttouch.sources.forces.load_cell import open_cell
+from smarttouch.sources.forces.readings import TextReadings
+from smarttouch.sources.sensor_protocol import ArrayFrame, CellReading, Info, MessageStream
+
+MS = 10**6
+NOTHING_WRONG = frozenset()
+
+
+class FakeSocket:
+    """Takes so many bytes at a time."""
+
+    def __init__(self, room=10**9):
+        self.room, self.taken = room, b""
+        self.plugged_in, self.keeps_name = True, False
+
+    def write(self, data):
+        taken, rest = data[: self.room], data[self.room :]
+        self.taken += taken
+        self.room -= len(taken)
+        return rest
+
+    def pull_out(self):
+        self.plugged_in = False
+
+    def plug_in(self):
+        self.plugged_in = True
+
+
+class FakeOrders:
+    def __init__(self, *lines):
+        self.lines = list(lines)
+
+    def read(self):
+        return [self.lines.pop(0)] if self.lines else []
+
+
+class Counter:
+    """A device that sends its numbers, four bytes each."""
+
+    def packet(self, number, time_s, wrong):
+        return b"%03d;" % number
+
+    def heed(self, words):
+        return False
+
+
+def make_server(device=None, socket=None, faults=(), rate_hz=100.0, count=None, orders=()):
+    socket = socket or FakeSocket()
+    wrong = Faults(parse_fault(text) for text in faults)
+    server = Server(device or Counter(), socket, wrong, rate_hz, count, FakeOrders(*orders))
+    return server, socket
+
+
+def test_one_packet_at_each_deadline_and_none_without_a_host():
+    server, socket = make_server()
+    server.advance(5 * MS, False)
+    assert socket.taken == b""
+    for now_ms in range(100, 151):
+        server.advance(now_ms * MS, True)
+    assert socket.taken == b"000;001;002;003;004;005;"
+    assert (server.books.sent, server.books.dropped) == (6, 0)
+
+
+def test_a_late_tick_moves_no_deadline_but_a_long_one_is_not_made_up_for():
+    server, _ = make_server()
+    for now_ms in (0, 17, 20, 26, 30):
+        server.advance(now_ms * MS, True)
+    assert server.books.sent == 4
+    for now_ms in range(1000, 1010):
+        server.advance(now_ms * MS, True)
+    assert server.books.sent == 5
+
+
+def test_what_the_host_does_not_take_is_dropped_and_never_queued():
+    server, socket = make_server(socket=FakeSocket(room=6))
+    for now_ms in range(0, 50):
+        server.advance(now_ms * MS, True)
+    assert socket.taken == b"000;00"
+    assert (server.books.sent, server.books.dropped) == (1, 3)
+    socket.room = 100
+    for now_ms in range(50, 61):
+        server.advance(now_ms * MS, True)
+    assert socket.taken == b"000;001;005;006;"
+    assert (server.books.sent, server.books.dropped) == (4, 3)
+
+
+def test_a_host_that_goes_takes_its_half_packet_along():
+    server, socket = make_server(socket=FakeSocket(room=2))
+    server.advance(0, True)
+    server.advance(1 * MS, False)
+    socket.room = 100
+    server.advance(20 * MS, True)
+    assert socket.taken == b"00001;"
+    assert server.books.sent == 1
+
+
+def test_after_the_count_it_is_silent():
+    server, socket = make_server(count=3)
+    for now_ms in range(0, 100):
+        server.advance(now_ms * MS, True)
+    assert socket.taken == b"000;001;002;"
+
+
+def test_faults_of_the_line():
+    server, socket = make_server(faults=["0.0625 silent 0.0625", "0.25 unplug 0.125"])
+    present = []
+    for now_ms in range(0, 400):
+        server.advance(now_ms * MS, socket.plugged_in)
+        present.append((len(socket.taken), socket.plugged_in))
+    assert present[62][0] == present[124][0] == 4 * 7
+    assert present[190][0] > 4 * 7
+    gone = [not plugged_in for _, plugged_in in present]
+    assert gone == [250 <= now_ms < 375 for now_ms in range(400)]
+    assert present[-1][0] > present[375][0]
+
+
+def test_orders(capsys):
+    cell = CellDevice(press(0.0, None, None), counts_per_n=1000, zero=0, noise=0)
+    orders = ("weight 100", "force x", "silent 0.02", "unplug", "dance")
+    server, socket = make_server(cell, orders=orders)
+    for now_ms in range(0, 60):
+        server.advance(now_ms * MS, True)
+    assert socket.taken == b"HX711 reading: 981\r\n" * server.books.sent
+    assert server.books.sent == 4
+    said = capsys.readouterr().err
+    assert "'x' is no number" in said
+    assert "the port's name would change" in said
+    assert "event '0.004000 dance' is none" in said
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("2 garbage 0.5", Fault(2, "garbage", 0.5)),
+        ("3 nan", Fault(3, "nan", math.inf)),
+        (" 0.5  unplug  1 ", Fault(0.5, "unplug", 1)),
+    ],
+)
+def test_events(text, fault):
+    assert parse_fault(text) == fault
+
+
+@pytest.mark.parametrize(
+    "text", ["", "2", "nan", "2 dance", "x nan", "2 nan x", "-1 nan", "2 nan 1 1", "inf nan"]
+)
+def test_what_is_no_event(text):
+    with pytest.raises(SensorError, match=r"^event "):
+        parse_fault(text)
+
+
+def test_what_is_wrong_at_a_time():
+    faults = Faults([Fault(1, "nan", 1), Fault(1.5, "silent")])
+    assert faults.at(0.99) == frozenset()
+    assert faults.at(1) == {"nan"}
+    assert faults.at(1.6) == {"nan", "silent"}
+    assert faults.at(2) == {"silent"}
+
+
+def test_an_array_sends_frames_and_once_a_second_its_name():
+    device = ArrayDevice(look_at_pattern(6, 9), rate_hz=4)
+    stream, messages = MessageStream(), []
+    for number in range(5):
+        messages += stream.feed(device.packet(number, number / 4, NOTHING_WRONG))
+    frames = [each for each in messages if isinstance(each, ArrayFrame)]
+    assert [frame.number for frame in frames] == [0, 1, 2, 3, 4]
+    assert [frame.time_us for frame in frames] == [0, 250_000, 500_000, 750_000, 1_000_000]
+    assert frames[0].image.shape == (6, 9)
+    assert sum(isinstance(each, Info) for each in messages) == 2
+    # 40 pixels a second from right to left.
+    first, later = frames[0].image, look_at_pattern(6, 9)(3 / 40)
+    np.testing.assert_array_equal(first[:, 3:], later[:, :-3])
+
+
+def test_an_array_that_freezes_or_sends_garbage():
+    device = ArrayDevice(look_at_pattern(8, 8), rate_hz=100)
+    stream = MessageStream()
+    (_, before) = stream.feed(device.packet(0, 0, NOTHING_WRONG))
+    (frozen,) = stream.feed(device.packet(1, 10, frozenset({"freeze"})))
+    (after,) = stream.feed(device.packet(2, 10, NOTHING_WRONG))
+    np.testing.assert_array_equal(before.image, frozen.image)
+    assert (after.image != frozen.image).any()
+    stream.feed(device.packet(3, 10, frozenset({"garbage"})))
+    assert stream.feed(b"\0") == []
+    assert stream.broken > 0
+
+
+def test_an_array_reads_a_page_again_and_again(profile):
+    look = look_at_page("text:o", profile, 16, 24)
+    assert look(0.0).shape == look(1000.0).shape == (16, 24)
+    assert max(np.ptp(look(time_s)) for time_s in np.arange(0, 3, 0.02)) > 100
+    with pytest.raises(SensorError, match="looks at page:FILE or text:STRING"):
+        look_at_page("camera:0", profile, 16, 16)
+
+
+@pytest.mark.parametrize("framed", [False, True])
+def test_a_cell_follows_its_line(profile, tmp_path, framed):
+    record = tmp_path / "force.csv"
+    record.write_text("time_s,force_n\n0,0\n1,2\n")
+    force = press(9.0, record, profile)
+    device = CellDevice(force, counts_per_n=1000, zero=-200, noise=0, framed=framed)
+
+    def at(time_s, wrong=NOTHING_WRONG):
+        data = device.packet(0, time_s, wrong)
+        if framed:
+            (message,) = MessageStream().feed(data)
+            assert isinstance(message, CellReading)
+            return message.reading
+        (reading,) = TextReadings().feed(b"\n" + data)
+        return None if math.isnan(reading) else reading
+
+    assert [at(0.5), at(1), at(9)] == [800, 1800, -200]
+    assert at(0.5, frozenset({"freeze"})) == -200
+    assert at(0.5, frozenset({"nan"})) is None
+    device.heed(["force", "1e9"])
+    assert at(0) == 2**23 - 1
+
+
+def test_a_cells_noise():
+    device = CellDevice(press(1.0, None, None), 1000, 0, noise=50, framed=True)
+    stream = MessageStream()
+    readings = [stream.feed(device.packet(0, 0, NOTHING_WRONG))[0].reading for _ in range(2000)]
+    assert np.mean(readings) == pytest.approx(1000, abs=5)
+    assert np.std(readings) == pytest.approx(50, rel=0.1)
+
+
+def test_a_port_whose_name_stays():
+    socket = Socket(may_unplug=True)
+    try:
+        name = Path(socket.name)
+        assert name.exists()
+        socket.pull_out()
+        assert not name.is_symlink()
+        assert socket.wait(0) is False
+        socket.plug_in()
+        assert Path(socket.name) == name
+        assert name.resolve().is_char_device()
+    finally:
+        socket.close()
+    assert not name.parent.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["loadcell", "--rate=0"], "--rate 0 is out of range"),
+        (["serial-array", "--rows=256"], "--rows 256 is out of range: give 2 to 255"),
+        (["serial-array", "--event=1 nan"], "a pixel is always a number"),
+        (["serial-array", "--sensor=camera:0"], "looks at page:FILE or text:STRING"),
+        (["hx711", "--event=1 dance"], "is none: write a time in s and one of garbage"),
+        (["hx711", "--noise=-1"], "--noise -1 is no good number"),
+        (["hx711", "--force=nan"], "--force nan is no good number"),
+        (["hx711", "--path=/nowhere.csv"], "/nowhere.csv"),
+        (["hx711", "--linger=-1"], "is no time"),
+        (["hx711", "--profile=none"], "no profile 'none'"),
+        (["hx711", "--books=/nowhere/books"], "is in no folder"),
+    ],
+)
+def test_wrong_arguments(capsys, arguments, words):
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Return a starter of emulators: the process and the name of its port."""
+    started = []
+
+    def run(*arguments):
+        command = [sys.executable, "-m", "smarttouch.sources.emulator", *arguments]
+        process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        started.append(process)
+        assert select.select([process.stdout], [], [], 30)[0], "the emulator prints no port"
+        return process, process.stdout.readline().strip()
+
+    yield run
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def until(condition):
+    deadline = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < deadline, "it never came true"
+        time.sleep(0.01)
+
+
+def test_every_frame_of_an_array_is_read_dropped_or_lost(start, profile, tmp_path):
+    books = tmp_path / "books.json"
+    process, name = start(
+        "serial-array", "--rate=400", "--count=300", "--linger=0.2", f"--books={books}"
+    )
+    with open_sensor(f"serial-array:{name}", profile) as sensor:
+        look = sensor.read(0)
+        assert look.image.shape == (64, 64)
+        read = {look.number}
+
+        def see():
+            look = sensor.read(0)
+            read.add(look.number)
+            return look
+
+        until(lambda: see() and sensor._source._before >= 299)
+        until(lambda: see().stale)
+    assert process.wait(60) == 0
+    account = json.loads(books.read_text())
+    assert account["sent"] == 300
+    assert account["garbage"] == 0
+    assert sensor.frames == len(read) + sensor.dropped_frames
+    # What was sent while the port was opened, as many frames as that takes, was nobody's.
+    assert 0 < sensor.frames <= 300
+
+
+@pytest.mark.realtime
+def test_a_cell_with_all_faults_and_orders(start, profile, changed):
+    events = ["0.4 garbage 0.6", "1.2 nan 0.3", "1.8 unplug 0.4"]
+    process, name = start(
+        "hx711", "--force=0.6", "--counts-per-n=1000", *(f"--event={each}" for each in events)
+    )
+    in_newtons = changed(profile, {"force.curve": (-80.0, 0.001)})
+    with open_force(f"hx711:{name}", in_newtons) as force:
+        for _ in events:
+            until(lambda: force.read(0) > 0)
+            assert force.read(0) == pytest.approx(0.6, abs=0.4)
+            until(lambda: math.isnan(force.read(0)))
+        until(lambda: force.read(0) > 0)
+        said = " ".join(force.notes)
+        for words in ("what came was no reading", "said that there is none", "was gone for"):
+            assert words in said
+    with open_cell(f"hx711:{name}") as cell:
+        process.stdin.write("weight 200\n")
+        process.stdin.flush()
+        until(lambda: cell.reading() > 81_600)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(60) == 0
+    assert json.loads(process.stdout.read())["sent"] > 0
+
+
+PARENT = """
+import os, subprocess, sys
+process = subprocess.Popen(
+    [sys.executable, *sys.argv[1:], f"--parent={os.getpid()}"], start_new_session=True
+)
+process.wait()
+"""
+
+
+def test_it_ends_with_a_parent_that_is_killed(tmp_path):
+    """Its end of a pipe that it has inherited closes: there is no trace of it left."""
+    books = tmp_path / "books.json"
+    command = ["-m", "smarttouch.sources.emulator", "hx711", "--linger=inf", f"--books={books}"]
+    parent = subprocess.Popen(
+        [sys.executable, "-c", PARENT, *command], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert parent.stdout.readline().startswith("/dev/")
+        parent.kill()
+        parent.wait()
+        assert parent.stdout.read() == ""
+        assert json.loads(books.read_text()) == {"sent": 0, "dropped": 0, "garbage": 0}
+    finally:
+        parent.kill()
+        parent.communicate()

@@ -1,0 +1,179 @@
+"""The wire format of sensors: what is encoded comes back, and no bytes do harm."""
+
+import zlib
+
+import numpy as np
+import pytest
+from cobs import cobs
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from smarttouch.errors import SensorError
+from smarttouch.sources.sensor_protocol import (
+    LARGEST_BODY,
+    NO_READING,
+    VERSION,
+    ArrayFrame,
+    CellReading,
+    Info,
+    Kind,
+    MessageStream,
+    decode,
+    encode_force,
+    encode_frame,
+    encode_info,
+    gap,
+)
+from smarttouch.wire.framing import Deframer, Packet, frame_packet
+
+NUMBER = st.integers(0, 2**32 - 1)
+SIDE = st.integers(1, 255)
+IMAGE = st.tuples(SIDE, SIDE).filter(lambda shape: shape[0] * shape[1] < 2000)
+
+
+def parse(data):
+    (packet,) = Deframer(LARGEST_BODY).feed(data)
+    return decode(packet)
+
+
+@given(NUMBER, NUMBER, IMAGE.flatmap(lambda shape: arrays(np.uint8, shape)))
+def test_frames_come_back(number, time_us, image):
+    frame = parse(encode_frame(number, time_us, image))
+    assert isinstance(frame, ArrayFrame)
+    assert (frame.number, frame.time_us) == (number, time_us)
+    assert frame.image.dtype == np.uint8
+    np.testing.assert_array_equal(frame.image, image)
+
+
+def test_the_largest_frame_comes_back():
+    image = np.random.default_rng(0).integers(0, 256, (255, 255), np.uint8)
+    data = encode_frame(2**32 + 7, 2**32 + 9, image)
+    frame = parse(data)
+    assert (frame.number, frame.time_us) == (7, 9)
+    np.testing.assert_array_equal(frame.image, image)
+
+
+@given(NUMBER, NUMBER, st.none() | st.integers(NO_READING + 1, 2**31 - 1))
+def test_readings_come_back(number, time_us, reading):
+    expected = CellReading(number, time_us, reading)
+    assert parse(encode_force(number, time_us, reading)) == expected
+
+
+@given(NUMBER, st.text(max_size=400))
+def test_names_come_back_as_far_as_they_fit(number, name):
+    info = parse(encode_info(number, name))
+    assert isinstance(info, Info)
+    assert info.number == number
+    whole = name.encode("utf-8", "replace").decode()
+    assert whole.startswith(info.name)
+    assert info.name == whole or len(info.name.encode()) > 251
+
+
+def test_the_page_in_the_docstring_is_what_is_sent():
+    image = np.array([[1, 2, 3], [4, 0, 6]], np.uint8)
+    body = bytes([1, 0x41]) + (5).to_bytes(4, "little")
+    body += bytes([2, 3]) + (1000).to_bytes(4, "little") + bytes([1, 2, 3, 4, 0, 6])
+    body += zlib.crc32(body).to_bytes(4, "little")
+    assert encode_frame(5, 1000, image) == cobs.encode(body) + b"\0"
+    body = bytes([1, 0x42]) + (6).to_bytes(4, "little")
+    body += (-3).to_bytes(4, "little", signed=True) + (2000).to_bytes(4, "little")
+    body += zlib.crc32(body).to_bytes(4, "little")
+    assert encode_force(6, 2000, -3) == cobs.encode(body) + b"\0"
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.zeros((0, 4), np.uint8),
+        np.zeros((4, 0), np.uint8),
+        np.zeros((256, 4), np.uint8),
+        np.zeros((4, 256), np.uint8),
+        np.zeros((4, 4, 3), np.uint8),
+        np.zeros((4, 4)),
+    ],
+)
+def test_what_no_frame_can_hold(image):
+    with pytest.raises(SensorError, match="a frame on the wire"):
+        encode_frame(0, 0, image)
+
+
+@pytest.mark.parametrize("reading", [2**31, NO_READING - 1])
+def test_what_no_reading_can_hold(reading):
+    with pytest.raises(SensorError, match="does not fit 32 bits"):
+        encode_force(0, 0, reading)
+
+
+HEAD = bytes([2, 3, 0, 0, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("kind", "payload"),
+    [
+        (Kind.FRAME, b""),
+        (Kind.FRAME, HEAD[:5]),
+        (Kind.FRAME, HEAD + bytes(5)),
+        (Kind.FRAME, HEAD + bytes(7)),
+        (Kind.FRAME, bytes([0, 3, 0, 0, 0, 0])),
+        (Kind.FRAME, bytes([3, 0, 0, 0, 0, 0])),
+        (Kind.FORCE, bytes(7)),
+        (Kind.FORCE, bytes(9)),
+        (Kind.INFO, bytes(256)),
+        (0x44, b""),
+    ],
+)
+def test_malformed_payloads_say_nothing(kind, payload):
+    assert decode(Packet(kind, 0, payload, VERSION)) is None
+
+
+def test_another_version_says_nothing():
+    assert decode(Packet(Kind.FRAME, 0, HEAD + bytes(6), VERSION)) is not None
+    assert decode(Packet(Kind.FRAME, 0, HEAD + bytes(6), VERSION + 1)) is None
+
+
+@given(st.sampled_from([*Kind, 0, 255]), st.binary(max_size=80))
+def test_no_payload_crashes(kind, payload):
+    message = decode(Packet(kind, 0, payload, VERSION))
+    if isinstance(message, ArrayFrame):
+        assert message.image.size == len(payload) - 6
+
+
+@given(st.lists(st.binary(max_size=60), max_size=8))
+def test_no_bytes_crash_and_a_frame_after_them_is_found(pieces):
+    stream = MessageStream()
+    for piece in pieces:
+        stream.feed(piece)
+    found = stream.feed(b"\0" + encode_force(1, 2, 3))
+    assert found[-1:] == [CellReading(1, 2, 3)]
+    assert stream.broken >= 0
+
+
+@given(st.data())
+def test_a_stream_in_any_pieces(data):
+    sent = [CellReading(k, 7 * k, k - 5) for k in range(12)]
+    wire = b"".join(encode_force(each.number, each.time_us, each.reading) for each in sent)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(wire)), max_size=9)))
+    stream, came = MessageStream(), []
+    for start, end in zip([0, *cuts], [*cuts, len(wire)], strict=True):
+        came += stream.feed(wire[start:end])
+    assert came == sent
+    assert stream.broken == 0
+
+
+def test_the_piece_one_joins_in_is_not_broken_but_later_ones_are():
+    good = encode_force(1, 2, 3)
+    stream = MessageStream()
+    assert len(stream.feed(good[3:] + good)) == 1
+    assert stream.broken == 0
+    assert len(stream.feed(good[3:] + good)) == 1
+    assert stream.broken == 1
+    stream.feed(frame_packet(VERSION, 0x66, 0, b"unknown"))
+    assert stream.broken == 2
+
+
+@pytest.mark.parametrize(
+    ("before", "number", "missing"),
+    [(0, 1, 0), (0, 13, 12), (2**32 - 1, 0, 0), (2**32 - 2, 1, 2), (500, 0, 0), (7, 7, 0)],
+)
+def test_gaps_in_numbers(before, number, missing):
+    assert gap(before, number) == missing

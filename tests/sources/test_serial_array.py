@@ -1,0 +1,258 @@
+"""Frames from a serial array: every one that came is counted, whatever else comes."""
+
+import os
+import socket
+import threading
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.errors import SensorError, SourceLostError
+from smarttouch.sources import open_sensor, serial_array
+from smarttouch.sources.sensor_protocol import encode_force, encode_frame, encode_info
+from smarttouch.sources.serial_array import SerialArraySource
+from smarttouch.wire.pty_line import PtyLine
+
+
+class Line(PtyLine):
+    """The device's end of a port; can be pulled out."""
+
+    def send(self, data):
+        deadline = time.monotonic() + 60
+        while data := self.write(data):
+            assert time.monotonic() < deadline, "nobody reads"
+
+    def pull_out(self):
+        os.close(self._master)
+        self._master = -1
+
+
+@pytest.fixture
+def line():
+    line = Line()
+    yield line
+    if line._master >= 0:
+        line.pull_out()
+
+
+@pytest.fixture
+def source(line):
+    """Return a source that listens at the line."""
+    source = SerialArraySource(line.name)
+    source.open()
+    assert source.grab(0) is None
+    yield source
+    source.close()
+
+
+def frame(number, rows=4, columns=5):
+    return encode_frame(number, 0, np.full((rows, columns), number % 256, np.uint8))
+
+
+def grab_all(source):
+    shots = []
+    while (shot := source.grab(0.05)) is not None:
+        shots.append(shot)
+    return shots
+
+
+def books(shots):
+    return len(shots) + sum(shot.missed for shot in shots)
+
+
+def test_frames_one_by_one(line, source):
+    for number in range(3):
+        before_ns = time.perf_counter_ns()
+        line.send(frame(number))
+        shot = source.grab(1)
+        assert shot.missed == 0
+        assert before_ns <= shot.taken_ns <= time.perf_counter_ns()
+        np.testing.assert_array_equal(shot.image, np.full((4, 5), number))
+    assert source.notes == []
+
+
+def test_of_many_at_once_the_newest_is_taken_and_all_are_counted(line, source):
+    line.send(b"".join(frame(number) for number in range(20)))
+    shots = grab_all(source)
+    assert books(shots) == source.frames == 20
+    assert shots[-1].image[0, 0] == 19
+    assert source.passed_over == 20 - len(shots)
+    assert source.notes == []
+
+
+def test_large_frames_come_in_pieces(line, source):
+    image = np.random.default_rng(0).integers(0, 256, (64, 64), np.uint8)
+    data = encode_frame(0, 0, image)
+    line.send(data[:1500])
+    assert source.grab(0) is None
+    line.send(data[1500:])
+    np.testing.assert_array_equal(source.grab(1).image, image)
+
+
+def test_what_came_before_anyone_listened_is_nobodys(line):
+    source = SerialArraySource(line.name)
+    source.open()
+    line.send(frame(0) + frame(1)[:9])
+    assert source.grab(0.02) is None
+    line.send(frame(1)[9:] + frame(7))
+    shot = source.grab(1)
+    source.close()
+    assert (shot.image[0, 0], source.frames, source.lost, source.garbled) == (7, 1, 0, 0)
+    assert source.notes == []
+
+
+def test_gaps_and_garbage_are_noted_once(line, source):
+    broken = bytearray(frame(1))
+    broken[-6] ^= 0x40
+    for data in (frame(0), bytes(broken), frame(2), b"\1\2\3\0", frame(14)):
+        line.send(data)
+        source.grab(0.05)
+    assert (source.frames, source.lost, source.garbled) == (3, 12, 2)
+    assert source.notes == [
+        f"serial array {line.name}: 2 pieces of what came could not be read",
+        f"serial array {line.name}: 12 frames lost on the line",
+    ]
+
+
+def test_one_lost_frame_is_written_as_one(line, source):
+    line.send(frame(0) + frame(2))
+    grab_all(source)
+    assert source.notes == [f"serial array {line.name}: 1 frame lost on the line"]
+
+
+def test_a_device_that_starts_anew_has_lost_nothing(line, source):
+    line.send(frame(500) + frame(0) + frame(1))
+    assert books(grab_all(source)) == 3
+    assert source.notes == []
+
+
+def test_a_load_cell_on_the_same_line_and_a_name(line, source):
+    line.send(encode_info(0, "patch µ") + encode_force(0, 0, 1) + frame(0) + encode_force(1, 0, 2))
+    assert books(grab_all(source)) == 1
+    assert source.device == "patch µ"
+    assert source.notes == []
+
+
+def test_silence_gives_no_image(line, source):
+    line.send(frame(0))
+    assert source.grab(1) is not None
+    assert source.grab(0.01) is None
+
+
+def test_a_port_that_is_gone(line, source):
+    line.send(frame(0))
+    assert source.grab(1) is not None
+    line.pull_out()
+    with pytest.raises(SourceLostError, match=r"serial array .* is gone"):
+        source.grab(1)
+    source.close()
+    source.close()
+    with pytest.raises(SensorError, match="cannot open"):
+        source.open()
+
+
+def test_after_it_was_gone_nothing_counts_as_lost(line, source, monkeypatch):
+    line.send(frame(0))
+    assert source.grab(1) is not None
+    source.close()
+    second = Line()
+    monkeypatch.setattr(source, "_name", second.name)
+    source.open()
+    assert source.grab(0) is None
+    second.send(frame(300))
+    assert source.grab(1) is not None
+    source.close()
+    second.pull_out()
+    assert (source.lost, source.notes) == (0, [])
+
+
+def test_bytes_that_are_no_frames_from_the_start_on(line, source, monkeypatch):
+    monkeypatch.setattr(serial_array, "_UNREADABLE_S", 0.0)
+    assert source.grab(0) is None, "as long as nothing comes there is nothing to say"
+    line.send(b"Reading: 12.3 g\r\n")
+    with pytest.raises(SensorError, match=r"is no frames: check its speed \(--baud, now 921600\)"):
+        source.grab(0)
+
+
+@given(st.lists(st.one_of(st.none(), st.binary(max_size=40)), max_size=20), st.integers(1, 60))
+@settings(max_examples=60)
+def test_every_frame_that_came_is_counted_whatever_is_between(pieces, size):
+    source = SerialArraySource("nowhere")
+    sent = 0
+    data = b"\0"
+    for piece in pieces:
+        if piece is None:
+            data += frame(sent)
+            sent += 1
+        else:
+            data += piece.replace(b"\0", b"\1") + b"\0"
+    shots = [source._take(data[at : at + size]) for at in range(0, len(data), size)]
+    assert books([shot for shot in shots if shot is not None]) == sent == source.frames
+    assert source.lost == 0
+
+
+def test_frames_over_tcp():
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+        source = SerialArraySource(f"tcp://127.0.0.1:{port}")
+        source.open()
+        device, _ = listener.accept()
+        with device:
+            assert source.grab(0) is None
+            device.sendall(b"".join(frame(number, 64, 64) for number in range(50)))
+            shots = grab_all(source)
+        with pytest.raises(SourceLostError, match="is gone"):
+            source.grab(1)
+        source.close()
+    assert books(shots) == 50
+    assert shots[-1].image[0, 0] == 49
+
+
+def test_the_books_of_the_live_sensor(line, profile):
+    sent = 150
+    with open_sensor(f"serial-array:{line.name}", profile, baud=115_200) as sensor:
+
+        def stream():
+            # The port is emptied when the first read begins to listen.
+            while not listening.is_set():
+                line.send(frame(255, 16, 16))
+                time.sleep(0.005)
+            for number in range(sent):
+                line.send(frame(256 + number, 16, 16))
+
+        listening = threading.Event()
+        device = threading.Thread(target=stream)
+        device.start()
+        read = {sensor.read(0).number}
+        before = sensor.frames
+        listening.set()
+        last = None
+        deadline = time.monotonic() + 60
+        while last != (sent - 1) % 256 or sensor.frames < before + sent:
+            look = sensor.read(0)
+            read.add(look.number)
+            last = look.image[0, 0]
+            assert time.monotonic() < deadline, "the last frame never came"
+            assert np.isnan(look.force_n)
+            time.sleep(0.004)
+        device.join()
+    assert sensor.frames == len(read) + sensor.dropped_frames
+    assert sensor.frames >= sent
+
+
+@pytest.mark.parametrize(
+    ("url", "baud", "words"),
+    [
+        ("serial-array:", None, "names no port"),
+        ("serial-array:/dev/nowhere", None, "cannot open /dev/nowhere: there is no such port"),
+        ("serial-array:/dev/null", None, "cannot open /dev/null: it is no serial port"),
+        ("serial-array:tcp://localhost", None, "it names no port"),
+        ("serial-array:/dev/null", 0, "--baud 0 is no speed"),
+    ],
+)
+def test_what_cannot_be_opened(profile, url, baud, words):
+    with pytest.raises(SensorError, match=words):
+        open_sensor(url, profile, baud=baud)

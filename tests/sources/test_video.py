@@ -1,0 +1,366 @@
+"""Videos and folders of images: each frame at its time, or one after the other."""
+
+import math
+import os
+import time
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from smarttouch.errors import SensorError
+from smarttouch.sources import open_sensor
+from smarttouch.sources.capture import SourceEndedError
+from smarttouch.sources.clip import Clip
+from smarttouch.sources.video import PacedClip
+
+SECOND = 1_000_000_000
+
+
+class Levels(Clip):
+    """Images whose grey level is their number; each takes its time to decode."""
+
+    def __init__(self, count, rate_hz, clock=None, decode_ns=()):
+        super().__init__(type("Path", (), {"name": "levels"})())
+        self.rate_hz, self._left = rate_hz, list(range(count))
+        self._clock, self._decode_ns = clock, dict(decode_ns)
+        self.skipped = []
+
+    def open(self):
+        pass
+
+    def close(self):
+        pass
+
+    def next(self):
+        if not self._left:
+            return None
+        number = self._left.pop(0)
+        if self._clock is not None:
+            self._clock.now += self._decode_ns.get(number, 0)
+        return np.full((8, 8), number, np.uint8)
+
+    def skip(self):
+        if not self._left:
+            return False
+        self.skipped.append(self._left.pop(0))
+        return True
+
+
+class Clock:
+    def __init__(self):
+        self.now = 5 * SECOND
+
+    def now_ns(self):
+        return self.now
+
+    def sleep(self, seconds):
+        self.now += math.ceil(seconds * 1e9)
+
+
+def paced(clip, clock):
+    """Return (number, time since the first) of all shots, and how many were missed."""
+    source = PacedClip(clip, clock.now_ns, clock.sleep)
+    source.open()
+    shots, missed = [], 0
+    while True:
+        try:
+            shot = source.grab(0.1)
+        except SourceEndedError as end:
+            return shots, missed + end.missed
+        if shot is not None:
+            shots.append((int(shot.image[0, 0]), clock.now - 5 * SECOND, shot.taken_ns))
+            missed += shot.missed
+
+
+@pytest.fixture
+def write_video(tmp_path):
+    """Return a writer of videos of blurred noise that moves right by two pixels a frame."""
+    random = np.random.default_rng(0).integers(0, 2, (48, 300)).astype(np.float32)
+    page = np.clip(6 * (cv2.GaussianBlur(255 * random, (0, 0), 2.5) - 100), 0, 255)
+
+    def write(name="clip.avi", frames=40, rate_hz=200.0, codec="MJPG"):
+        path = tmp_path / name
+        fourcc = cv2.VideoWriter.fourcc(*codec)
+        writer = cv2.VideoWriter(str(path), fourcc, rate_hz, (64, 48))
+        assert writer.isOpened()
+        for number in range(frames):
+            grey = page[:, 2 * number : 2 * number + 64].astype(np.uint8)
+            writer.write(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
+        writer.release()
+        return path
+
+    return write
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder of images whose grey level is ten times their number."""
+    for number, name in enumerate(["1.png", "2.pgm", "03.bmp", "10.tif", "b2.jpg", "b10.png"]):
+        Image.fromarray(np.full((6, 8), 10 * number, np.uint8)).save(tmp_path / name)
+    (tmp_path / "notes.txt").write_text("not an image")
+    (tmp_path / "._1.png").write_bytes(b"of a Mac")
+    return tmp_path
+
+
+def levels(sensor):
+    """Read a sensor to its end; return the levels of its images."""
+    with sensor:
+        found = []
+        while (frame := sensor.read(0)) is not None:
+            found.append(round(float(frame.image.mean())))
+    return found
+
+
+def test_a_video_frame_by_frame(profile, write_video):
+    with open_sensor(f"video:{write_video()}", profile, unpaced=True) as sensor:
+        frames = []
+        while (frame := sensor.read(7)) is not None:
+            frames.append(frame)
+        assert sensor.read(7) is None
+    assert [frame.number for frame in frames] == list(range(40))
+    assert (sensor.frames, sensor.dropped_frames, sensor.notes) == (40, 0, [])
+    last = frames[-1]
+    assert last.image.shape == (48, 64)
+    assert (last.time_ns, last.age_ns, last.stale) == (7, 0, False)
+    assert math.isnan(last.force_n)
+    pixel_mm = profile.optics.field_width_mm / 64
+    assert last.pose.x_mm == pytest.approx(78 * pixel_mm, rel=0.02)
+
+
+def test_a_video_at_its_pace(profile, write_video):
+    with open_sensor(f"video:{write_video()}", profile) as sensor:
+        assert sensor.duration_s == pytest.approx(0.2)
+        read = set()
+        while (frame := sensor.read(0)) is not None:
+            read.add(frame.number)
+            time.sleep(0.012)
+    assert sensor.frames == 40 == len(read) + sensor.dropped_frames
+    assert sensor.dropped_frames > 0
+
+
+def test_an_mp4(profile, write_video):
+    path = write_video("clip.mp4", frames=10, rate_hz=25.0, codec="mp4v")
+    assert len(levels(open_sensor(f"video:{path}", profile, unpaced=True))) == 10
+
+
+@pytest.mark.parametrize("unpaced", [True, False])
+def test_a_video_that_breaks_off_ends_there(profile, write_video, capfd, unpaced):
+    path = write_video()
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    sensor = open_sensor(f"video:{path}", profile, unpaced=unpaced)
+    assert levels(sensor)
+    assert sensor.read(0) is None
+    assert 5 < sensor.frames < 30
+    assert sensor.notes == [
+        f"clip.avi breaks off: {sensor.frames} of its 40 frames could be read",
+    ]
+    assert capfd.readouterr().err == ""
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.data())
+def test_no_damage_crashes(profile, tmp_path_factory, data):
+    path = tmp_path_factory.mktemp("damage") / "clip.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 100, (32, 32))
+    for number in range(6):
+        writer.write(np.full((32, 32, 3), 40 * number, np.uint8))
+    writer.release()
+    content = bytearray(path.read_bytes())
+    for _ in range(data.draw(st.integers(1, 5))):
+        place = data.draw(st.integers(0, len(content) - 1))
+        content[place : place + 8] = data.draw(st.binary(max_size=16))
+    path.write_bytes(content)
+    try:
+        sensor = open_sensor(f"video:{path}", profile, unpaced=True)
+        count = len(levels(sensor))
+    except SensorError:
+        return
+    assert sensor.frames == count
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "no file .*clip.avi: check its name"),
+        (b"", "is not a video that can be read"),
+        (bytes(range(256)) * 20, "is not a video that can be read"),
+        (b"hello, I am a text\n" * 20, "is not a video that can be read"),
+    ],
+)
+@pytest.mark.parametrize("unpaced", [True, False])
+def test_what_is_no_video(profile, tmp_path, capfd, content, words, unpaced):
+    path = tmp_path / "clip.avi"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(SensorError, match=words):
+        open_sensor(f"video:{path}", profile, unpaced=unpaced)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_video_without_frames(profile, write_video):
+    with pytest.raises(SensorError, match=r"is not a video that can be read|holds no frame"):
+        open_sensor(f"video:{write_video(frames=0)}", profile)
+
+
+def test_folders_and_files_are_told_apart(profile, folder):
+    with pytest.raises(SensorError, match="is a folder: give a video file, or frames:"):
+        open_sensor(f"video:{folder}", profile)
+    with pytest.raises(SensorError, match="is a file: give a folder of images, or video:"):
+        open_sensor(f"frames:{folder / 'notes.txt'}", profile)
+
+
+def test_a_folder_in_natural_order(profile, folder):
+    assert levels(open_sensor(f"frames:{folder}", profile, unpaced=True)) == [
+        0,
+        10,
+        20,
+        30,
+        40,
+        50,
+    ]
+
+
+def test_a_folder_at_its_pace(profile, folder):
+    sensor = open_sensor(f"frames:{folder}", profile, fps=100.0)
+    assert sensor.duration_s == pytest.approx(0.06)
+    found = levels(sensor)
+    assert set(found) <= {0, 10, 20, 30, 40, 50}
+    assert found == sorted(found)
+    assert sensor.frames == 6 == len(set(found)) + sensor.dropped_frames
+
+
+def test_thirty_images_a_second_if_not_told(profile, folder):
+    with open_sensor(f"frames:{folder}", profile) as sensor:
+        assert sensor.duration_s == pytest.approx(0.2)
+
+
+def test_slow_slides_are_not_stale(profile, folder):
+    with open_sensor(f"frames:{folder}", profile, fps=0.5) as sensor:
+        sensor.read(0)
+        for after_s, stale in ((3, False), (5, True)):
+            sensor._now_ns = lambda after_s=after_s: sensor._newest.taken_ns + after_s * SECOND
+            assert sensor.read(0).stale is stale
+
+
+@pytest.mark.parametrize("fps", [0.0, -1.0, float("nan"), 1e6])
+def test_rates_that_cannot_be(profile, folder, fps):
+    with pytest.raises(SensorError, match="images a second cannot be"):
+        open_sensor(f"frames:{folder}", profile, fps=fps)
+
+
+def test_missing_and_empty_folders(profile, tmp_path):
+    with pytest.raises(SensorError, match=r"no folder .*nowhere: check its name"):
+        open_sensor(f"frames:{tmp_path / 'nowhere'}", profile)
+    with pytest.raises(SensorError, match="holds no images: give PNG"):
+        open_sensor(f"frames:{tmp_path}", profile)
+
+
+def test_an_image_of_another_size_is_named(profile, folder):
+    Image.fromarray(np.zeros((6, 9), np.uint8)).save(folder / "b11.png")
+    with pytest.raises(SensorError, match=r"b11\.png has 9 x 6 pixels, 1\.png has 8 x 6: all"):
+        open_sensor(f"frames:{folder}", profile)
+
+
+def test_an_image_too_small(profile, tmp_path):
+    Image.fromarray(np.zeros((6, 1), np.uint8)).save(tmp_path / "a.png")
+    with pytest.raises(SensorError, match=r"a\.png has 1 x 6 pixels: a frame needs"):
+        open_sensor(f"frames:{tmp_path}", profile)
+
+
+def test_a_file_that_is_no_image_is_named(profile, folder):
+    (folder / "20.png").write_bytes(b"hello")
+    with pytest.raises(SensorError, match=r"20\.png is not an image that can be read"):
+        open_sensor(f"frames:{folder}", profile)
+
+
+@pytest.mark.parametrize("unpaced", [True, False])
+def test_a_damaged_image_is_named_when_it_comes(profile, tmp_path, unpaced):
+    random = np.random.default_rng(0)
+    for number in range(3):
+        image = Image.fromarray(random.integers(0, 256, (64, 64)).astype(np.uint8))
+        image.save(tmp_path / f"{number}.png")
+    damaged = tmp_path / "2.png"
+    damaged.write_bytes(damaged.read_bytes()[:1500])
+    sensor = open_sensor(f"frames:{tmp_path}", profile, unpaced=unpaced)
+    with pytest.raises(SensorError, match=r"2\.png cannot be read"):
+        levels(sensor)
+
+
+def test_kinds_of_images(profile, tmp_path):
+    """16 bit, color, and one that lies on its side."""
+    deep = np.full((6, 8), 100 * 256, np.uint16)
+    Image.fromarray(deep).save(tmp_path / "1.png")
+    Image.new("RGB", (8, 6), (100, 100, 100)).save(tmp_path / "2.png")
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.new("L", (6, 8), 100).save(tmp_path / "3.jpg", exif=exif)
+    assert levels(open_sensor(f"frames:{tmp_path}", profile, unpaced=True)) == [100, 100, 100]
+
+
+def test_each_image_comes_at_its_time():
+    clock = Clock()
+    shots, missed = paced(Levels(5, 50.0), clock)
+    assert [number for number, _, _ in shots] == [0, 1, 2, 3, 4]
+    for number, at_ns, taken_ns in shots:
+        assert at_ns == pytest.approx(number * SECOND / 50, abs=10)
+        assert taken_ns == 5 * SECOND + number * SECOND // 50
+    assert missed == 0
+    assert clock.now - 5 * SECOND == pytest.approx(0.1 * SECOND, abs=10)
+
+
+def test_a_late_image_does_not_shift_the_next():
+    clock = Clock()
+    shots, missed = paced(Levels(9, 50.0, clock, {2: 70_000_000}), clock)
+    assert [number for number, _, _ in shots] == list(range(9))
+    assert missed == 0
+    assert shots[2][1] == pytest.approx(0.09 * SECOND, abs=1e7)
+    for number in (6, 7, 8):
+        assert shots[number][1] == pytest.approx(number * SECOND / 50, abs=10)
+
+
+@given(
+    st.integers(1, 60),
+    st.sampled_from([3.0, 30.0, 200.0]),
+    st.dictionaries(st.integers(0, 59), st.integers(0, 2 * SECOND), max_size=8),
+)
+def test_every_image_comes_or_is_missed(count, rate_hz, decode_ns):
+    clock = Clock()
+    clip = Levels(count, rate_hz, clock, decode_ns)
+    shots, missed = paced(clip, clock)
+    numbers = [number for number, _, _ in shots]
+    assert len(numbers) + missed == count
+    assert numbers == sorted(set(numbers))
+    assert set(clip.skipped).isdisjoint(numbers)
+    for number, at_ns, _ in shots:
+        assert at_ns >= number * SECOND // int(rate_hz)
+
+
+def test_a_hopelessly_late_clip_skips_to_the_present():
+    clock = Clock()
+    shots, missed = paced(Levels(100, 50.0, clock, {10: SECOND}), clock)
+    numbers = [number for number, _, _ in shots]
+    assert numbers[:11] == list(range(11))
+    assert numbers[11] >= 59
+    assert missed == numbers[11] - 11
+
+
+@pytest.mark.parametrize(
+    "playlist",
+    [
+        "ffconcat version 1.0\nfile pipe.ts\n",
+        "#EXTM3U\n#EXT-X-TARGETDURATION:10\n#EXTINF:10,\npipe.ts\n#EXT-X-ENDLIST\n",
+    ],
+)
+@pytest.mark.parametrize("ending", ["mp4", "m3u8"])
+def test_a_playlist_leads_nowhere(tmp_path, profile, playlist, ending):
+    os.mkfifo(tmp_path / "pipe.ts")
+    path = tmp_path / f"list.{ending}"
+    path.write_text(playlist)
+    for place in (path, tmp_path / "pipe.ts", "/dev/zero"):
+        with pytest.raises(SensorError):
+            open_sensor(f"video:{place}", profile)

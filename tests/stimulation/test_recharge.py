@@ -1,0 +1,266 @@
+"""The recharge phase: within its limits whatever comes, and net charge stays near zero."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.errors import SafetyError
+from smarttouch.profile import load_profile
+from smarttouch.stimulation.ledger import ChargeLedger, net_charge_pc
+from smarttouch.stimulation.recharge import (
+    MOST_PC,
+    MOST_US,
+    RechargeRules,
+    add_recharge,
+    prove_recharge,
+    recharge_most_ua,
+)
+from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence, frozen
+from smarttouch.stimulation.timing import ScanTiming
+
+
+def sequence(currents, widths=200, *, electrodes=4, period_us=20_000, **other):
+    currents = np.asarray(currents, np.int16).reshape(-1, electrodes)
+    slots = len(currents)
+    return ScanSequence(
+        current_ua=currents,
+        width_us=np.full(slots, widths, np.uint16),
+        discharge_us=np.full(slots, 100, np.uint16),
+        site=np.zeros(slots, np.uint16),
+        period_us=period_us,
+        intensity=1.0,
+        time_ns=10**9,
+        **other,
+    )
+
+
+def rules(most_ua=120, electrodes=4, total_ua=10_000, timing=None):
+    most = np.broadcast_to(np.asarray(most_ua, np.int64), (electrodes,))
+    return RechargeRules(most, total_ua, timing or ScanTiming())
+
+
+NOTHING = np.zeros(4, np.int64)
+ONE = [[1000, -600, -400, 0]]
+
+
+def with_phase(current_ua, width_us=100, **other):
+    return replace(
+        sequence(ONE), recharge_ua=np.array(current_ua, np.int16), recharge_us=width_us, **other
+    )
+
+
+@st.composite
+def scans(draw, most_slots=30, strongest_ua=2400):
+    """Sequences of 2 to 12 electrodes whose slots sum to zero and fit their period."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    electrodes, slots = draw(st.integers(2, 12)), draw(st.integers(0, most_slots))
+    shares = rng.integers(-strongest_ua, strongest_ua, (slots, electrodes)) // electrodes
+    shares[:, rng.integers(electrodes)] -= shares.sum(axis=1)
+    widths = rng.integers(1, 201, slots)
+    shortest_us = max(5000, int(widths.sum()) + 100 * slots)
+    return sequence(
+        shares, widths, electrodes=electrodes, period_us=draw(st.integers(shortest_us, 60_000))
+    )
+
+
+@st.composite
+def situations(draw):
+    """A scan, what earlier ones left, and rules."""
+    scan = draw(scans())
+    carried = np.array(
+        [draw(st.integers(-4_000_000, 4_000_000)) for _ in range(scan.electrodes)], np.int64
+    )
+    carried[draw(st.integers(0, scan.electrodes - 1))] -= carried.sum()
+    most_ua = [draw(st.integers(0, 500)) for _ in range(scan.electrodes)]
+    total_ua = draw(st.sampled_from([1, 50, 300, 10_000]))
+    timing = ScanTiming(whole_hz=draw(st.booleans()))
+    return scan, carried, rules(most_ua, scan.electrodes, total_ua, timing)
+
+
+@settings(deadline=None)
+@given(situations())
+def test_whatever_comes_the_phase_keeps_its_limits(situation):
+    scan, carried_pc, within = situation
+    planned = add_recharge(scan, carried_pc, within)
+    prove_recharge(frozen(planned), within.most_ua, within.total_ua)
+    for name in ("current_ua", "width_us", "discharge_us", "site"):
+        assert getattr(planned, name) is getattr(scan, name)
+    assert planned.period_us >= scan.period_us
+    if planned.recharge_ua is None:
+        assert planned is scan
+        return
+    current_ua, width_us = planned.recharge_ua.astype(int), planned.recharge_us
+    wanted_pc = -(carried_pc + net_charge_pc(scan))
+    assert current_ua.dtype.kind == "i"
+    assert current_ua.any()
+    assert current_ua.sum() == 0
+    assert not (current_ua * np.sign(wanted_pc) < 0).any(), "never away from zero"
+    assert not current_ua[wanted_pc == 0].any(), "a masked electrode stays without current"
+    assert (np.abs(current_ua) <= within.most_ua).all()
+    passed_pc = np.abs(current_ua) * width_us
+    assert (passed_pc <= np.minimum(MOST_PC, np.abs(wanted_pc) + width_us)).all()
+    assert np.maximum(current_ua, 0).sum() <= within.total_ua
+    mean_over_us = min(planned.period_us, 40_000)
+    slots_pc = scan.width_us.astype(int) @ np.abs(scan.current_ua.astype(int))
+    assert (slots_pc + passed_pc)[current_ua != 0].max() <= 500 * mean_over_us
+    busy_us = int(scan.width_us.sum()) + int(scan.discharge_us.sum()) + width_us
+    assert busy_us + int(scan.discharge_us.max()) <= planned.period_us, "and shorted after it"
+
+
+@settings(deadline=None)
+@given(scans(most_slots=10, strongest_ua=1000), st.integers(1, 500))
+def test_what_can_be_brought_back_is_but_for_less_than_a_microampere(scan, most_ua):
+    within = rules(most_ua, scan.electrodes)
+    net_pc = net_charge_pc(scan)
+    planned = add_recharge(scan, 0 * net_pc, within)
+    if np.abs(net_pc).max(initial=0) > min(MOST_PC, most_ua * MOST_US):
+        return
+    left_pc = np.abs(net_charge_pc(planned))
+    assert (left_pc <= planned.recharge_us).all()
+    if planned.recharge_us:
+        # As short as it can be: one µs less, and the current would be too strong.
+        assert np.abs(net_pc).max() > (planned.recharge_us - 1) * most_ua
+
+
+def test_the_numbers_of_one():
+    planned = add_recharge(sequence(ONE), NOTHING, rules(120))
+    # 0.2 µC at 120 µA.
+    assert planned.recharge_us == 1667
+    assert planned.recharge_ua.tolist() == [-120, 72, 48, 0]
+    assert net_charge_pc(planned).tolist() == [-40, 24, 16, 0]
+    assert planned.period_us == 20_000
+    paid = add_recharge(sequence(ONE), np.array([-200_000, 120_000, 80_000, 0]), rules(120))
+    assert paid.recharge_ua is None, "what was left before counts too"
+
+
+def test_one_that_does_not_fit_makes_the_period_longer():
+    planned = add_recharge(sequence(ONE, period_us=1000), NOTHING, rules(120))
+    assert planned.period_us == 300 + 1667 + 100
+    whole = rules(60, timing=ScanTiming(whole_hz=True))
+    # 300 + 3334 + 100 µs are 267 whole hertz.
+    assert add_recharge(sequence(ONE, period_us=1000), NOTHING, whole).period_us == 3746
+
+
+def test_a_mean_current_near_its_ceiling_makes_the_period_longer_too():
+    busy = sequence([[2400, -2400, 0, 0], [-2400, 2400, 0, 0], *ONE], period_us=2300)
+    planned = add_recharge(busy, NOTHING, rules(500))
+    passed_pc = 2 * 2400 * 200 + 1000 * 200 + planned.recharge_us * 500
+    assert passed_pc / planned.period_us <= 450
+    assert planned.period_us > 2300 + planned.recharge_us
+
+
+def test_the_largest_is_two_microcoulombs_and_twenty_milliseconds():
+    carried_pc = np.array([5_000_000, -5_000_000, 0, 0])
+    for most_ua, width_us, current_ua in ((500, 4000, 500), (120, 16_666, 120), (40, 20_000, 40)):
+        planned = add_recharge(sequence(ONE), carried_pc, rules(most_ua))
+        assert (planned.recharge_us, planned.recharge_ua[0]) == (width_us, -current_ua)
+
+
+def test_without_slots_there_is_none():
+    still = sequence([])
+    assert add_recharge(still, np.array([9000, -9000, 0, 0]), rules()) is still
+
+
+@settings(deadline=None, max_examples=10)
+@given(st.integers(0, 2**32 - 1))
+def test_over_a_thousand_scans_nothing_builds_up(seed):
+    """Scans of the same sign all the time, as those of one class are."""
+    rng = np.random.default_rng(seed)
+    ledger, plain, within = ChargeLedger(16), ChargeLedger(16), rules(120, 16)
+    kernels = rng.integers(-150, 10, (16, 16))
+    np.fill_diagonal(kernels, 0)
+    np.fill_diagonal(kernels, -kernels.sum(axis=1))
+    for _ in range(1000):
+        scan = sequence(kernels[rng.integers(0, 16, 3)], electrodes=16)
+        plain.add(scan)
+        ledger.add(add_recharge(scan, ledger.charge_pc, within))
+        assert ledger.worst_uc <= 0.02
+    assert ledger.charge_pc.sum() == 0
+    assert plain.worst_uc > 1
+
+
+def test_a_tenth_of_threshold_is_never_rounded_up():
+    # 1.2 in double precision is a little less than 1.2, in single precision a little more.
+    assert recharge_most_ua(np.array([1.2, 0.4, 5.0])).tolist() == [119, 40, 500]
+    assert recharge_most_ua(np.array([1.2, 0.4], np.float32)).tolist() == [120, 40]
+    profile = load_profile("electric-mouse")
+    found = RechargeRules.of(profile, ScanTiming())
+    assert found.most_ua.tolist() == [120] * 64
+    assert found.total_ua == 10_000
+
+
+MOST = np.array([120, 120, 120, 60])
+
+
+def prove(sequence):
+    prove_recharge(frozen(sequence), MOST, 10_000)
+
+
+def test_a_good_phase_and_none_pass():
+    prove(sequence(ONE))
+    prove(sequence([]))
+    prove(with_phase([-120, 60, 0, 60], np.uint16(16_666)))
+    prove(with_phase([-1, 1, 0, 0], 19_700))
+
+
+@pytest.mark.parametrize(
+    ("bad", "limit"),
+    [
+        (with_phase([-121, 61, 0, 60]), "recharge_ua"),
+        (with_phase([0, -1, -60, 61]), "recharge_ua"),
+        (with_phase([-32768, 32767, 1, 0]), "recharge_ua"),
+        (with_phase([-120, 60, 0, 60], 16_667), "recharge_ua"),
+        (with_phase([-100, 100, 0, 0], 20_001, period_us=50_000), "recharge_us"),
+        (with_phase([-1, 1, 0, 0], 0), "recharge_us"),
+        (with_phase([-1, 1, 0, 0], -5), "recharge_us"),
+        (with_phase([-1, 1, 0, 0], 100.0), "recharge_us"),
+        (with_phase([-1, 1, 0, 0], True), "recharge_us"),
+        (with_phase([-1, 1, 0, 0], float("nan")), "recharge_us"),
+        (with_phase([-100, 60, 0, 39]), "balance"),
+        (with_phase([-1, 1, 0, 0], 19_701), "period_us"),
+        (with_phase([-1, 1, 0]), "recharge_ua"),
+        (with_phase([[-1, 1, 0, 0]]), "recharge_ua"),
+        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=np.array([-1.0, 1, 0, 0])), "recharge_ua"),
+        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=[-1, 1, 0, 0]), "recharge_ua"),
+        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=np.int16(0)), "recharge_ua"),
+        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=None), "recharge_ua"),
+        (with_phase([-1, 1, 0, 0], 10**30), "recharge_us"),
+        (
+            replace(sequence([]), recharge_ua=np.zeros(4, np.int16), recharge_us=5),
+            "recharge_ua",
+        ),
+    ],
+)
+def test_a_bad_phase_is_refused(bad, limit):
+    with pytest.raises(SafetyError) as error:
+        prove(bad)
+    assert error.value.limit == limit
+
+
+def test_all_electrodes_together_are_bounded():
+    phase = frozen(with_phase([-120, 60, 0, 60]))
+    with pytest.raises(SafetyError) as error:
+        prove_recharge(phase, MOST, 119)
+    assert error.value.limit == "total_ma"
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_the_gate_proves_the_phase_and_counts_its_charge(times):
+    limits = SafetyLimits(4, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4, threshold_ma=1.25)
+    gate = SafetyGate(limits)
+    gate.prove(replace(sequence([]), intensity=0.0, time_ns=0))
+    later = {"intensity": 1.0, "time_ns": 10**9}
+    with pytest.raises(SafetyError):
+        gate.prove(replace(with_phase([-126, 66, 0, 60]), **later))
+    without, phased = (
+        SafetyGate(limits).prove_measurement(replace(each, **later))
+        for each in (sequence(ONE), with_phase([-120, 60, 0, 60], 1000))
+    )
+    assert without.recharge_ua is None
+    gate.prove(phased, times)
+    own_pc = 1000 * 120 + np.abs(phased.current_ua[:, 0].astype(int)) @ phased.width_us
+    assert gate.dose.charge_mc[0] == pytest.approx(times * own_pc / 1e9)

@@ -1,0 +1,299 @@
+"""Every limit raises, and nothing that keeps them is refused."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.errors import SafetyError
+from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
+
+LIMITS = SafetyLimits(
+    electrodes=4,
+    current_ma=3.0,
+    pulse_us=200,
+    charge_uc=0.5,
+    rate_hz=100,
+    duty=0.6,
+    ramp_s=0.5,
+    full_ma=2.4,
+    total_ma=3.0,
+    electrode_ma=(3.0, 3.0, 3.0, 0.7),
+)
+SECOND = 10**9
+
+
+def sequence(currents, *, width=200, discharge=100, period=20_000, intensity=1.0, time_ns=SECOND):
+    currents = np.asarray(currents, np.int16).reshape(-1, 4)
+    slots = len(currents)
+    return ScanSequence(
+        current_ua=currents,
+        width_us=np.full(slots, width, np.uint16),
+        discharge_us=np.full(slots, discharge, np.uint16),
+        site=np.zeros(slots, np.uint16),
+        period_us=period,
+        intensity=intensity,
+        time_ns=time_ns,
+    )
+
+
+def warmed():
+    """A gate that has seen a silent start a second before."""
+    gate = SafetyGate(LIMITS)
+    gate.prove(sequence([], intensity=0.0, time_ns=0))
+    return gate
+
+
+GOOD = [[-2400, 1200, 600, 600]]
+
+
+def changed(**fields):
+    return dataclasses.replace(sequence(GOOD), **fields)
+
+
+def test_a_good_sequence_passes():
+    warmed().prove(sequence(GOOD))
+
+
+@pytest.mark.parametrize(
+    ("bad", "limit", "slot", "electrode"),
+    [
+        (sequence([[-2400, 1200, 600, 599]]), "balance", 0, None),
+        (sequence([[0, 0, 0, 0], [1, 0, 0, 0]]), "balance", 1, None),
+        (sequence([[-3001, 3001, 0, 0]], width=100), "current_ma", 0, 0),
+        (sequence([[-2600, 2600, 0, 0]], width=200), "charge_uc", 0, 0),
+        (sequence([[-2500, 2500, 0, 0]], width=190), "intensity", None, None),
+        (sequence([[-2400, 2400, 0, 0]], intensity=0.5), "intensity", None, None),
+        (sequence([GOOD[0], [-2100, -2100, 2100, 2100]], width=100), "current_ma", 1, 3),
+        (sequence([GOOD[0], [-2100, -2100, 2100, 2100], GOOD[0]]), "current_ma", 1, 3),
+        (sequence([[-2100, -2100, 4200, 0]], width=90), "current_ma", 0, 2),
+        (sequence([[-2400, -700, 2400, 700]]), "total_ma", 0, None),
+        (sequence([[-1200, 300, 199, 701]]), "current_ma", 0, 3),
+        (sequence(GOOD, width=201), "pulse_us", None, None),
+        (sequence(GOOD, width=0), "pulse_us", None, None),
+        (sequence(GOOD, discharge=19), "discharge_us", 0, None),
+        (sequence(GOOD, discharge=0), "discharge_us", 0, None),
+        (sequence(GOOD, period=9_999), "rate_hz", None, None),
+        (sequence(GOOD, period=0), "rate_hz", None, None),
+        (sequence(GOOD, period=-20_000), "rate_hz", None, None),
+        (sequence(GOOD, period=2**62), "rate_hz", None, None),
+        (sequence(GOOD * 67), "period_us", None, None),
+        (sequence(GOOD * 61, discharge=20), "duty", None, None),
+        (sequence(GOOD, intensity=1.1), "intensity", None, None),
+        (sequence(GOOD, intensity=float("nan")), "intensity", None, None),
+        (sequence(GOOD, intensity=True), "intensity", None, None),
+        (sequence(GOOD, intensity=10**400), "intensity", None, None),
+        (sequence(GOOD, period=float("nan")), "period_us", None, None),
+        (sequence(GOOD, period=20_000.0), "period_us", None, None),
+        (sequence(GOOD, time_ns=float("nan")), "time_ns", None, None),
+        (sequence(GOOD, time_ns=-1), "time_ns", None, None),
+        (sequence(GOOD, time_ns=0), "time_ns", None, None),
+        (sequence(GOOD, time_ns=SECOND // 10), "ramp_s", None, None),
+        (sequence([[-700, 700, 0, 0]] * 31, width=50), "pulses_hz", None, 0),
+        (sequence(GOOD * 25), "mean_ma", None, 0),
+        (changed(site=np.full(1, 4, np.uint16)), "site", None, None),
+        (changed(current_ua=np.array(GOOD, np.int32)), "current_ua", None, None),
+        (changed(current_ua=[[0, 0, 0, 0]]), "current_ua", None, None),
+        (changed(width_us=np.array([200.0])), "width_us", None, None),
+        (changed(width_us=np.full(2, 200, np.uint16)), "width_us", None, None),
+        (changed(current_ua=np.zeros((1, 5), np.int16)), "electrodes", None, None),
+    ],
+)
+def test_each_limit_raises(bad, limit, slot, electrode):
+    with pytest.raises(SafetyError) as error:
+        warmed().prove(bad)
+    assert (error.value.limit, error.value.slot) == (limit, slot)
+    assert electrode is None or error.value.electrode == electrode
+
+
+def test_the_most_negative_current_is_not_mistaken_for_a_small_one():
+    with pytest.raises(SafetyError) as error:
+        warmed().prove(sequence([[-32768, 32767, 1, 0]], width=1))
+    assert error.value.value == 32.768
+
+
+def test_nothing_may_come_on_at_the_start():
+    with pytest.raises(SafetyError) as error:
+        SafetyGate(LIMITS).prove(sequence([[-24, 24, 0, 0]], intensity=0.01, time_ns=0))
+    assert error.value.limit == "ramp_s"
+
+
+def test_a_refused_sequence_does_not_count_as_the_one_before():
+    gate = warmed()
+    with pytest.raises(SafetyError):
+        gate.prove(sequence([[-2400, 2400, 0, 1]], time_ns=SECOND))
+    with pytest.raises(SafetyError):
+        gate.prove(sequence(GOOD, time_ns=SECOND // 10))
+    gate.prove(sequence(GOOD))
+
+
+class ToldClock:
+    """Time as a test tells it."""
+
+    def __init__(self):
+        self.time_ns = 0
+
+    def now_ns(self):
+        return self.time_ns
+
+
+def test_rise_is_bounded_by_the_displays_clock_whatever_time_is_claimed():
+    clock = ToldClock()
+    gate = SafetyGate(LIMITS, clock)
+    gate.prove(sequence([], intensity=0.0, time_ns=0))
+    clock.time_ns = SECOND // 100
+    with pytest.raises(SafetyError) as error:
+        gate.prove(sequence(GOOD))
+    assert error.value.limit == "ramp_s"
+    clock.time_ns = SECOND // 2
+    gate.prove(sequence(GOOD))
+
+
+def test_late_steps_hurry_the_rise_by_no_more_than_they_may_be_late():
+    clock = ToldClock()
+    gate = SafetyGate(LIMITS, clock)
+    reached = []
+    for step in range(60):
+        # Claims a period between sequences that leave a millisecond apart.
+        clock.time_ns = step * 1_000_000
+        intensity = min(1.0, step * 0.04)
+        try:
+            gate.prove(sequence([], intensity=intensity, time_ns=step * 20_000_000))
+        except SafetyError:
+            break
+        reached.append(intensity)
+    assert reached[-1] == pytest.approx(0.2, abs=0.04)
+
+
+def test_what_is_proved_cannot_be_changed():
+    given = sequence(GOOD)
+    proved = warmed().prove(given)
+    given.current_ua[:] = 5000
+    assert proved.current_ua.tolist() == GOOD
+    for name in ("current_ua", "width_us", "discharge_us", "site"):
+        array = getattr(proved, name)
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+        with pytest.raises(ValueError, match="WRITEABLE"):
+            array.setflags(write=True)
+
+
+def test_an_array_that_answers_for_another_is_read_as_what_it_is():
+    class Liar(np.ndarray):
+        def tobytes(self, order="C"):
+            return np.full(self.shape, 5000, np.int16).tobytes()
+
+        def max(self, *_args, **_kwargs):
+            return 0
+
+    lying = changed(current_ua=np.array([[-3001, 3001, 0, 0]], np.int16).view(Liar))
+    with pytest.raises(SafetyError) as error:
+        warmed().prove(lying)
+    assert error.value.value == 3.001
+
+
+def test_a_second_holds_no_more_than_its_pulses():
+    """Sent faster than they claim to take, sequences are counted by the display's clock."""
+    clock = ToldClock()
+    gate = SafetyGate(LIMITS, clock)
+    gate.prove(sequence([], intensity=0.0, time_ns=0))
+    clock.time_ns = SECOND
+    sent = 0
+
+    def hurry():
+        nonlocal sent
+        for step in range(1000):
+            clock.time_ns += 1_000_000
+            time_ns = SECOND + step * 40_000_000
+            gate.prove(sequence(GOOD * 15, period=40_000, time_ns=time_ns))
+            sent += 15
+
+    with pytest.raises(SafetyError) as error:
+        hurry()
+    # 1,500 pulses, or half a milliampere for a second: the latter is less here.
+    assert (error.value.limit, error.value.electrode, sent) == ("mean_ma", 0, 1035)
+
+
+def test_repetitions_count_as_they_begin():
+    clock = ToldClock()
+    gate = SafetyGate(LIMITS, clock)
+    gate.prove(sequence([], intensity=0.0, time_ns=0))
+    clock.time_ns = SECOND
+    gate.prove(sequence(GOOD * 10), times=1000)
+    assert gate.dose.seconds == pytest.approx(20)
+    clock.time_ns = 2 * SECOND - 1
+    gate.prove(sequence([], intensity=0.0, time_ns=2 * SECOND))
+    # Fifty of them had begun; those cut short are given back.
+    assert gate.dose.seconds == pytest.approx(1)
+    assert gate.dose.charge_mc[0] == pytest.approx(50 * 10 * 2.4e-3 * 0.2)
+
+
+@pytest.mark.parametrize("change", [{"session_s": 0.1}, {"session_mc": 0.0048}])
+def test_a_session_ends_with_its_dose(change):
+    gate = SafetyGate(dataclasses.replace(LIMITS, **change))
+    gate.prove(sequence([], intensity=0.0, time_ns=0))
+    for step in range(5):
+        gate.prove(sequence(GOOD * 2, time_ns=SECOND * (step + 1)))
+    with pytest.raises(SafetyError) as error:
+        gate.prove(sequence(GOOD * 2, time_ns=10 * SECOND))
+    assert error.value.limit == next(iter(change))
+    gate.begin_session()
+    gate.prove(sequence([], intensity=0.0, time_ns=0))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"current_ma": 5.1},
+        {"pulse_us": 201},
+        {"charge_uc": 0.51},
+        {"ramp_s": 0.1},
+        {"full_ma": 4},
+        {"total_ma": float("nan")},
+        {"total_ma": 0},
+        {"electrode_ma": (1.0,)},
+        {"total_ma": 10.1},
+        {"electrode_ma": (1.0, float("nan"), 1.0, 1.0)},
+        {"rate_hz": float("nan")},
+        {"rate_hz": 201},
+        {"duty": float("nan")},
+        {"duty": 0.81},
+        {"full_us": 201},
+        {"full_us": float("inf")},
+        {"ramp_s": float("inf")},
+        {"ramp_s": float("nan")},
+        {"area_mm2": float("inf")},
+        {"threshold_ma": (1.0, 1.0, 1.0, 0.0)},
+        {"density_uc_cm2": 101},
+        {"session_s": 3601},
+        {"session_mc": float("nan")},
+    ],
+)
+def test_limits_stay_under_the_ceilings(change):
+    with pytest.raises(SafetyError) as error:
+        dataclasses.replace(LIMITS, **change)
+    assert error.value.limit == next(iter(change))
+
+
+@given(
+    st.lists(st.lists(st.integers(-32768, 32767), min_size=4, max_size=4), min_size=1, max_size=4),
+    st.integers(0, 400),
+    st.integers(1, 30_000),
+)
+def test_what_passes_keeps_every_limit(currents, width, period):
+    tried = sequence(currents, width=width, period=period)
+    try:
+        warmed().prove(tried)
+    except SafetyError:
+        return
+    flow = tried.current_ua.astype(int)
+    assert not flow.sum(axis=1).any()
+    assert np.abs(flow).max() <= 3000
+    assert np.abs(flow).sum(axis=1).max() <= 2 * 4000
+    assert np.abs(flow[:, 3]).max() <= 700
+    assert np.abs(flow).max() * width <= 500_000
+    assert 0 < width <= 200
+    assert tried.slots * (width + 100) <= period

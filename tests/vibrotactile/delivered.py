@@ -1,0 +1,76 @@
+"""A trace all the way to the skin: what each class got, told from delivered currents alone."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smarttouch.boards.emulator.simulated import SimulatedBoard
+from smarttouch.boards.hybrid import HybridBoard
+from smarttouch.clock import SimulatedClock
+from smarttouch.live import run
+from smarttouch.pipeline import Pipeline
+from smarttouch.primary import Primary
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stopping import StopRequest
+from smarttouch.tally import Tally
+from smarttouch.vibrotactile.mix import mix_colors
+from smarttouch.vibrotactile.recover import recover
+from smarttouch.vibrotactile.sensor import ColorSensor
+from smarttouch.vibrotactile.spec import open_trace
+
+RISEN_S = 0.55
+"""By then intensity is full."""
+
+
+@dataclass
+class Got:
+    """What one class got at full intensity."""
+
+    time_s: np.ndarray
+    drive: np.ndarray
+    sites: set
+
+    @property
+    def rate_hz(self):
+        return (len(self.time_s) - 1) / np.ptp(self.time_s)
+
+
+def feel(spec, profile, bank, seconds=2.0, shaking=None, **options):
+    """Return what each class got, by Primary, and the sensor that asked for it.
+
+    What ``shaking``, a board of vibrators, is to do it is told.
+    """
+    trace = open_trace(spec, seconds)
+    vibrated = shaking is not None
+    mixture = mix_colors(trace, profile, bank, vibrated=vibrated, **options)
+    sensor = ColorSensor(spec, profile, mixture, force_n=2 * profile.force.full_n)
+    began_s = {}
+
+    def watch(sent):
+        sensor.watch(sent)
+        began_s[sent.number] = sent.step.sequence.time_ns / 1e9
+
+    board = SimulatedBoard("", SafetyLimits.of(profile), profile.output)
+    whole = HybridBoard(board, shaking) if vibrated else board
+    with whole:
+        run(
+            sensor,
+            Pipeline(profile, bank, mixture.mode, vibrated=vibrated),
+            whole,
+            stop=StopRequest(),
+            tally=Tally(),
+            observers=[watch],
+            clock=SimulatedClock(),
+        )
+        numbers, _, current_ua = board.take_pulses()
+        assert board.report().violations == 0
+    pulses = recover(current_ua, profile, bank)
+    assert pulses.likeness.min(initial=1) > 0.999
+    time_s = np.array([began_s[number] for number in numbers.tolist()])
+    got = {}
+    for primary in Primary:
+        its = (pulses.primary == primary) & (time_s > RISEN_S)
+        if its.any():
+            sites = set(pulses.site[its].tolist())
+            got[primary] = Got(np.unique(time_s[its]), pulses.drive[its], sites)
+    return got, sensor

@@ -1,0 +1,156 @@
+"""Mixing: each class keeps its own time, within what sequences allow."""
+
+import doctest
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import smarttouch.vibrotactile.mix
+from smarttouch.errors import ScheduleError
+from smarttouch.kernels.bank import load_bank
+from smarttouch.primary import Mode, Primary
+from smarttouch.profile import load_profile
+from smarttouch.stimulation.timing import ScanTiming
+from smarttouch.vibrotactile.mix import VIBRATION_US, mix_colors
+from smarttouch.vibrotactile.sites import chosen, disc, stimulated
+from smarttouch.vibrotactile.spec import open_trace
+from smarttouch.vibrotactile.train import merged, shortest_us, thinned
+
+ALL = "tone:30Hz,6um+tone:250Hz,1.5um+press:0.45N"
+
+trains = st.lists(
+    st.lists(st.integers(4999, 40_000), max_size=30).map(lambda steps: np.cumsum(steps)),
+    max_size=3,
+)
+
+
+@given(trains)
+def test_no_pulse_is_moved_by_more_than_half_of_the_shortest_sequence(times):
+    begins, carried = merged([np.array(each, np.int64) for each in times], 5000)
+    assert (np.diff(begins) >= 5000).all()
+    for ideal, which in zip(times, carried, strict=True):
+        assert len(np.unique(which)) == len(ideal)  # every pulse is there, none together
+        assert (np.abs(begins[which] - ideal) <= 2501).all()
+    used = np.unique(np.concatenate([np.empty(0, int), *carried]))
+    assert len(used) == len(begins)  # no sequence without a pulse
+
+
+@given(trains)
+def test_a_train_alone_keeps_its_time(times):
+    for each in times:
+        # No two of one train closer than the shortest sequence.
+        begins, _ = merged([thinned(np.array(each, np.int64), 5001)], 5000)
+        assert set(begins) <= set(each.tolist())
+
+
+def test_a_train_that_is_too_fast_gets_every_other_pulse():
+    train = np.arange(100) * 4000 + np.tile([0, 1], 50)
+    kept = thinned(train, 8000)
+    np.testing.assert_allclose(np.diff(kept), 8000, atol=1)
+    assert (np.diff(thinned(train, 4500)) >= 4499).all()
+
+
+def test_requests_are_within_limits_and_at_the_right_sites(profile, bank):
+    mixture = mix_colors(open_trace(ALL, 1.0), profile, bank, sites=[27, 36])
+    times = np.array([time for time, _ in mixture.requests])
+    np.testing.assert_array_equal(times, mixture.time_us)
+    for (time_us, request), after in zip(mixture.requests, [*times[1:], None], strict=True):
+        assert request.period_us >= 1e6 / profile.limits.rate_hz
+        assert after is None or time_us + request.period_us == after
+        active = request.activation.any(axis=0)
+        assert set(np.flatnonzero(active)) == {27, 36}
+        assert request.activation.dtype == np.float32
+        assert 0 <= request.activation.min() <= request.activation.max() <= 1
+    assert mixture.mode is Mode.COLOR
+
+
+@pytest.mark.parametrize(
+    ("spec", "mode"),
+    [("tone:30Hz,6um", Mode.RA), ("press:0.4N", Mode.SAI), ("tone:250Hz,1um", Mode.PC)],
+)
+def test_one_class_alone_is_that_mode(spec, mode, profile, bank):
+    assert mix_colors(open_trace(spec, 0.3), profile, bank).mode is mode
+
+
+def test_pc_is_slowed_to_what_current_can_do(profile, bank):
+    def pc_us(hz):
+        mixture = mix_colors(open_trace(f"tone:{hz}Hz,6um", 1.0), profile, bank)
+        return np.median(np.diff(mixture.ideal_us[Primary.PC]))
+
+    np.testing.assert_allclose([pc_us(hz) for hz in (100, 250, 400)], [10000, 8000, 7500], atol=1)
+
+
+def test_vibrators_do_it_instead_of_pulses_of_pc(profile, bank):
+    mixture = mix_colors(open_trace(ALL, 1.0), profile, bank, vibrated=True)
+    assert mixture.vibrated
+    assert Primary.PC not in mixture.ideal_us
+    assert np.diff(mixture.time_us).max() <= 1.5 * VIBRATION_US
+    # Held at every request, those of other classes too.
+    middle = (mixture.time_us > 100_000) & (mixture.time_us < 900_000)
+    assert (mixture.drive[middle, Primary.PC] > 0.8).all()
+    assert mixture.pulses(Primary.RA) == 29
+    quiet = mix_colors(open_trace("tone:30Hz,6um", 1.0), profile, bank, vibrated=True)
+    assert not quiet.vibrated
+
+
+def test_a_board_without_pc_leaves_it_out_or_refuses():
+    profile = load_profile("kajimoto-61")
+    bank = load_bank(profile)
+    mixture = mix_colors(open_trace(ALL, 0.5), profile, bank)
+    assert mixture.left_out == (Primary.SAI, Primary.PC)
+    assert not mixture.drive[:, [Primary.SAI, Primary.PC]].any()
+    with pytest.raises(ScheduleError, match=r"only PC would answer this, and .* drives RA"):
+        mix_colors(open_trace("tone:250Hz,1um", 0.5), profile, bank)
+    assert mix_colors(open_trace("tone:250Hz,1um", 0.5), profile, bank, vibrated=True).vibrated
+
+
+def test_a_board_with_one_rate_takes_one_class(profile, bank):
+    timing = ScanTiming(whole_hz=True)
+    assert mix_colors(open_trace("tone:30Hz,6um"), profile, bank, timing=timing).mode is Mode.RA
+    with pytest.raises(ScheduleError, match="RA and SAI answer this, each at a rate of its own"):
+        mix_colors(open_trace("tone:30Hz,6um+press:1N"), profile, bank, timing=timing)
+
+
+def test_nothing_to_answer_is_no_request(profile, bank):
+    mixture = mix_colors(open_trace("press:0N", 1.0), profile, bank)
+    assert (mixture.requests, mixture.end_us) == ([], 1_000_000)
+
+
+def test_many_sites_make_sequences_longer(profile):
+    slot_us = profile.pulse.width_us + profile.pulse.discharge_us
+    assert shortest_us(profile, 4, ScanTiming()) == 5000
+    assert shortest_us(profile, 64, ScanTiming()) >= 64 * slot_us
+
+
+def test_the_disc_is_in_the_middle(profile):
+    assert disc(profile).tolist() == [27, 28, 35, 36]
+    assert len(disc(profile, 100)) == 64
+    assert disc(profile, 0).tolist() == [27, 28, 35, 36]  # the nearest four are as near
+    assert disc(load_profile("kajimoto-61"), 0).tolist() == [30]
+
+
+def test_where_pc_is_felt_elsewhere_its_pulses_move(profile, bank):
+    assert profile.perception.pc_shift_mm == (0, -2)
+    assert stimulated(profile, Primary.PC, np.array([3, 59])).tolist() == [11]
+    assert stimulated(profile, Primary.RA, np.array([3, 59])).tolist() == [3, 59]
+    with pytest.raises(ScheduleError, match="only PC would answer this"):
+        mix_colors(open_trace("tone:250Hz,1um", 0.3), profile, bank, sites=[59])
+
+
+@pytest.mark.parametrize(("sites", "says"), [([], "no site"), ([64], "site 64"), ([-1], "site -1")])
+def test_sites_that_cannot_pulse_are_refused(sites, says, profile):
+    with pytest.raises(ScheduleError, match=says):
+        chosen(profile, sites)
+
+
+def test_masked_sites_are_refused_and_not_in_the_disc(profile, changed):
+    broken = changed(profile, {"output.masked": (27,)})
+    with pytest.raises(ScheduleError, match=r"site 27 cannot pulse: .* without 27"):
+        chosen(broken, [27, 28])
+    assert disc(broken).tolist() == [28, 35, 36]
+
+
+def test_the_example_runs():
+    assert doctest.testmod(smarttouch.vibrotactile.mix) == (0, 11)

@@ -1,0 +1,139 @@
+"""What each class answers: alone at its best, in its band, in proportion, and in time."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.errors import ScheduleError
+from smarttouch.physiology.receptors import threshold_um
+from smarttouch.primary import Primary
+from smarttouch.vibrotactile.spec import open_trace
+from smarttouch.vibrotactile.split import SPAN_DB, shares, split
+from smarttouch.vibrotactile.trace import Trace
+
+SILENT = 0.01
+"""Drive of a class that is said to be silent."""
+
+
+def drives(spec, seconds=2.0):
+    return {primary: each.peak_drive for primary, each in split(open_trace(spec, seconds)).items()}
+
+
+@pytest.mark.parametrize(
+    ("spec", "alone"),
+    [
+        ("tone:30Hz,10um", Primary.RA),  # 14.4 dB above threshold
+        ("tone:250Hz,1.7um", Primary.PC),
+        ("tone:250Hz,9um", Primary.PC),
+        ("press:1N", Primary.SAI),
+    ],
+)
+def test_what_each_class_answers_best_drives_it_alone(spec, alone):
+    for primary, drive in drives(spec).items():
+        if primary is alone:
+            assert drive > 0.9
+        else:
+            assert drive < SILENT, primary
+
+
+def test_a_slow_indentation_is_for_sai():
+    time_s = np.arange(16000) / 4000
+    pressed = np.where(np.abs(time_s - 2) < 1, 800.0, 0.0)
+    answers = split(Trace(pressed, np.zeros_like(pressed)))
+    held = slice(7000, 9000)
+    assert np.allclose(answers[Primary.SAI].drive[held], 775 / 1475, atol=0.01)
+    assert answers[Primary.PC].drive[held].max() == 0
+    # Both edges are felt by all.
+    assert min(answers[each].drive[3900:4100].max() for each in Primary) > 0.2
+
+
+@pytest.mark.parametrize("primary", [Primary.RA, Primary.PC])
+@pytest.mark.parametrize("frequency_hz", [20, 30, 70, 250])
+def test_drive_is_linear_in_decibels_above_threshold(primary, frequency_hz):
+    threshold = float(threshold_um(primary, frequency_hz))
+    for above_db in (-1, 3, 9, 16):
+        spec = f"tone:{frequency_hz}Hz,{threshold * 10 ** (above_db / 20):.6f}um"
+        answer = split(open_trace(spec))[primary]
+        expected = min(1, max(0, above_db / SPAN_DB))
+        assert np.median(answer.drive) == pytest.approx(expected, abs=0.01)
+
+
+@pytest.mark.parametrize(("primary", "hz"), [(Primary.RA, 25), (Primary.RA, 60), (Primary.PC, 217)])
+def test_one_spike_each_cycle_at_the_same_phase(primary, hz):
+    answer = split(open_trace(f"tone:{hz}Hz,8um"))[primary]
+    spikes = answer.spike_s[(answer.spike_s > 0.2) & (answer.spike_s < 1.8)]
+    assert len(spikes) == pytest.approx(1.6 * hz, abs=1)
+    assert np.ptp(np.mod(spikes * hz + 0.5, 1)) < 0.01
+    assert answer.mean_rate_hz == pytest.approx(hz, rel=0.01)
+
+
+def test_ra_keeps_its_cycles_under_a_stronger_vibration_of_pc():
+    answers = split(open_trace("tone:30Hz,3um+tone:250Hz,9um"))
+    assert answers[Primary.RA].mean_rate_hz == pytest.approx(30, rel=0.1)
+    assert answers[Primary.PC].mean_rate_hz == pytest.approx(250, rel=0.01)
+
+
+def test_silence_between_two_bursts_has_no_spikes():
+    answer = split(open_trace("tone:30Hz,8um@0-0.8+tone:30Hz,8um@1.2-2"))[Primary.RA]
+    assert not ((answer.spike_s > 0.81) & (answer.spike_s < 1.19)).any()
+    assert ((answer.spike_s < 0.8).sum(), (answer.spike_s > 1.2).sum()) == (23, 23)
+
+
+def test_sai_fires_faster_when_pressed_harder():
+    rates = [split(open_trace(f"press:{n}N"))[Primary.SAI] for n in (0.1, 0.5, 1, 3)]
+    found = [np.median(each.rate_hz) for each in rates]
+    np.testing.assert_allclose(found, [10, 25, 50, 50], rtol=0.01)
+    counts = [len(each.spike_s) for each in rates]
+    assert counts == pytest.approx([20, 50, 99, 99], abs=2)
+
+
+def test_shares_are_parts_of_the_whole():
+    part = shares(split(open_trace("tone:30Hz,8um+press:0.5N")))
+    assert sum(part.values()) == pytest.approx(1)
+    assert part[Primary.PC] == 0
+    nothing = shares(split(open_trace("press:0N")))
+    assert set(nothing.values()) == {0.0}
+
+
+def test_who_answers_where_in_a_sweep():
+    answers = split(open_trace("sweep:5-500Hz,3um", 4.0))
+    hz = 5 * 100 ** (np.arange(16000) / 16000)
+    bands = {each: hz[answers[each].drive > 0.02] for each in Primary}
+    # What 3 µm reach is just about the paper's bands: RA 20 to 70 Hz, PC from 60 to 800.
+    assert bands[Primary.RA][[0, -1]] == pytest.approx([19, 79], rel=0.05)
+    assert bands[Primary.PC][0] == pytest.approx(61, rel=0.05)
+    assert bands[Primary.PC][-1] > 450
+    assert not len(bands[Primary.SAI])
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(st.floats(-1e5, 1e5), min_size=2, max_size=60),
+    st.lists(st.floats(-50, 50), min_size=2, max_size=60),
+    st.sampled_from([500.0, 4000.0]),
+)
+def test_any_trace_gives_drives_from_0_to_1_and_spikes_within_it(moved, pressed, sample_hz):
+    size = min(len(moved), len(pressed))
+    trace = Trace(np.array(moved[:size]), np.array(pressed[:size]), sample_hz)
+    for answer in split(trace).values():
+        assert answer.drive.shape == answer.rate_hz.shape == (size,)
+        assert ((answer.drive >= 0) & (answer.drive <= 1)).all()
+        assert np.isfinite(answer.rate_hz).all()
+        assert (np.diff(answer.spike_s) > 0).all()
+        assert ((answer.spike_s >= 0) & (answer.spike_s < trace.duration_s)).all()
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 99), st.floats(1.05, 5))
+def test_more_of_the_same_drives_no_class_less(seed, factor):
+    trace = open_trace("noise:5-400Hz,4um+press:0.2N", 0.3, seed)
+    more = Trace(trace.displacement_um * factor, trace.force_n * factor)
+    before, after = split(trace), split(more)
+    for primary in Primary:
+        assert (after[primary].drive >= before[primary].drive - 1e-9).all()
+
+
+def test_a_force_at_which_sai_is_full_before_it_answers_is_refused():
+    with pytest.raises(ScheduleError, match=r"raise force\.full_n"):
+        split(open_trace("press:0.5N", 0.2), sai_full_n=0.001)
