@@ -11,11 +11,11 @@ from PIL import Image, ImageDraw, ImageFont
 from smarttouch.documents.page_image import Page
 from smarttouch.files import write_bytes
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.live import Sent
 from smarttouch.mosaic import Mosaic
 from smarttouch.perception import Perception
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
+from smarttouch.run.step import StepResult
 from smarttouch.sources.frame import Pose
 
 FINEST_MM = 0.1
@@ -51,7 +51,7 @@ class FeltImage:
         self._cell_mm = tuple(side / magnification for side in electrodes.cell_mm)
         self._poses: dict[int, Pose] = {}
 
-    def watch(self, sent: Sent) -> None:
+    def watch(self, sent: StepResult) -> None:
         """Remember where the finger was for a sequence, if it touched."""
         if sent.number is not None and sent.step.sequence.intensity > 0:
             self._poses[sent.number] = sent.step.frame.pose

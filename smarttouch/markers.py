@@ -1,4 +1,4 @@
-"""What happens in a run, told to other recorders: outlets of the Lab Streaming Layer (LSL).
+"""Markers of a run for other recorders: outlets of the Lab Streaming Layer (LSL).
 
 What records brain waves, gaze or an experiment can record such streams with them, on one
 clock: see https://labstreaminglayer.org.
@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 
 from smarttouch.errors import MarkersError
-from smarttouch.live import Sent
+from smarttouch.events import Event
 from smarttouch.profile import Profile
+from smarttouch.run.listener import Listener, RunContext
+from smarttouch.run.step import StepResult
 
 PULSES = (
     ("number", "count"),
@@ -33,7 +35,7 @@ _MOVED_S = 0.001
 """If so many steps in a row come so late, the loop has moved its schedule."""
 
 
-class Markers:
+class Markers(Listener):
     """Three outlets: ``smarttouch-pulses``, ``smarttouch-frames`` and ``smarttouch-events``.
 
     Pulses get a sample for each sequence (the board's number, or -1 where it was lost with
@@ -45,8 +47,6 @@ class Markers:
 
     Parameters
     ----------
-    profile : Profile
-        Named in the streams' description.
     source : str, optional
         Distinguishes this run from others on the network; host and process if not given.
 
@@ -61,12 +61,16 @@ class Markers:
         If the extra ``lsl`` is missing, or no outlet can be made.
     """
 
-    def __init__(self, profile: Profile, source: str | None = None) -> None:
-        self.notes: list[str] = []
-        self._lsl = _import_pylsl()
+    def __init__(self, source: str | None = None) -> None:
+        super().__init__()
         self._begin_s: float | None = None
         self._late_s: deque[float] = deque(maxlen=_STEPS)
-        source = source or f"{platform.node()}-{os.getpid()}"
+        self._source = source or f"{platform.node()}-{os.getpid()}"
+        self._pulses = self._frames = self._events = None
+
+    def prepare(self, run: RunContext) -> None:
+        """Make the outlets."""
+        self._lsl, profile, source = _import_pylsl(), run.profile, self._source
         try:
             self._pulses = self._outlet("pulses", "Stimulation", PULSES, profile, source)
             self._frames = self._outlet("frames", "Position", FRAMES, profile, source)
@@ -77,15 +81,17 @@ class Markers:
                 "out --markers"
             ) from None
 
-    def watch(self, sent: Sent) -> None:
-        """Tell of one step; an observer of `smarttouch.live.run`."""
-        sequence, frame = sent.step.sequence, sent.step.frame
-        stamp_s = self._stamp_s(frame.time_ns, sent.latency_us / 1e6)
+    def step(self, result: StepResult) -> None:
+        """Send a sample of the sequence and one of the frame."""
+        if self._pulses is None:
+            return
+        sequence, frame = result.step.sequence, result.step.frame
+        stamp_s = self._stamp_s(frame.time_ns, result.latency_us / 1e6)
         strongest_ua = int(np.abs(sequence.current_ua).max()) if sequence.slots else 0
         self._push(
             self._pulses,
             [
-                -1 if sent.number is None else sent.number,
+                -1 if result.number is None else result.number,
                 sequence.slots,
                 strongest_ua / 1000,
                 sequence.intensity,
@@ -96,11 +102,13 @@ class Markers:
         pose = frame.pose
         self._push(self._frames, [frame.number, pose.x_mm, pose.y_mm, frame.force_n], stamp_s)
 
-    def event(self, time_ns: int, words: str) -> None:
-        """Tell of an event; a `smarttouch.live.Tell`."""
+    def event(self, event: Event) -> None:
+        """Send an event as a string."""
+        if self._events is None:
+            return
         if self._begin_s is None:
-            self._stamp_s(time_ns, 0.0)
-        self._push(self._events, [words], self._at_s(time_ns))
+            self._stamp_s(event.time_ns, 0.0)
+        self._push(self._events, [str(event)], self._at_s(event.time_ns))
 
     def close(self) -> None:
         """End the streams; a second time does nothing."""

@@ -11,8 +11,8 @@ from PIL import Image, ImageDraw
 
 from smarttouch.errors import SmartTouchError
 from smarttouch.files import write_bytes
-from smarttouch.live import Sent
 from smarttouch.profile import Profile
+from smarttouch.run.step import StepResult
 
 _PITCH_PIXELS = 24
 _SMALLEST_PIXELS = 6
@@ -46,7 +46,7 @@ class PatternFile:
         self._activation: list[NDArray[np.uint8]] = []
         self._period_us: list[int] = []
 
-    def watch(self, sent: Sent) -> None:
+    def watch(self, sent: StepResult) -> None:
         """Keep a step: what is felt, so nothing where there is no current."""
         tactile, sequence = sent.step.tactile, sent.step.sequence
         felt = tactile.activation.max(axis=0) * (sequence.intensity > 0)

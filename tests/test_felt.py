@@ -9,9 +9,8 @@ from PIL import Image
 from smarttouch.documents.page_image import Page
 from smarttouch.errors import SmartTouchError
 from smarttouch.felt import FeltImage
-from smarttouch.live import Sent
-from smarttouch.pipeline import Step
 from smarttouch.primary import Mode, Primary
+from smarttouch.run.step import Step, StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.sequence import ScanSequence
 
@@ -31,7 +30,7 @@ def at(number, x, y, angle=0.0, intensity=1.0):
     sequence = ScanSequence(
         np.zeros((0, 64), np.int16), empty, empty, empty, 20_000, intensity, number
     )
-    return Sent(Step(frame, None, sequence, Mode.RA), number, 1.0)
+    return StepResult(Step(frame, None, sequence, Mode.RA), number, 1.0)
 
 
 def slot(electrode, current_ua=-2000):

@@ -9,14 +9,18 @@ import pytest
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.clock import SimulatedClock
 from smarttouch.errors import MarkersError
-from smarttouch.live import Sent, run
+from smarttouch.events import Note
 from smarttouch.markers import FRAMES, PULSES, Markers
-from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode
+from smarttouch.run.config import RunConfig
+from smarttouch.run.listener import as_listeners
+from smarttouch.run.loop import run_loop
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.statistics import RunStatistics
+from smarttouch.run.step import StepResult
 from smarttouch.sources.frame import Frame, Pose, Sensor
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
-from smarttouch.tally import Tally
 
 
 class Bars(Sensor):
@@ -77,14 +81,13 @@ def felt(profile, bank):
         with MemoryBoard("", SafetyLimits.of(profile), profile.output) as board:
             # Nothing is late, however busy the machine is.
             board._clock = SimulatedClock()
-            run(
+            run_loop(
                 Bars(most),
-                Pipeline(profile, bank, Mode.RA),
+                Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points")),
                 board,
                 stop=StopRequest(),
-                tally=Tally(),
-                observers=[markers.watch, steps.append],
-                tell=markers.event,
+                statistics=RunStatistics(),
+                listeners=[markers, *as_listeners([steps.append])],
                 clock=SimulatedClock(),
             )
         return steps
@@ -92,9 +95,16 @@ def felt(profile, bank):
     return felt
 
 
+def opened(profile, source=None):
+    """Return markers whose outlets are there."""
+    markers = Markers(source)
+    markers.prepare(types.SimpleNamespace(profile=profile))
+    return markers
+
+
 class TestWhatIsTold:
     def test_every_sequence_frame_and_event_has_its_sample(self, lsl, profile, felt):
-        markers = Markers(profile)
+        markers = opened(profile)
         steps = felt(markers)
         pulses = lsl.pushed["smarttouch-pulses"]
         frames = lsl.pushed["smarttouch-frames"]
@@ -115,7 +125,7 @@ class TestWhatIsTold:
         assert told[-1][0] - told[0][0] == pytest.approx(30 / profile.pulse.rate_hz)
 
     def test_the_streams_say_what_they_are(self, lsl, profile):
-        Markers(profile, "here")
+        opened(profile, "here")
         assert lsl.infos == [
             ("smarttouch-pulses", "Stimulation", len(PULSES), 0, 2, "smarttouch-pulses-here"),
             ("smarttouch-frames", "Position", len(FRAMES), 0, 2, "smarttouch-frames-here"),
@@ -123,9 +133,9 @@ class TestWhatIsTold:
         ]
 
     def test_a_sequence_that_was_lost_has_no_number(self, lsl, profile, felt):
-        markers = Markers(profile)
+        markers = opened(profile)
         step = felt(markers, 1)[0]
-        markers.watch(Sent(step.step, None, 0.0))
+        markers.step(StepResult(step.step, None, 0.0))
         assert lsl.pushed["smarttouch-pulses"][-1][1][0] == -1
 
 
@@ -134,16 +144,16 @@ class TestTime:
         from dataclasses import replace
 
         step = self.first = getattr(self, "first", None) or felt(markers, 1)[0].step
-        return Sent(replace(step, frame=replace(step.frame, time_ns=time_ns)), 1, 500.0)
+        return StepResult(replace(step, frame=replace(step.frame, time_ns=time_ns)), 1, 500.0)
 
     def watched(self, lsl, profile, felt, late_s):
         """Return how far stamps are off the schedule, for steps that come so late."""
-        template = self.step(felt, Markers(profile), 0)
-        markers, off_s = Markers(profile), []
+        template = self.step(felt, opened(profile), 0)
+        markers, off_s = opened(profile), []
         for index, late in enumerate(late_s):
             time_ns = index * 20_000_000
             lsl.now_s = 100 + time_ns / 1e9 + late + 0.0005
-            markers.watch(self.step(felt, markers, time_ns))
+            markers.step(self.step(felt, markers, time_ns))
             off_s.append(lsl.pushed["smarttouch-pulses"][-1][0] - 100 - time_ns / 1e9)
         assert template.latency_us == 500
         return off_s
@@ -159,7 +169,7 @@ class TestTime:
         assert off_s[36:] == pytest.approx([0.3] * 31, abs=1e-9)
 
     def test_an_event_before_the_first_step_begins_the_time(self, lsl, profile):
-        markers = Markers(profile)
+        markers = opened(profile)
         markers.event(2_000_000_000, "one")
         lsl.now_s = 777.0
         markers.event(3_500_000_000, "two")
@@ -168,7 +178,7 @@ class TestTime:
 
 class TestFaults:
     def test_a_fault_in_the_run_is_noted_once_and_ends_nothing(self, lsl, profile, felt):
-        markers = Markers(profile)
+        markers = opened(profile)
 
         def refuse(sample, at_s):
             raise RuntimeError("an internal error has occurred.")
@@ -182,7 +192,7 @@ class TestFaults:
     def test_a_fault_at_the_start_is_told(self, lsl, profile):
         lsl.refuse = RuntimeError("could not create stream outlet.")
         with pytest.raises(MarkersError, match="could not create stream outlet"):
-            Markers(profile)
+            opened(profile)
 
     @pytest.mark.parametrize(
         ("missing", "words"),
@@ -194,20 +204,20 @@ class TestFaults:
 
         monkeypatch.setattr("importlib.import_module", refuse)
         with pytest.raises(MarkersError, match=words):
-            Markers(profile)
+            opened(profile)
 
     def test_after_closing_nothing_is_pushed(self, lsl, profile):
-        markers = Markers(profile)
+        markers = opened(profile)
         for _ in range(2):
             markers.close()
-        markers.event(0, "late")
+        markers.event(Note(0, "late"))
         assert lsl.pushed["smarttouch-events"] == []
         assert markers.notes == []
 
 
 def test_everything_arrives_over_the_real_layer(profile, felt):
     try:
-        markers = Markers(profile, "test of markers")
+        markers = opened(profile, "test of markers")
     except MarkersError as missing:
         pytest.skip(str(missing))
     import pylsl

@@ -9,10 +9,9 @@ from PIL import Image
 
 from smarttouch.errors import SmartTouchError
 from smarttouch.imaging.tactile_image import TactileImage
-from smarttouch.live import Sent
 from smarttouch.patterns import PatternFile
-from smarttouch.pipeline import Step
 from smarttouch.primary import Mode, Primary
+from smarttouch.run.step import Step, StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.sequence import ScanSequence
 
@@ -25,7 +24,7 @@ def step(electrode, intensity=1.0, period_us=20_000):
         np.zeros((0, 64), np.int16), empty, empty, empty, period_us, intensity, 0
     )
     frame = Frame(np.zeros((2, 2), np.uint8), 0, Pose(0, 0), 1.0)
-    return Sent(Step(frame, TactileImage(activation, 0, 1.0), sequence, Mode.RA), 1, 1.0)
+    return StepResult(Step(frame, TactileImage(activation, 0, 1.0), sequence, Mode.RA), 1, 1.0)
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The terminal of a participant: what to do now, and nothing that would tell the answer."""
+"""Terminal screen of a participant, which shows nothing that would tell the answer."""
 
 from rich.console import Group
 from rich.panel import Panel
@@ -6,19 +6,18 @@ from rich.table import Table
 from rich.text import Text
 
 from smarttouch.cli.screen import Screen, bar
+from smarttouch.events import Event
 
-_TELLS = ("trial ", "response ")
-"""How the account of an experiment begins, which is not for who sits it."""
 _KEYS = "+ −  amplitude    0  none    space  pause    q, Esc, Ctrl-C  end, goes on another time"
 
 
 class BlindScreen(Screen):
     """Shows question, amplitude and pressure; no electrodes, rates or currents."""
 
-    def tell(self, time_ns: int, words: str) -> None:
-        """Keep what happened last, unless it tells of a trial."""
-        if not words.startswith(_TELLS):
-            super().tell(time_ns, words)
+    def event(self, event: Event) -> None:
+        """Show the newest event, unless it would tell the answer."""
+        if not event.reveals:
+            super().event(event)
 
     def _render(self) -> Group | Text:
         sent = self._latest
@@ -27,7 +26,7 @@ class BlindScreen(Screen):
         frame = sent.step.frame
         table = Table.grid(padding=(0, 1))
         for name, part in (
-            ("amplitude", self._controls.wish(frame.time_ns).level),
+            ("amplitude", self._controls.state(frame.time_ns).level),
             ("pressure", frame.force_n / self._profile.force.full_n),
         ):
             table.add_row(Text(name, style="dim"), Text(bar(part, 20)))

@@ -9,16 +9,7 @@ import typer
 
 from smarttouch import terminal
 from smarttouch.cli.driving import drives_a_board
-from smarttouch.cli.options import (
-    ForceOption,
-    FramesOption,
-    IntensityOption,
-    JsonOption,
-    MarkersOption,
-    ProfileOption,
-    QuietOption,
-    RecordOption,
-)
+from smarttouch.cli.run_options import RunOptions, takes_run_options
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,7 +26,9 @@ if TYPE_CHECKING:
 
 
 @drives_a_board
+@takes_run_options
 def color(
+    run: RunOptions,
     source: Annotated[
         str,
         typer.Argument(
@@ -45,10 +38,6 @@ def color(
             "with time_s and displacement_um or force_n, or frequency_hz and amplitude_um.",
         ),
     ],
-    seconds: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="How long; 2 if none, and a file of its own length."),
-    ] = None,
     sites: Annotated[
         str | None,
         typer.Option(metavar="LIST", help="Electrodes that pulse, as in 27,28,35-36, or all."),
@@ -60,47 +49,27 @@ def color(
     split_only: Annotated[
         bool, typer.Option("--split-only", help="Say what each class answers; no board.")
     ] = False,
-    board: Annotated[
-        str,
-        typer.Option(metavar="URL", help="As for live; simulated: waits for nothing."),
-    ] = "emulator:",
-    vibrators: Annotated[
-        str | None,
-        typer.Option(metavar="URL", help="Mechanical vibrators, to shake PC instead of current."),
-    ] = None,
-    profile: ProfileOption = None,
-    force: ForceOption = None,
-    intensity: IntensityOption = None,
     seed: Annotated[
         int, typer.Option(min=0, help="Of noise, and of phases a spectrum has not.")
     ] = 0,
-    frames: FramesOption = None,
-    record: RecordOption = None,
     plot: Annotated[
         Path | None,
         typer.Option(metavar="PNG", help="Draw the trace, the answers and the pulses."),
     ] = None,
-    markers: MarkersOption = False,
-    json_file: JsonOption = None,
-    quiet: QuietOption = False,
 ) -> None:
     """Split a vibration into what RA, SAI and PC answer, and let the finger feel it mixed again.
 
-    The first half second is weaker: intensity rises as in every run.
+    It lasts 2 s, or as long as its file. The first half second is weaker: intensity rises as in
+    every run.
     """
     import contextlib
 
-    from smarttouch.boards.board import make_board, usual_profile
     from smarttouch.cli.files import require_folder, write_json
-    from smarttouch.cli.plan import Plan
     from smarttouch.cli.progress import bank_progress
-    from smarttouch.cli.session import play
+    from smarttouch.cli.session import run_in_terminal
     from smarttouch.kernels.bank import load_bank
     from smarttouch.primary import Primary
-    from smarttouch.profile import load_profile
     from smarttouch.reading.window import press_n
-    from smarttouch.sources.forces.force import open_force
-    from smarttouch.stimulation.safety import SafetyLimits
     from smarttouch.vibrotactile.mix import mix
     from smarttouch.vibrotactile.price import pacinian_price
     from smarttouch.vibrotactile.report import as_figures, notes
@@ -108,60 +77,47 @@ def color(
     from smarttouch.vibrotactile.spec import is_spec, open_trace
     from smarttouch.vibrotactile.split import split
 
-    for output in (plot, json_file):
-        require_folder(output)
+    require_folder(plot)
     if plot is not None:
         from smarttouch.plotting import style
 
         style.require_drawable(plot)
-    trace = open_trace(source, 2.0 if seconds is None else seconds, seed)
-    chosen = load_profile(profile or usual_profile(board))
+    outputs, json_file = run.outputs(), run.json_file
+    trace = open_trace(source, 2.0 if run.seconds is None else run.seconds, seed)
+    chosen = run.load_profile()
     answers = split(trace, sai_full_n=chosen.force.full_n, sai_rate_hz=chosen.pulse.sai_rate_hz)
     if split_only:
         if plot is not None:
             _draw(plot, trace, answers)
         if json_file is not None:
             write_json(json_file, as_figures(answers))
-        if not quiet:
+        if not run.quiet:
             _print_answers(source, answers)
         return
-    with bank_progress(quiet) as progress:
+    with bank_progress(run.quiet) as progress:
         bank = load_bank(chosen, progress)
-    timing = make_board(board, SafetyLimits.of(chosen), chosen.output).timing
+    display = run.display(chosen)
     places = _places(chosen, sites, radius_mm)
-    shaken = vibrators is not None
+    shaken = run.vibrators is not None
+    timing = display.board.timing
     mixture = mix(answers, trace.duration_s, chosen, bank, places, timing, shaken)
-    plan = Plan(
-        sensor_url=source,
-        board_url=board,
-        mode=mixture.mode,
-        seconds=None if is_spec(source) else seconds,
-        level=intensity,
-        force_url=force,
-        vibrators_url=vibrators,
-        frames=frames,
-        record=record,
-        markers=markers,
-        json_file=json_file,
-        quiet=quiet,
-        seed=seed,
-    )
-    pressed_n = press_n(chosen) if force is None and not plan.on_a_finger else math.nan
-    sensor = ColorSensor(source, chosen, mixture, pressed_n)
+    seconds = None if is_spec(source) else run.seconds
+    config = run.config(mixture.mode, seconds=seconds, seed=seed)
+    sensor = ColorSensor(source, chosen, mixture, press_n(chosen) if run.pressed else math.nan)
+    sensor.url = source
     sensor.notes += notes(mixture, answers)
     price = None
     if mixture.pulses(Primary.PC):
         price = pacinian_price(chosen, bank, mixture.sites)
         sensor.notes.append(str(price))
-    plan.attend = lambda _board: sensor.watch
     with contextlib.ExitStack() as stack:
-        pressing = None if force is None else stack.enter_context(open_force(force, chosen))
-        play(plan, sensor, pressing, chosen)
+        force = run.open_force(chosen, stack)
+        run_in_terminal(sensor, display, config, outputs, force=force)
     if json_file is not None:
         _add(json_file, as_figures(answers, mixture, sensor, price))
     if plot is not None:
         _draw(plot, trace, answers, mixture)
-    if not quiet:
+    if not run.quiet:
         _print_mixture(source, answers, mixture, sensor)
 
 

@@ -6,16 +6,7 @@ from typing import Annotated
 import typer
 
 from smarttouch.cli.driving import drives_a_board
-from smarttouch.cli.options import (
-    ForceOption,
-    IntensityOption,
-    JsonOption,
-    MarkersOption,
-    ProfileOption,
-    QuietOption,
-    RecordOption,
-    SecondsOption,
-)
+from smarttouch.cli.run_options import RunOptions, takes_run_options
 
 experiment = typer.Typer(
     help="Psychophysics: what a finger can tell of pulses (paper, Section III).",
@@ -45,9 +36,11 @@ def list_all() -> None:
     typer.echo(f"{'free':13} turn amplitude, rate and mode by hand: smarttouch experiment free")
 
 
-@experiment.command()
+@experiment.command("run")
 @drives_a_board
-def run(
+@takes_run_options
+def run_listed(
+    run: RunOptions,
     name: Annotated[str, typer.Argument(metavar="NAME", help="See smarttouch experiment list.")],
     mode: _Mode = "RA",
     procedure: Annotated[
@@ -98,13 +91,6 @@ def run(
         str | None,
         typer.Option(metavar="URL", help="As for live; emulator:, with --simulate simulated:"),
     ] = None,
-    profile: ProfileOption = None,
-    force: ForceOption = None,
-    intensity: IntensityOption = None,
-    record: RecordOption = None,
-    markers: MarkersOption = False,
-    json_file: JsonOption = None,
-    quiet: QuietOption = False,
 ) -> None:
     """Run an experiment of the list; the same command again goes on where it was.
 
@@ -112,8 +98,8 @@ def run(
     the amplitude, space for a pause, q to go on another time.
     """
     import contextlib
+    from dataclasses import replace
 
-    from smarttouch.boards.board import usual_profile
     from smarttouch.cli.experiment_steps import (
         Sitting,
         numbered,
@@ -123,20 +109,16 @@ def run(
         usual_name,
     )
     from smarttouch.cli.files import parse_choice, parse_primary
-    from smarttouch.cli.plan import Plan
-    from smarttouch.primary import Mode
-    from smarttouch.profile import load_profile
     from smarttouch.psychophysics.catalog import Wanted, design
     from smarttouch.psychophysics.course import Course
     from smarttouch.psychophysics.rows import About, RowFile
     from smarttouch.psychophysics.session import Session
-    from smarttouch.sources.forces.force import open_force
 
     if simulate is not None:
         simulate = parse_choice("--simulate", simulate, ("model", "random", "first", "silent"))
-    board = board or ("emulator:" if simulate is None else "simulated:")
-    require_answers(simulate, board)
-    chosen = load_profile(profile or usual_profile(board))
+    run = replace(run, board=board or (None if simulate is None else "simulated:"))
+    require_answers(simulate, run.board_url)
+    chosen = run.load_profile()
     primary = parse_primary(mode)
     named = f"{name}-{primary.name}"
     stem, order = usual_name(named, participant, session, seed)
@@ -150,30 +132,25 @@ def run(
     course = Course(gap_s, answer_s or None, made.again, patience_s)
     path = output or Path(f"{stem}.csv")
     about = About(named, made.method, participant, session, order)
+    config = run.config(
+        primary.name,
+        seed=order,
+        subject=run.subject or participant,
+        note=run.note or session,
+    )
     with RowFile(path, about, overwrite) as file, contextlib.ExitStack() as stack:
         sitting = Sitting(made, Session(made.task, made.procedure, file, _now()), chosen, course)
-        resumed = sitting.session.resumed
-        plan = Plan(
-            sensor_url=f"experiment:{named}",
-            board_url=board,
-            mode=Mode[primary.name],
-            level=intensity,
-            force_url=force,
-            record=record if record is None or not resumed else numbered(record),
-            markers=markers,
-            json_file=json_file,
-            quiet=quiet,
-            seed=order,
-            subject=participant,
-            note=session,
-        )
-        pressing = None if force is None else stack.enter_context(open_force(force, chosen))
-        sit(sitting, plan, pressing, simulate, path)
+        if run.record is not None and sitting.session.resumed:
+            run = replace(run, record=numbered(run.record))
+        force = run.open_force(chosen, stack)
+        sit(sitting, run, config, force, simulate, path)
 
 
 @experiment.command()
 @drives_a_board
+@takes_run_options
 def free(
+    run: RunOptions,
     mode: _Mode = "RA",
     site: _Site = None,
     rate: Annotated[float, typer.Option(metavar="HZ", help="Of pulses, 10 to 200.")] = 50.0,
@@ -185,47 +162,26 @@ def free(
     output: Annotated[
         Path | None, typer.Option(metavar="CSV", help="All changes; free.csv or the next number.")
     ] = None,
-    board: Annotated[str, typer.Option(metavar="URL", help="As for live.")] = "emulator:",
     profile: Annotated[
         str, typer.Option(metavar="NAME|FILE", help="The paper's line array if not given.")
     ] = "line-8",
-    force: ForceOption = None,
-    intensity: IntensityOption = None,
-    seconds: SecondsOption = None,
-    record: RecordOption = None,
-    markers: MarkersOption = False,
-    json_file: JsonOption = None,
-    quiet: QuietOption = False,
 ) -> None:
     """Turn the current by hand, from nothing to the device's own limit (paper, III-A).
 
     Keys: ↑ ↓ + − for the amplitude, ← → for the rate, m for the mode, [ ] for the site, 1 to 9 to
     mark what is felt; and those of live. Every change is a row of the CSV file.
     """
-    from smarttouch.boards.board import may_touch_a_finger
+    from dataclasses import replace
+
     from smarttouch.cli.experiment_steps import free_run
     from smarttouch.cli.files import parse_primary
-    from smarttouch.cli.plan import Plan
-    from smarttouch.primary import Mode
     from smarttouch.profile import load_profile
 
-    if intensity is None and not may_touch_a_finger(board):
+    if run.intensity is None and not run.on_a_finger:
         # By hand from nothing here too.
-        intensity = 0.0
-    plan = Plan(
-        sensor_url="experiment:free",
-        board_url=board,
-        mode=Mode.COLOR,
-        seconds=seconds,
-        level=intensity,
-        force_url=force,
-        record=record,
-        markers=markers,
-        json_file=json_file,
-        quiet=quiet,
-        subject=participant,
-    )
-    free_run(plan, load_profile(profile), parse_primary(mode), site, rate, knob, output)
+        run = replace(run, intensity=0.0)
+    run = replace(run, subject=run.subject or participant)
+    free_run(run, load_profile(profile), parse_primary(mode), site, rate, knob, output)
 
 
 def _now() -> str:

@@ -3,23 +3,21 @@
 import contextlib
 import sys
 import zlib
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import count
 from pathlib import Path
 
 import typer
 
-from smarttouch.boards.board import Board
-from smarttouch.cli.plan import Plan
+from smarttouch.cli.blind_screen import BlindScreen
 from smarttouch.cli.progress import bank_progress
-from smarttouch.cli.session import play
+from smarttouch.cli.run_options import RunOptions
+from smarttouch.cli.session import run_in_terminal
 from smarttouch.clock import MonotonicClock
 from smarttouch.errors import ExperimentError, SmartTouchError
 from smarttouch.kernels.bank import load_bank
-from smarttouch.live import Sent
-from smarttouch.primary import Primary
+from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.catalog import Design
 from smarttouch.psychophysics.course import Course
@@ -29,7 +27,8 @@ from smarttouch.psychophysics.session import Session
 from smarttouch.psychophysics.subject import Subject, make_observer
 from smarttouch.psychophysics.summary import summarize
 from smarttouch.reading.window import press_n
-from smarttouch.sources.forces.force import ForceSource, open_force
+from smarttouch.run.config import RunConfig
+from smarttouch.sources.forces.force import ForceSource
 from smarttouch.texture.motion import open_motion
 
 _SIMULATED = "simulated:"
@@ -46,48 +45,53 @@ class Sitting:
 
 
 def sit(
-    sitting: Sitting, plan: Plan, force: ForceSource | None, simulate: str | None, path: Path
+    sitting: Sitting,
+    options: RunOptions,
+    config: RunConfig,
+    force: ForceSource | None,
+    simulate: str | None,
+    path: Path,
 ) -> None:
     """Run an experiment to its end or until a user ends it; say how far it came."""
     session, profile = sitting.session, sitting.profile
-    if not plan.quiet:
+    if not options.quiet:
         _say_before(sitting, path)
     if session.over:
-        if not plan.quiet:
+        if not options.quiet:
             _say_after(sitting, path)
         return
-    nobody = force is None and not plan.on_a_finger
     sensor = ExperimentSensor(
         session,
         profile,
         sitting.course,
-        press_n(profile) if nobody else None,
-        None if plan.board_url == _SIMULATED else MonotonicClock(),
+        press_n(profile) if options.pressed else None,
+        None if options.board_url == _SIMULATED else MonotonicClock(),
     )
-
-    def attend(board: Board) -> Callable[[Sent], None]:
-        if simulate is None:
-            return sensor.watch
-        seed = plan.seed + session.resumed
+    sensor.url = f"experiment:{session.title}"
+    listeners = []
+    if simulate is not None:
+        seed = config.seed + session.resumed
         drawn = getattr(sitting.made.task, "drawn", None)
         observer = make_observer(simulate, profile, seed, drawn)
-        subject = Subject(sensor, observer, board)
-
-        def watch(sent: Sent) -> None:
-            sensor.watch(sent)
-            subject.watch(sent)
-
-        return watch
-
+        listeners.append(Subject(sensor, observer))
     try:
-        play(replace(plan, attend=attend), sensor, force, profile)
+        run_in_terminal(
+            sensor,
+            options.display(profile),
+            config,
+            options.outputs(),
+            force=force,
+            screen=BlindScreen,
+            keys=sensor.keys,
+            listeners=listeners,
+        )
     finally:
-        if not plan.quiet:
+        if not options.quiet:
             _say_after(sitting, path)
 
 
 def free_run(
-    plan: Plan,
+    options: RunOptions,
     profile: Profile,
     primary: Primary,
     site: int | None,
@@ -96,28 +100,31 @@ def free_run(
     output: Path | None,
 ) -> None:
     """Let a user turn amplitude, rate, mode and site until they have had enough."""
-    if not sys.stdin.isatty() and plan.seconds is None:
+    if not sys.stdin.isatty() and options.seconds is None:
         raise ExperimentError(
             "there is no keyboard, by which this would end: use a terminal, or give --seconds"
         )
     raised = up_to_the_ceiling(profile)
     with contextlib.ExitStack() as stack:
-        force = None
-        if plan.force_url is not None:
-            force = stack.enter_context(open_force(plan.force_url, raised))
+        force = options.open_force(raised, stack)
         knob = None if knob_url is None else stack.enter_context(open_motion(knob_url))
-        with bank_progress(plan.quiet) as progress:
+        with bank_progress(options.quiet) as progress:
             offered = tuple(sorted(load_bank(raised, progress).weights))
-        nobody = force is None and not plan.on_a_finger
         log = stack.enter_context(FreeLog(output or numbered(Path("free.csv"))))
-        sensor = FreeSensor(
-            raised, offered, log, primary, site, rate_hz, press_n(raised) if nobody else None
+        pressed_n = press_n(raised) if options.pressed else None
+        sensor = FreeSensor(raised, offered, log, primary, site, rate_hz, pressed_n)
+        sensor.url = "experiment:free"
+        run_in_terminal(
+            sensor,
+            options.display(raised),
+            options.config(Mode.COLOR),
+            options.outputs(),
+            force=force,
+            keys=sensor.keys,
+            keys_help="← →  rate    [ ]  site    1 to 9  mark    ",
+            controls=partial(HandControls, knob=knob),
         )
-        hand = partial(HandControls, knob=knob)
-        play(
-            replace(plan, controls=hand, attend=lambda _board: sensor.watch), sensor, force, raised
-        )
-        if not plan.quiet:
+        if not options.quiet:
             typer.echo(f"every change is in {log.path}")
 
 

@@ -6,24 +6,14 @@ from typing import Annotated
 import typer
 
 from smarttouch.cli.driving import drives_a_board
-from smarttouch.cli.options import (
-    FeltOption,
-    ForceOption,
-    IntensityOption,
-    JsonOption,
-    MarkersOption,
-    ModeOption,
-    ProfileOption,
-    QuietOption,
-    RateOption,
-    RecordOption,
-    ScanOption,
-    SecondsOption,
-)
+from smarttouch.cli.options import ModeOption, RateOption
+from smarttouch.cli.run_options import RunOptions, takes_run_options
 
 
 @drives_a_board
+@takes_run_options
 def live(
+    run: RunOptions,
     sensor: Annotated[
         str | None,
         typer.Option(
@@ -32,21 +22,8 @@ def live(
             "recording:FILE; a sample page if not given.",
         ),
     ] = None,
-    board: Annotated[
-        str,
-        typer.Option(metavar="URL", help="emulator:, kajimoto61:PORT, etactilekit:PORT, link:PORT"),
-    ] = "emulator:",
-    profile: ProfileOption = None,
     mode: ModeOption = "RA",
-    scan: ScanOption = "auto",
-    force: ForceOption = None,
-    intensity: IntensityOption = None,
-    softness: Annotated[
-        float | None,
-        typer.Option(metavar="0..1", help="1: SAI pulses at a constant rate; 0: follows force."),
-    ] = None,
     rate: RateOption = None,
-    seconds: SecondsOption = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Of the virtual finger's and sensor's noise.")
     ] = None,
@@ -76,70 +53,21 @@ def live(
     ] = False,
     baud: Annotated[int | None, typer.Option(help="Of a serial array.")] = None,
     light_on_dark: Annotated[bool, typer.Option(help="Print is lighter than paper.")] = False,
-    measure: Annotated[
-        bool, typer.Option("--measure", help="First find bad electrodes, and plan around them.")
-    ] = False,
-    hold: Annotated[
-        str | None,
-        typer.Option(metavar="charge|energy", help="Against drifting impedance, if the board can."),
-    ] = None,
-    balance: Annotated[
-        bool,
-        typer.Option(
-            "--balance",
-            help="Keep net charge at zero, by a weak recharge phase in each scan. Boards of one "
-            "source reverse scans instead, and those drive the other class (SAI for RA).",
-        ),
-    ] = False,
-    felt: FeltOption = None,
-    record: RecordOption = None,
-    subject: Annotated[str, typer.Option(help="Who feels it, for the recording.")] = "",
-    note: Annotated[str, typer.Option(help="Anything else, for the recording.")] = "",
-    markers: MarkersOption = False,
-    json_file: JsonOption = None,
-    quiet: QuietOption = False,
 ) -> None:
     """Let a finger feel what a sensor sees, until the page ends, a key or Ctrl-C."""
     import contextlib
 
-    from smarttouch.boards.board import usual_profile
     from smarttouch.cli.files import parse_mode, parse_size
-    from smarttouch.cli.plan import Plan
-    from smarttouch.cli.session import play
-    from smarttouch.cli.sharing import parse_scan
-    from smarttouch.profile import load_profile
+    from smarttouch.cli.session import run_in_terminal
     from smarttouch.resources import data_folder
     from smarttouch.sources import open_sensor
-    from smarttouch.sources.forces.force import open_force
 
-    chosen = load_profile(profile or usual_profile(board))
-    plan = Plan(
-        sensor_url=sensor or f"page:{data_folder('sample_images') / 'page.png'}",
-        board_url=board,
-        mode=parse_mode(mode),
-        sharing=parse_scan(scan, chosen, hold),
-        rate_hz=rate,
-        seconds=seconds,
-        level=intensity,
-        softness=softness,
-        light_on_dark=light_on_dark,
-        force_url=force,
-        measure=measure,
-        hold=hold,
-        balance=balance,
-        felt=felt,
-        record=record,
-        markers=markers,
-        json_file=json_file,
-        quiet=quiet,
-        seed=seed or 0,
-        subject=subject,
-        note=note,
-    )
+    chosen, outputs = run.load_profile(), run.outputs()
+    config = run.config(parse_mode(mode), rate_hz=rate, light_on_dark=light_on_dark, seed=seed or 0)
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(
             open_sensor(
-                plan.sensor_url,
+                sensor or f"page:{data_folder('sample_images') / 'page.png'}",
                 chosen,
                 light_on_dark=light_on_dark,
                 seed=seed,
@@ -154,5 +82,5 @@ def live(
                 baud=baud,
             )
         )
-        pressing = None if force is None else stack.enter_context(open_force(force, chosen))
-        play(plan, source, pressing, chosen)
+        force = run.open_force(chosen, stack)
+        run_in_terminal(source, run.display(chosen), config, outputs, force=force)

@@ -5,21 +5,13 @@ from typing import Annotated, Any
 import typer
 
 from smarttouch.cli.driving import drives_a_board
-from smarttouch.cli.options import (
-    FeltOption,
-    ForceOption,
-    IntensityOption,
-    JsonOption,
-    MarkersOption,
-    ProfileOption,
-    QuietOption,
-    RecordOption,
-    SecondsOption,
-)
+from smarttouch.cli.run_options import RunOptions, takes_run_options
 
 
 @drives_a_board
+@takes_run_options
 def mouse(
+    run: RunOptions,
     texture: Annotated[
         str,
         typer.Option(
@@ -63,15 +55,9 @@ def mouse(
     light_on_dark: Annotated[
         bool, typer.Option("--light-on-dark", help="Turn high and low.")
     ] = False,
-    board: Annotated[
-        str, typer.Option(metavar="URL", help="As for live; simulated: waits for nothing.")
-    ] = "emulator:",
-    profile: ProfileOption = None,
     mode: Annotated[
         str, typer.Option("--mode", metavar="RA|SAI|PC", help="Which class feels the ridges.")
     ] = "RA",
-    force: ForceOption = None,
-    intensity: IntensityOption = None,
     rate: Annotated[float, typer.Option(metavar="HZ", help="Frames a second.")] = 100.0,
     fastest: Annotated[
         float | None,
@@ -80,12 +66,6 @@ def mouse(
             help="Most pulses a second of an electrode; 100 if none, at most half the frames.",
         ),
     ] = None,
-    seconds: SecondsOption = None,
-    felt: FeltOption = None,
-    record: RecordOption = None,
-    markers: MarkersOption = False,
-    json_file: JsonOption = None,
-    quiet: QuietOption = False,
 ) -> None:
     """Feel a texture that stays where it is while the hand moves.
 
@@ -94,34 +74,17 @@ def mouse(
     """
     import contextlib
 
-    from smarttouch.boards.board import usual_profile
     from smarttouch.cli.files import parse_mode
-    from smarttouch.cli.plan import Plan
-    from smarttouch.cli.session import play
-    from smarttouch.profile import load_profile
+    from smarttouch.cli.session import run_in_terminal
     from smarttouch.reading.window import press_n, profile_for_reading
-    from smarttouch.sources.forces.force import open_force
     from smarttouch.texture.motion import open_motion
     from smarttouch.texture.sensor import MouseSensor
     from smarttouch.texture.sweep_motion import strokes_over
     from smarttouch.texture.textures import open_texture
 
-    own = load_profile(profile or usual_profile(board))
-    chosen = profile_for_reading(own)
-    plan = Plan(
-        sensor_url=texture,
-        board_url=board,
-        mode=parse_mode(mode),
-        seconds=seconds,
-        level=intensity,
-        force_url=force,
-        felt=felt,
-        record=record,
-        markers=markers,
-        json_file=json_file,
-        quiet=quiet,
-        seed=seed or 0,
-    )
+    own = run.load_profile()
+    chosen, outputs = profile_for_reading(own), run.outputs()
+    config = run.config(parse_mode(mode), seed=seed or 0)
     surface = open_texture(
         texture,
         dpi=dpi,
@@ -146,11 +109,12 @@ def mouse(
             surface,
             moves,
             chosen,
-            plan.mode,
+            parse_mode(mode),
             rate,
             fastest,
             scale,
-            None if plan.on_a_finger or force is not None else press_n(chosen),
+            press_n(chosen) if run.pressed else None,
         )
-        pressing = None if force is None else stack.enter_context(open_force(force, chosen))
-        play(plan, sensor, pressing, chosen)
+        sensor.url = texture
+        force = run.open_force(chosen, stack)
+        run_in_terminal(sensor, run.display(chosen), config, outputs, force=force)

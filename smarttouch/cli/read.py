@@ -8,29 +8,21 @@ from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.options import (
     AsOption,
     CellsOption,
-    FeltOption,
-    ForceOption,
-    FramesOption,
-    IntensityOption,
-    JsonOption,
     LanguageOption,
-    MarkersOption,
     ModeOption,
     PagesOption,
     PasswordOption,
-    ProfileOption,
-    QuietOption,
     RateOption,
-    RecordOption,
-    ScanOption,
-    SecondsOption,
     StyleOption,
     TableOption,
 )
+from smarttouch.cli.run_options import RunOptions, takes_run_options
 
 
 @drives_a_board
+@takes_run_options
 def read(
+    run: RunOptions,
     source: Annotated[
         str,
         typer.Argument(
@@ -84,19 +76,8 @@ def read(
             help="As for live; simulated: waits for nothing. With --frames that, else emulator:",
         ),
     ] = None,
-    profile: ProfileOption = None,
     mode: ModeOption = "RA",
-    scan: ScanOption = "auto",
-    force: ForceOption = None,
-    intensity: IntensityOption = None,
     rate: RateOption = None,
-    seconds: SecondsOption = None,
-    frames: FramesOption = None,
-    felt: FeltOption = None,
-    record: RecordOption = None,
-    markers: MarkersOption = False,
-    json_file: JsonOption = None,
-    quiet: QuietOption = False,
 ) -> None:
     """Read a page with a fingertip, line by line.
 
@@ -104,14 +85,11 @@ def read(
     for a pause; and those of live.
     """
     import contextlib
+    from dataclasses import replace
 
-    from smarttouch.boards.board import usual_profile
     from smarttouch.cli.files import parse_choice, parse_mode
-    from smarttouch.cli.plan import Plan
     from smarttouch.cli.progress import first_line_awaited
-    from smarttouch.cli.session import play
-    from smarttouch.cli.sharing import parse_scan
-    from smarttouch.profile import load_profile
+    from smarttouch.cli.session import run_in_terminal
     from smarttouch.reading.braille import Braille, Presentation
     from smarttouch.reading.cursor import Cursor, FollowingCursor, SweepingCursor
     from smarttouch.reading.feed import LineFeed
@@ -121,11 +99,10 @@ def read(
     from smarttouch.reading.source import Source
     from smarttouch.reading.window import press_n, profile_for_reading
     from smarttouch.sources import open_sensor
-    from smarttouch.sources.forces.force import open_force
 
-    board = board or ("emulator:" if frames is None else "simulated:")
-    own = load_profile(profile or usual_profile(board))
-    chosen = profile_for_reading(own)
+    run = replace(run, board=board or (None if run.frames is None else "simulated:"))
+    own = run.load_profile()
+    chosen, outputs = profile_for_reading(own), run.outputs()
     wanted: Shapes | Braille
     if parse_choice("--as", kind, ("shapes", "braille")) == "shapes":
         wanted = Shapes(parse_choice("--style", style, Style))
@@ -138,33 +115,25 @@ def read(
     )
     notes: list[str] = []
     text = Source(source, look, notes.append)
-    plan = Plan(
-        sensor_url=source,
-        board_url=board,
-        mode=parse_mode(mode),
-        sharing=parse_scan(scan, chosen),
-        rate_hz=rate,
-        seconds=seconds,
-        level=intensity,
-        force_url=force,
-        tone=wanted.tone,
-        frames=frames,
-        felt=felt,
-        record=record,
-        markers=markers,
-        json_file=json_file,
-        quiet=quiet,
-    )
+    config = run.config(parse_mode(mode), rate_hz=rate, tone=wanted.tone)
     with contextlib.ExitStack() as stack:
         feed = LineFeed(wanted.lines(text, chosen))
         stack.callback(feed.close)
-        first_line_awaited(feed.start(), quiet)
+        first_line_awaited(feed.start(), run.quiet)
         cursor: Cursor
         if follow is None:
             cursor = SweepingCursor(feed, motion, press_n(chosen), pause, wait)
         else:
             cursor = FollowingCursor(feed, stack.enter_context(open_sensor(follow, own)))
         sensor = ReadingSensor(text.title, chosen, feed, cursor)
-        sensor.notes = notes
-        pressing = None if force is None else stack.enter_context(open_force(force, chosen))
-        play(plan, sensor, pressing, chosen)
+        sensor.url, sensor.notes = source, notes
+        force = run.open_force(chosen, stack)
+        run_in_terminal(
+            sensor,
+            run.display(chosen),
+            config,
+            outputs,
+            force=force,
+            keys=sensor.keys,
+            keys_help="← →  line    r  again    ",
+        )

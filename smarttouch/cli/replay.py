@@ -6,17 +6,13 @@ from typing import Annotated
 import typer
 
 from smarttouch.cli.driving import drives_a_board
-from smarttouch.cli.options import (
-    JsonOption,
-    MarkersOption,
-    QuietOption,
-    RecordOption,
-    SecondsOption,
-)
+from smarttouch.cli.run_options import RunOptions, takes_run_options
 
 
 @drives_a_board
+@takes_run_options
 def replay(
+    run: RunOptions,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, whole or cut.")],
     check: Annotated[
         bool,
@@ -41,11 +37,6 @@ def replay(
             "this (1); without a keyboard it must be given, and is reached slowly.",
         ),
     ] = None,
-    seconds: SecondsOption = None,
-    record: RecordOption = None,
-    markers: MarkersOption = False,
-    json_file: JsonOption = None,
-    quiet: QuietOption = False,
 ) -> None:
     """Let a finger feel once more what was recorded, or prove that it still would."""
     from smarttouch.profile import load_profile
@@ -55,40 +46,37 @@ def replay(
         _check(file, profile)
         return
     import contextlib
+    from dataclasses import replace
     from functools import partial
 
-    from smarttouch.cli.plan import Plan
-    from smarttouch.cli.session import play
+    from smarttouch.cli.session import run_in_terminal
     from smarttouch.recording.controls import RecordedControls
     from smarttouch.recording.sensor import RecordingSensor
-    from smarttouch.sources.forces.force import open_force
-    from smarttouch.stimulation.frames import NO_SHARING, why_not
 
+    run, outputs = replace(run, board=board, force=force, intensity=intensity), run.outputs()
     recording = Recording(file)
     chosen = recording.profile if profile is None else load_profile(profile)
-    run = recording.run
-    plan = Plan(
-        sensor_url=f"recording:{file}",
-        board_url=board,
-        mode=run.mode,
-        rate_hz=run.rate_hz,
-        light_on_dark=run.light_on_dark,
-        softness=run.softness,
-        sharing=NO_SHARING if why_not(chosen) else run.sharing,
-        tone=run.tone,
-        level=intensity,
-        seconds=seconds,
-        force_url=force,
-        record=record,
-        markers=markers,
-        json_file=json_file,
-        quiet=quiet,
-        controls=partial(RecordedControls, recording),
+    was = recording.run
+    config = run.config(
+        was.mode,
+        rate_hz=was.rate_hz,
+        light_on_dark=was.light_on_dark,
+        softness=was.softness,
+        scan=was.sharing,
+        tone=was.tone,
     )
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(RecordingSensor(recording))
-        pressing = None if force is None else stack.enter_context(open_force(force, chosen))
-        play(plan, source, pressing, chosen)
+        source.url = f"recording:{file}"
+        pressing = run.open_force(chosen, stack)
+        run_in_terminal(
+            source,
+            run.display(chosen),
+            config,
+            outputs,
+            force=pressing,
+            controls=partial(RecordedControls, recording),
+        )
 
 
 def _check(file: Path, profile: str | None) -> None:

@@ -2,8 +2,7 @@
 
 import sys
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,13 +15,11 @@ from rich.table import Table
 from rich.text import Text
 
 from smarttouch import terminal
-from smarttouch.boards.board import Board
-from smarttouch.controls import Controls
-from smarttouch.live import Sent
+from smarttouch.events import Event, Note
 from smarttouch.profile import Profile
-from smarttouch.sources.frame import Sensor
+from smarttouch.run.listener import Listener, RunContext
+from smarttouch.run.step import StepResult
 from smarttouch.stimulation.sequence import ScanSequence
-from smarttouch.tally import Tally
 
 _SENSOR_ROWS = 16
 _REFRESH_PER_S = 10
@@ -32,63 +29,71 @@ _KEYS = (
 )
 
 
-class Screen:
+class Screen(Listener):
     """Shows a run as it goes, from a thread of its own, and sums it up.
 
-    On anything but a terminal only the summary is printed; when quiet, nothing.
+    On anything but a terminal only notes and the summary are printed; when quiet, nothing.
+
+    Parameters
+    ----------
+    url : str
+        Of the board.
+    quiet : bool
+        Show nothing.
+    keys_help : str
+        Words on keys of the source.
     """
 
-    def __init__(
-        self,
-        source: Sensor,
-        profile: Profile,
-        controls: Controls,
-        url: str,
-        board: Board,
-        tally: Tally,
-        quiet: bool,
-    ) -> None:
-        self._source, self._profile, self._controls = source, profile, controls
-        self._url, self._board, self._tally = url, board, tally
+    def __init__(self, url: str, quiet: bool, keys_help: str = "") -> None:
+        super().__init__()
+        self._url, self._quiet = url, quiet
         self._console = terminal.console()
-        self._latest: Sent | None = None
+        self._latest: StepResult | None = None
         self._event = ""
-        self._keys = (source.keys_help if source.keys else "") + _KEYS
-        self._layout = _ArrayLayout(profile)
+        self._keys = keys_help + _KEYS
         self._live: Live | None = None
-        if not quiet and self._console.is_terminal:
-            self._live = Live(
-                console=self._console,
-                get_renderable=self._render,
-                refresh_per_second=_REFRESH_PER_S,
-                transient=True,
-            )
 
-    def __enter__(self) -> Self:
-        if self._live is not None:
-            # Drawing must not hold the loop up for a whole default interval of 5 ms.
-            self._interval = sys.getswitchinterval()
-            sys.setswitchinterval(0.0005)
-            self._live.start()
-        return self
+    def prepare(self, run: RunContext) -> None:
+        """Begin to show it."""
+        self._source, self._profile, self._controls = run.source, run.profile, run.controls
+        self._board, self._statistics = run.board, run.statistics
+        self._layout = _ArrayLayout(run.profile)
+        if self._quiet or not self._console.is_terminal:
+            return
+        # Drawing must not hold the loop up for a whole default interval of 5 ms.
+        self._interval = sys.getswitchinterval()
+        sys.setswitchinterval(0.0005)
+        self._live = Live(
+            console=self._console,
+            get_renderable=self._render,
+            refresh_per_second=_REFRESH_PER_S,
+            transient=True,
+        )
+        self._live.start()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._live is not None:
-            self._live.stop()
-            sys.setswitchinterval(self._interval)
-
-    def show(self, sent: Sent) -> None:
+    def step(self, result: StepResult) -> None:
         """Keep the newest; the screen's own thread draws it when it gets to it."""
-        self._latest = sent
+        self._latest = result
 
-    def tell(self, time_ns: int, words: str) -> None:
-        """Keep what happened last."""
-        self._event = f"{time_ns / 1e9:.1f} s: {words}"
+    def event(self, event: Event) -> None:
+        """Show the newest event; notes from before the first step stay."""
+        self._event = f"{event.time_ns / 1e9:.1f} s: {event}"
+        if self._quiet or self._latest is not None or not isinstance(event, Note):
+            return
+        if event.time_ns == 0:
+            console = terminal.console(stderr=True) if self._live is None else self._console
+            console.print(str(event), soft_wrap=True, highlight=False, markup=False)
+
+    def finish(self, run: RunContext) -> None:
+        """Leave the terminal to what is printed from now on."""
+        self.close()
+
+    def close(self) -> None:
+        """Leave the terminal as it was."""
+        live, self._live = self._live, None
+        if live is not None:
+            live.stop()
+            sys.setswitchinterval(self._interval)
 
     def _render(self) -> Group | Text:
         sent = self._latest
@@ -107,13 +112,13 @@ class Screen:
             Text(self._event, style="dim"),
         )
 
-    def _numbers(self, sent: Sent) -> Table:
-        frame, sequence, tally = sent.step.frame, sent.step.sequence, self._tally
+    def _numbers(self, sent: StepResult) -> Table:
+        frame, sequence, statistics = sent.step.frame, sent.step.sequence, self._statistics
         limits, force = self._profile.limits, self._profile.force
         peak_ma = float(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0)) / 1000
         charge_uc = peak_ma * float(sequence.width_us.max(initial=0)) / 1000
-        pose, wish = frame.pose, self._controls.wish(frame.time_ns)
-        dropped = self._source.dropped_frames + tally.seen - tally.felt
+        pose, wish = frame.pose, self._controls.state(frame.time_ns)
+        dropped = self._source.dropped_frames + statistics.seen - statistics.felt
         length = "" if self._source.duration_s is None else f" of {self._source.duration_s:.0f}"
         rows = (
             ("time", f"{frame.time_ns / 1e9:5.1f}{length} s"),
@@ -126,9 +131,9 @@ class Screen:
                 f"{sequence.rate_hz:.0f} Hz, {sequence.slots} slots of {sequence.points} points",
             ),
             ("beside", _beside(sequence)),
-            ("frames", f"{tally.felt} felt, {dropped} dropped of {self._source.frames}"),
+            ("frames", f"{statistics.felt} felt, {dropped} dropped of {self._source.frames}"),
             ("latency", f"{frame.age_ns / 1e6 + sent.latency_us / 1e3:.1f} ms, image to last byte"),
-            ("own work", f"{sent.work_us:.0f} µs, {tally.work_share:.1%} of the scans"),
+            ("own work", f"{sent.work_us:.0f} µs, {statistics.work_share:.1%} of the scans"),
             (
                 "current",
                 f"{bar(peak_ma / limits.current_ma)} {peak_ma:.2f}/{limits.current_ma} mA",
@@ -142,7 +147,7 @@ class Screen:
                 f"{self._board.dose.seconds:.0f}/{limits.session_s:.0f} s, "
                 f"{self._board.dose.most_mc:.1f}/{limits.session_mc:.0f} mC",
             ),
-            ("board", f"{self._board.acknowledged} of {tally.frames} acknowledged"),
+            ("board", f"{self._board.acknowledged} of {statistics.frames} acknowledged"),
         )
         table = Table.grid(padding=(0, 1))
         for name, value in rows:
@@ -201,7 +206,7 @@ class Screen:
         )
 
 
-def _felt_ma(sent: Sent) -> NDArray[np.float32]:
+def _felt_ma(sent: StepResult) -> NDArray[np.float32]:
     """Return the current at the point each slot stimulates, (E,) mA; 0 where none is."""
     sequence = sent.step.sequence
     felt = np.zeros(sequence.electrodes, np.float32)

@@ -1,227 +1,200 @@
-"""One run from an open sensor to a board: what every command that runs shares."""
+"""One run in a terminal: screen, keys, signals, and what is printed and written at its end."""
 
 import contextlib
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
-import typer
-
-from smarttouch.boards.board import Board, BoardReport, make_board
-from smarttouch.cli.blind_screen import BlindScreen
+from smarttouch.boards.board import Board
 from smarttouch.cli.driving import ending_in_order, opened, the_stop
-from smarttouch.cli.files import write_json
-from smarttouch.cli.kept import Kept
+from smarttouch.cli.files import require_folder, write_json
 from smarttouch.cli.keyboard import LOST, keys_heeded
-from smarttouch.cli.plan import Plan
 from smarttouch.cli.progress import bank_progress
-from smarttouch.cli.regulation import make_regulator, masked_where_broken
-from smarttouch.cli.run_figures import run_figures
 from smarttouch.cli.screen import Screen
-from smarttouch.clock import SimulatedClock
-from smarttouch.controls import STEP, Controls, Wish
-from smarttouch.errors import BoardStoppedError, SensorError, SmartTouchError
-from smarttouch.kernels.bank import load_bank
-from smarttouch.live import Tell, run, settled
-from smarttouch.pipeline import Pipeline
+from smarttouch.kernels.bank import KernelBank, load_bank
+from smarttouch.outputs import output_listeners
 from smarttouch.profile import Profile
-from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2
-from smarttouch.realtime import Pace
+from smarttouch.run.config import RunConfig
+from smarttouch.run.controls import STEP, Controls
+from smarttouch.run.display import Display
+from smarttouch.run.listener import Listener, RunContext
+from smarttouch.run.runner import MakeControls, Runner
 from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.frame import Sensor
-from smarttouch.stimulation.limits import rms_ma_cm2
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stopping import StopRequest
-from smarttouch.tally import Tally
+from smarttouch.stopping import ENDS_WITHIN_S, StopRequest
+
+DRAWN_WITHIN_S = 30.0
+"""Of the end after a signal, where pictures are drawn: a second signal ends it at once."""
+
+Keys = Mapping[str, Callable[[], None]]
+"""Function of each key; called from any thread."""
 
 
-def play(plan: Plan, source: Sensor, force: ForceSource | None, profile: Profile) -> None:
-    """Let a finger feel what a sensor sees, until it ends or a user ends it."""
-    stop, tally = the_stop(), Tally()
-    with contextlib.ExitStack() as stack:
-        kept = Kept(plan, stack)
-        display = _board(plan, profile, kept)
-        plan.require_a_level()
-        if plan.measure:
-            with opened(display, stop):
-                profile = masked_where_broken(display, profile, plan.quiet)
-        with bank_progress(plan.quiet) as progress:
-            bank = load_bank(profile, progress)
-        pipeline = Pipeline(
-            profile,
-            bank,
-            plan.mode,
-            plan.rate_hz,
-            plan.light_on_dark,
-            display.timing,
-            plan.softness,
-            plan.tone,
-            plan.vibrators_url is not None,
-            plan.sharing,
-        )
-        kept.prepare(source, profile, bank)
-        wish = Wish(plan.mode, plan.first_level)
-        offered = (plan.mode,) if source.asks else pipeline.offered()
-        controls = plan.controls(wish, offered)
-        controls.most = plan.most
-        report: BoardReport | None = None
-        ended = "fault"
-        shown = BlindScreen if source.hidden else Screen
-        screen = shown(source, profile, controls, plan.board_url, display, tally, plan.quiet)
-        kept.observers.append(screen.show)
-        kept.tells.append(screen.tell)
-        source.tell = tell = _told_to(kept.tells)
-        # Until here a signal ends the program anywhere: no board is open.
-        stack.enter_context(ending_in_order(kept.patience_s))
-        try:
-            # The board is the innermost: at zero before anything else ends, or keeps us waiting.
-            with (
-                settled(pipeline),
-                screen,
-                keys_heeded(_keys(controls, stop, source)),
-                opened(display, stop),
-            ):
-                _require_force(source, force, display)
-                _warn_of_simulation(plan, profile)
-                if plan.attend is not None:
-                    kept.observers.append(plan.attend(display))
-                regulator = make_regulator(display, profile, plan.hold, plan.balance, plan.quiet)
-                kept.open(source, profile, display)
-                run(
-                    source,
-                    pipeline,
-                    display,
-                    stop=stop,
-                    tally=tally,
-                    seconds=plan.seconds,
-                    observers=kept.observers,
-                    controls=controls,
-                    force=force,
-                    tell=tell,
-                    regulator=regulator,
-                    clock=SimulatedClock() if display.waits_for_nothing else None,
-                )
-                display.stop()
-                report = display.report()
-            display.notes += [*regulator.notes(), *_refused_packets(display, report)]
-            if plan.on_a_finger:
-                display.notes += [*_density(profile), *Pace(tally.real_time).notes]
-            ended = stop.reason or source.ended
-            for words in [_account(report), _dose(display), *_notes(source, force, display)]:
-                tell(int(tally.seconds * 1e9), words)
-        except BoardStoppedError:
-            ended = stop.reason or ended
-            raise
-        except SmartTouchError as error:
-            tell(int(tally.seconds * 1e9), str(error))
-            raise
-        finally:
-            source.close()
-            figures = run_figures(tally, source, display, report, ended)
-            if plan.json_file is not None:
-                write_json(plan.json_file, figures)
-        kept.finish(display)
-    if not plan.quiet:
-        notes = [*_notes(source, force, display), *kept.notes]
-        screen.summarize(figures, notes, kept.files)
+@dataclass(frozen=True, kw_only=True)
+class Outputs:
+    """Files of a run, and whether anything is shown."""
 
+    felt: Path | None = None
+    frames: Path | None = None
+    record: Path | None = None
+    markers: bool = False
+    json_file: Path | None = None
+    quiet: bool = False
 
-def _board(plan: Plan, profile: Profile, kept: Kept) -> Board:
-    """Return the board of a plan, not opened yet; with its vibrators, if it has any."""
-    limits = SafetyLimits.of(profile)
-    display = make_board(plan.board_url, limits, profile.output, **kept.board_options)
-    if plan.vibrators_url is None:
-        if plan.board_url.startswith("vibrators:"):
-            raise SmartTouchError(
-                "vibrators make no current, and shake only what smarttouch color asks for: give "
-                "them to it with --vibrators"
+    def __post_init__(self) -> None:
+        for output in (self.felt, self.record, self.json_file):
+            require_folder(output)
+
+    @property
+    def files(self) -> list[Path]:
+        """Files that are written at the end."""
+        outputs = (self.felt, self.frames, self.record, self.json_file)
+        return [each for each in outputs if each is not None]
+
+    @property
+    def patience_s(self) -> float:
+        """Time that the end of a stopped run may take: pictures take long."""
+        drawn = self.felt is not None or self.frames is not None
+        return DRAWN_WITHIN_S if drawn else ENDS_WITHIN_S
+
+    def listeners(self) -> list[Listener]:
+        """Return a listener for each of them."""
+        return [
+            *output_listeners(
+                felt=self.felt, frames=self.frames, record=self.record, markers=self.markers
             )
-        return display
-    from smarttouch.boards.hybrid import HybridBoard
-    from smarttouch.boards.vibrators import make_vibrators
-
-    return HybridBoard(display, make_vibrators(plan.vibrators_url, limits, profile.electrodes))
+        ]
 
 
-def _keys(controls: Controls, stop: StopRequest, source: Sensor) -> Callable[[str], None]:
-    """Return what each key does: the subject's own control, the source's, and the way out."""
-    does: dict[str, Callable[[], None]] = {
-        "+": lambda: controls.change_level(STEP),
-        "-": lambda: controls.change_level(-STEP),
-        "0": controls.silence,
-        " ": controls.toggle_pause,
-        "m": controls.next_mode,
-        "q": lambda: stop.ask("key q"),
-        "\x1b": lambda: stop.ask("key Esc"),
-        LOST: lambda: stop.ask("the terminal is gone"),
-    }
-    does |= {"=": does["+"], "up": does["+"], "down": does["-"], "_": does["-"]}
+def run_in_terminal(
+    source: Sensor,
+    display: Display,
+    config: RunConfig,
+    outputs: Outputs,
+    *,
+    force: ForceSource | None = None,
+    screen: type[Screen] = Screen,
+    keys: Keys | None = None,
+    keys_help: str = "",
+    controls: MakeControls = Controls,
+    listeners: Iterable[Listener] = (),
+) -> None:
+    """Run a source on a display until it ends or a user ends it; print how it went.
 
-    def heed(key: str) -> None:
-        for each in (does, source.keys):
-            each.get(key, lambda: None)()
-
-    return heed
-
-
-def _told_to(tells: list[Tell]) -> Tell:
-    def tell(time_ns: int, words: str) -> None:
-        for each in tells:
-            each(time_ns, words)
-
-    return tell
-
-
-def _account(report: BoardReport) -> str:
-    return (
-        f"by the {report.by}'s account {report.slots} slots, strongest {report.max_current_ma:.3f} "
-        f"mA, {report.max_charge_uc:.3f} µC, {report.violations} violations"
+    Parameters
+    ----------
+    source, display, config, force, controls
+        See `Runner`.
+    outputs : Outputs
+    screen : type
+        Shows the run.
+    keys : mapping, optional
+        Functions of single keys, beside those of the run.
+    keys_help : str
+        Words on them for the screen.
+    listeners : iterable of Listener
+        Follow the run beside the outputs.
+    """
+    stop = the_stop()
+    shown = screen(display.url, outputs.quiet, keys_help)
+    typed = sys.stdin.isatty()
+    runner = Runner(
+        source,
+        display,
+        config,
+        force=force,
+        listeners=[
+            shown,
+            _Keyboard(stop, keys or {}),
+            *outputs.listeners(),
+            *listeners,
+            _Orderly(outputs.patience_s),
+        ],
+        controls=controls,
+        # On a board with a finger on it, whoever has a keyboard turns it up from zero.
+        first_level=0.0 if display.on_a_finger and typed else None,
+        most=config.intensity if display.on_a_finger else None,
+        stop=stop,
+        load_kernels=partial(_load_kernels, quiet=outputs.quiet),
+        opened=partial(_opened, display),
     )
+    try:
+        runner.run()
+    finally:
+        if outputs.json_file is not None and runner.statistics.figures:
+            write_json(outputs.json_file, runner.statistics.figures)
+    if not outputs.quiet:
+        shown.summarize(runner.statistics.figures, runner.notes, outputs.files)
 
 
-def _dose(board: Board) -> str:
-    dose = board.dose
-    return f"dose {dose.seconds:.3f} s of current, {dose.most_mc:.4f} mC through one electrode"
+def _load_kernels(profile: Profile, quiet: bool) -> KernelBank:
+    with bank_progress(quiet) as progress:
+        return load_bank(profile, progress)
 
 
-def _density(profile: Profile) -> list[str]:
-    rms = rms_ma_cm2(profile)
-    if rms <= ADVISORY_RMS_MA_CM2:
-        return []
-    return [
-        f"at full intensity an electrode's own pulses are {rms:.0f} mA/cm² r.m.s.: above "
-        f"{ADVISORY_RMS_MA_CM2:g}, IEC 60601-2-10 wants the operator's attention"
-    ]
+def _opened(display: Display, stop: StopRequest) -> AbstractContextManager[Board]:
+    return opened(display.board, stop)
 
 
-def _refused_packets(board: Board, report: BoardReport) -> list[str]:
-    by_host, by_board = board.refused_packets, report.refused_packets
-    if not by_host + by_board:
-        return []
-    return [
-        f"{by_host + by_board} packets were old, or of another session: the board refused "
-        f"{by_board} and the host {by_host} (something on the line repeats, delays or mixes them)"
-    ]
+class _Orderly(Listener):
+    """Leaves it to the run to end when a signal comes, from when a board may be open.
+
+    Parameters
+    ----------
+    patience_s : float
+        Time that its end may take.
+    """
+
+    def __init__(self, patience_s: float) -> None:
+        super().__init__()
+        self._patience_s = patience_s
+        self._stack = contextlib.ExitStack()
+
+    def prepare(self, run: RunContext) -> None:
+        # Until here a signal ends the program anywhere: no board is open.
+        self._stack.enter_context(ending_in_order(self._patience_s))
+
+    def close(self) -> None:
+        self._stack.close()
 
 
-def _notes(source: Sensor, force: ForceSource | None, board: Board) -> list[str]:
-    return [*board.notes, *source.notes, *(force.notes if force is not None else ())]
+class _Keyboard(Listener):
+    """Lets keys control a run.
 
+    Parameters
+    ----------
+    stop : StopRequest
+    keys : mapping
+        Functions of keys, beside intensity, pause, mode and the end.
+    """
 
-def _require_force(source: Sensor, force: ForceSource | None, board: Board) -> None:
-    if not (source.knows_force or force is not None or board.capabilities.force):
-        raise SensorError(
-            f"nobody knows how hard the finger presses, neither {source.title} nor the board, so "
-            "there would be no current: give --force, for example hx711:PORT, or fixed:0.5 (N)"
-        )
+    def __init__(self, stop: StopRequest, keys: Keys) -> None:
+        super().__init__()
+        self._run_stop, self._keys = stop, keys
+        self._stack = contextlib.ExitStack()
 
+    def prepare(self, run: RunContext) -> None:
+        controls, stop = run.controls, self._run_stop
+        does: dict[str, Callable[[], None]] = {
+            "+": lambda: controls.change_level(STEP),
+            "-": lambda: controls.change_level(-STEP),
+            "0": controls.silence,
+            " ": controls.toggle_pause,
+            "m": controls.next_mode,
+            "q": lambda: stop.ask("key q"),
+            "\x1b": lambda: stop.ask("key Esc"),
+            LOST: lambda: stop.ask("the terminal is gone"),
+        }
+        does |= {"=": does["+"], "up": does["+"], "down": does["-"], "_": does["-"]}
 
-def _warn_of_simulation(plan: Plan, profile: Profile) -> None:
-    """Say so where a real finger is to feel what was found on none."""
-    simulated = [
-        name for name, note in profile.calibrated.items() if note.found.startswith("simulated")
-    ]
-    if simulated and not plan.quiet and plan.on_a_finger:
-        typer.echo(
-            f"Of the profile {', '.join(simulated)} were calibrated in simulation, on no finger: "
-            "calibrate again, and turn the current up slowly.",
-            err=True,
-        )
+        def on_key(key: str) -> None:
+            for each in (does, self._keys):
+                each.get(key, lambda: None)()
+
+        self._stack.enter_context(keys_heeded(on_key))
+
+    def close(self) -> None:
+        self._stack.close()

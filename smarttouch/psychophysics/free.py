@@ -13,12 +13,14 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from smarttouch.controls import Controls, Wish
 from smarttouch.errors import ExperimentError
-from smarttouch.live import Sent
+from smarttouch.events import Note
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.stimuli import Stimuli, picture
+from smarttouch.run.controls import Controls, ControlState
+from smarttouch.run.listener import Listener
+from smarttouch.run.step import StepResult
 from smarttouch.sources.frame import Frame, Pose, PulseRequest, Sensor
 
 SLOWEST_HZ, FASTEST_HZ = 10.0, 200.0
@@ -125,22 +127,22 @@ class HandControls(Controls):
     """
 
     def __init__(
-        self, wish: Wish, modes: tuple[Mode, ...] = (), *, knob: Knob | None = None
+        self, wish: ControlState, modes: tuple[Mode, ...] = (), *, knob: Knob | None = None
     ) -> None:
         super().__init__(wish, modes)
         self._knob, self._y_mm = knob, 0.0
 
-    def wish(self, time_ns: int) -> Wish:
+    def state(self, time_ns: int) -> ControlState:
         """Return what the user wants, with what the knob has added."""
         moved = None if self._knob is None else self._knob.read(time_ns)
         # The y axis of a page comes towards you.
         if moved is not None and moved[1] != self._y_mm:
             self.change_level((self._y_mm - moved[1]) / _STEP_MM)
             self._y_mm = moved[1]
-        return super().wish(time_ns)
+        return super().state(time_ns)
 
 
-class FreeSensor(Sensor):
+class FreeSensor(Sensor, Listener):
     """Asks for one train that never ends, as the user turns it.
 
     Another class or site begins at zero intensity.
@@ -167,7 +169,6 @@ class FreeSensor(Sensor):
     """
 
     asks = True
-    keys_help = "← →  rate    [ ]  site    1 to 9  mark    "
 
     def __init__(
         self,
@@ -236,13 +237,13 @@ class FreeSensor(Sensor):
         number = self.frames - 1
         return Frame(self._image, time_ns, Pose(0.0, 0.0), self._press_n, number, request=request)
 
-    def watch(self, sent: Sent) -> None:
+    def step(self, result: StepResult) -> None:
         """Take note of what flowed, and of the user's hand on the amplitude."""
-        current_ua = sent.step.sequence.current_ua
+        current_ua = result.step.sequence.current_ua
         self._current_ma = float(np.abs(current_ua).max(initial=0)) / 1000
-        self._force_n = sent.step.frame.force_n
-        if sent.step.level != self._level:
-            self._level = sent.step.level
+        self._force_n = result.step.frame.force_n
+        if result.step.level != self._level:
+            self._level = result.step.level
             self._changed("amplitude", round(self.amplitude_ma, 3))
         self.title = (
             f"{self.primary.name}, site {self.site}, {self.rate_hz:g} Hz, "
@@ -273,7 +274,7 @@ class FreeSensor(Sensor):
         self.frames += 1
 
     def _changed(self, what: str, value: object) -> None:
-        self.tell(self._now_ns, f"{what} {value}")
+        self.emit(Note(self._now_ns, f"{what} {value}"))
         self._log.write(
             (
                 round(self._now_ns / 1e9, 6), what, value, round(self.amplitude_ma, 3),

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from smarttouch.clock import Clock
 from smarttouch.errors import ExperimentError
-from smarttouch.live import Sent
+from smarttouch.events import TrialEvent
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.course import Course
 from smarttouch.psychophysics.stimuli import Train, picture
 from smarttouch.psychophysics.trial import Answer, Trial, Trials
+from smarttouch.run.listener import Listener
+from smarttouch.run.step import StepResult
 from smarttouch.sources.frame import Frame, Pose, PulseRequest, Sensor
 from smarttouch.stimulation.intensity import force_gate
 
@@ -34,7 +36,7 @@ _NUMBERS = ("first", "second")
 Requests = Generator[PulseRequest, None, None]
 
 
-class ExperimentSensor(Sensor):
+class ExperimentSensor(Sensor, Listener):
     """Presents trial after trial.
 
     Each begins when the intensity is there that the user has chosen; one whose current is lost
@@ -66,8 +68,6 @@ class ExperimentSensor(Sensor):
 
     asks = True
     ended = "the experiment is over"
-    keys_help = ""
-    hidden = True
 
     def __init__(
         self,
@@ -135,16 +135,16 @@ class ExperimentSensor(Sensor):
             request=request,
         )
 
-    def watch(self, sent: Sent) -> None:
+    def step(self, result: StepResult) -> None:
         """Take note of how the last request went out."""
-        step, sequence = sent.step, sent.step.sequence
+        step, sequence = result.step, result.step.sequence
         request = step.frame.request
         assert request is not None
         gate = force_gate(step.frame.force_n, self._profile.force)
         exact = self._trial is not None and self._trial.exact
         asked = request.level if exact else request.level * gate * step.level
         self._level = step.level
-        self._steady = 0 < _STEADY * asked <= sequence.intensity and sent.number is not None
+        self._steady = 0 < _STEADY * asked <= sequence.intensity and result.number is not None
         if gate == 0:
             self._finger = "press the finger on the electrodes"
         elif step.level == 0:
@@ -153,7 +153,7 @@ class ExperimentSensor(Sensor):
             self._finger = "press firmly, and raise the intensity to the full with +"
         if self.playing is not None:
             least = _STEADY if exact else _SPOILED
-            lost = sent.number is None or step.restarted or asked == 0
+            lost = result.number is None or step.restarted or asked == 0
             self._lost |= lost or sequence.intensity < least * asked
             if sequence.period_us != request.period_us and not self.notes:
                 self.notes.append(
@@ -167,12 +167,14 @@ class ExperimentSensor(Sensor):
     def _present_all(self) -> Requests:
         while (trial := self._trials.next()) is not None:
             self._trial = trial
-            self.tell(self._now_ns, f"trial {self._trials.done + 1}: {trial.words}")
+            self.emit(TrialEvent(self._now_ns, f"trial {self._trials.done + 1}: {trial.words}"))
             answer = None
             while answer is None:
                 yield from self._prepare(trial)
                 answer = yield from self._attempt(trial)
-            self.tell(self._now_ns, f"response {self._trials.done + 1}: {_words(answer)}")
+            self.emit(
+                TrialEvent(self._now_ns, f"response {self._trials.done + 1}: {_words(answer)}")
+            )
             self._trials.record(trial, answer)
         self._trial = None
         self.title = f"{self._trials.title}: over"
@@ -205,7 +207,11 @@ class ExperimentSensor(Sensor):
             self.playing = None
             if self._lost:
                 self.spoiled += 1
-                self.tell(self._now_ns, f"trial {self._trials.done + 1} anew: current was lost")
+                self.emit(
+                    TrialEvent(
+                        self._now_ns, f"trial {self._trials.done + 1} anew: current was lost"
+                    )
+                )
                 return None
             if answer is not None:
                 return answer
@@ -247,7 +253,7 @@ class ExperimentSensor(Sensor):
                     yield self._quiet(self._silent_us, level)
                 elif key[0] == AGAIN:
                     self.repeats += 1
-                    self.tell(self._now_ns, f"trial {self._trials.done + 1} felt again")
+                    self.emit(TrialEvent(self._now_ns, f"trial {self._trials.done + 1} felt again"))
                     return None
                 else:
                     rt_s = max(0, key[1] - asked_ns) / 1e9

@@ -10,7 +10,6 @@ from smarttouch.boards.board import Board
 from smarttouch.boards.emulator.simulated import Pulses, SimulatedBoard
 from smarttouch.errors import ExperimentError
 from smarttouch.kernels.bank import load_bank
-from smarttouch.live import Sent
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.observers.interval import Interval
 from smarttouch.psychophysics.observers.observer import (
@@ -22,13 +21,15 @@ from smarttouch.psychophysics.observers.observer import (
 )
 from smarttouch.psychophysics.sensor import ExperimentSensor
 from smarttouch.psychophysics.trial import Trial
+from smarttouch.run.listener import Listener, RunContext
+from smarttouch.run.step import StepResult
 
 _LOOK_S = 0.25
 """How often an observer makes up its mind while a current rises (our own choice)."""
 
 
-class Subject:
-    """Sits an experiment in place of a person.
+class Subject(Listener):
+    """Answers an experiment in place of a person.
 
     Parameters
     ----------
@@ -36,37 +37,47 @@ class Subject:
         Whose questions are answered, by its keys.
     observer : Observer
         Who answers.
-    board : Board
-        Open; its account of what flowed is all that the observer is told.
-
-    Raises
-    ------
-    ExperimentError
-        If the board is not a simulated one.
     """
 
-    def __init__(self, sensor: ExperimentSensor, observer: Observer, board: Board) -> None:
-        if not isinstance(board, SimulatedBoard):
-            raise ExperimentError(
-                "simulated subjects feel simulated currents only: leave --board out, or give "
-                "simulated:"
-            )
-        self._sensor, self._observer, self._board = sensor, observer, board
+    def __init__(self, sensor: ExperimentSensor, observer: Observer) -> None:
+        super().__init__()
+        self._sensor, self._observer = sensor, observer
+        self._board: SimulatedBoard | None = None
         self._starts: dict[tuple[int, int], dict[int, tuple[int, int]]] = {}
         """By presentation and interval: time and discharge of each sequence, by number."""
         self._asked: Trial | None = None
         self._looked_ns = 0
 
-    def watch(self, sent: Sent) -> None:
-        """Live through a step; answer if there is a question."""
+    def start(self, run: RunContext) -> None:
+        """Look at the board: its account of what flowed is all that the observer is given.
+
+        Raises
+        ------
+        ExperimentError
+            If the board is not a simulated one.
+        """
+        self.attend(run.board)
+
+    def attend(self, board: Board) -> None:
+        """Look at a board, as `start` does."""
+        if not isinstance(board, SimulatedBoard):
+            raise ExperimentError(
+                "simulated subjects feel simulated currents only: choose the board simulated:",
+                about="board",
+                allowed=("simulated:",),
+            )
+        self._board = board
+
+    def step(self, result: StepResult) -> None:
+        """Follow a step; answer if there is a question."""
         playing, asking = self._sensor.playing, self._sensor.asking
-        sequence = sent.step.sequence
-        if playing is not None and sent.number is not None:
+        sequence = result.step.sequence
+        if playing is not None and result.number is not None:
             if self._starts and next(iter(self._starts))[0] != playing[0]:
                 self._starts.clear()
             discharge_us = int(sequence.discharge_us[0]) if sequence.slots else 0
             starts = self._starts.setdefault(playing, {})
-            starts[sent.number] = (sequence.time_ns, discharge_us)
+            starts[result.number] = (sequence.time_ns, discharge_us)
             if self._sensor.rising is not None:
                 self._look(self._sensor.rising, sequence.time_ns, starts)
         elif asking is not None and asking is not self._asked:
@@ -83,6 +94,7 @@ class Subject:
             self._looked_ns = time_ns
 
     def _respond(self, trial: Trial, parts: list[dict[int, tuple[int, int]]]) -> None:
+        assert self._board is not None
         pulses = self._board.take_pulses()
         felt = [interval_of(pulses, starts) for starts in parts]
         alternatives = ("y", "n") if trial.rises else trial.alternatives

@@ -8,13 +8,10 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from smarttouch.boards.emulator.simulated import SimulatedBoard
-from smarttouch.clock import SimulatedClock
 from smarttouch.imaging.mapping import Tone
 from smarttouch.imaging.registration import Registration
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.live import Sent, run
 from smarttouch.perception import Perception
-from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode
 from smarttouch.profile import Profile
 from smarttouch.reading.cursor import Motion, SweepingCursor
@@ -23,10 +20,11 @@ from smarttouch.reading.feed import LineFeed
 from smarttouch.reading.sensor import ReadingSensor
 from smarttouch.reading.touch_line import TouchLine
 from smarttouch.reading.window import pixel_of, press_n
+from smarttouch.run.config import RunConfig
+from smarttouch.run.display import Display
+from smarttouch.run.runner import Runner
+from smarttouch.run.step import StepResult
 from smarttouch.stimulation.frames import NO_SHARING, Sharing
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stopping import StopRequest
-from smarttouch.tally import Tally
 
 
 @dataclass(frozen=True)
@@ -70,25 +68,23 @@ def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
     cursor = SweepingCursor(feed, reading.motion, press_n(profile))
     sensor = ReadingSensor("a line", profile, feed, cursor)
     feed.wait_for_end()
-    pipeline = Pipeline(
-        profile, reading.bank, reading.mode, tone=reading.tone, sharing=reading.sharing
-    )
     places: dict[int, float] = {}
 
-    def watch(sent: Sent) -> None:
-        if sent.number is not None and sent.step.sequence.intensity > 0:
-            places[sent.number] = sent.step.frame.pose.x_mm
+    def note_place(result: StepResult) -> None:
+        if result.number is not None and result.sequence.intensity > 0:
+            places[result.number] = result.frame.pose.x_mm
 
-    with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
-        run(
+    config = RunConfig(mode=reading.mode, tone=reading.tone, scan=reading.sharing)
+    with Display("simulated:", profile) as display:
+        Runner(
             sensor,
-            pipeline,
-            board,
-            stop=StopRequest(),
-            tally=Tally(),
-            observers=[watch],
-            clock=SimulatedClock(),
-        )
+            display,
+            config,
+            listeners=[note_place],
+            load_kernels=lambda _: reading.bank,
+        ).run()
+        board = display.board
+        assert isinstance(board, SimulatedBoard)
         pulses = board.take_pulses()
     answers = Perception(profile, reading.bank, reading.mode.primaries).answers(*pulses)
     picture = LinePicture(profile.electrodes, _length_mm(line, profile))

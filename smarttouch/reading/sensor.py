@@ -34,7 +34,6 @@ class ReadingSensor(Sensor):
     """
 
     ended = "end of the text"
-    keys_help = "← →  line    r  again    "
 
     def __init__(self, title: str, profile: Profile, feed: LineFeed, cursor: Cursor) -> None:
         super().__init__(title)

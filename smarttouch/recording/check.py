@@ -9,11 +9,13 @@ import numpy as np
 
 from smarttouch.errors import RecordingError
 from smarttouch.kernels.bank import KernelBank, load_bank
-from smarttouch.pipeline import Measured, Pipeline
 from smarttouch.profile import Profile
 from smarttouch.recording.decoder import RecordedStep
 from smarttouch.recording.reader import Recording
-from smarttouch.regulator import Regulator
+from smarttouch.run.config import RunConfig
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.regulator import Regulator
+from smarttouch.run.step import Measured
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.ledger import ChargeLedger
 from smarttouch.stimulation.recharge import RechargeRules
@@ -172,14 +174,16 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
     pipeline = Pipeline(
         profile,
         bank,
-        run.mode,
-        run.rate_hz,
-        run.light_on_dark,
+        RunConfig(
+            mode=run.mode,
+            rate_hz=run.rate_hz,
+            light_on_dark=run.light_on_dark,
+            softness=run.softness,
+            tone=run.tone,
+            scan=run.sharing,
+        ),
         run.timing,
-        run.softness,
-        run.tone,
-        run.vibrated,
-        run.sharing,
+        vibrated=run.vibrated,
     )
     adaptation = ledger = recharge = None
     if run.hold is not None:

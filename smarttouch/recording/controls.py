@@ -3,11 +3,11 @@
 import bisect
 from dataclasses import replace
 
-from smarttouch.controls import Controls, Wish
 from smarttouch.errors import RecordingError
 from smarttouch.primary import Mode
 from smarttouch.recording.chunks import parse_message
 from smarttouch.recording.reader import Recording
+from smarttouch.run.controls import Controls, ControlState
 
 
 class RecordedControls(Controls):
@@ -17,7 +17,7 @@ class RecordedControls(Controls):
     ----------
     recording : Recording
         Whose wishes.
-    wish : Wish
+    wish : ControlState
         Today's user's, to begin with: its level is a part of the recorded one.
     modes : tuple of Mode
         What the board offers.
@@ -28,16 +28,16 @@ class RecordedControls(Controls):
         If the board does not offer a mode of the recording.
     """
 
-    def __init__(self, recording: Recording, wish: Wish, modes: tuple[Mode, ...]) -> None:
+    def __init__(self, recording: Recording, wish: ControlState, modes: tuple[Mode, ...]) -> None:
         super().__init__(wish, modes)
         self._times_ns: list[int] = []
-        self._recorded: list[Wish] = []
+        self._recorded: list[ControlState] = []
         for topic, message in recording.messages():
             if topic != "/sequence":
                 continue
             try:
                 step = parse_message(message.data)
-                recorded = Wish(Mode(step["mode"]), float(step["level"]))
+                recorded = ControlState(Mode(step["mode"]), float(step["level"]))
                 time_ns = int(step["time_ns"])
             except (ValueError, KeyError, TypeError, OverflowError):
                 continue
@@ -51,9 +51,9 @@ class RecordedControls(Controls):
                     f"not offer: choose a board and profile that do"
                 )
 
-    def wish(self, time_ns: int) -> Wish:
+    def state(self, time_ns: int) -> ControlState:
         """Return what was wanted at a time of the run, and what today's user leaves of it."""
-        today = super().wish(time_ns)
+        today = super().state(time_ns)
         if not self._recorded:
             return today
         at = max(0, bisect.bisect_right(self._times_ns, time_ns) - 1)

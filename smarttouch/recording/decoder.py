@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.imaging.tactile_image import TactileImage
-from smarttouch.live import Sent
-from smarttouch.pipeline import Measured, Step
 from smarttouch.primary import Mode, Primary
 from smarttouch.recording.chunks import parse_message
 from smarttouch.recording.encoder import Message, remember
 from smarttouch.recording.schemas import LAST
+from smarttouch.run.step import Measured, Step, StepResult
 from smarttouch.sources.frame import Frame, Pose, PulseRequest
 from smarttouch.stimulation.sequence import Proof, ScanSequence
 
@@ -43,14 +42,14 @@ class RecordedStep:
     ----------
     index : int
         From 0; one that is missing in a file is missing in what it yields.
-    sent : Sent
+    sent : StepResult
         Frame, tactile image (to four digits), sequence, and how it went out.
     acknowledged, refused : int
         Sequences of the run, as far as the board had told when this one was sent.
     """
 
     index: int
-    sent: Sent
+    sent: StepResult
     acknowledged: int
     refused: int
 
@@ -128,7 +127,7 @@ class StepDecoder:
             observed=tuple(self._measured(each) for each in self._parts.get("/volts", ())),
         )
         number = None if board["sent"] is None else int(board["sent"])
-        sent = Sent(step, number, float(board["latency_us"]), float(board["work_us"]))
+        sent = StepResult(step, number, float(board["latency_us"]), float(board["work_us"]))
         return RecordedStep(self._index, sent, int(board["acknowledged"]), int(board["refused"]))
 
     def _measured(self, message: Message) -> Measured:

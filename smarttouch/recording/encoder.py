@@ -10,10 +10,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from smarttouch.live import Sent
-from smarttouch.pipeline import Step
 from smarttouch.primary import Primary
 from smarttouch.recording.schemas import INFO, LAST
+from smarttouch.run.step import Step, StepResult
 from smarttouch.sources.frame import Frame
 from smarttouch.stimulation.sequence import Proof
 
@@ -42,11 +41,9 @@ class StepEncoder:
         self._frame: Frame | None = None
         self._numbers: OrderedDict[int, int | None] = OrderedDict()
 
-    def messages(
-        self, sent: Sent, acknowledged: int, refused: int
-    ) -> Iterator[tuple[str, Message]]:
+    def messages(self, result: StepResult) -> Iterator[tuple[str, Message]]:
         """Yield topics and messages of a step; its image only if it is a new one."""
-        step, frame = sent.step, sent.step.frame
+        step, frame = result.step, result.step.frame
         if self._is_new(frame):
             yield "/frame", self._image(frame)
         yield "/finger", _finger(frame)
@@ -54,8 +51,8 @@ class StepEncoder:
         if frame.request is not None:
             request = frame.request
             yield "/request", {"period_us": request.period_us, "level": float(request.level)}
-        yield "/sequence", _sequence(sent)
-        remember(self._numbers, step.sequence.time_ns, sent.number)
+        yield "/sequence", _sequence(result)
+        remember(self._numbers, step.sequence.time_ns, result.number)
         for sequence, volts in step.observed:
             known = np.asarray(volts, np.float64)[np.isfinite(volts)]
             yield (
@@ -70,11 +67,11 @@ class StepEncoder:
         yield (
             LAST,
             {
-                "sent": sent.number,
-                "acknowledged": acknowledged,
-                "refused": refused,
-                "latency_us": sent.latency_us,
-                "work_us": sent.work_us,
+                "sent": result.number,
+                "acknowledged": result.acknowledged,
+                "refused": result.refused,
+                "latency_us": result.latency_us,
+                "work_us": result.work_us,
             },
         )
 
@@ -145,12 +142,12 @@ def _tactile(step: Step) -> Message:
     }
 
 
-def _sequence(sent: Sent) -> Message:
-    step, sequence = sent.step, sent.step.sequence
+def _sequence(result: StepResult) -> Message:
+    step, sequence = result.step, result.step.sequence
     return {
         "time_ns": sequence.time_ns,
         "frame": step.frame.number,
-        "number": sent.number,
+        "number": result.number,
         "mode": step.mode.value,
         "level": float(step.level),
         "restarted": step.restarted,

@@ -1,4 +1,4 @@
-"""A run kept in one MCAP file, written while it goes."""
+"""Recording of a run in one MCAP file, written while it goes."""
 
 import json
 import math
@@ -20,11 +20,13 @@ from mcap.writer import Writer
 
 from smarttouch import __version__
 from smarttouch.errors import RecordingError
+from smarttouch.events import Event
 from smarttouch.files import sync_folder
-from smarttouch.live import Sent
 from smarttouch.profile import Profile
 from smarttouch.recording.encoder import Message, StepEncoder
 from smarttouch.recording.schemas import FORMAT, METADATA, SCHEMAS, schema
+from smarttouch.run.listener import Listener, RunContext
+from smarttouch.run.step import StepResult
 
 FLUSH_S = 0.04
 """Nothing waits longer than this for the system to have it: what a killed program loses."""
@@ -33,11 +35,11 @@ SYNC_S = 1.0
 MOST_WAITING = 1000
 """Steps that may wait for a slow disk."""
 
-_Item = tuple[Sent, int, int] | tuple[int, str]
+_Item = StepResult | tuple[int, str]
 
 
-class Recorder:
-    """Writes a run to an MCAP file from a thread of its own.
+class RecordingWriter:
+    """Writes steps and events to an MCAP file from a thread of its own.
 
     What was handed over is with the system at most `FLUSH_S` and the time to
     write it later, and is then safe from the end of this program, whatever it is.
@@ -89,7 +91,7 @@ class Recorder:
         self._sync()
         sync_folder(self._path.absolute().parent)
 
-    def record(self, sent: Sent, acknowledged: int, refused: int) -> None:
+    def record(self, result: StepResult) -> None:
         """Hand one step over; the writing is done elsewhere.
 
         Raises
@@ -101,7 +103,7 @@ class Recorder:
             self._fail(OSError(0, f"{MOST_WAITING} frames wait for the disk, it is too slow"))
         if self._failure is not None:
             raise self._complaint()
-        self._queue.put((sent, acknowledged, refused))
+        self._queue.put(result)
 
     def event(self, time_ns: int, words: str) -> None:
         """Hand over what a user did, or what went wrong, at a time since the start of the run."""
@@ -187,12 +189,12 @@ class Recorder:
         os.fsync(self._file.fileno())
 
     def _write(self, item: _Item) -> None:
-        if len(item) == 2:
+        if not isinstance(item, StepResult):
             time_ns, words = item
             self._add("/event", self._encoder.event(time_ns, words), time_ns, 0)
             return
-        time_ns = item[0].step.frame.time_ns
-        for topic, message in self._encoder.messages(*item):
+        time_ns = item.step.frame.time_ns
+        for topic, message in self._encoder.messages(item):
             self._add(topic, message, time_ns, self._index)
         self._index += 1
 
@@ -214,6 +216,56 @@ def new_writer(file: BinaryIO) -> Writer:
     if hasattr(writer, _INDEXES):
         setattr(writer, _INDEXES, _PackedIndexes())
     return writer
+
+
+class Recorder(Listener):
+    """Records a run to a file; see `RecordingWriter`.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file; an existing one is not overwritten.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        super().__init__()
+        self.path = Path(path)
+        self._writer: RecordingWriter | None = None
+
+    def prepare(self, run: RunContext) -> None:
+        """Refuse a file that is there, before the display is opened."""
+        _require_new(self.path)
+
+    def start(self, run: RunContext) -> None:
+        """Begin the file, with what the open board says of itself."""
+        started_unix_ns = time.time_ns()
+        about = about_run(run.profile, run.settings, started_unix_ns)
+        self._writer = RecordingWriter(self.path, about, started_unix_ns)
+
+    def step(self, result: StepResult) -> None:
+        """Hand a step over to be written."""
+        if self._writer is not None:
+            self._writer.record(result)
+
+    def event(self, event: Event) -> None:
+        """Hand an event over to be written."""
+        if self._writer is not None:
+            self._writer.event(event.time_ns, str(event))
+
+    def close(self) -> None:
+        """Write what is waiting, and finish the file."""
+        if self._writer is not None:
+            self._writer.close()
+
+
+def _require_new(path: Path) -> None:
+    if path.exists():
+        raise RecordingError(
+            f"{path} exists and recordings are never overwritten: give another name",
+            about="file",
+            problem="exists",
+            value=path,
+        )
 
 
 _INDEXES = "_Writer__chunk_indices"

@@ -1,11 +1,11 @@
-"""What sensors and sources of force have in common."""
+"""Base of sensors and sources of force."""
 
 from types import TracebackType
 from typing import Self
 
 
 class Device:
-    """Something that is opened by its URL, has something to say, and is closed.
+    """Base of what is opened by its URL and closed, and has notes for the user.
 
     Parameters
     ----------
@@ -14,12 +14,15 @@ class Device:
 
     Attributes
     ----------
+    url : str
+        By which it was opened.
     notes : list of str
         What a user should know of it after a run, a sentence each.
     """
 
     def __init__(self, title: str) -> None:
         self.title = title
+        self.url = ""
         self.notes: list[str] = []
 
     def close(self) -> None:

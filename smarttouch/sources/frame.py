@@ -1,13 +1,13 @@
 """What every sensor delivers, and the contract of a sensor."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.events import Emit, emit_nowhere
 from smarttouch.sources.device import Device
 
 
@@ -77,9 +77,6 @@ class Frame:
     request: PulseRequest | None = None
 
 
-def _tell_nobody(_time_ns: int, _words: str) -> None: ...
-
-
 class Sensor(Device, ABC):
     """A source of frames, opened by its URL.
 
@@ -91,25 +88,16 @@ class Sensor(Device, ABC):
     """How long it lasts; None if it never ends by itself."""
     ended: ClassVar[str] = "the sensor has ended"
     """What its end is called."""
-    keys_help: ClassVar[str] = ""
-    """What its keys are for, a few words."""
     asks: ClassVar[bool] = False
     """Whether its frames ask for their pulses: then it also chooses the classes."""
-    hidden: ClassVar[bool] = False
-    """Whether the screen must not show what is sent: it would tell the answer."""
-    tell: Callable[[int, str], None] = staticmethod(_tell_nobody)
-    """Told of what happens in it, as `smarttouch.live.Tell`; set by who runs it."""
+    emit: Emit = staticmethod(emit_nowhere)
+    """Hands on events of the source; set by the run."""
     knows_force: bool = False
     """Whether its frames tell how hard the finger presses."""
     frames: int = 0
     """Frames that its source delivered."""
     dropped_frames: int = 0
     """Frames that came but were never read."""
-
-    @property
-    def keys(self) -> Mapping[str, Callable[[], None]]:
-        """What single keys do to it while it is felt; called from any thread."""
-        return {}
 
     @abstractmethod
     def read(self, time_ns: int) -> Frame | None:

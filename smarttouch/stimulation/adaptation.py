@@ -27,6 +27,8 @@ WORTHWHILE = 0.999
 """A current that would become no less than this of itself is left as it is."""
 
 Array = NDArray[np.float64]
+Hold = Literal["charge", "energy"]
+"""What is held constant against drifting impedance."""
 
 
 class Adaptation:
@@ -54,7 +56,7 @@ class Adaptation:
     def __init__(
         self,
         profile: Profile,
-        hold: Literal["charge", "energy"],
+        hold: Hold,
         compliance_v: float,
         timing: ScanTiming | None = None,
     ) -> None:

@@ -11,10 +11,10 @@ from PIL import Image, ImageDraw, ImageFont
 from smarttouch.errors import SmartTouchError
 from smarttouch.files import write_bytes
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.live import Sent
 from smarttouch.perception import Perception
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
+from smarttouch.run.step import StepResult
 from smarttouch.texture.texture import Texture
 
 FINEST_MM = 0.1
@@ -64,7 +64,7 @@ class FeltMap:
         self.number, self.electrode = np.zeros(0, np.uint32), np.zeros(0, np.intp)
         self.place_mm, self.answer = np.zeros((0, 2)), np.zeros(0, np.float32)
 
-    def watch(self, sent: Sent) -> None:
+    def watch(self, sent: StepResult) -> None:
         """Remember where the hand was when something was felt, and how far it came."""
         pose = sent.step.frame.pose
         place = (pose.x_mm, pose.y_mm)

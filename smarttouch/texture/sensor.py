@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import SensorError
+from smarttouch.events import Note
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
@@ -176,10 +177,12 @@ class MouseSensor(Sensor):
         kept = self._limit.keep(passed.height, time_ns)
         if self._limit.left_out and not self._told:
             self._told = True
-            self.tell(
-                time_ns,
-                f"the texture passes faster than {self.fastest_hz:g} pulses a second can tell: "
-                "some are left out",
+            self.emit(
+                Note(
+                    time_ns,
+                    f"the texture passes faster than {self.fastest_hz:g} pulses a second can "
+                    "tell: some are left out",
+                )
             )
         return kept
 

@@ -6,9 +6,10 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.live import Sent
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
+from smarttouch.run.listener import Listener
+from smarttouch.run.step import StepResult
 from smarttouch.sources.frame import Frame, Pose, PulseRequest, Sensor
 from smarttouch.vibrotactile.mix import Mixture
 from smarttouch.vibrotactile.train import Times
@@ -17,7 +18,7 @@ LONGEST_US = 20_000
 """So often frames come where no pulse is due: a finger that is lifted is not overlooked."""
 
 
-class ColorSensor(Sensor):
+class ColorSensor(Sensor, Listener):
     """Asks for the pulses of a mixture as time goes.
 
     If sequences take longer than was foreseen, pulses wait, and those of several
@@ -74,10 +75,10 @@ class ColorSensor(Sensor):
         parts = max(1, min(-(-wait_us // LONGEST_US), wait_us // mixture.least_us))
         return mixture.request(drive, max(mixture.least_us, wait_us // parts))
 
-    def watch(self, sent: Sent) -> None:
+    def step(self, result: StepResult) -> None:
         """Count the pulses that went out with a step."""
-        if sent.number is not None and sent.step.sequence.intensity > 0:
-            active = np.flatnonzero(sent.step.tactile.activation.any(axis=1))
+        if result.number is not None and result.step.sequence.intensity > 0:
+            active = np.flatnonzero(result.step.tactile.activation.any(axis=1))
             self._count.update(Primary(each) for each in active.tolist())
 
     def sent(self, primary: Primary) -> int:

@@ -9,10 +9,13 @@ import pytest
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.clock import SimulatedClock
 from smarttouch.kernels.problem import Problem
-from smarttouch.live import run
-from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode, Primary
-from smarttouch.regulator import Regulator
+from smarttouch.run.config import RunConfig
+from smarttouch.run.listener import as_listeners
+from smarttouch.run.loop import run_loop
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.regulator import Regulator
+from smarttouch.run.statistics import RunStatistics
 from smarttouch.sources import open_sensor
 from smarttouch.stimulation.frames import NO_SHARING, Sharing
 from smarttouch.stimulation.ledger import ChargeLedger
@@ -20,7 +23,6 @@ from smarttouch.stimulation.recharge import RechargeRules
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.stopping import StopRequest
-from smarttouch.tally import Tally
 
 TEXT = "text:the quick brown fox"
 WAYS = ("without", "reversing", "recharging")
@@ -53,18 +55,20 @@ def answer_of_phase(sequence, profile, bank):
 def test_letters(row, quick, profile, bank, mode, scan):
     rows = Problem(profile, mode.primaries[0]).rows[0]
     for way in WAYS:
-        regulator, tally, answers = regulator_of(way, profile), Tally(), [0.0]
+        regulator, tally, answers = regulator_of(way, profile), RunStatistics(), [0.0]
 
         def watch(sent, answers=answers):
             if sent.step.sequence.recharge_us:
                 answers.append(answer_of_phase(sent.step.sequence, profile, bank))
 
-        pipeline = Pipeline(profile, bank, mode, sharing=SHARED if scan == "shared" else NO_SHARING)
+        pipeline = Pipeline(
+            profile, bank, RunConfig(mode=mode, scan=SHARED if scan == "shared" else NO_SHARING)
+        )
         board = SimulatedBoard("", SafetyLimits.of(profile), profile.output)
         with board, open_sensor("text:the" if quick else TEXT, profile) as sensor:
-            run(
-                sensor, pipeline, board, stop=StopRequest(), tally=tally, regulator=regulator,
-                clock=SimulatedClock(), observers=[watch],
+            run_loop(
+                sensor, pipeline, board, stop=StopRequest(), statistics=tally, regulator=regulator,
+                clock=SimulatedClock(), listeners=as_listeners([watch]),
             )  # fmt: skip
             books, skin = board._firmware.books, board._firmware._skin
             _, _, current_ua = board.take_pulses()

@@ -25,9 +25,10 @@ from smarttouch.boards.link_sequence import encode_sequence
 from smarttouch.boards.link_session import HostSession
 from smarttouch.physiology.activation import af_matrix
 from smarttouch.physiology.afferents import targets
-from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
+from smarttouch.run.config import RunConfig
+from smarttouch.run.pipeline import Pipeline
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.frames import NO_SHARING, Sharing
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
@@ -85,7 +86,7 @@ class Ours:
     def __init__(self, profile, bank, images, sharing=NO_SHARING):
         self.images = images
         self.count = 0
-        self.pipeline = Pipeline(profile, bank, Mode.RA, 1.0, sharing=sharing)
+        self.pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.RA, rate_hz=1.0, scan=sharing))
         self.gate = SafetyGate(SafetyLimits.of(profile))
         self.session = HostSession()
         self()

@@ -18,15 +18,17 @@ import pytest
 from smarttouch import realtime
 from smarttouch.boards.kajimoto61 import Kajimoto61Board
 from smarttouch.clock import MonotonicClock
-from smarttouch.controls import Controls, Wish
 from smarttouch.kernels.bank import load_bank
-from smarttouch.live import run, settled
-from smarttouch.pipeline import Pipeline
 from smarttouch.profile import load_profile
+from smarttouch.run.config import RunConfig
+from smarttouch.run.controls import Controls, ControlState
+from smarttouch.run.environment import steady_environment
+from smarttouch.run.loop import run_loop
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.statistics import RunStatistics
 from smarttouch.sources.frame import Frame, Pose, Sensor
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
-from smarttouch.tally import Tally
 
 RATES_HZ = (50, 100, 200)
 LOADS = {"quiet": 0, "one core busy": 1, "all cores busy": os.cpu_count() or 1}
@@ -83,12 +85,12 @@ def errors_us(kajimoto, rate_hz, seconds, spin_ns, monkeypatch):
     monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
     clock = MonotonicClock(spin_ns)
     monkeypatch.setattr("smarttouch.boards.timely.MonotonicClock", lambda: clock)
-    pipeline = Pipeline(profile, bank, rate_hz=rate_hz)
+    pipeline = Pipeline(profile, bank, RunConfig(rate_hz=rate_hz, scan="points"))
     board = Kajimoto61Board("x", SafetyLimits.of(profile), profile.output)
-    controls, tally = Controls(Wish(pipeline.mode)), Tally()
-    with settled(pipeline), board:
-        run(
-            Dot(), pipeline, board, stop=StopRequest(), tally=tally, seconds=seconds,
+    controls, tally = Controls(ControlState(pipeline.mode)), RunStatistics()
+    with steady_environment(pipeline), board:
+        run_loop(
+            Dot(), pipeline, board, stop=StopRequest(), statistics=tally, seconds=seconds,
             controls=controls,
         )  # fmt: skip
     assert tally.lowest_rate_hz == rate_hz

@@ -12,13 +12,13 @@ import pytest
 from rich.console import Console
 
 from smarttouch.cli.blind_screen import BlindScreen
-from smarttouch.controls import Controls, Wish
 from smarttouch.errors import ExperimentError
 from smarttouch.files import open_alone
 from smarttouch.primary import Mode
 from smarttouch.psychophysics.rows import read_rows
 from smarttouch.recording.reader import Recording
-from smarttouch.tally import Tally
+from smarttouch.run.controls import Controls, ControlState
+from smarttouch.run.statistics import RunStatistics
 
 SMALL = ("experiment", "run", "frequency", "--standards", "30", "--train-s", "0.15")
 SIMULATED = (*SMALL, "--simulate", "model")
@@ -223,8 +223,8 @@ def test_a_participant_s_screen_does_not_tell_the_answer(profile, make_frame):
     source = SimpleNamespace(
         title="frequency-RA, trial 3 of 50: which was faster? 1 or 2", keys={}, keys_help=""
     )
-    controls = Controls(Wish(Mode.RA, 0.5))
-    screen = BlindScreen(source, profile, controls, "emulator:", None, Tally(), quiet=True)
+    controls = Controls(ControlState(Mode.RA, 0.5))
+    screen = BlindScreen(source, profile, controls, "emulator:", None, RunStatistics(), quiet=True)
     frame = make_frame([[0]], force_n=0.45)
     sequence = SimpleNamespace(rate_hz=45.0, current_ua=None)
     screen.show(SimpleNamespace(step=SimpleNamespace(frame=frame, sequence=sequence)))

@@ -9,11 +9,12 @@ from PIL import Image
 from scipy.io import wavfile
 
 from smarttouch.cli import screen
-from smarttouch.live import Sent
-from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode, Primary
 from smarttouch.recording.check import check_recording
 from smarttouch.recording.reader import Recording
+from smarttouch.run.config import RunConfig
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.step import StepResult
 from smarttouch.sources.frame import Frame, Pose, PulseRequest
 from smarttouch.stimulation.frames import Sharing
 
@@ -72,7 +73,7 @@ def test_markers_are_told_of_a_run(program_here, monkeypatch):
 
 
 def test_the_screen_shows_every_point_of_a_slot(profile, bank):
-    pipeline = Pipeline(profile, bank, Mode.RA, sharing=Sharing((Primary.RA,)))
+    pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan=Sharing((Primary.RA,))))
     activation = np.zeros((3, 64), np.float32)
     activation[Primary.RA, [9, 11, 13, 27, 29]] = 1
     for time_ns in (0, 10**9, 2 * 10**9):
@@ -80,6 +81,6 @@ def test_the_screen_shows_every_point_of_a_slot(profile, bank):
         blank = np.full((64, 64), 255, np.uint8)
         step = pipeline.process(Frame(blank, time_ns, Pose(0, 0), 0.9, request=asked))
     assert 0 < step.sequence.slots < 5
-    shown = screen._felt_ma(Sent(step, 1, 0.0))
+    shown = screen._felt_ma(StepResult(step, 1, 0.0))
     assert np.flatnonzero(shown).tolist() == [9, 11, 13, 27, 29]
     assert shown.max() > 2

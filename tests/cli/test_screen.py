@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from smarttouch.cli.screen import _beside, _felt_ma
-from smarttouch.live import Sent
-from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Primary
+from smarttouch.run.config import RunConfig
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.step import StepResult
 from smarttouch.stimulation.frames import NO_SHARING, Sharing
 
 
@@ -14,9 +15,9 @@ from smarttouch.stimulation.frames import NO_SHARING, Sharing
 def sent(request, make_frame, profile, bank):
     image = np.full((64, 64), 255, np.uint8)
     image[20:44, 20:44] = 0
-    pipeline = Pipeline(profile, bank, sharing=request.param)
+    pipeline = Pipeline(profile, bank, RunConfig(scan=request.param))
     pipeline.process(make_frame(image, 10**9))
-    return Sent(pipeline.process(make_frame(image, 2 * 10**9)), 1, 0.0)
+    return StepResult(pipeline.process(make_frame(image, 2 * 10**9)), 1, 0.0)
 
 
 def test_every_point_that_is_stimulated_is_shown(sent):

@@ -6,9 +6,6 @@ import numpy as np
 
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.clock import SimulatedClock
-from smarttouch.controls import Controls, Wish
-from smarttouch.live import run
-from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode
 from smarttouch.psychophysics.course import Course
 from smarttouch.psychophysics.rows import About, RowFile
@@ -16,9 +13,14 @@ from smarttouch.psychophysics.sensor import ExperimentSensor
 from smarttouch.psychophysics.session import Session
 from smarttouch.psychophysics.subject import Subject
 from smarttouch.reading.window import press_n
+from smarttouch.run.config import RunConfig
+from smarttouch.run.controls import Controls, ControlState
+from smarttouch.run.listener import OnEvent, as_listeners
+from smarttouch.run.loop import run_loop
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.statistics import RunStatistics
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
-from smarttouch.tally import Tally
 
 DATE = "2026-01-01T00:00:00+00:00"
 
@@ -45,7 +47,7 @@ class Sat:
 
     sensor: ExperimentSensor
     session: Session
-    tally: Tally
+    tally: RunStatistics
     pulses: list
     told: list
     report: object
@@ -68,32 +70,34 @@ def sit(
     seed=0,
 ):
     """Run an experiment; stop it before the answer of a trial is written if asked to."""
-    stop, tally, told = StopRequest(), Tally(), []
+    stop, tally, told = StopRequest(), RunStatistics(), []
     about = About(experiment, made.method, "p1", "s1", seed)
     with RowFile(path, about, overwrite) as file:
         session = Session(made.task, made.procedure, file, DATE)
         sensor = ExperimentSensor(session, profile, course or Course(), press_n(profile))
-        sensor.tell = lambda time_ns, words: told.append((time_ns, words))
-        pipeline = Pipeline(profile, bank, mode)
-        controls = controls or Controls(Wish(mode))
+        pipeline = Pipeline(profile, bank, RunConfig(mode=mode, scan="points"))
+        controls = controls or Controls(ControlState(mode))
         with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
-            subject = Subject(sensor, observer, board)
+            subject = Subject(sensor, observer)
+            subject.attend(board)
 
             def observe(sent):
-                sensor.watch(sent)
-                subject.watch(sent)
+                subject.step(sent)
                 if watch is not None:
                     watch(sent, sensor, controls)
                 if stop_after is not None and session.done >= stop_after and sensor.playing:
                     stop.ask("killed")
 
-            run(
+            run_loop(
                 sensor,
                 pipeline,
                 board,
                 stop=stop,
-                tally=tally,
-                observers=[observe],
+                statistics=tally,
+                listeners=[
+                    *as_listeners([observe]),
+                    OnEvent(lambda event: told.append((event.time_ns, str(event)))),
+                ],
                 controls=controls,
                 clock=SimulatedClock(),
             )

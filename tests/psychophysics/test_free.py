@@ -7,17 +7,19 @@ import pytest
 
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.clock import SimulatedClock
-from smarttouch.controls import Wish
 from smarttouch.errors import ExperimentError
 from smarttouch.kernels.bank import load_bank
-from smarttouch.live import run
-from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.psychophysics.free import FreeLog, FreeSensor, HandControls, up_to_the_ceiling
+from smarttouch.run.config import RunConfig
+from smarttouch.run.controls import ControlState
+from smarttouch.run.listener import as_listeners
+from smarttouch.run.loop import run_loop
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.statistics import RunStatistics
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
-from smarttouch.tally import Tally
 
 ALL = tuple(Primary)
 
@@ -35,10 +37,9 @@ def play(line, tmp_path):
         steps, waiting = [], sorted(does.items())
         log = FreeLog(tmp_path / "free.csv")
         sensor = FreeSensor(line, ALL, log, press_n=1.0)
-        controls = HandControls(Wish(Mode.COLOR, level), knob=knob)
+        controls = HandControls(ControlState(Mode.COLOR, level), knob=knob)
 
         def watch(sent):
-            sensor.watch(sent)
             steps.append(sent.step)
             while waiting and sent.step.frame.time_ns >= waiting[0][0] * 1e9:
                 _, act = waiting.pop(0)
@@ -48,11 +49,17 @@ def play(line, tmp_path):
                     controls.change_level(act)
 
         with SimulatedBoard("", SafetyLimits.of(line), line.output) as board:
-            run(
-                sensor, Pipeline(line, load_bank(line), Mode.COLOR), board, stop=StopRequest(),
-                tally=Tally(), seconds=seconds, observers=[watch], controls=controls,
+            run_loop(
+                sensor,
+                Pipeline(line, load_bank(line), RunConfig(mode=Mode.COLOR, scan="points")),
+                board,
+                stop=StopRequest(),
+                statistics=RunStatistics(),
+                seconds=seconds,
+                listeners=as_listeners([watch]),
+                controls=controls,
                 clock=SimulatedClock(),
-            )  # fmt: skip
+            )
             report = board.report()
         log.close()
         text = (tmp_path / "free.csv").read_text(encoding="utf-8-sig")

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from smarttouch.controls import Controls, Wish
 from smarttouch.errors import ExperimentError
 from smarttouch.primary import Mode
 from smarttouch.psychophysics.catalog import Wanted, design
@@ -11,6 +10,7 @@ from smarttouch.psychophysics.course import Course
 from smarttouch.psychophysics.observers.observer import SilentObserver
 from smarttouch.psychophysics.rows import read_rows
 from smarttouch.psychophysics.sensor import ExperimentSensor
+from smarttouch.run.controls import Controls, ControlState
 
 from .sitting import Perfect, sit
 
@@ -84,13 +84,13 @@ def test_a_trial_whose_current_was_lost_is_presented_again(profile, bank, tmp_pa
         if sensor.playing == (3, 1) and not done:
             done.append(sent)
             controls.toggle_pause() if how == "pause" else controls.silence()
-        elif done and sensor.playing is None and controls.wish(0).current_level == 0:
+        elif done and sensor.playing is None and controls.state(0).current_level == 0:
             controls.toggle_pause() if how == "pause" else controls.change_level(1)
 
     observer = Perfect()
     sat = sit(
         design("frequency", profile, FEW), profile, bank, tmp_path / "rows.csv", observer,
-        watch=watch, controls=Controls(Wish(Mode.RA)),
+        watch=watch, controls=Controls(ControlState(Mode.RA)),
     )  # fmt: skip
     rows = read_rows(tmp_path / "rows.csv")
     assert sat.sensor.spoiled == 1
@@ -107,7 +107,7 @@ def test_the_user_regulates_the_amplitude_and_rows_tell(profile, bank, tmp_path)
     observer = Perfect()
     sit(
         design("frequency", profile, FEW), profile, bank, tmp_path / "rows.csv", observer,
-        watch=watch, controls=Controls(Wish(Mode.RA)),
+        watch=watch, controls=Controls(ControlState(Mode.RA)),
     )  # fmt: skip
     levels = [row.level for row in read_rows(tmp_path / "rows.csv")]
     assert levels[:4] == [1.0] * 4
@@ -122,7 +122,7 @@ def test_currents_that_count_wait_for_full_intensity(profile, bank, tmp_path):
 
     def watch(sent, sensor, controls):
         titles.append(sensor.title)
-        if sent.step.sequence.time_ns > 2e9 and controls.wish(0).level < 1:
+        if sent.step.sequence.time_ns > 2e9 and controls.state(0).level < 1:
             assert not any(felt.slots for felt in before)
             controls.change_level(0.5)
         before.append(sent.step.sequence)
@@ -132,7 +132,7 @@ def test_currents_that_count_wait_for_full_intensity(profile, bank, tmp_path):
     made = design("detection", profile, Wanted(repetitions=1, train_s=0.1))
     sit(
         made, profile, bank, tmp_path / "rows.csv", observer, watch=watch,
-        controls=Controls(Wish(Mode.RA, 0.5)),
+        controls=Controls(ControlState(Mode.RA, 0.5)),
     )  # fmt: skip
     assert any("raise the intensity to the full with +" in title for title in titles)
     for row, (_, (felt,)) in zip(read_rows(tmp_path / "rows.csv"), observer.felt, strict=True):
@@ -152,7 +152,7 @@ def test_where_currents_count_no_key_changes_one_unnoticed(profile, bank, tmp_pa
     made = design("detection", profile, Wanted(repetitions=1, train_s=0.1))
     sat = sit(
         made, profile, bank, tmp_path / "rows.csv", Perfect(), watch=watch,
-        controls=Controls(Wish(Mode.RA)),
+        controls=Controls(ControlState(Mode.RA)),
     )  # fmt: skip
     assert sat.sensor.spoiled == 1
     assert {row.level for row in read_rows(tmp_path / "rows.csv")} == {1.0}
@@ -162,7 +162,7 @@ def test_a_trial_that_cannot_begin_is_not_waited_for_where_nobody_is(profile, ba
     with pytest.raises(ExperimentError, match="no trial could begin for 3 s, and nobody is there"):
         sit(
             design("frequency", profile, FEW), profile, bank, tmp_path / "rows.csv", Perfect(),
-            controls=Controls(Wish(Mode.RA, 0.0)), course=Course(patience_s=3),
+            controls=Controls(ControlState(Mode.RA, 0.0)), course=Course(patience_s=3),
         )  # fmt: skip
 
 
@@ -205,14 +205,14 @@ class Loop:
         self.frames = []
 
     def step(self):
-        from smarttouch.live import Sent
+        from smarttouch.run.step import StepResult
 
         frame = self.sensor.read(self.time_ns)
         if frame is None:
             return False
         self.frames.append(frame)
         step = self.pipeline.process(frame)
-        self.sensor.watch(Sent(step, 1, 0.0))
+        self.sensor.step(StepResult(step, 1, 0.0))
         self.time_ns += 1000 * step.sequence.period_us
         return True
 
@@ -223,11 +223,12 @@ class Loop:
 
 @pytest.fixture
 def loop(profile, bank):
-    from smarttouch.pipeline import Pipeline
+    from smarttouch.run.config import RunConfig
+    from smarttouch.run.pipeline import Pipeline
 
     trials = OneTrial(profile)
     sensor = ExperimentSensor(trials, profile, Course(answer_s=5.0), press_n=1.0)
-    return Loop(sensor, Pipeline(profile, bank, Mode.RA)), trials
+    return Loop(sensor, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points"))), trials
 
 
 def test_keys_before_the_question_do_not_count(loop):
@@ -266,11 +267,12 @@ def test_a_trial_is_felt_again_on_request(loop):
 
 
 def test_an_experiment_may_forbid_to_feel_again(profile, bank):
-    from smarttouch.pipeline import Pipeline
+    from smarttouch.run.config import RunConfig
+    from smarttouch.run.pipeline import Pipeline
 
     trials = OneTrial(profile)
     sensor = ExperimentSensor(trials, profile, Course(again=False), press_n=1.0)
-    loop = Loop(sensor, Pipeline(profile, bank, Mode.RA))
+    loop = Loop(sensor, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points")))
     loop.until(lambda: sensor.asking)
     sensor.keys["r"]()
     for _ in range(20):
@@ -281,7 +283,8 @@ def test_an_experiment_may_forbid_to_feel_again(profile, bank):
 
 
 def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(profile, bank):
-    from smarttouch.pipeline import Pipeline
+    from smarttouch.run.config import RunConfig
+    from smarttouch.run.pipeline import Pipeline
 
     class Clock:
         ns = 0
@@ -291,7 +294,7 @@ def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(profile, bank):
 
     trials, clock = OneTrial(profile), Clock()
     sensor = ExperimentSensor(trials, profile, Course(), press_n=1.0, clock=clock)
-    loop = Loop(sensor, Pipeline(profile, bank, Mode.RA))
+    loop = Loop(sensor, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points")))
     loop.until(lambda: sensor.asking)
     clock.ns += 7_000_000
     sensor.press("1")
@@ -301,11 +304,12 @@ def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(profile, bank):
 
 
 def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, bank):
-    from smarttouch.pipeline import Pipeline
+    from smarttouch.run.config import RunConfig
+    from smarttouch.run.pipeline import Pipeline
 
     trials = OneTrial(profile, "discomfort", 2.0)
     sensor = ExperimentSensor(trials, profile, Course(), press_n=1.0)
-    loop = Loop(sensor, Pipeline(profile, bank, Mode.RA))
+    loop = Loop(sensor, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points")))
     loop.until(lambda: sensor.playing)
     for _ in range(20):
         loop.step()

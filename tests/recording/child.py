@@ -15,10 +15,11 @@ import numpy as np
 
 from smarttouch.errors import RecordingError
 from smarttouch.kernels.bank import load_bank
-from smarttouch.live import Sent
-from smarttouch.pipeline import Pipeline
 from smarttouch.profile import load_profile
-from smarttouch.recording.recorder import Recorder, about_run
+from smarttouch.recording.recorder import RecordingWriter, about_run
+from smarttouch.run.config import RunConfig
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.step import StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.timing import ScanTiming
 
@@ -27,7 +28,7 @@ PERIOD_NS = 10_000_000
 
 def main(path, most_bytes=None):
     profile = load_profile("electric-mouse")
-    pipeline = Pipeline(profile, load_bank(profile))
+    pipeline = Pipeline(profile, load_bank(profile), RunConfig(scan="points"))
     pipeline.warm_up()
     rng = np.random.default_rng(0)
     images = [rng.integers(190, 220, (64, 64), np.uint8) for _ in range(16)]
@@ -40,7 +41,9 @@ def main(path, most_bytes=None):
     if most_bytes is not None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (int(most_bytes),) * 2)
     started_unix_ns = time.time_ns()
-    recorder = Recorder(Path(path), about_run(profile, settings, started_unix_ns), started_unix_ns)
+    recorder = RecordingWriter(
+        Path(path), about_run(profile, settings, started_unix_ns), started_unix_ns
+    )
     flush = recorder._flush
 
     def flush_and_tell():
@@ -55,7 +58,7 @@ def main(path, most_bytes=None):
         time_ns = time.perf_counter_ns() - start_ns
         frame = Frame(images[index % 16], time_ns, Pose(0.0, 0.0), 1.0, index)
         try:
-            recorder.record(Sent(pipeline.process(frame), index, 0.0), index, 0)
+            recorder.record(StepResult(pipeline.process(frame), index, 0.0, acknowledged=index))
         except RecordingError as error:
             print(error)
             recorder.close()

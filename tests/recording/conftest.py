@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smarttouch.live import Sent
-from smarttouch.pipeline import Pipeline
 from smarttouch.recording import recorder as recorder_module
-from smarttouch.recording.recorder import Recorder, about_run
+from smarttouch.recording.recorder import RecordingWriter, about_run
+from smarttouch.run.config import RunConfig
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.step import StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.timing import ScanTiming
 
@@ -45,7 +46,7 @@ def make_steps(profile, bank):
     """Return a maker of steps: a bar that moves under a finger, each image seen twice."""
 
     def make(count, period_ns=20_000_000):
-        pipeline, rng = Pipeline(profile, bank), np.random.default_rng(1)
+        pipeline, rng = Pipeline(profile, bank, RunConfig(scan="points")), np.random.default_rng(1)
         made = []
         for index in range(count):
             if index % 2 == 0:
@@ -53,7 +54,7 @@ def make_steps(profile, bank):
                 image[:, (first := index % 50) : first + 12] = 30
                 image += rng.integers(0, 6, image.shape, np.uint8)
             frame = Frame(image, index * period_ns, Pose(0.1 * index, 2.0), 1 / 3, index // 2)
-            made.append(Sent(pipeline.process(frame), index + 1, 99.5, 12.25))
+            made.append(StepResult(pipeline.process(frame), index + 1, 99.5, 12.25))
         return made
 
     return make
@@ -79,11 +80,11 @@ def record(about):
     """Return a writer of recordings from steps and events."""
 
     def write(path, steps, events=(), about=about):
-        recorder = Recorder(path, about, STARTED_NS)
+        recorder = RecordingWriter(path, about, STARTED_NS)
         for words in events:
             recorder.event(5_000_000, words)
         for sent in steps:
-            recorder.record(sent, (sent.number or 1) - 1, 0)
+            recorder.record(replace(sent, acknowledged=(sent.number or 1) - 1))
         recorder.close()
         return path
 

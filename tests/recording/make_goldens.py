@@ -17,16 +17,19 @@ from smarttouch import __version__
 from smarttouch.boards.kajimoto61 import Kajimoto61Board
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.clock import SimulatedClock
-from smarttouch.controls import Controls, Wish
 from smarttouch.errors import LineLostError
 from smarttouch.kernels.bank import load_bank
-from smarttouch.live import run
-from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.recording import recorder as recorder_module
-from smarttouch.recording.recorder import Recorder, about_run
-from smarttouch.regulator import Regulator
+from smarttouch.recording.recorder import RecordingWriter, about_run
+from smarttouch.run.config import RunConfig
+from smarttouch.run.controls import Controls, ControlState
+from smarttouch.run.listener import OnEvent, OnStep
+from smarttouch.run.loop import run_loop
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.regulator import Regulator
+from smarttouch.run.statistics import RunStatistics
 from smarttouch.sources import open_sensor
 from smarttouch.sources.frame import Frame, PulseRequest, Sensor
 from smarttouch.stimulation.adaptation import Adaptation
@@ -35,7 +38,6 @@ from smarttouch.stimulation.ledger import ChargeLedger
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.stopping import StopRequest
-from smarttouch.tally import Tally
 
 FOLDER = Path(__file__).parent / "goldens"
 STARTED_UNIX_NS = 1_700_000_000 * 10**9
@@ -60,7 +62,7 @@ class Golden:
     hold: str | None = None
     balance: bool = False
     timing: ScanTiming = field(default_factory=ScanTiming)
-    wishes: tuple[tuple[float, Wish], ...] = ()
+    wishes: tuple[tuple[float, ControlState], ...] = ()
     lost_at: int | None = None
     asks: bool = False
     sharing: Sharing = NO_SHARING
@@ -71,12 +73,14 @@ GOLDENS = (
     Golden(
         "sai-levels", "electric-mouse", Mode.SAI, "if", 1.5, rate_hz=25, softness=0.3,
         wishes=(
-            (0.6, Wish(Mode.SAI, 0.4)),
-            (0.9, Wish(Mode.SAI, 0.4, paused=True)),
-            (1.1, Wish(Mode.SAI, 0.8)),
+            (0.6, ControlState(Mode.SAI, 0.4)),
+            (0.9, ControlState(Mode.SAI, 0.4, paused=True)),
+            (1.1, ControlState(Mode.SAI, 0.8)),
         ),
     ),
-    Golden("natural", "electric-mouse", Mode.NATURAL, "t", 0.9, wishes=((0.7, Wish(Mode.RA)),)),
+    Golden(
+        "natural", "electric-mouse", Mode.NATURAL, "t", 0.9, wishes=((0.7, ControlState(Mode.RA)),)
+    ),
     Golden("kajimoto", "kajimoto-61", Mode.RA, "no", 1.0, timing=Kajimoto61Board.timing),
     Golden(
         "regulated", "electric-mouse", Mode.RA, "l", 1.2, rate_hz=20, hold="energy", balance=True,
@@ -86,12 +90,12 @@ GOLDENS = (
     Golden("color", "electric-mouse", Mode.COLOR, "o", 0.9, asks=True),
     # As --scan auto: kernels of RA are added up, those of SAI stand alone behind them.
     Golden(
-        "shared", "electric-mouse", Mode.NATURAL, "t", 0.9, wishes=((0.7, Wish(Mode.RA)),),
+        "shared", "electric-mouse", Mode.NATURAL, "t", 0.9, wishes=((0.7, ControlState(Mode.RA)),),
         sharing=Sharing((Primary.RA,), planned=False),
     ),
     # As --scan frame: each frame's currents are found anew, for both classes together.
     Golden(
-        "frame", "electric-mouse", Mode.NATURAL, "h", 0.9, wishes=((0.7, Wish(Mode.SAI)),),
+        "frame", "electric-mouse", Mode.NATURAL, "h", 0.9, wishes=((0.7, ControlState(Mode.SAI)),),
         sharing=Sharing(tuple(Primary), planned=True),
     ),
 )  # fmt: skip
@@ -130,10 +134,10 @@ class Script(Controls):
     """A user who does the same at the same time in each run."""
 
     def __init__(self, golden):
-        super().__init__(Wish(golden.mode))
-        self._wishes = [(0.0, Wish(golden.mode)), *golden.wishes]
+        super().__init__(ControlState(golden.mode))
+        self._wishes = [(0.0, ControlState(golden.mode)), *golden.wishes]
 
-    def wish(self, time_ns):
+    def state(self, time_ns):
         return [each for after_s, each in self._wishes if time_ns >= after_s * 1e9][-1]
 
 
@@ -191,23 +195,31 @@ def make(golden, path):
     about = about_run(profile, settings, STARTED_UNIX_NS)
     about["versions"] = json.dumps({"smarttouch": __version__})
     pipeline = Pipeline(
-        profile, load_bank(profile), golden.mode, golden.rate_hz, golden.light_on_dark,
-        golden.timing, golden.softness, sharing=golden.sharing,
-    )  # fmt: skip
+        profile,
+        load_bank(profile),
+        RunConfig(
+            mode=golden.mode,
+            rate_hz=golden.rate_hz,
+            light_on_dark=golden.light_on_dark,
+            softness=golden.softness,
+            scan=golden.sharing,
+        ),
+        golden.timing,
+    )
     regulator = Regulator(
         Adaptation(profile, golden.hold, 100.0, golden.timing) if golden.hold else None,
         ChargeLedger(len(profile.electrodes)) if golden.balance else None,
     )
     board = Board(golden, profile)
-    recorder = Recorder(path, about, STARTED_UNIX_NS)
+    recorder = RecordingWriter(path, about, STARTED_UNIX_NS)
     with open_sensor(f"text:{golden.text}", profile) as page, board:
-        run(
-            Held(page, golden), pipeline, board, stop=StopRequest(), tally=Tally(),
+        run_loop(
+            Held(page, golden), pipeline, board, stop=StopRequest(), statistics=RunStatistics(),
             seconds=golden.seconds, controls=Script(golden), regulator=regulator,
             clock=SimulatedClock(),
-            tell=recorder.event,
-            observers=[
-                lambda sent: recorder.record(replace(sent, work_us=0.0), board.acknowledged, 0)
+            listeners=[
+                OnStep(lambda sent: recorder.record(replace(sent, work_us=0.0))),
+                OnEvent(lambda event: recorder.event(event.time_ns, str(event))),
             ],
         )  # fmt: skip
     recorder.close()

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from smarttouch.controls import Wish
 from smarttouch.errors import RecordingError
 from smarttouch.primary import Mode
 from smarttouch.recording.controls import RecordedControls
 from smarttouch.recording.reader import Recording
+from smarttouch.run.controls import ControlState
 
 GOLDENS = Path(__file__).with_name("goldens")
 
@@ -19,25 +19,25 @@ def recording(request):
 
 
 def test_every_wish_comes_at_its_time(recording):
-    controls = RecordedControls(recording, Wish(Mode.RA), tuple(Mode))
+    controls = RecordedControls(recording, ControlState(Mode.RA), tuple(Mode))
     steps = [recorded.step for recorded in recording.steps()]
     assert len({(step.mode, step.level) for step in steps}) > 1
     for step in steps:
-        wish = controls.wish(step.frame.time_ns)
+        wish = controls.state(step.frame.time_ns)
         assert (wish.mode, wish.current_level) == (step.mode, step.level)
 
 
 def test_today_s_user_lowers_and_pauses(recording):
-    controls = RecordedControls(recording, Wish(Mode.RA, 0.5), tuple(Mode))
+    controls = RecordedControls(recording, ControlState(Mode.RA, 0.5), tuple(Mode))
     step = next(each.step for each in recording.steps() if each.step.level > 0)
-    assert controls.wish(step.frame.time_ns).current_level == 0.5 * step.level
+    assert controls.state(step.frame.time_ns).current_level == 0.5 * step.level
     controls.toggle_pause()
-    assert controls.wish(step.frame.time_ns).current_level == 0
+    assert controls.state(step.frame.time_ns).current_level == 0
     controls.toggle_pause()
     controls.next_mode()
-    assert controls.wish(step.frame.time_ns).mode is step.mode
+    assert controls.state(step.frame.time_ns).mode is step.mode
 
 
 def test_a_board_without_the_recorded_mode_is_refused():
     with pytest.raises(RecordingError, match="in mode natural, which this board does not offer"):
-        RecordedControls(Recording(GOLDENS / "natural.mcap"), Wish(Mode.RA), (Mode.RA,))
+        RecordedControls(Recording(GOLDENS / "natural.mcap"), ControlState(Mode.RA), (Mode.RA,))

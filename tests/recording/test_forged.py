@@ -8,7 +8,6 @@ from collections import Counter
 
 import pytest
 
-from smarttouch.controls import Wish
 from smarttouch.errors import RecordingError, SmartTouchError
 from smarttouch.primary import Mode
 from smarttouch.recording.account import describe
@@ -18,6 +17,7 @@ from smarttouch.recording.export import export
 from smarttouch.recording.reader import Recording
 from smarttouch.recording.repair import is_sound, repair
 from smarttouch.recording.sensor import RecordingSensor
+from smarttouch.run.controls import ControlState
 
 from .forged import damage, forge, put_together, take_apart
 
@@ -32,7 +32,7 @@ def play(path):
 
 
 def follow(path):
-    RecordedControls(Recording(path), Wish(Mode.RA, 1.0), tuple(Mode)).wish(10**9)
+    RecordedControls(Recording(path), ControlState(Mode.RA, 1.0), tuple(Mode)).wish(10**9)
 
 
 def uses(path):

@@ -5,12 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from smarttouch.live import Sent
-from smarttouch.pipeline import Pipeline
 from smarttouch.recording.check import check_recording
 from smarttouch.recording.export import export
 from smarttouch.recording.reader import Recording
-from smarttouch.regulator import Regulator
+from smarttouch.run.config import RunConfig
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.regulator import Regulator
+from smarttouch.run.step import StepResult
 from smarttouch.stimulation.ledger import ChargeLedger
 from smarttouch.stimulation.recharge import RechargeRules
 from smarttouch.stimulation.timing import ScanTiming
@@ -19,12 +20,12 @@ from smarttouch.stimulation.timing import ScanTiming
 @pytest.fixture(scope="module")
 def balanced(profile, bank, make_steps):
     """The usual steps, with charge balanced by recharge phases."""
-    pipeline = Pipeline(profile, bank)
+    pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
     regulator = Regulator(None, ChargeLedger(64), RechargeRules.of(profile, ScanTiming()))
     made = []
     for sent in make_steps(40):
         step = pipeline.process(sent.step.frame)
-        made.append(Sent(regulator.regulate(step, _Mute()), sent.number, 99.5, 12.25))
+        made.append(StepResult(regulator.regulate(step, _Mute()), sent.number, 99.5, 12.25))
     return made
 
 

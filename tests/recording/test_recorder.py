@@ -16,7 +16,7 @@ from mcap.writer import Writer
 from smarttouch.errors import RecordingError
 from smarttouch.recording import recorder as module
 from smarttouch.recording.reader import Recording
-from smarttouch.recording.recorder import Recorder, about_run, new_writer
+from smarttouch.recording.recorder import RecordingWriter, about_run, new_writer
 from smarttouch.recording.schemas import SCHEMAS
 
 STARTED_NS = 1_700_000_000 * 10**9
@@ -24,7 +24,7 @@ STARTED_NS = 1_700_000_000 * 10**9
 
 @pytest.fixture
 def recorder(tmp_path, about):
-    made = Recorder(tmp_path / "run.mcap", about, STARTED_NS)
+    made = RecordingWriter(tmp_path / "run.mcap", about, STARTED_NS)
     yield made
     with contextlib.suppress(RecordingError):
         made.close()
@@ -72,17 +72,17 @@ def test_an_existing_file_is_kept(tmp_path, about):
     path = tmp_path / "run.mcap"
     path.write_text("precious")
     with pytest.raises(RecordingError, match="never overwritten"):
-        Recorder(path, about, 0)
+        RecordingWriter(path, about, 0)
     assert path.read_text() == "precious"
 
 
 def test_a_folder_that_is_not_there(tmp_path, about):
     with pytest.raises(RecordingError, match="cannot record to"):
-        Recorder(tmp_path / "none" / "run.mcap", about, 0)
+        RecordingWriter(tmp_path / "none" / "run.mcap", about, 0)
 
 
 def test_what_was_handed_over_is_on_the_disk_soon(recorder, tmp_path, steps):
-    recorder.record(steps[0], 0, 0)
+    recorder.record(steps[0])
     recorder.event(0, "paused")
     until(lambda: len(list(Recording(tmp_path / "run.mcap").steps())) == 1)
     until(lambda: list(Recording(tmp_path / "run.mcap").events()) == [(0, "paused")])
@@ -90,21 +90,21 @@ def test_what_was_handed_over_is_on_the_disk_soon(recorder, tmp_path, steps):
 
 
 def test_a_failure_is_told_at_the_next_step_and_once(recorder, tmp_path, steps, monkeypatch):
-    recorder.record(steps[0], 0, 0)
+    recorder.record(steps[0])
     until(lambda: list(Recording(tmp_path / "run.mcap").steps()))
     monkeypatch.setattr(recorder._writer, "add_message", full)
-    recorder.record(steps[1], 0, 0)
+    recorder.record(steps[1])
     until(lambda: recorder._failure is not None)
     recorder.event(0, "an event is no place to be told")
     with pytest.raises(RecordingError, match="cut short: No space left on device; what was"):
-        recorder.record(steps[2], 0, 0)
+        recorder.record(steps[2])
     recorder.close()
     assert len(list(Recording(tmp_path / "run.mcap").steps())) == 1
 
 
 def test_a_failure_that_nobody_heard_of_is_told_at_the_end(recorder, steps, monkeypatch):
     monkeypatch.setattr(recorder._writer, "finish", full)
-    recorder.record(steps[0], 0, 0)
+    recorder.record(steps[0])
     with pytest.raises(RecordingError, match="cut short"):
         recorder.close()
     recorder.close()
@@ -115,7 +115,7 @@ def test_whatever_goes_wrong_is_told(recorder, steps, monkeypatch):
         raise ValueError("this cannot be written")
 
     monkeypatch.setattr(recorder._encoder, "messages", broken)
-    recorder.record(steps[0], 0, 0)
+    recorder.record(steps[0])
     with pytest.raises(RecordingError, match="this cannot be written"):
         recorder.close()
 
@@ -127,7 +127,7 @@ def test_a_disk_that_is_too_slow_ends_the_run(recorder, steps, monkeypatch):
 
     def run():
         for sent in steps:
-            recorder.record(sent, 0, 0)
+            recorder.record(sent)
 
     with pytest.raises(RecordingError, match="3 frames wait for the disk"):
         run()
@@ -204,7 +204,7 @@ def recorded_by_told_clock(monkeypatch, path, about, handed, takes_s=0.0):
         patch.setattr(module.queue, "SimpleQueue", lambda: told)
         patch.setattr(module.time, "monotonic", told.monotonic)
         patch.setattr(module.os, "fsync", waited_for)
-        Recorder(path, about, STARTED_NS).close()
+        RecordingWriter(path, about, STARTED_NS).close()
     return synced
 
 
@@ -232,7 +232,7 @@ def test_nothing_waits_for_the_system_longer_than_a_moment(monkeypatch, tmp_path
     """What a killed program loses: it is given to the system within `FLUSH_S`."""
     at_s = [0.01 * index for index in range(50)] + [5.0]
     told, given = ToldQueue([(due_s, (steps[0], 0, 0)) for due_s in at_s]), []
-    flush = Recorder._flush
+    flush = RecordingWriter._flush
 
     def flush_and_tell(recorder):
         flush(recorder)
@@ -241,8 +241,8 @@ def test_nothing_waits_for_the_system_longer_than_a_moment(monkeypatch, tmp_path
     with monkeypatch.context() as patch:
         patch.setattr(module.queue, "SimpleQueue", lambda: told)
         patch.setattr(module.time, "monotonic", told.monotonic)
-        patch.setattr(Recorder, "_flush", flush_and_tell)
-        Recorder(tmp_path / "run.mcap", about, STARTED_NS).close()
+        patch.setattr(RecordingWriter, "_flush", flush_and_tell)
+        RecordingWriter(tmp_path / "run.mcap", about, STARTED_NS).close()
     assert len(given) < 20, "several steps share a chunk"
     # The last one goes with the end of the file.
     for number, due_s in enumerate(at_s[:-1]):
@@ -283,7 +283,7 @@ def test_what_the_disk_had_is_readable_after_a_power_cut(monkeypatch, tmp_path, 
 def test_a_disk_that_does_not_take_it_ends_the_run(recorder, steps, monkeypatch):
     monkeypatch.setattr(module.os, "fsync", full)
     monkeypatch.setattr(module, "SYNC_S", 0.0)
-    recorder.record(steps[0], 0, 0)
+    recorder.record(steps[0])
     until(lambda: recorder._failure is not None)
     with pytest.raises(RecordingError, match="cut short"):
-        recorder.record(steps[1], 0, 0)
+        recorder.record(steps[1])

@@ -6,13 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.errors import RecordingError, SensorError
-from smarttouch.live import Sent
-from smarttouch.pipeline import Pipeline
 from smarttouch.recording.sensor import open_recording
+from smarttouch.run.config import RunConfig
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.step import StepResult
 
 
 def test_at_the_recorded_times_all_comes_again(recording, steps, profile, bank):
-    pipeline = Pipeline(profile, bank)
+    pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
     with open_recording(str(recording), profile) as sensor:
         assert sensor.knows_force
         assert sensor.duration_s == pytest.approx(0.78)
@@ -63,7 +64,9 @@ def test_what_was_stale_stays_stale(tmp_path, record, steps, profile, make_frame
 
     step = steps[0].step
     stale = replace(step, frame=replace(step.frame, stale=True, force_n=0.0))
-    with open_recording(str(record(tmp_path / "a.mcap", [Sent(stale, 1, 0.0)])), profile) as sensor:
+    with open_recording(
+        str(record(tmp_path / "a.mcap", [StepResult(stale, 1, 0.0)])), profile
+    ) as sensor:
         frame = sensor.read(0)
     assert (frame.stale, frame.force_n) == (True, 0.0)
 

@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from smarttouch.imaging.tactile_image import TactileImage
-from smarttouch.live import Sent
-from smarttouch.pipeline import Pipeline, Step
 from smarttouch.primary import Mode, Primary
 from smarttouch.recording.decoder import StepDecoder
 from smarttouch.recording.encoder import StepEncoder
 from smarttouch.recording.schemas import LAST, SCHEMAS
+from smarttouch.run.config import RunConfig
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.step import Step, StepResult
 from smarttouch.sources.frame import Frame, Pose, PulseRequest
 from smarttouch.stimulation.frames import Sharing
 from smarttouch.stimulation.sequence import Proof, ScanSequence
@@ -97,7 +98,9 @@ def runs(draw):
             asked_us=draw(st.integers(0, 10**6)),
             observed=observed,
         )
-        made.append(Sent(step, draw(st.none() | st.integers(0, 2**32)), draw(st.floats(0, 1e9))))
+        made.append(
+            StepResult(step, draw(st.none() | st.integers(0, 2**32)), draw(st.floats(0, 1e9)))
+        )
     return made
 
 
@@ -106,7 +109,7 @@ def through(steps):
     decoder = StepDecoder(steps[0].step.sequence.electrodes)
     encoder, found = StepEncoder(10**18), []
     for index, sent in enumerate(steps):
-        for topic, message in encoder.messages(sent, index, 0):
+        for topic, message in encoder.messages(replace(sent, acknowledged=index)):
             step = decoder.take(topic, index, json.dumps(message, allow_nan=False).encode())
             found += [] if step is None else [step]
     assert decoder.broken == 0
@@ -143,7 +146,7 @@ def test_a_step_comes_back_to_the_bit(steps):
 
 
 def test_a_proof_of_other_slots_breaks_the_step(make_frame, profile, bank):
-    pipeline = Pipeline(profile, bank, sharing=Sharing((Primary.RA,)))
+    pipeline = Pipeline(profile, bank, RunConfig(scan=Sharing((Primary.RA,))))
     image = np.full((64, 64), 255, np.uint8)
     image[20:44, 20:44] = 0
     pipeline.process(make_frame(image, 10**9))
@@ -151,7 +154,7 @@ def test_a_proof_of_other_slots_breaks_the_step(make_frame, profile, bank):
     assert step.sequence.proof.points.max() > 1
     for key in ("points", "worst_other", "worst_spill"):
         decoder = StepDecoder(64)
-        for topic, message in StepEncoder(10**18).messages(Sent(step, 0, 0.0), 0, 0):
+        for topic, message in StepEncoder(10**18).messages(StepResult(step, 0, 0.0)):
             if topic == "/sequence":
                 message[key] = message[key][1:]
             assert decoder.take(topic, 0, json.dumps(message).encode()) is None
@@ -172,18 +175,21 @@ def test_an_endless_ratio_is_the_largest_there_is(steps):
 
 def test_an_image_is_written_once(steps):
     encoder = StepEncoder(0)
-    topics = [topic for sent in steps[:6] for topic, _ in encoder.messages(sent, 0, 0)]
+    topics = [topic for sent in steps[:6] for topic, _ in encoder.messages(sent)]
     assert topics.count("/frame") == 3
     assert topics.count(LAST) == 6
 
 
 def test_another_image_of_the_same_number_is_not_lost(make_frame, profile, bank):
     """A sensor that numbers its images wrongly is recorded as it was."""
-    from smarttouch.pipeline import Pipeline
+    from smarttouch.run.config import RunConfig
+    from smarttouch.run.pipeline import Pipeline
 
-    pipeline = Pipeline(profile, bank)
+    pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
     images = [np.full((64, 64), grey, np.uint8) for grey in (10, 10, 200)]
-    steps = [Sent(pipeline.process(make_frame(image, k)), k, 0.0) for k, image in enumerate(images)]
+    steps = [
+        StepResult(pipeline.process(make_frame(image, k)), k, 0.0) for k, image in enumerate(images)
+    ]
     assert [each.step.frame.image[0, 0] for each in through(steps)] == [10, 10, 200]
 
 
@@ -192,7 +198,7 @@ def test_an_endless_force_is_the_largest_there_is(steps, force):
     step = steps[0].step
     frame = Frame(step.frame.image, 0, step.frame.pose, force)
     endless = Step(frame, step.tactile, step.sequence, step.mode)
-    (found,) = through([Sent(endless, 1, 0.0)])
+    (found,) = through([StepResult(endless, 1, 0.0)])
     assert math.isfinite(found.step.frame.force_n)
     assert math.copysign(1e308, force) / found.step.frame.force_n > 0.5
 
@@ -204,7 +210,7 @@ def test_messages_are_as_their_schemas_say(steps, with_volts):
     sent = with_volts(steps[30], (steps[30].step.sequence, np.ones(9)))
     request = PulseRequest(sent.step.tactile.activation, 20_000)
     asking = replace(sent.step.frame, request=request)
-    messages = dict(encoder.messages(replace(sent, step=replace(sent.step, frame=asking)), 0, 0))
+    messages = dict(encoder.messages(replace(sent, step=replace(sent.step, frame=asking))))
     messages["/event"] = encoder.event(5, "paused")
     assert set(messages) == set(SCHEMAS)
     for topic, message in messages.items():
@@ -249,7 +255,7 @@ def test_no_message_crashes_the_decoder(topic, data):
 @settings(deadline=None)
 @given(st.data())
 def test_no_changed_field_crashes_the_decoder(steps, data):
-    messages = dict(StepEncoder(0).messages(steps[30], 0, 0))
+    messages = dict(StepEncoder(0).messages(steps[30]))
     topic = data.draw(st.sampled_from(sorted(messages)))
     key = data.draw(st.sampled_from(sorted(messages[topic])))
     instead = st.none() | st.integers() | st.floats() | st.text() | st.lists(st.integers())

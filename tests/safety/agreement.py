@@ -30,7 +30,7 @@ SMALL = 20
 
 
 @dataclass
-class Tally:
+class RunStatistics:
     """What came of many questions."""
 
     accepted: int = 0
@@ -174,7 +174,7 @@ def question(gate, oracle, draft, sequence, tally, where):
 
 def attack(first_seed, count, make_gate=GateUnderTest):
     """Ask so many questions, of one display after another; return what came of them."""
-    tally, seed = Tally(), first_seed
+    tally, seed = RunStatistics(), first_seed
     names = display_names()
     while tally.asked < count:
         stream(names[seed % len(names)], seed // len(names), tally, make_gate)
@@ -188,7 +188,7 @@ def main():
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0, help="of the first stream")
     options = parser.parse_args()
-    started, tally = time.perf_counter(), Tally()
+    started, tally = time.perf_counter(), RunStatistics()
     each = -(-options.count // options.jobs)
     with ProcessPoolExecutor(options.jobs) as pool:
         seeds = [options.seed + 10**9 * job for job in range(options.jobs)]

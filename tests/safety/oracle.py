@@ -27,7 +27,7 @@ RAMPED = ("claimed rise", "rise")
 
 
 @dataclass
-class Sent:
+class StepResult:
     """A sequence that was accepted, with its repetitions.
 
     ``ended_ns`` is when a newer one was accepted; None until then.
@@ -109,7 +109,7 @@ class Oracle:
         if alone.broken and alone.broken[0] in ("types", "range"):
             return alone.broken
         clock_ns = clock_ns if self.clock_ns is None else max(clock_ns, self.clock_ns)
-        new = Sent(
+        new = StepResult(
             clock_ns,
             alone.period_us,
             times,

@@ -7,7 +7,7 @@ import pytest
 
 from smarttouch.stimulation.sequence import ScanSequence
 
-from .agreement import Tally, attack, stream
+from .agreement import RunStatistics, attack, stream
 from .displays import display
 from .drafts import intensity_of
 from .gates import Answer, faults_of_copy
@@ -77,7 +77,7 @@ def test_it_finds_what_breaks_a_gate():
 
 
 def test_tallies_add_up():
-    total = Tally()
+    total = RunStatistics()
     for seed in (0, 1):
         total.add(attack(seed * 100, 300, Careless))
     assert total.asked == total.accepted + total.refused >= 600
@@ -129,6 +129,6 @@ def test_a_copy_for_good_has_no_fault(pulse):
 
 def test_a_stream_ends_where_they_disagree():
     """From there on they would speak of different pasts."""
-    tally = Tally()
+    tally = RunStatistics()
     stream("line-7", 0, tally, Strict)
     assert tally.disagreements == 1

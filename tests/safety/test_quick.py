@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from .agreement import Tally, stream
+from .agreement import RunStatistics, stream
 from .bounds import NS
 from .displays import display, display_names
 from .drafts import ordinary
@@ -30,7 +30,7 @@ class OtherForm:
 
 @pytest.mark.parametrize("name", display_names())
 def test_both_forms_agree(name):
-    tally = Tally()
+    tally = RunStatistics()
     for seed in range(STREAMS):
         stream(name, seed, tally, OtherForm)
     assert tally.asked > 400

@@ -196,7 +196,7 @@ def test_an_array_that_answers_for_another_is_read_as_what_it_is():
 
 
 def test_a_second_holds_no_more_than_its_pulses():
-    """Sent faster than they claim to take, sequences are counted by the display's clock."""
+    """StepResult faster than they claim to take, sequences are counted by the display's clock."""
     clock = ToldClock()
     gate = SafetyGate(LIMITS, clock)
     gate.prove(sequence([], intensity=0.0, time_ns=0))

@@ -15,16 +15,19 @@ import numpy as np
 from forked import KINDS, Emulated, quiet, run_and_exit
 
 from smarttouch.boards.board import make_board
-from smarttouch.controls import Controls, Wish
 from smarttouch.kernels.bank import load_bank
-from smarttouch.live import run, settled
-from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode
 from smarttouch.profile import load_profile
+from smarttouch.run.config import RunConfig
+from smarttouch.run.controls import Controls, ControlState
+from smarttouch.run.environment import steady_environment
+from smarttouch.run.listener import as_listeners
+from smarttouch.run.loop import run_loop
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.statistics import RunStatistics
 from smarttouch.sources.frame import Frame, Pose, Sensor
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
-from smarttouch.tally import Tally
 
 PROFILES = {"link": "electric-mouse", "kajimoto61": "kajimoto-61", "etactilekit": "etactilekit-32"}
 RISEN_S = 0.7
@@ -56,21 +59,26 @@ class Bars(Sensor):
 def host(kind, url, folder):
     """Drive a board at its strongest until SIGTERM; write down what was dropped."""
     quiet(folder / f"{kind}.out")
-    profile, stop, tally = load_profile(PROFILES[kind]), StopRequest(), Tally()
-    pipeline = Pipeline(profile, load_bank(profile), Mode.RA)
+    profile, stop, tally = load_profile(PROFILES[kind]), StopRequest(), RunStatistics()
+    pipeline = Pipeline(profile, load_bank(profile), RunConfig(mode=Mode.RA, scan="points"))
     signal.signal(signal.SIGTERM, lambda *_: setattr(stop, "reason", "over"))
     board = make_board(url, SafetyLimits.of(profile), profile.output)
-    with settled(pipeline), board:
+    with steady_environment(pipeline), board:
 
         def watch(_sent):
             # Set here and not in the handler, which may lock nothing.
             if stop.reason:
                 stop.event.set()
 
-        run(
-            Bars(profile), pipeline, board, stop=stop, tally=tally, observers=[watch],
-            controls=Controls(Wish(Mode.RA)),
-        )  # fmt: skip
+        run_loop(
+            Bars(profile),
+            pipeline,
+            board,
+            stop=stop,
+            statistics=tally,
+            listeners=as_listeners([watch]),
+            controls=Controls(ControlState(Mode.RA)),
+        )
     account = {"dropped_late": board.dropped_late, "restarts": tally.restarts, "late": tally.late}
     (folder / f"{kind}.json").write_text(json.dumps(account))
 

@@ -11,8 +11,8 @@ from smarttouch.texture.motion import Motion
 from smarttouch.texture.sensor import JUMP_MM, MouseSensor, PulseLimit
 from smarttouch.texture.sweep_motion import START_S
 from smarttouch.texture.textures import open_texture
-from smarttouch.texture.touch import feel
 
+from .feeling import feel
 from .touched import FELT, grating_file, object_file, path_motion, stroke, touch
 
 GRATING = open_texture("grating:4mm")

@@ -10,7 +10,8 @@ from smarttouch.reading.window import press_n
 from smarttouch.texture.path_motion import PathMotion
 from smarttouch.texture.sensor import MouseSensor
 from smarttouch.texture.sweep_motion import START_S, SweepMotion
-from smarttouch.texture.touch import feel
+
+from .feeling import feel
 
 DPI = 254
 """A tenth of a millimeter a pixel."""

@@ -7,12 +7,14 @@ import numpy as np
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.boards.hybrid import HybridBoard
 from smarttouch.clock import SimulatedClock
-from smarttouch.live import run
-from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Primary
+from smarttouch.run.config import RunConfig
+from smarttouch.run.listener import as_listeners
+from smarttouch.run.loop import run_loop
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.statistics import RunStatistics
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
-from smarttouch.tally import Tally
 from smarttouch.vibrotactile.mix import mix_colors
 from smarttouch.vibrotactile.recover import recover
 from smarttouch.vibrotactile.sensor import ColorSensor
@@ -47,19 +49,18 @@ def feel(spec, profile, bank, seconds=2.0, shaking=None, **options):
     began_s = {}
 
     def watch(sent):
-        sensor.watch(sent)
         began_s[sent.number] = sent.step.sequence.time_ns / 1e9
 
     board = SimulatedBoard("", SafetyLimits.of(profile), profile.output)
     whole = HybridBoard(board, shaking) if vibrated else board
     with whole:
-        run(
+        run_loop(
             sensor,
-            Pipeline(profile, bank, mixture.mode, vibrated=vibrated),
+            Pipeline(profile, bank, RunConfig(mode=mixture.mode, scan="points"), vibrated=vibrated),
             whole,
             stop=StopRequest(),
-            tally=Tally(),
-            observers=[watch],
+            statistics=RunStatistics(),
+            listeners=as_listeners([watch]),
             clock=SimulatedClock(),
         )
         numbers, _, current_ua = board.take_pulses()

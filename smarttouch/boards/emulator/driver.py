@@ -59,7 +59,11 @@ class EmulatorBoard(LinkBoard):
         ]
         self._command += [f"--event={event}" for event in events]
         if books is not None:
-            self._command.append(f"--books={books}")
+            self.keep_books(books)
+
+    def keep_books(self, folder: Path) -> None:
+        """Have it keep books in an existing folder, from when it is opened next."""
+        self._command.append(f"--books={folder}")
 
     @property
     def process_id(self) -> int:

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from smarttouch.boards.board import make_board
 from smarttouch.errors import BoardError, SafetyError, ScheduleError
 from smarttouch.kernels.bank import load_bank
-from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
+from smarttouch.run.config import RunConfig
+from smarttouch.run.pipeline import Pipeline
 from smarttouch.sources.frame import Frame, Pose, PulseRequest
 from smarttouch.stimulation.points import felt_at
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
@@ -30,7 +31,8 @@ def asking(activation, period_us=20_000, time_ns=0, level=1.0, force_n=FULL_N):
 
 def settled(profile, bank, mode, **options):
     """Return a pipeline at full intensity, and the time of its next frame."""
-    pipeline = Pipeline(profile, bank, mode, **options)
+    config = RunConfig(mode=mode, scan="points")
+    pipeline = Pipeline(profile, bank, config, **options)
     for time_ns in (0, 10**9):
         pipeline.process(asking({}, time_ns=time_ns))
     return pipeline, 2 * 10**9
@@ -75,7 +77,7 @@ def test_pulses_that_do_not_fit_lengthen_the_period_and_say_so(profile, bank):
 
 
 def test_level_and_force_and_soft_start_count_as_for_everyone(profile, bank):
-    pipeline = Pipeline(profile, bank, Mode.RA)
+    pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points"))
     site = {Primary.RA: (27,)}
     assert pipeline.process(asking(site)).sequence.slots == 0
     assert pipeline.process(asking(site, time_ns=250_000_000)).sequence.intensity == 0.5
@@ -90,7 +92,7 @@ def test_a_class_that_cannot_be_driven_is_refused(profile, bank):
     with pytest.raises(ScheduleError, match=r"SAI was asked for .* choose of RA"):
         pipeline.process(asking({Primary.SAI: (3,)}, time_ns=now))
     board = load_profile("kajimoto-61")
-    pipeline = Pipeline(board, load_bank(board), Mode.COLOR)
+    pipeline = Pipeline(board, load_bank(board), RunConfig(mode=Mode.COLOR, scan="points"))
     pipeline.warm_up()
     rows = np.zeros((3, 61), np.float32)
     rows[Primary.PC, 5] = 1
@@ -101,7 +103,9 @@ def test_a_class_that_cannot_be_driven_is_refused(profile, bank):
 
 def test_color_is_not_for_images(profile, bank):
     with pytest.raises(ScheduleError, match="choose RA"):
-        Pipeline(profile, bank, Mode.COLOR).process(Frame(BLANK, 0, Pose(0, 0), FULL_N))
+        Pipeline(profile, bank, RunConfig(mode=Mode.COLOR, scan="points")).process(
+            Frame(BLANK, 0, Pose(0, 0), FULL_N)
+        )
 
 
 def test_vibrators_take_pc_over(profile, bank):
@@ -155,7 +159,7 @@ def test_every_point_is_felt_within_half_a_cell_of_where_it_should_be(
 
 
 def test_boards_without_vibrators_refuse_vibration(profile, bank):
-    pipeline = Pipeline(profile, bank, Mode.COLOR, vibrated=True)
+    pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.COLOR, scan="points"), vibrated=True)
     with (
         make_board("memory:", SafetyLimits.of(profile)) as board,
         pytest.raises(BoardError, match="no vibrators"),

@@ -4,14 +4,17 @@ from dataclasses import dataclass
 
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.clock import SimulatedClock
-from smarttouch.controls import Controls, Wish
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.live import Sent, run
-from smarttouch.pipeline import Pipeline
 from smarttouch.profile import Profile
+from smarttouch.run.config import RunConfig
+from smarttouch.run.controls import Controls, ControlState
+from smarttouch.run.listener import as_listeners
+from smarttouch.run.loop import run_loop
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.statistics import RunStatistics
+from smarttouch.run.step import StepResult
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
-from smarttouch.tally import Tally
 from smarttouch.texture.felt import FeltMap
 from smarttouch.texture.sensor import MouseSensor
 
@@ -28,13 +31,13 @@ class Touched:
         When each sequence began, by its number.
     poses_mm : dict of int to tuple of float, mm
         Where the hand was then.
-    tally : Tally
+    tally : RunStatistics
     """
 
     felt: FeltMap
     times_ns: dict[int, int]
     poses_mm: dict[int, tuple[float, float]]
-    tally: Tally
+    tally: RunStatistics
 
 
 def feel(
@@ -63,9 +66,9 @@ def feel(
     felt = sensor.drawing(profile, bank)
     times_ns: dict[int, int] = {}
     poses_mm: dict[int, tuple[float, float]] = {}
-    tally = Tally()
+    tally = RunStatistics()
 
-    def watch(sent: Sent) -> None:
+    def watch(sent: StepResult) -> None:
         felt.watch(sent)
         if sent.number is not None:
             frame = sent.step.frame
@@ -74,15 +77,15 @@ def feel(
 
     limits = SafetyLimits.of(profile)
     with sensor, SimulatedBoard("", limits, profile.output) as board:
-        run(
+        run_loop(
             sensor,
-            Pipeline(profile, bank, sensor.mode),
+            Pipeline(profile, bank, RunConfig(mode=sensor.mode, scan="points")),
             board,
             stop=StopRequest(),
-            tally=tally,
+            statistics=tally,
             seconds=seconds,
-            observers=[watch],
-            controls=Controls(Wish(sensor.mode)),
+            listeners=as_listeners([watch]),
+            controls=Controls(ControlState(sensor.mode)),
             clock=SimulatedClock(),
         )
         felt.deliver(*board.take_pulses())

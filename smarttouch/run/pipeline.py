@@ -1,58 +1,21 @@
 """Frame in, scan sequence out: pure, without I/O and without a clock."""
 
 import contextlib
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from smarttouch.errors import ScheduleError, SmartTouchError
-from smarttouch.imaging.mapping import TactileMapper, Tone
+from smarttouch.imaging.mapping import TactileMapper
 from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
+from smarttouch.run.config import RunConfig
+from smarttouch.run.step import Step
 from smarttouch.sources.frame import Frame, Pose, PulseRequest
-from smarttouch.stimulation.frames import NO_SHARING, Sharing
 from smarttouch.stimulation.intensity import SoftStart, force_gate
 from smarttouch.stimulation.schedule import PointScan
-from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.timing import ScanTiming
-
-Measured = tuple[ScanSequence, NDArray[np.float32]]
-"""A sequence that was delivered, and what its source needed in each slot, (S,) V."""
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """One frame's way through the corridor, and all that it depended on.
-
-    Attributes
-    ----------
-    frame : Frame
-        With the force that counted.
-    tactile : TactileImage
-    sequence : ScanSequence
-        As it is sent.
-    mode : Mode
-    level : float, in [0, 1]
-        What the user asked for.
-    restarted : bool
-        Whether intensity began at zero here.
-    asked_us : int, µs
-        Period that was wanted; longer ones did not fit.
-    observed : tuple of (ScanSequence, ndarray)
-        What the board had measured until then, where sequences depend on it.
-    """
-
-    frame: Frame
-    tactile: TactileImage
-    sequence: ScanSequence
-    mode: Mode
-    level: float = 1.0
-    restarted: bool = False
-    asked_us: int = 0
-    observed: tuple[Measured, ...] = ()
 
 
 class Pipeline:
@@ -64,46 +27,32 @@ class Pipeline:
         Device and finger.
     bank : KernelBank
         Kernels of the profile's array.
-    mode : Mode
-        What drives which afferents.
-    rate_hz : float, optional
-        Sequences a second; the profile's own if not given. Natural mode has none.
-    light_on_dark : bool
-        For light print on dark paper.
+    config : RunConfig, optional
+        Mode, rate, scan and tone; in natural mode the rate is the profile's.
     timing : ScanTiming, optional
         What the board fixes about the time of a scan.
-    softness : float, in [0, 1], optional
-        How little the rate of SAI pulses follows force; the profile's own if not given.
-    tone : Tone, optional
-        How ink becomes activation; as for frames of a sensor if not given.
     vibrated : bool
         Whether mechanical vibrators do what PC is to feel, and no current (paper, Section V).
-    sharing : Sharing
-        Classes whose points share a slot where their currents leave one another alone.
     """
 
     def __init__(
         self,
         profile: Profile,
         bank: KernelBank,
-        mode: Mode = Mode.RA,
-        rate_hz: float | None = None,
-        light_on_dark: bool = False,
+        config: RunConfig | None = None,
         timing: ScanTiming | None = None,
-        softness: float | None = None,
-        tone: Tone | None = None,
+        *,
         vibrated: bool = False,
-        sharing: Sharing = NO_SHARING,
     ) -> None:
-        self._settings = (
-            profile, bank, mode, rate_hz, light_on_dark, timing, softness, tone, vibrated, sharing,
-        )  # fmt: skip
-        self._profile = profile
-        self._mapper = TactileMapper(profile, light_on_dark, tone)
+        config = config or RunConfig()
+        self._profile, self._bank, self._config = profile, bank, config
+        self._timing, self._vibrated = timing, vibrated
+        self._sharing = config.sharing(profile)
+        self._mapper = TactileMapper(profile, config.light_on_dark, config.tone)
         self._soft_start = SoftStart(profile.limits.ramp_s)
         self._restarted = True
         self._scans: dict[Mode, PointScan] = {}
-        self.change_mode(mode)
+        self.change_mode(Mode(config.mode))
 
     def change_mode(self, mode: Mode) -> None:
         """Drive other afferents from the next frame on; intensity begins at zero.
@@ -136,22 +85,23 @@ class Pipeline:
 
     def _scan(self, mode: Mode) -> PointScan:
         if mode not in self._scans:
-            profile, bank, _, rate_hz, _, timing, softness, _, vibrated, sharing = self._settings
+            bank, config, vibrated = self._bank, self._config, self._vibrated
             classes, vibrated = mode.primaries, vibrated and mode is Mode.COLOR
             if mode is Mode.COLOR:
                 made = {*bank.weights, *((Primary.PC,) if vibrated else ())}
                 classes = tuple(each for each in classes if each in made)
             # A rate asked for in one mode is not for the two of natural mode.
             natural = mode is Mode.NATURAL and bool(self._scans)
+            softness = config.softness
             self._scans[mode] = PointScan(
-                profile,
+                self._profile,
                 bank,
                 classes,
-                None if natural else rate_hz,
-                timing,
-                profile.pulse.softness if softness is None else softness,
+                None if natural else config.rate_hz,
+                self._timing,
+                self._profile.pulse.softness if softness is None else softness,
                 vibrated,
-                sharing,
+                self._sharing,
             )
         return self._scans[mode]
 
@@ -194,14 +144,16 @@ class Pipeline:
 
         First calls import and allocate; in the loop that would cost a pulse.
         """
-        twin = Pipeline(*self._settings)
+        twin = Pipeline(
+            self._profile, self._bank, self._config, self._timing, vibrated=self._vibrated
+        )
         optics, force = self._profile.optics, self._profile.force
         image = np.full((optics.sensor_rows, optics.sensor_columns), 230, np.uint8)
         image[::2, : optics.sensor_columns // 2] = 20
         request = None
         if self.mode is Mode.COLOR:
             active = np.ones((len(Primary), len(self._profile.electrodes)), np.float32)
-            active[[each for each in Primary if each not in self._settings[1].weights]] = 0
+            active[[each for each in Primary if each not in self._bank.weights]] = 0
             request = PulseRequest(active, 20_000)
         for time_ns in (0, 10**9):
             twin.process(Frame(image, time_ns, Pose(0, 0), force.full_n, request=request))

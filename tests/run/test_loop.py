@@ -10,20 +10,23 @@ import pytest
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.boards.probe import one_each
-from smarttouch.controls import Controls, Wish
 from smarttouch.errors import BoardError, BoardRestartedError, LineLostError, SafetyError
-from smarttouch.live import run
-from smarttouch.pipeline import Pipeline
+from smarttouch.events import BoardRestarted
 from smarttouch.primary import Mode
 from smarttouch.realtime import Pace
-from smarttouch.regulator import Regulator
+from smarttouch.run.config import RunConfig
+from smarttouch.run.controls import Controls, ControlState
+from smarttouch.run.listener import OnEvent, as_listeners
+from smarttouch.run.loop import run_loop
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.regulator import Regulator
+from smarttouch.run.statistics import RunStatistics
 from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.frame import Frame, Pose, Sensor
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.ledger import ChargeLedger
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
-from smarttouch.tally import Tally
 
 
 class FakeClock:
@@ -96,13 +99,13 @@ def board(profile):
 
 @pytest.fixture
 def pipeline(profile, bank):
-    return Pipeline(profile, bank)
+    return Pipeline(profile, bank, RunConfig(scan="points"))
 
 
 def test_frames_are_asked_for_at_absolute_deadlines(pipeline, board):
-    sensor, clock, tally = Bars(50), FakeClock(), Tally()
+    sensor, clock, tally = Bars(50), FakeClock(), RunStatistics()
     with board:
-        run(sensor, pipeline, board, stop=StopRequest(), tally=tally, clock=clock)
+        run_loop(sensor, pipeline, board, stop=StopRequest(), statistics=tally, clock=clock)
     assert clock.deadlines == [i * 20_000_000 for i in range(51)]
     assert sensor.times == clock.deadlines[:50]
     assert len(board.sequences) == tally.frames == 50
@@ -110,9 +113,9 @@ def test_frames_are_asked_for_at_absolute_deadlines(pipeline, board):
 
 
 def test_a_late_loop_moves_its_schedule_and_never_hurries(pipeline, board):
-    clock, tally = FakeClock([0, 0, 65_000_000]), Tally()
+    clock, tally = FakeClock([0, 0, 65_000_000]), RunStatistics()
     with board:
-        run(Bars(5), pipeline, board, stop=StopRequest(), tally=tally, clock=clock)
+        run_loop(Bars(5), pipeline, board, stop=StopRequest(), statistics=tally, clock=clock)
     assert tally.late == 1
     assert np.diff(clock.deadlines).min() == 20_000_000
     assert clock.deadlines[3] - clock.deadlines[2] == 85_000_000
@@ -121,7 +124,9 @@ def test_a_late_loop_moves_its_schedule_and_never_hurries(pipeline, board):
 def test_after_a_stall_nothing_comes_on_suddenly(pipeline, board):
     clock = FakeClock([0] * 40 + [150_000_000])
     with board:
-        run(Bars(60), pipeline, board, stop=StopRequest(), tally=Tally(), clock=clock)
+        run_loop(
+            Bars(60), pipeline, board, stop=StopRequest(), statistics=RunStatistics(), clock=clock
+        )
     intensity = [sequence.intensity for sequence in board.sequences]
     assert intensity[39] == 1
     assert intensity[40] <= 0.041
@@ -131,12 +136,14 @@ def test_after_a_stall_nothing_comes_on_suddenly(pipeline, board):
 def test_a_little_lateness_does_not_add_up(pipeline, board):
     clock = FakeClock([3_000_000] * 20)
     with board:
-        run(Bars(20), pipeline, board, stop=StopRequest(), tally=Tally(), clock=clock)
+        run_loop(
+            Bars(20), pipeline, board, stop=StopRequest(), statistics=RunStatistics(), clock=clock
+        )
     assert clock.deadlines == [i * 20_000_000 for i in range(21)]
 
 
 def test_a_board_whose_clock_is_behind_is_followed(pipeline, board, monkeypatch):
-    clock, tally, send = FakeClock(), Tally(), board._send
+    clock, tally, send = FakeClock(), RunStatistics(), board._send
 
     def held_up(sequence, times):
         # Its scans begin 7 ms after their time: who asks earlier has to wait.
@@ -146,7 +153,7 @@ def test_a_board_whose_clock_is_behind_is_followed(pipeline, board, monkeypatch)
 
     monkeypatch.setattr(board, "_send", held_up)
     with board:
-        run(Bars(20), pipeline, board, stop=StopRequest(), tally=tally, clock=clock)
+        run_loop(Bars(20), pipeline, board, stop=StopRequest(), statistics=tally, clock=clock)
     # It waits once, and from then on takes its frames 7 ms later.
     assert np.diff(clock.deadlines).tolist() == [27_000_000] + [20_000_000] * 19
     assert tally.latency.total_us == tally.latency.largest_us > 0
@@ -156,12 +163,12 @@ def test_same_frames_same_sequences(profile, bank):
     runs = []
     for _ in range(2):
         with Watched(profile) as board:
-            run(
+            run_loop(
                 Bars(30),
-                Pipeline(profile, bank),
+                Pipeline(profile, bank, RunConfig(scan="points")),
                 board,
                 stop=StopRequest(),
-                tally=Tally(),
+                statistics=RunStatistics(),
                 clock=FakeClock(),
             )
         runs.append([s.current_ua.tobytes() + s.site.tobytes() for s in board.sequences])
@@ -170,15 +177,17 @@ def test_same_frames_same_sequences(profile, bank):
 
 
 def test_seconds_end_it(pipeline, board):
-    stop, tally = StopRequest(), Tally()
+    stop, tally = StopRequest(), RunStatistics()
     with board:
-        run(Bars(), pipeline, board, stop=stop, tally=tally, seconds=0.5, clock=FakeClock())
+        run_loop(
+            Bars(), pipeline, board, stop=stop, statistics=tally, seconds=0.5, clock=FakeClock()
+        )
     assert tally.frames == 25
     assert "0.5 s" in stop.reason
 
 
 def test_a_stop_request_ends_it_before_the_next_frame(pipeline, board):
-    stop, tally = StopRequest(), Tally()
+    stop, tally = StopRequest(), RunStatistics()
 
     def after_ten(_):
         if tally.frames == 10:
@@ -186,13 +195,13 @@ def test_a_stop_request_ends_it_before_the_next_frame(pipeline, board):
             stop.ask("too late to be the reason")
 
     with board:
-        run(
+        run_loop(
             Bars(),
             pipeline,
             board,
             stop=stop,
-            tally=tally,
-            observers=[after_ten],
+            statistics=tally,
+            listeners=as_listeners([after_ten]),
             clock=FakeClock(),
         )
     assert tally.frames == 10
@@ -211,13 +220,13 @@ def test_an_exception_in_any_stage_ends_at_zero(monkeypatch, pipeline, board, st
         monkeypatch.setattr(pipeline, "process", broken)
     observers = [broken] if stage == "observer" else []
     with pytest.raises(RuntimeError, match="broke"), board:
-        run(
+        run_loop(
             sensor,
             pipeline,
             board,
             stop=StopRequest(),
-            tally=Tally(),
-            observers=observers,
+            statistics=RunStatistics(),
+            listeners=as_listeners(observers),
             clock=FakeClock(),
         )
     assert board.calls == ["open", "stop", "close"]
@@ -225,7 +234,14 @@ def test_an_exception_in_any_stage_ends_at_zero(monkeypatch, pipeline, board, st
 
 def test_soft_start_from_the_first_frame(pipeline, board):
     with board:
-        run(Bars(40), pipeline, board, stop=StopRequest(), tally=Tally(), clock=FakeClock())
+        run_loop(
+            Bars(40),
+            pipeline,
+            board,
+            stop=StopRequest(),
+            statistics=RunStatistics(),
+            clock=FakeClock(),
+        )
     intensity = [sequence.intensity for sequence in board.sequences]
     assert intensity[0] == 0
     assert intensity[25] == pytest.approx(1.0)
@@ -238,7 +254,7 @@ def test_stopping_is_safe_from_another_thread(pipeline, board):
         thread = threading.Thread(target=stop.ask, args=("other thread",))
         thread.start()
         thread.join()
-        run(Bars(), pipeline, board, stop=stop, tally=Tally(), clock=FakeClock())
+        run_loop(Bars(), pipeline, board, stop=stop, statistics=RunStatistics(), clock=FakeClock())
     assert board.sequences == []
 
 
@@ -247,7 +263,7 @@ def intensities(board):
 
 
 def test_a_board_that_was_lost_and_is_back_begins_at_zero(monkeypatch, pipeline, board):
-    tally, send = Tally(), board._send
+    tally, send = RunStatistics(), board._send
 
     def loses_the_fortieth(sequence, times):
         if len(board.sequences) == 40:
@@ -258,7 +274,7 @@ def test_a_board_that_was_lost_and_is_back_begins_at_zero(monkeypatch, pipeline,
     monkeypatch.setattr(board, "_send", loses_the_fortieth)
     monkeypatch.setattr(board, "_recover", lambda lost: None)
     with board:
-        run(Bars(60), pipeline, board, stop=StopRequest(), tally=tally, clock=FakeClock())
+        run_loop(Bars(60), pipeline, board, stop=StopRequest(), statistics=tally, clock=FakeClock())
     assert (tally.restarts, tally.frames) == (1, 59)
     assert intensities(board)[39:42] == [1, 0, pytest.approx(0.04)]
     assert board.notes == ["the board at x has vanished: started anew"]
@@ -269,7 +285,14 @@ def test_after_a_loss_nothing_but_zero_is_let_through(monkeypatch, profile, pipe
         raise LineLostError("the board at x has vanished")
 
     with board:
-        run(Bars(40), pipeline, board, stop=StopRequest(), tally=Tally(), clock=FakeClock())
+        run_loop(
+            Bars(40),
+            pipeline,
+            board,
+            stop=StopRequest(),
+            statistics=RunStatistics(),
+            clock=FakeClock(),
+        )
         last = board.sequences[-1]
         assert last.intensity == 1
         with monkeypatch.context() as patch:
@@ -287,12 +310,19 @@ def test_a_board_that_stays_lost_ends_the_run(monkeypatch, pipeline, board):
 
     monkeypatch.setattr(board, "_send", broken)
     with pytest.raises(BoardError, match="vanished"), board:
-        run(Bars(60), pipeline, board, stop=StopRequest(), tally=Tally(), clock=FakeClock())
+        run_loop(
+            Bars(60),
+            pipeline,
+            board,
+            stop=StopRequest(),
+            statistics=RunStatistics(),
+            clock=FakeClock(),
+        )
     assert board.calls == ["open", "stop", "close"]
 
 
 def test_a_lifted_finger_stops_the_current_and_its_return_begins_at_zero(pipeline, board):
-    tally = Tally()
+    tally = RunStatistics()
 
     def lift(sent):
         # As a board would tell: all of what it was sent met an open circuit.
@@ -300,10 +330,15 @@ def test_a_lifted_finger_stops_the_current_and_its_return_begins_at_zero(pipelin
             board.lifted = True
 
     with board:
-        run(
-            Bars(100), pipeline, board, stop=StopRequest(), tally=tally, observers=[lift],
+        run_loop(
+            Bars(100),
+            pipeline,
+            board,
+            stop=StopRequest(),
+            statistics=tally,
+            listeners=as_listeners([lift]),
             clock=FakeClock(),
-        )  # fmt: skip
+        )
     found = intensities(board)
     assert found[39] == 1
     assert found[40:55] == [0] * 15
@@ -317,7 +352,14 @@ def test_a_lifted_finger_stops_the_current_and_its_return_begins_at_zero(pipelin
 def test_the_force_that_the_board_measures_gates_too(pipeline, board):
     board.force_n = 0.05
     with board:
-        run(Bars(40), pipeline, board, stop=StopRequest(), tally=Tally(), clock=FakeClock())
+        run_loop(
+            Bars(40),
+            pipeline,
+            board,
+            stop=StopRequest(),
+            statistics=RunStatistics(),
+            clock=FakeClock(),
+        )
     assert set(intensities(board)) == {0}
 
 
@@ -332,10 +374,16 @@ def test_what_was_measured_changes_what_is_sent(profile, pipeline, board, monkey
 
     regulator = Regulator(Adaptation(profile, "energy", 300.0), ChargeLedger(64))
     with board:
-        run(
-            Bars(60), pipeline, board, stop=StopRequest(), tally=Tally(), observers=[saturate],
-            regulator=regulator, clock=FakeClock(),
-        )  # fmt: skip
+        run_loop(
+            Bars(60),
+            pipeline,
+            board,
+            stop=StopRequest(),
+            statistics=RunStatistics(),
+            listeners=as_listeners([saturate]),
+            regulator=regulator,
+            clock=FakeClock(),
+        )
     # The same voltage at ever more current: impedance seems to fall, and energy holds.
     late = [s for s in board.sequences[30:] if s.slots]
     assert {bool(s.current_ua[0, s.site[0]] > 0) for s in late} == {True, False}
@@ -364,9 +412,9 @@ def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
         "", SafetyLimits.of(profile), profile.output, events=["1.5 lift", "2.1 touch"]
     )
     with board:
-        run(
-            Bars(240), pipeline, board, stop=StopRequest(), tally=Tally(),
-            observers=[lambda sent: found.append(sent.step.sequence.intensity)],
+        run_loop(
+            Bars(240), pipeline, board, stop=StopRequest(), statistics=RunStatistics(),
+            listeners=as_listeners([lambda sent: found.append(sent.step.sequence.intensity)]),
         )  # fmt: skip
     down = found.index(0, 10)
     assert max(found[:down]) == 1
@@ -390,17 +438,20 @@ class Pressing(ForceSource):
         return self.force_n(time_ns)
 
 
-def play(board, pipeline, sensor, **options):
-    tally, told = Tally(), []
+def play(board, pipeline, sensor, listeners=(), **options):
+    tally, told = RunStatistics(), []
     with board:
-        run(
+        run_loop(
             sensor,
             pipeline,
             board,
             stop=StopRequest(),
-            tally=tally,
+            statistics=tally,
             clock=FakeClock(),
-            tell=lambda time_ns, words: told.append((time_ns, words)),
+            listeners=[
+                *as_listeners(listeners),
+                OnEvent(lambda event: told.append((event.time_ns, str(event)))),
+            ],
             **options,
         )
     return tally, told
@@ -461,16 +512,16 @@ class Scripted(Controls):
     def __init__(self, *wishes):
         self.wishes = list(wishes)
 
-    def wish(self, time_ns):
+    def state(self, time_ns):
         return [wish for since, wish in self.wishes if since <= time_ns][-1]
 
 
 def test_the_user_s_wish_is_heeded_and_told_of(pipeline, board):
     controls = Scripted(
-        (0, Wish(Mode.RA, 0.5)),
-        (800_000_000, Wish(Mode.RA, 0.5, paused=True)),
-        (1_000_000_000, Wish(Mode.RA, 0.25)),
-        (1_600_000_000, Wish(Mode.SAI, 0.25)),
+        (0, ControlState(Mode.RA, 0.5)),
+        (800_000_000, ControlState(Mode.RA, 0.5, paused=True)),
+        (1_000_000_000, ControlState(Mode.RA, 0.25)),
+        (1_600_000_000, ControlState(Mode.SAI, 0.25)),
     )
     _, told = play(board, pipeline, Bars(120), controls=controls)
     intensity = felt(board)
@@ -512,7 +563,7 @@ def test_every_step_is_observed_also_one_that_was_lost(pipeline, board, monkeypa
 
     monkeypatch.setattr(board, "_send", lose)
     monkeypatch.setattr(board, "_recover", lambda lost: None)
-    tally, told = play(board, pipeline, Bars(30), observers=[seen.append])
+    tally, told = play(board, pipeline, Bars(30), listeners=[seen.append])
     assert [sent.number is None for sent in seen] == [i == 20 for i in range(30)]
     assert (tally.seen, tally.felt) == (30, 29)
     assert [sent.step.restarted for sent in seen] == [i in (0, 21) for i in range(30)]
@@ -520,7 +571,7 @@ def test_every_step_is_observed_also_one_that_was_lost(pipeline, board, monkeypa
 
 
 def test_the_time_that_a_board_was_lost_is_no_error_of_the_period(pipeline, board, monkeypatch):
-    send, clock, tally = board._send, FakeClock(), Tally()
+    send, clock, tally = board._send, FakeClock(), RunStatistics()
 
     def lose(sequence, times):
         if sequence.time_ns == 400_000_000:
@@ -531,7 +582,7 @@ def test_the_time_that_a_board_was_lost_is_no_error_of_the_period(pipeline, boar
     monkeypatch.setattr(board, "_send", lose)
     monkeypatch.setattr(board, "_recover", lambda lost: None)
     with board:
-        run(Bars(40), pipeline, board, stop=StopRequest(), tally=tally, clock=clock)
+        run_loop(Bars(40), pipeline, board, stop=StopRequest(), statistics=tally, clock=clock)
     assert tally.period_error.count == 37
     assert tally.period_error.largest_us == 0
 
@@ -545,7 +596,7 @@ def test_the_age_of_an_image_counts(pipeline, board):
 
 def test_what_was_computed_before_a_pause_is_not_sent(monkeypatch, pipeline, board):
     """The computer stands still between the making of a sequence and its sending."""
-    clock, tally, words = FakeClock(), Tally(), []
+    clock, tally, words = FakeClock(), RunStatistics(), []
     board._clock = clock
     process = pipeline.process
 
@@ -557,25 +608,27 @@ def test_what_was_computed_before_a_pause_is_not_sent(monkeypatch, pipeline, boa
 
     monkeypatch.setattr(pipeline, "process", stand_still)
     with board:
-        run(
-            Bars(60), pipeline, board, stop=StopRequest(), tally=tally, clock=clock,
-            tell=lambda _time_ns, said: words.append(said),
+        run_loop(
+            Bars(60), pipeline, board, stop=StopRequest(), statistics=tally, clock=clock,
+            listeners=[OnEvent(words.append)],
         )  # fmt: skip
     assert intensities(board)[39:42] == [1, 0, pytest.approx(0.04)]
     assert (board.dropped_late, tally.restarts, tally.frames) == (1, 0, 59)
-    assert any("intensity begins at zero" in said for said in words)
+    assert any(isinstance(event, BoardRestarted) for event in words)
 
 
 def test_a_pause_before_a_frame_is_taken_drops_nothing(pipeline, board):
     board._clock = clock = FakeClock([0] * 40 + [300_000_000])
     with board:
-        run(Bars(60), pipeline, board, stop=StopRequest(), tally=Tally(), clock=clock)
+        run_loop(
+            Bars(60), pipeline, board, stop=StopRequest(), statistics=RunStatistics(), clock=clock
+        )
     assert intensities(board)[39:42] == [1, 0, pytest.approx(0.04)]
     assert board.dropped_late == 0
 
 
 def test_a_stop_halts_the_board_in_the_middle_of_a_step(monkeypatch, pipeline, board):
-    stop, tally = StopRequest(), Tally()
+    stop, tally = StopRequest(), RunStatistics()
     process = pipeline.process
 
     def stopped_meanwhile(frame, level):
@@ -587,7 +640,7 @@ def test_a_stop_halts_the_board_in_the_middle_of_a_step(monkeypatch, pipeline, b
 
     monkeypatch.setattr(pipeline, "process", stopped_meanwhile)
     with board, stop.telling(board.halt):
-        run(Bars(60), pipeline, board, stop=stop, tally=tally, clock=FakeClock())
+        run_loop(Bars(60), pipeline, board, stop=stop, statistics=tally, clock=FakeClock())
     assert (len(board.sequences), tally.frames, stop.reason) == (10, 10, "key q")
 
 
@@ -596,23 +649,40 @@ def test_a_board_stopped_by_nobody_who_may_is_a_fault(pipeline, board):
         board.stop()
 
     with board, pytest.raises(BoardError, match="stopped"):
-        run(
-            Bars(60), pipeline, board, stop=StopRequest(), tally=Tally(), observers=[stops],
+        run_loop(
+            Bars(60),
+            pipeline,
+            board,
+            stop=StopRequest(),
+            statistics=RunStatistics(),
+            listeners=as_listeners([stops]),
             clock=FakeClock(),
-        )  # fmt: skip
+        )
 
 
 def test_on_a_finger_somebody_must_say_how_strong(monkeypatch, pipeline, board):
     monkeypatch.setattr(type(board), "on_a_finger", True)
     with board:
         with pytest.raises(BoardError, match="give controls"):
-            run(Bars(5), pipeline, board, stop=StopRequest(), tally=Tally(), clock=FakeClock())
+            run_loop(
+                Bars(5),
+                pipeline,
+                board,
+                stop=StopRequest(),
+                statistics=RunStatistics(),
+                clock=FakeClock(),
+            )
         assert board.sequences == []
-        controls = Controls(Wish(Mode.RA, 0.0))
-        run(
-            Bars(5), pipeline, board, stop=StopRequest(), tally=Tally(), clock=FakeClock(),
+        controls = Controls(ControlState(Mode.RA, 0.0))
+        run_loop(
+            Bars(5),
+            pipeline,
+            board,
+            stop=StopRequest(),
+            statistics=RunStatistics(),
+            clock=FakeClock(),
             controls=controls,
-        )  # fmt: skip
+        )
     assert intensities(board) == [0] * 5
 
 
@@ -630,13 +700,19 @@ def test_priority_is_for_boards_whose_time_passes(
         yield Pace()
         taken.append("given back")
 
-    monkeypatch.setattr("smarttouch.live.paced", paced)
-    told, tally = [], Tally()
+    monkeypatch.setattr("smarttouch.run.loop.paced", paced)
+    told, tally = [], RunStatistics()
     with board:
-        run(
-            Bars(3), pipeline, board, stop=StopRequest(), tally=tally, clock=FakeClock(),
-            controls=Controls(Wish(pipeline.mode)), tell=lambda _, words: told.append(words),
-        )  # fmt: skip
+        run_loop(
+            Bars(3),
+            pipeline,
+            board,
+            stop=StopRequest(),
+            statistics=tally,
+            clock=FakeClock(),
+            controls=Controls(ControlState(pipeline.mode)),
+            listeners=[OnEvent(lambda event: told.append(str(event)))],
+        )
     assert taken == ([] if waits_for_nothing else ["paced", "given back"])
     assert not tally.real_time
     assert (Pace().notes[0] in told) is bool(on_a_finger)

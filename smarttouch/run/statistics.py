@@ -1,7 +1,8 @@
-"""What a run adds up to, in as much memory after an afternoon as after a second."""
+"""Run statistics in constant memory."""
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -14,8 +15,8 @@ _FACTORS = 17
 """From 1 µs to 24 s."""
 
 
-class Spread:
-    """Durations in bins of one percent; the largest is kept as it is."""
+class LatencyHistogram:
+    """Histogram of durations in bins of one percent; the largest is kept as it is."""
 
     def __init__(self) -> None:
         self._bins = np.zeros(_PER_E * _FACTORS + 1, np.int64)
@@ -44,8 +45,8 @@ class Spread:
 
 
 @dataclass
-class Tally:
-    """What a run adds up to, kept as it goes."""
+class RunStatistics:
+    """Statistics of a run, kept as it goes."""
 
     frames: int = 0
     """Sequences sent; each from one look of the sensor."""
@@ -77,14 +78,18 @@ class Tally:
     """Sum of the periods of all sequences sent."""
     asked_us: int = 0
     """Sum of the periods they would have had if their slots had fit."""
-    latency: Spread = field(default_factory=Spread)
+    latency: LatencyHistogram = field(default_factory=LatencyHistogram)
     """From the frame in hand to the last byte written."""
-    motion_to_bytes: Spread = field(default_factory=Spread)
+    motion_to_bytes: LatencyHistogram = field(default_factory=LatencyHistogram)
     """From the taking of the image to the last byte written."""
-    work: Spread = field(default_factory=Spread)
+    work: LatencyHistogram = field(default_factory=LatencyHistogram)
     """Processor time that a frame took the loop, without waiting."""
-    period_error: Spread = field(default_factory=Spread)
+    period_error: LatencyHistogram = field(default_factory=LatencyHistogram)
     """How far the time between two frames was off their period."""
+    ended: str = ""
+    """Reason for which the run has ended."""
+    figures: dict[str, Any] = field(default_factory=dict)
+    """All figures of the run by name, complete after its end; for JSON."""
     _last_seen: int | None = None
     _last_felt: int | None = None
 

@@ -9,8 +9,8 @@ STEP = 0.05
 
 
 @dataclass(frozen=True)
-class Wish:
-    """What the user wants now.
+class ControlState:
+    """State of the user's controls.
 
     Attributes
     ----------
@@ -30,15 +30,16 @@ class Wish:
 
     @property
     def current_level(self) -> float:
+        """Level that flows: zero while paused."""
         return 0.0 if self.paused else self.level
 
 
 class Controls:
-    """Holds the user's wish; changed from any thread, read by the loop.
+    """Intensity, mode and pause as the user sets them; changed from any thread, read by the loop.
 
     Parameters
     ----------
-    wish : Wish
+    state : ControlState
         To begin with.
     modes : tuple of Mode
         What `next_mode` goes through.
@@ -51,27 +52,27 @@ class Controls:
 
     most = 1.0
 
-    def __init__(self, wish: Wish, modes: tuple[Mode, ...] = ()) -> None:
-        self._wish, self._modes = wish, modes or (wish.mode,)
+    def __init__(self, state: ControlState, modes: tuple[Mode, ...] = ()) -> None:
+        self._state, self._modes = state, modes or (state.mode,)
 
-    def wish(self, _time_ns: int) -> Wish:
-        """Return what the user wants at a time of the run."""
-        return self._wish
+    def state(self, _time_ns: int) -> ControlState:
+        """Return the state at a time of the run."""
+        return self._state
 
     def change_level(self, by: float) -> None:
         """Raise or lower the level, from 0 to the most that is allowed."""
-        level = min(self.most, max(0.0, round(self._wish.level + by, 6)))
-        self._wish = replace(self._wish, level=level)
+        level = min(self.most, max(0.0, round(self._state.level + by, 6)))
+        self._state = replace(self._state, level=level)
 
     def silence(self) -> None:
         """Level 0 at once."""
-        self._wish = replace(self._wish, level=0.0)
+        self._state = replace(self._state, level=0.0)
 
     def toggle_pause(self) -> None:
         """Pause, or go on from zero intensity."""
-        self._wish = replace(self._wish, paused=not self._wish.paused)
+        self._state = replace(self._state, paused=not self._state.paused)
 
     def next_mode(self) -> None:
         """Go to the next mode that is offered."""
-        at = self._modes.index(self._wish.mode)
-        self._wish = replace(self._wish, mode=self._modes[(at + 1) % len(self._modes)])
+        at = self._modes.index(self._state.mode)
+        self._state = replace(self._state, mode=self._modes[(at + 1) % len(self._modes)])

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from smarttouch.boards.emulator.simulated import SimulatedBoard
-from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode
-from smarttouch.regulator import Regulator
+from smarttouch.run.config import RunConfig
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.regulator import Regulator
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.ledger import ChargeLedger
 from smarttouch.stimulation.recharge import RechargeRules
@@ -29,7 +30,7 @@ class Told:
 
 @pytest.fixture
 def step(profile, bank, make_frame, patch):
-    pipeline = Pipeline(profile, bank)
+    pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
     pipeline.process(make_frame(patch(), 0))
     return pipeline.process(make_frame(patch(), 10**9))
 
@@ -106,7 +107,7 @@ def test_by_the_emulators_books_charge_is_back_and_the_same_is_felt(
     }
     passed_uc, pulses = {}, {}
     for way, regulator in ways.items():
-        pipeline = Pipeline(profile, bank, mode)
+        pipeline = Pipeline(profile, bank, RunConfig(mode=mode, scan="points"))
         with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
             for index in range(40):
                 # Slow enough for every way, so that all get the same frames.

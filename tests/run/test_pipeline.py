@@ -8,16 +8,17 @@ from hypothesis import strategies as st
 from smarttouch.boards.kajimoto61 import Kajimoto61Board
 from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import load_bank
-from smarttouch.pipeline import Pipeline
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
+from smarttouch.run.config import RunConfig
+from smarttouch.run.pipeline import Pipeline
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.stimulation.timing import ScanTiming
 
 
 def test_a_bar_fires_the_electrodes_over_it(profile, bank, make_frame, patch):
-    pipeline = Pipeline(profile, bank)
+    pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
     pipeline.process(make_frame(patch(), 0))
     step = pipeline.process(make_frame(patch(24, 40), 10**9))
     active = step.tactile.activation[Primary.RA].reshape(8, 8) > 0
@@ -28,7 +29,10 @@ def test_a_bar_fires_the_electrodes_over_it(profile, bank, make_frame, patch):
 
 
 def test_warming_up_changes_nothing(profile, bank, make_frame, patch):
-    plain, warmed = Pipeline(profile, bank), Pipeline(profile, bank)
+    plain, warmed = (
+        Pipeline(profile, bank, RunConfig(scan="points")),
+        Pipeline(profile, bank, RunConfig(scan="points")),
+    )
     warmed.warm_up()
     for time_ns in (0, 10**9):
         one, other = (p.process(make_frame(patch(), time_ns)).sequence for p in (plain, warmed))
@@ -47,7 +51,10 @@ def test_warming_up_changes_nothing(profile, bank, make_frame, patch):
     )
 )
 def test_whatever_the_sensor_says_is_safe(profile, bank, moments):
-    pipeline, gate = Pipeline(profile, bank), SafetyGate(SafetyLimits.of(profile))
+    pipeline, gate = (
+        Pipeline(profile, bank, RunConfig(scan="points")),
+        SafetyGate(SafetyLimits.of(profile)),
+    )
     time_ns = 0
     for seed, wait, force in moments:
         rng = np.random.default_rng(seed)
@@ -58,18 +65,18 @@ def test_whatever_the_sensor_says_is_safe(profile, bank, moments):
 
 def test_the_board_s_time_is_planned_for(profile, bank, make_frame, patch):
     timing = ScanTiming(scan_us=30_000, in_index_order=True)
-    pipeline = Pipeline(profile, bank, timing=timing)
+    pipeline = Pipeline(profile, bank, RunConfig(scan="points"), timing)
     pipeline.warm_up()
     pipeline.process(make_frame(patch(), 0))
     sequence = pipeline.process(make_frame(patch(), 10**9)).sequence
     assert sequence.period_us == 30_000 + 300 * sequence.slots
     assert np.all(np.diff(sequence.site.astype(int)) > 0)
     with pytest.raises(ScheduleError, match=r"pulse.width_us is 200 µs.*always 50.*width_us = 50"):
-        Pipeline(profile, bank, timing=ScanTiming(width_us=50))
+        Pipeline(profile, bank, RunConfig(scan="points"), ScanTiming(width_us=50))
 
 
 def test_frames_of_another_size_are_taken(profile, bank, make_frame, patch):
-    pipeline = Pipeline(profile, bank)
+    pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
     pipeline.process(make_frame(patch(), 0))
     large = patch(24, 40).repeat(10, 1).repeat(7, 0)
     step = pipeline.process(make_frame(large, 10**9))
@@ -77,7 +84,7 @@ def test_frames_of_another_size_are_taken(profile, bank, make_frame, patch):
 
 
 def test_a_change_of_mode_begins_at_zero(profile, bank, make_frame, patch):
-    pipeline = Pipeline(profile, bank)
+    pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
     for step in range(60):
         sequence = pipeline.process(make_frame(patch(), step * 20_000_000)).sequence
     assert sequence.intensity == 1
@@ -93,20 +100,24 @@ def test_a_change_of_mode_begins_at_zero(profile, bank, make_frame, patch):
 
 def test_modes_that_a_board_offers(profile, bank):
     for_images = (Mode.RA, Mode.SAI, Mode.PC, Mode.NATURAL)
-    assert Pipeline(profile, bank).offered() == for_images
-    assert Pipeline(profile, bank, rate_hz=40).offered() == for_images
-    assert Pipeline(profile, bank, Mode.COLOR).offered() == (Mode.COLOR,)
-    one_rate = Pipeline(profile, bank, timing=ScanTiming(whole_hz=True))
+    assert Pipeline(profile, bank, RunConfig(scan="points")).offered() == for_images
+    assert Pipeline(profile, bank, RunConfig(rate_hz=40, scan="points")).offered() == for_images
+    assert Pipeline(profile, bank, RunConfig(mode=Mode.COLOR, scan="points")).offered() == (
+        Mode.COLOR,
+    )
+    one_rate = Pipeline(profile, bank, RunConfig(scan="points"), ScanTiming(whole_hz=True))
     assert one_rate.offered() == (Mode.RA, Mode.SAI, Mode.PC)
     with pytest.raises(ScheduleError, match="choose RA or SAI"):
         one_rate.change_mode(Mode.NATURAL)
     assert one_rate.mode is Mode.RA
     kit = load_profile("kajimoto-61")
-    assert Pipeline(kit, load_bank(kit), timing=Kajimoto61Board.timing).offered() == (Mode.RA,)
+    assert Pipeline(
+        kit, load_bank(kit), RunConfig(scan="points"), Kajimoto61Board.timing
+    ).offered() == (Mode.RA,)
 
 
 def test_the_user_s_level_scales_intensity(profile, bank, make_frame, patch):
-    pipeline = Pipeline(profile, bank)
+    pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
     for step in range(60):
         sequence = pipeline.process(make_frame(patch(), step * 20_000_000), 0.3).sequence
     assert sequence.intensity == pytest.approx(0.3)

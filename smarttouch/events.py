@@ -1,0 +1,141 @@
+"""Events of a run: typed, with the time at which they happened and words for people.
+
+The words are what recordings and other programs keep; programs go by the types.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+from smarttouch.primary import Mode
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened in a run.
+
+    Attributes
+    ----------
+    time_ns : int
+        Since the start of the run.
+    """
+
+    time_ns: int
+    reveals: ClassVar[bool] = False
+    """Whether it would give the answer of an experiment away to its participant."""
+
+    def __str__(self) -> str:
+        return type(self).__name__
+
+
+@dataclass(frozen=True)
+class Note(Event):
+    """A sentence that a user should know of."""
+
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(frozen=True)
+class IntensityChanged(Event):
+    """The user asked for another intensity, in [0, 1]."""
+
+    level: float
+
+    def __str__(self) -> str:
+        return f"intensity {self.level:.2f}"
+
+
+@dataclass(frozen=True)
+class Paused(Event):
+    """The user paused the run."""
+
+    def __str__(self) -> str:
+        return "paused"
+
+
+@dataclass(frozen=True)
+class Resumed(Event):
+    """The user ended a pause."""
+
+    def __str__(self) -> str:
+        return "goes on"
+
+
+@dataclass(frozen=True)
+class ModeChanged(Event):
+    """The user chose other afferents."""
+
+    mode: Mode
+
+    def __str__(self) -> str:
+        return f"mode {self.mode}"
+
+
+@dataclass(frozen=True)
+class InputLost(Event):
+    """The image is stale or the force unknown: there is no current."""
+
+    image: bool
+    """Whether it is the image."""
+
+    def __str__(self) -> str:
+        what = "the image is stale" if self.image else "the force is not known"
+        return f"{what}: no current"
+
+
+@dataclass(frozen=True)
+class InputRestored(Event):
+    """Image and force are known again."""
+
+    def __str__(self) -> str:
+        return "image and force are known"
+
+
+@dataclass(frozen=True)
+class FingerLifted(Event):
+    """By its voltages, nothing touches the electrodes of the board."""
+
+    def __str__(self) -> str:
+        return "the finger is lifted"
+
+
+@dataclass(frozen=True)
+class BoardRestarted(Event):
+    """The board was lost or a sequence late, and intensity begins at zero."""
+
+    reason: str
+
+    def __str__(self) -> str:
+        return self.reason
+
+
+@dataclass(frozen=True)
+class RunEnded(Event):
+    """The run is over."""
+
+    reason: str
+
+    def __str__(self) -> str:
+        return self.reason
+
+
+@dataclass(frozen=True)
+class TrialEvent(Event):
+    """A trial of an experiment was presented, repeated or answered."""
+
+    text: str
+    reveals: ClassVar[bool] = True
+
+    def __str__(self) -> str:
+        return self.text
+
+
+Emit = Callable[[Event], None]
+"""Hands an event to all who follow a run."""
+
+
+def emit_nowhere(_event: Event) -> None:
+    """Drop an event: of a source that nobody runs."""

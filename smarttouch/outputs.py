@@ -1,0 +1,155 @@
+"""Outputs of a run as listeners: recording, pictures of what was felt, patterns, LSL streams."""
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.boards.emulator.driver import EmulatorBoard
+from smarttouch.boards.emulator.simulated import SimulatedBoard
+from smarttouch.errors import SmartTouchError
+from smarttouch.run.listener import Listener, RunContext
+from smarttouch.run.step import StepResult
+
+if TYPE_CHECKING:
+    from smarttouch.boards.emulator.simulated import Pulses
+    from smarttouch.patterns import PatternFile
+
+
+class Drawing(Protocol):
+    """Picture of delivered pulses."""
+
+    def watch(self, result: StepResult) -> None: ...
+
+    def deliver(
+        self,
+        numbers: NDArray[np.uint32],
+        width_us: NDArray[np.float32],
+        current_ua: NDArray[np.int16],
+    ) -> None: ...
+
+    def save(self, path: Path) -> None: ...
+
+
+class FeltPicture(Listener):
+    """Draws what the skin got beside what the finger passed over.
+
+    Needs a board that tells of every pulse: ``emulator:`` or ``simulated:``.
+
+    Parameters
+    ----------
+    path : Path
+        PNG file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.path = path
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._drawing: Drawing | None = None
+
+    def prepare(self, run: RunContext) -> None:
+        """Begin the picture, and have the board keep books."""
+        board = getattr(run.board, "electric", run.board)
+        if isinstance(board, EmulatorBoard):
+            self._folder = tempfile.TemporaryDirectory(prefix="smarttouch-")
+            board.keep_books(Path(self._folder.name))
+        elif not isinstance(board, SimulatedBoard):
+            raise SmartTouchError(
+                "what was felt can be drawn of a board that reports every pulse, and this one "
+                "does not: use the board emulator:",
+                about="felt",
+                problem="conflict",
+                allowed=("emulator:", "simulated:"),
+                remedy="--board emulator:",
+            )
+        own = getattr(run.source, "drawing", None)
+        if own is not None:
+            self._drawing = own(run.profile, run.bank)
+        else:
+            from smarttouch.felt import FeltImage
+
+            primaries = run.controls.state(0).mode.primaries
+            page = getattr(run.source, "page", None)
+            self._drawing = FeltImage(run.profile, run.bank, primaries, page)
+
+    def step(self, result: StepResult) -> None:
+        """Remember where the finger was."""
+        if self._drawing is not None:
+            self._drawing.watch(result)
+
+    def finish(self, run: RunContext) -> None:
+        """Draw the delivered pulses."""
+        assert self._drawing is not None
+        self._drawing.deliver(*self._pulses(run))
+        self._drawing.save(self.path)
+
+    def close(self) -> None:
+        """Remove the books."""
+        if self._folder is not None:
+            self._folder.cleanup()
+
+    def _pulses(self, run: RunContext) -> "Pulses":
+        if self._folder is None:
+            board = getattr(run.board, "electric", run.board)
+            assert isinstance(board, SimulatedBoard)
+            return board.take_pulses()
+        from smarttouch.boards.emulator.books import read_delivered
+
+        return read_delivered(Path(self._folder.name))
+
+
+class Patterns(Listener):
+    """Writes the activation of each step as a film, as numbers or as pictures.
+
+    Parameters
+    ----------
+    path : Path
+        See `PatternFile`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.path = path
+        self._file: PatternFile | None = None
+
+    def prepare(self, run: RunContext) -> None:
+        """Refuse what cannot be written, before the display is opened."""
+        from smarttouch.patterns import PatternFile
+
+        self._file = PatternFile(self.path, run.profile)
+
+    def step(self, result: StepResult) -> None:
+        """Keep the activation of a step."""
+        if self._file is not None:
+            self._file.watch(result)
+
+    def finish(self, run: RunContext) -> None:
+        """Write them."""
+        assert self._file is not None
+        self._file.save()
+
+
+def output_listeners(
+    *,
+    felt: Path | None = None,
+    frames: Path | None = None,
+    record: Path | None = None,
+    markers: bool = False,
+) -> Iterator[Listener]:
+    """Yield a listener for each output that is wanted."""
+    if markers:
+        from smarttouch.markers import Markers
+
+        yield Markers()
+    if felt is not None:
+        yield FeltPicture(felt)
+    if frames is not None:
+        yield Patterns(frames)
+    if record is not None:
+        from smarttouch.recording.recorder import Recorder
+
+        yield Recorder(record)

@@ -1,0 +1,152 @@
+"""Run configuration shared by all commands and by programs."""
+
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from smarttouch.errors import SmartTouchError
+from smarttouch.imaging.mapping import Tone
+from smarttouch.primary import Mode, Primary
+from smarttouch.profile import Profile
+from smarttouch.stimulation.frames import NO_SHARING, Sharing, why_not
+
+SCANS = ("auto", "points", "frame")
+HOLDS = ("charge", "energy")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunConfig:
+    """Settings of one run; what is None is the profile's.
+
+    Parameters
+    ----------
+    mode : Mode or str
+        Which afferents are driven: RA, SAI, PC or natural.
+    scan : {"auto", "points", "frame"} or Sharing
+        One point in each slot, as many as leave one another alone, or so where that needs no
+        search: RA, on boards that give every electrode its own current.
+    rate_hz : float, optional
+        Sequences a second.
+    seconds : float, optional
+        Longest run by the clock.
+    intensity : float, in [0, 1], optional
+        Of the strongest comfortable current. On a board that a finger may be on it must be
+        given, and is reached slowly; elsewhere it is 1 if not given.
+    softness : float, in [0, 1], optional
+        How little the rate of SAI pulses follows force.
+    light_on_dark : bool
+        Print is lighter than paper.
+    tone : Tone, optional
+        How ink becomes activation.
+    measure : bool
+        First find bad electrodes, and plan around them.
+    hold : {"charge", "energy"}, optional
+        Held against drifting impedance, if the board can.
+    balance : bool
+        Keep net charge at zero.
+    seed : int
+        Of whatever is random in the source; kept in recordings.
+    subject, note : str
+        Kept in recordings.
+
+    Raises
+    ------
+    SmartTouchError
+        If a value is impossible.
+    """
+
+    mode: Mode | str = Mode.RA
+    scan: Literal["auto", "points", "frame"] | Sharing = "auto"
+    rate_hz: float | None = None
+    seconds: float | None = None
+    intensity: float | None = None
+    softness: float | None = None
+    light_on_dark: bool = False
+    tone: Tone | None = None
+    measure: bool = False
+    hold: str | None = None
+    balance: bool = False
+    seed: int = 0
+    subject: str = ""
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        modes = tuple(each.value for each in Mode)
+        object.__setattr__(self, "mode", Mode(_one_of("mode", str(self.mode), modes)))
+        if not isinstance(self.scan, Sharing):
+            _one_of("scan", self.scan, SCANS)
+        if self.hold is not None:
+            _one_of("hold", self.hold, HOLDS)
+        for name in ("intensity", "softness"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value <= 1:
+                raise SmartTouchError(
+                    f"{name} {value:g} must be from 0 to 1",
+                    about=name,
+                    value=value,
+                    allowed=(0, 1),
+                )
+        if self.seconds is not None and not self.seconds > 0:
+            raise SmartTouchError(
+                f"seconds {self.seconds:g} must be above 0", about="seconds", value=self.seconds
+            )
+
+    def sharing(self, profile: Profile) -> Sharing:
+        """Return the classes whose points share slots, and how.
+
+        By itself RA, by kernels that are proved for all frames and only added up: those
+        of SAI would have to be found anew for each frame, which takes longer than
+        there is between two pulses. None where voltage is held, point by point, or the board
+        cannot.
+        """
+        if isinstance(self.scan, Sharing):
+            sharing = NO_SHARING if why_not(profile) else self.scan
+        elif self.scan == "frame":
+            sharing = Sharing(tuple(Primary), planned=True)
+        elif self.scan == "points" or self.hold or why_not(profile) is not None:
+            sharing = NO_SHARING
+        else:
+            sharing = Sharing((Primary.RA,), planned=False)
+        if self.hold is not None and sharing.primaries:
+            raise SmartTouchError(
+                "hold learns from the voltage of each point, and several share a slot: choose "
+                "the scan points",
+                about="scan",
+                problem="conflict",
+                value=self.scan,
+                allowed=("points",),
+                remedy="scan points",
+            )
+        return sharing
+
+    def settings(self, profile: Profile) -> dict[str, Any]:
+        """Return what a recording keeps of it."""
+        sharing = self.sharing(profile)
+        return {
+            "mode": str(self.mode),
+            "rate_hz": self.rate_hz,
+            "light_on_dark": self.light_on_dark,
+            "softness": self.softness,
+            "tone": None if self.tone is None else asdict(self.tone),
+            "sharing": {
+                "primaries": [each.name for each in sharing.primaries],
+                "planned": sharing.planned,
+            },
+            "hold": self.hold,
+            "balance": self.balance,
+            "seed": self.seed,
+            "subject": self.subject,
+            "note": self.note,
+        }
+
+
+def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> str:
+    for each in allowed:
+        if value.lower() == each.lower():
+            return each
+    raise SmartTouchError(
+        f"{name} {value!r} is not offered: choose {' or '.join(allowed)}",
+        about=name,
+        problem="unknown",
+        value=value,
+        allowed=allowed,
+    )

@@ -1,0 +1,125 @@
+"""A display: a board with its safety gate, and the finger that is on it."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Any, Self
+
+from smarttouch.boards.board import Board, make_board, may_touch_a_finger, usual_profile
+from smarttouch.errors import SmartTouchError
+from smarttouch.profile import Profile, load_profile
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stopping import StopRequest
+
+
+class Display:
+    """A board, the profile of the finger on it, and what ends a run on it.
+
+    Its line is open only while it is run; every sequence goes through the safety gate.
+
+    Parameters
+    ----------
+    url : str
+        Board, for example ``emulator:`` or ``link:/dev/ttyACM0``.
+    profile : Profile
+    vibrators_url : str, optional
+        Mechanical vibrators, which shake PC in place of current.
+
+    Attributes
+    ----------
+    board : Board
+
+    Raises
+    ------
+    BoardError
+        If there is no such driver, or the profile does not go with it.
+    """
+
+    def __init__(
+        self, url: str, profile: Profile, vibrators_url: str | None = None, **options: Any
+    ) -> None:
+        self.url, self.profile, self.vibrators_url = url, profile, vibrators_url
+        self._stop = StopRequest()
+        limits = SafetyLimits.of(profile)
+        board = make_board(url, limits, profile.output, **options)
+        if vibrators_url is not None:
+            from smarttouch.boards.hybrid import HybridBoard
+            from smarttouch.boards.vibrators import make_vibrators
+
+            shaking = make_vibrators(vibrators_url, limits, profile.electrodes)
+            board = HybridBoard(board, shaking)
+        elif url.startswith("vibrators:"):
+            raise SmartTouchError(
+                "vibrators make no current, and shake only what PC is to feel: give them beside a "
+                "board of electrodes",
+                about="board",
+                problem="conflict",
+                value=url,
+                remedy="--vibrators",
+            )
+        self.board: Board = board
+
+    @property
+    def on_a_finger(self) -> bool:
+        """Whether there may be a finger on it."""
+        return may_touch_a_finger(self.url)
+
+    @property
+    def stopping(self) -> StopRequest:
+        """Request that ends the run on it."""
+        return self._stop
+
+    def stop(self) -> None:
+        """End the run with all electrodes at zero, from any thread; for good."""
+        self._stop.ask("the display was stopped")
+
+    @contextmanager
+    def opened(self, stop: StopRequest) -> Iterator[Board]:
+        """Open the board for a block; a stop puts it at zero at once, also while it opens."""
+        with stop.telling(self.board.halt), self.board:
+            yield self.board
+
+    def close(self) -> None:
+        """Put all electrodes at zero and let go of the board; a second time does nothing."""
+        self.board.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def open_display(
+    url: str,
+    profile: Profile | str | None = None,
+    *,
+    vibrators_url: str | None = None,
+    **options: Any,
+) -> Display:
+    """Return a display by the URL of its board; its line is opened when it is run.
+
+    Parameters
+    ----------
+    url : str
+        ``emulator:``, ``simulated:``, ``link:PORT``, ``kajimoto61:PORT``, ``etactilekit:PORT`` …
+    profile : Profile or str, optional
+        Device and finger; the board's usual one if not given.
+    vibrators_url : str, optional
+        Mechanical vibrators, which shake PC in place of current.
+    **options
+        Of the driver.
+
+    Raises
+    ------
+    BoardError
+        If there is no such driver, or the profile does not go with it.
+    """
+    if not isinstance(profile, Profile):
+        profile = load_profile(profile or usual_profile(url))
+    return Display(url, profile, vibrators_url, **options)

@@ -1,0 +1,109 @@
+"""Reading of a source, the finger's force and the user's controls, once for each step."""
+
+import math
+from dataclasses import dataclass, replace
+
+from smarttouch.boards.board import Board
+from smarttouch.events import (
+    Emit,
+    FingerLifted,
+    InputLost,
+    InputRestored,
+    IntensityChanged,
+    ModeChanged,
+    Paused,
+    Resumed,
+)
+from smarttouch.run.controls import Controls, ControlState
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.statistics import RunStatistics
+from smarttouch.sources.forces.force import ForceSource
+from smarttouch.sources.frame import Frame, Sensor
+
+LIFT_NS = 300_000_000
+"""After a lifted finger: so long there is no current, then it rises from zero again."""
+
+
+@dataclass
+class Inputs:
+    """Reads source, force and controls for each step; unknown force is no force.
+
+    Parameters
+    ----------
+    source : Sensor
+    force : ForceSource or None
+        Asked in place of the source.
+    board : Board
+        May know the force, and that the finger is lifted.
+    pipeline : Pipeline
+    controls : Controls
+    statistics : RunStatistics
+    emit : callable
+        Given each event.
+    """
+
+    source: Sensor
+    force: ForceSource | None
+    board: Board
+    pipeline: Pipeline
+    controls: Controls
+    statistics: RunStatistics
+    emit: Emit
+    _before: ControlState | None = None
+    _blind: bool = False
+    _lifted_until_ns: int = 0
+
+    def read(self, time_ns: int) -> Frame | None:
+        """Return the frame with the force that counts: zero where it or the image is unknown."""
+        frame = self.source.read(time_ns)
+        if frame is None:
+            return None
+        self.statistics.see(frame)
+        force_n = self._force_n(frame, time_ns)
+        blind = frame.stale or math.isnan(force_n)
+        self.statistics.blind += blind
+        if blind is not self._blind:
+            lost = InputLost(time_ns, image=frame.stale)
+            self.emit(lost if blind else InputRestored(time_ns))
+            self._blind = blind
+        counts_n = 0.0 if blind else force_n
+        return frame if counts_n == frame.force_n else replace(frame, force_n=counts_n)
+
+    def _force_n(self, frame: Frame, time_ns: int) -> float:
+        """Return the force of whoever was asked, NaN if unknown; the board may lower it."""
+        on_board = self.board.force_n
+        if self.force is not None:
+            force_n = self.force.read(time_ns)
+        elif self.source.knows_force or on_board is None:
+            force_n = frame.force_n
+        else:
+            force_n = on_board
+        if on_board is None or math.isnan(force_n):
+            return force_n
+        return min(force_n, on_board)
+
+    def control(self, time_ns: int) -> ControlState:
+        """Return what the user asks for now; emit what has changed."""
+        state, before = self.controls.state(time_ns), self._before
+        if state != before:
+            if before is None or state.level != before.level:
+                self.emit(IntensityChanged(time_ns, state.level))
+            if state.paused != (before is not None and before.paused):
+                self.emit(Paused(time_ns) if state.paused else Resumed(time_ns))
+            if before is None or state.mode is not before.mode:
+                self.emit(ModeChanged(time_ns, state.mode))
+            self._before = state
+        if state.mode is not self.pipeline.mode:
+            self.pipeline.change_mode(state.mode)
+        return state
+
+    def handle_lifts(self, time_ns: int, now_ns: int) -> None:
+        """Keep intensity at zero for a while after the board found the finger lifted."""
+        if self.board.lifted and now_ns >= self._lifted_until_ns:
+            # Only a pulse can tell whether the finger is back: try again, from zero.
+            self.board.lifted = False
+            self.statistics.lifts += 1
+            self.emit(FingerLifted(time_ns))
+            self._lifted_until_ns = now_ns + LIFT_NS
+        if now_ns < self._lifted_until_ns:
+            self.pipeline.restart_softly()

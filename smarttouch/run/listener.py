@@ -1,0 +1,121 @@
+"""Listeners: whatever follows a run, such as screens, recorders, markers and pictures."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from smarttouch.events import Event
+from smarttouch.run.step import StepResult
+
+if TYPE_CHECKING:
+    from smarttouch.boards.board import Board
+    from smarttouch.kernels.bank import KernelBank
+    from smarttouch.profile import Profile
+    from smarttouch.run.config import RunConfig
+    from smarttouch.run.controls import Controls
+    from smarttouch.run.statistics import RunStatistics
+    from smarttouch.sources.frame import Sensor
+
+
+@dataclass
+class RunContext:
+    """Parts of a run that its listeners may look at, and must not change.
+
+    Attributes
+    ----------
+    source : Sensor
+    board : Board
+    profile : Profile
+        Of the finger, without the electrodes that were found broken.
+    bank : KernelBank
+    config : RunConfig
+    controls : Controls
+    statistics : RunStatistics
+    settings : dict
+        All that sequences depend on, and where they came from; for JSON.
+    """
+
+    source: "Sensor"
+    board: "Board"
+    profile: "Profile"
+    bank: "KernelBank"
+    config: "RunConfig"
+    controls: "Controls"
+    statistics: "RunStatistics"
+    settings: dict[str, Any]
+
+
+class Listener:
+    """Follows a run; each method does nothing unless it is overridden.
+
+    An exception in any of them ends the run, with the board at zero.
+
+    Attributes
+    ----------
+    notes : list of str
+        Sentences that a user should know after the run.
+    """
+
+    notes: list[str]
+
+    def __init__(self) -> None:
+        self.notes = []
+
+    def prepare(self, run: RunContext) -> None:
+        """Do all that takes long: the board is not open yet."""
+
+    def start(self, run: RunContext) -> None:
+        """Begin: the board is open, at zero."""
+
+    def step(self, result: StepResult) -> None:
+        """Take note of a step; called by the loop, so it must be quick."""
+
+    def event(self, event: Event) -> None:
+        """Take note of an event, also before the start; from any thread."""
+
+    def finish(self, run: RunContext) -> None:
+        """Complete what only a run without a fault has: the board is closed."""
+
+    def close(self) -> None:
+        """Let go of everything, whatever has happened; a second time does nothing."""
+
+
+class OnStep(Listener):
+    """Calls a function with each step.
+
+    Parameters
+    ----------
+    function : callable
+        Given a `StepResult`.
+    """
+
+    def __init__(self, function: Callable[[StepResult], object]) -> None:
+        super().__init__()
+        self._function = function
+
+    def step(self, result: StepResult) -> None:
+        self._function(result)
+
+
+class OnEvent(Listener):
+    """Calls a function with each event.
+
+    Parameters
+    ----------
+    function : callable
+        Given an `Event`.
+    """
+
+    def __init__(self, function: Callable[[Event], object]) -> None:
+        super().__init__()
+        self._function = function
+
+    def event(self, event: Event) -> None:
+        self._function(event)
+
+
+def as_listeners(
+    given: Iterable[Listener | Callable[[StepResult], object]],
+) -> list[Listener]:
+    """Return listeners; plain functions are called with each step."""
+    return [each if isinstance(each, Listener) else OnStep(each) for each in given]

@@ -1,0 +1,231 @@
+"""The loop: one clock, absolute deadlines, and an orderly end whatever happens."""
+
+import contextlib
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from smarttouch.boards.board import Board
+from smarttouch.clock import LATE_NS, Clock
+from smarttouch.errors import (
+    BoardError,
+    BoardRestartedError,
+    BoardStoppedError,
+    SequenceLateError,
+)
+from smarttouch.events import BoardRestarted, Emit, Event, Note, RunEnded
+from smarttouch.realtime import Pace, paced
+from smarttouch.run.controls import Controls, ControlState
+from smarttouch.run.inputs import Inputs
+from smarttouch.run.listener import Listener
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.regulator import Regulator
+from smarttouch.run.statistics import RunStatistics
+from smarttouch.run.step import Step, StepResult
+from smarttouch.sources.forces.force import ForceSource
+from smarttouch.sources.frame import Sensor
+from smarttouch.stopping import StopRequest
+
+HELD_UP_NS = 1_000_000
+"""A send that takes longer than this has waited for the board."""
+
+
+def emit_to(listeners: Sequence[Listener]) -> Emit:
+    """Return what hands an event to each of these listeners."""
+
+    def emit(event: Event) -> None:
+        for each in listeners:
+            each.event(event)
+
+    return emit
+
+
+def run_loop(
+    source: Sensor,
+    pipeline: Pipeline,
+    board: Board,
+    *,
+    stop: StopRequest,
+    statistics: RunStatistics,
+    seconds: float | None = None,
+    listeners: Sequence[Listener] = (),
+    controls: Controls | None = None,
+    force: ForceSource | None = None,
+    regulator: Regulator | None = None,
+    clock: Clock | None = None,
+) -> None:
+    """Deliver what a source gives to an open board until it ends.
+
+    The source is asked for a frame at each deadline; the next deadline is one
+    sequence later, so a frame that needs longer to scan lowers the rate and
+    nothing queues. A late loop moves its schedule and never hurries.
+
+    Parameters
+    ----------
+    source, pipeline, board
+        An open source, a fresh pipeline, an open board. The caller closes them.
+    stop : StopRequest
+        Ends the run early, and says why.
+    statistics : RunStatistics
+        Filled as the run goes, so that it is there after a fault.
+    seconds : float, optional
+        Longest run by the clock.
+    listeners : sequence of Listener
+        Given every step, also one that was lost with the board, and every event.
+    controls : Controls, optional
+        What the user asks for; full intensity in the pipeline's mode if not given, which is for
+        boards that no finger is on.
+    force : ForceSource, optional
+        Finger force; that of the source if not given.
+    regulator : Regulator, optional
+        What the board's own measurements do to the sequences.
+    clock : Clock, optional
+        The board's if not given.
+
+    Raises
+    ------
+    BoardError
+        If nobody says how strong it may be on a board that may have a finger on it, and
+        whatever the board raises.
+    """
+    if controls is None and board.on_a_finger:
+        raise BoardError(
+            "there may be a finger on this board, and nobody says how strong it may be: give "
+            "controls, for example Controls(ControlState(mode, level=0)), and raise the level "
+            "from there"
+        )
+    controls = controls or Controls(ControlState(pipeline.mode))
+    if isinstance(source, Listener):
+        # One that goes by how its frames were delivered.
+        listeners = [source, *listeners]
+    source.emit = emit = emit_to(listeners)
+    inputs = Inputs(source, force, board, pipeline, controls, statistics, emit)
+    loop = _Loop(inputs, regulator or Regulator(), stop, listeners, clock or board.clock)
+    with contextlib.nullcontext(Pace()) if board.waits_for_nothing else paced() as pace:
+        statistics.real_time = pace.real_time
+        for note in pace.notes if board.on_a_finger else ():
+            emit(Note(0, note))
+        loop.run(seconds)
+    emit(RunEnded(loop.elapsed_ns, stop.reason or "the end of what the sensor sees"))
+
+
+@dataclass
+class _Loop:
+    inputs: Inputs
+    regulator: Regulator
+    stop: StopRequest
+    listeners: Sequence[Listener]
+    clock: Clock
+    elapsed_ns: int = 0
+    _shift_ns: int = 0
+    _before_ns: int | None = None
+    _period_ns: int = 0
+    _over_ns: int = 0
+
+    def run(self, seconds: float | None) -> None:
+        statistics, clock, stop = self.inputs.statistics, self.clock, self.stop
+        start_ns = clock.now_ns()
+        while not stop.event.is_set():
+            deadline_ns = start_ns + self.elapsed_ns + self._shift_ns
+            clock.wait_until(deadline_ns, stop.event)
+            if stop.event.is_set():
+                break
+            # In this order: a pause of the computer between the two makes the frame late.
+            board_ns, now_ns = self.inputs.board.clock.now_ns(), clock.now_ns()
+            statistics.seconds = (now_ns - start_ns) / 1e9
+            if seconds is not None and statistics.seconds >= seconds:
+                stop.ask(f"{seconds:g} s are over", at_once=False)
+                break
+            late_ns = now_ns - deadline_ns
+            if not self._step(now_ns, late_ns, board_ns):
+                break
+        self.inputs.board.drain()
+        statistics.seconds = (clock.now_ns() - start_ns) / 1e9
+
+    def _step(self, now_ns: int, late_ns: int, board_ns: int) -> bool:
+        """Deliver one frame; return False at the end of the source."""
+        # The skin waits since the sequence before was over, whatever the plan says.
+        waits_ns = max(0, late_ns, now_ns - self._over_ns if self._over_ns else 0)
+        stalled = waits_ns > LATE_NS
+        # After a stall the plan is a new one.
+        due_ns = board_ns if stalled else board_ns - waits_ns
+        inputs, clock, elapsed_ns = self.inputs, self.clock, self.elapsed_ns
+        pipeline, statistics = inputs.pipeline, inputs.statistics
+        if stalled:
+            # The board may have fallen silent.
+            pipeline.restart_softly()
+        frame = inputs.read(elapsed_ns)
+        if frame is None:
+            return False
+        state = inputs.control(elapsed_ns)
+        inputs.handle_lifts(elapsed_ns, now_ns)
+        in_hand_ns, worked_ns = clock.now_ns(), time.thread_time_ns()
+        step = self.regulator.regulate(pipeline.process(frame, state.current_level), inputs.board)
+        sending_ns = clock.now_ns()
+        try:
+            number = self._send(step, due_ns)
+        except BoardStoppedError:
+            if not self.stop.event.is_set():
+                raise
+            return False
+        sent_ns = clock.now_ns()
+        work_us = (time.thread_time_ns() - worked_ns) / 1000
+        result = StepResult(
+            step,
+            number,
+            (sent_ns - in_hand_ns) / 1000,
+            work_us,
+            inputs.board.acknowledged,
+            inputs.board.refused,
+        )
+        period_ns = 1000 * step.sequence.period_us
+        if number is None:
+            self._shift_ns += sent_ns - now_ns
+            self._before_ns = None
+            self._over_ns = 0
+        else:
+            self._count(result, now_ns)
+            self._over_ns = sent_ns + period_ns
+            waited_ns = sent_ns - sending_ns
+            if HELD_UP_NS < waited_ns < LATE_NS:
+                # The board's clock is behind: frames taken later reach the skin as soon, and
+                # fresher.
+                self._shift_ns += waited_ns
+            if late_ns > period_ns:
+                statistics.late += 1
+                self._shift_ns += late_ns
+        self.elapsed_ns += period_ns
+        for listener in self.listeners:
+            listener.step(result)
+        return True
+
+    def _send(self, step: Step, due_ns: int) -> int | None:
+        """Send; return the board's number of the sequence, None if it is to begin anew."""
+        inputs = self.inputs
+        try:
+            return inputs.board.send(step.sequence, due_ns=due_ns)
+        except BoardRestartedError as lost:
+            inputs.statistics.restarts += not isinstance(lost, SequenceLateError)
+            inputs.emit(BoardRestarted(self.elapsed_ns, str(lost)))
+            inputs.pipeline.restart_softly()
+            return None
+
+    def _count(self, result: StepResult, now_ns: int) -> None:
+        statistics, sequence = self.inputs.statistics, result.step.sequence
+        statistics.feel(result.step.frame)
+        statistics.slots += sequence.slots
+        statistics.weigh(sequence.proof)
+        statistics.slowed += sequence.period_us > result.step.asked_us
+        statistics.asked_us += result.step.asked_us
+        statistics.lowest_rate_hz = min(statistics.lowest_rate_hz, sequence.rate_hz)
+        statistics.scan_us += sequence.period_us
+        statistics.latency.add(result.latency_us)
+        statistics.motion_to_bytes.add(result.latency_us + result.step.frame.age_ns / 1000)
+        statistics.work.add(result.work_us)
+        activation = result.step.tactile.activation
+        statistics.active += np.count_nonzero(activation.any(axis=0)) / activation.shape[1]
+        if self._before_ns is not None:
+            statistics.period_error.add(abs(now_ns - self._before_ns - self._period_ns) / 1000)
+        self._before_ns, self._period_ns = now_ns, 1000 * sequence.period_us

@@ -1,0 +1,290 @@
+"""The runner: puts one run together, and ends it with the display at zero whatever happens."""
+
+import contextlib
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
+from dataclasses import asdict
+from typing import Any
+
+from smarttouch.boards.board import Board, BoardReport
+from smarttouch.clock import Clock, SimulatedClock
+from smarttouch.errors import BoardStoppedError, SensorError, SmartTouchError
+from smarttouch.events import Note
+from smarttouch.kernels.bank import KernelBank, load_bank
+from smarttouch.primary import Mode
+from smarttouch.profile import Profile
+from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2
+from smarttouch.realtime import Pace
+from smarttouch.run.config import RunConfig
+from smarttouch.run.controls import Controls, ControlState
+from smarttouch.run.display import Display
+from smarttouch.run.environment import steady_environment
+from smarttouch.run.listener import Listener, RunContext, as_listeners
+from smarttouch.run.loop import emit_to, run_loop
+from smarttouch.run.pipeline import Pipeline
+from smarttouch.run.regulation import make_regulator, masked_where_broken
+from smarttouch.run.report import figures_of
+from smarttouch.run.statistics import RunStatistics
+from smarttouch.run.step import StepResult
+from smarttouch.sources.forces.force import ForceSource
+from smarttouch.sources.frame import Sensor
+from smarttouch.stimulation.limits import rms_ma_cm2
+from smarttouch.stopping import StopRequest
+
+MakeControls = Callable[[ControlState, tuple[Mode, ...]], Controls]
+"""Makes controls from a first state and the modes that are offered."""
+
+
+class Runner:
+    """One run of a source on a display.
+
+    Parameters
+    ----------
+    source : Sensor
+        Closed at the end.
+    display : Display
+    config : RunConfig
+    force : ForceSource, optional
+        Finger force; that of the source or board if not given.
+    listeners : iterable of Listener or callable
+        Follow the run; a plain function is given each `StepResult`.
+    controls : callable, optional
+        Makes the user's controls from their first state and the modes that are offered.
+    first_level, most : float, in [0, 1], optional
+        Level at the start, and that which controls do not raise it above; those of the
+        configuration if not given.
+    stop : StopRequest, optional
+        The display's if not given.
+    load_kernels : callable
+        Returns the kernels of a profile.
+    opened : callable, optional
+        Opens the display's board for a block, given a stop request; `Display.opened` if not
+        given.
+    clock : Clock, optional
+        The board's if not given; simulated for boards whose time is.
+
+    Attributes
+    ----------
+    statistics : RunStatistics
+    notes : list of str
+        Sentences that a user should know after the run.
+    """
+
+    def __init__(
+        self,
+        source: Sensor,
+        display: Display,
+        config: RunConfig,
+        *,
+        force: ForceSource | None = None,
+        listeners: Iterable[Listener | Callable[[StepResult], object]] = (),
+        controls: MakeControls = Controls,
+        first_level: float | None = None,
+        most: float | None = None,
+        stop: StopRequest | None = None,
+        load_kernels: Callable[[Profile], KernelBank] = load_bank,
+        opened: Callable[[StopRequest], AbstractContextManager[Board]] | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        self.source, self.display, self.config, self._force = source, display, config, force
+        self.statistics, self.notes = RunStatistics(), list[str]()
+        self._listeners = as_listeners(listeners)
+        self._controls, self._load_kernels = controls, load_kernels
+        level = config.intensity
+        self._first = first_level if first_level is not None else 1.0 if level is None else level
+        self._most = most if most is not None else 1.0
+        self._sayable = level is not None or first_level is not None or not display.on_a_finger
+        self._stop = stop or display.stopping
+        self._opened = opened or display.opened
+        self._clock = clock
+        self._emit = emit_to(self._listeners)
+
+    def run(self) -> RunStatistics:
+        """Run until the source ends or somebody ends it; return the statistics.
+
+        Raises
+        ------
+        SmartTouchError
+            Whatever keeps the run from beginning or going on; the display is at zero.
+        """
+        with contextlib.ExitStack() as stack:
+            for listener in reversed(self._listeners):
+                stack.callback(listener.close)
+            stack.callback(self.source.close)
+            context, pipeline = self._prepared()
+            report: BoardReport | None = None
+            ended = "fault"
+            try:
+                report = self._run_on_board(context, pipeline)
+                ended = self._stop.reason or self.source.ended
+                self._account(report)
+            except BoardStoppedError:
+                ended = self._stop.reason or ended
+                raise
+            except SmartTouchError as error:
+                self._note_late(str(error))
+                raise
+            finally:
+                self.source.close()
+                board = self.display.board
+                self.statistics.ended = ended
+                self.statistics.figures = figures_of(
+                    self.statistics, self.source, board, report, ended
+                )
+                self.notes += self._notes()
+            for listener in self._listeners:
+                listener.finish(context)
+        for listener in self._listeners:
+            self.notes += listener.notes
+        return self.statistics
+
+    def _prepared(self) -> tuple[RunContext, Pipeline]:
+        """Do all that takes long: the board is not open."""
+        config, source, board = self.config, self.source, self.display.board
+        self._require_a_level()
+        profile = self.display.profile
+        if config.measure:
+            with self._opened(self._stop):
+                profile = masked_where_broken(board, profile, self._note_early)
+        bank = self._load_kernels(profile)
+        vibrated = self.display.vibrators_url is not None
+        pipeline = Pipeline(profile, bank, config, board.timing, vibrated=vibrated)
+        state = ControlState(pipeline.mode, self._first)
+        controls = self._controls(state, (state.mode,) if source.asks else pipeline.offered())
+        controls.most = self._most
+        context = RunContext(
+            source, board, profile, bank, config, controls, self.statistics, self._settings(profile)
+        )
+        source.emit = self._emit
+        for listener in self._listeners:
+            listener.prepare(context)
+        return context, pipeline
+
+    def _run_on_board(self, context: RunContext, pipeline: Pipeline) -> BoardReport:
+        """Open the board, run, and return its account; it is closed, at zero, after that."""
+        board, profile = context.board, context.profile
+        with steady_environment(pipeline), self._opened(self._stop):
+            self._require_force()
+            self._warn_of_simulation(profile)
+            regulator = make_regulator(board, profile, self.config, self._note_early)
+            # What an open board says of itself.
+            context.settings |= self._settings(profile)
+            for listener in self._listeners:
+                listener.start(context)
+            run_loop(
+                self.source,
+                pipeline,
+                board,
+                stop=self._stop,
+                statistics=self.statistics,
+                seconds=self.config.seconds,
+                listeners=self._listeners,
+                controls=context.controls,
+                force=self._force,
+                regulator=regulator,
+                clock=self._clock or (SimulatedClock() if board.waits_for_nothing else None),
+            )
+            board.stop()
+            report = board.report()
+        board.notes += [*regulator.notes(), *_refused_packets(board, report)]
+        if self.display.on_a_finger:
+            board.notes += [*_density(profile), *Pace(self.statistics.real_time).notes]
+        return report
+
+    def _settings(self, profile: Profile) -> dict[str, Any]:
+        """Return all that sequences depend on, and what else one may want to know."""
+        source, display = self.source, self.display
+        can, timing = display.board.capabilities, display.board.timing
+        return {
+            **self.config.settings(profile),
+            "vibrated": display.vibrators_url is not None,
+            "recharge": self.config.balance and can.recharges,
+            "timing": asdict(timing),
+            "compliance_v": can.compliance_v,
+            "sensor": source.url or source.title,
+            "sensor_title": source.title,
+            "board": display.url,
+            "vibrators": display.vibrators_url,
+            "firmware": can.firmware,
+            "force": None if self._force is None else self._force.url or self._force.title,
+        }
+
+    def _account(self, report: BoardReport) -> None:
+        dose = self.display.board.dose
+        self._note_late(
+            f"by the {report.by}'s account {report.slots} slots, strongest "
+            f"{report.max_current_ma:.3f} mA, {report.max_charge_uc:.3f} µC, {report.violations} "
+            "violations"
+        )
+        self._note_late(
+            f"dose {dose.seconds:.3f} s of current, {dose.most_mc:.4f} mC through one electrode"
+        )
+        for words in self._notes():
+            self._note_late(words)
+
+    def _notes(self) -> list[str]:
+        force = self._force
+        return [
+            *self.display.board.notes,
+            *self.source.notes,
+            *(force.notes if force is not None else ()),
+        ]
+
+    def _note_early(self, words: str) -> None:
+        self._emit(Note(0, words))
+
+    def _note_late(self, words: str) -> None:
+        self._emit(Note(int(self.statistics.seconds * 1e9), words))
+
+    def _require_a_level(self) -> None:
+        if not self._sayable:
+            raise SmartTouchError(
+                "a finger may be on the board, and nobody says how strong it is to become: give "
+                "an intensity, for example 0.3",
+                about="intensity",
+                problem="missing",
+                remedy="--intensity",
+            )
+
+    def _require_force(self) -> None:
+        source, board = self.source, self.display.board
+        if not (source.knows_force or self._force is not None or board.capabilities.force):
+            raise SensorError(
+                f"no force of the finger is known: {source.title} and the board tell none, so "
+                "there would be no current: give a source of force, for example hx711:PORT, or "
+                "fixed:0.5 (N)",
+                about="force",
+                problem="missing",
+                remedy="--force",
+            )
+
+    def _warn_of_simulation(self, profile: Profile) -> None:
+        """Say so where a real finger is to feel what was found on none."""
+        simulated = [
+            name for name, note in profile.calibrated.items() if note.found.startswith("simulated")
+        ]
+        if simulated and self.display.on_a_finger:
+            self._note_early(
+                f"Of the profile {', '.join(simulated)} were calibrated in simulation, on no "
+                "finger: calibrate again, and turn the current up slowly."
+            )
+
+
+def _density(profile: Profile) -> list[str]:
+    rms = rms_ma_cm2(profile)
+    if rms <= ADVISORY_RMS_MA_CM2:
+        return []
+    return [
+        f"at full intensity an electrode's own pulses are {rms:.0f} mA/cm² r.m.s.: above "
+        f"{ADVISORY_RMS_MA_CM2:g}, IEC 60601-2-10 wants the operator's attention"
+    ]
+
+
+def _refused_packets(board: Board, report: BoardReport) -> list[str]:
+    by_host, by_board = board.refused_packets, report.refused_packets
+    if not by_host + by_board:
+        return []
+    return [
+        f"{by_host + by_board} packets were old, or of another session: the board refused "
+        f"{by_board} and the host {by_host} (something on the line repeats, delays or mixes them)"
+    ]
