@@ -56,14 +56,22 @@ class ElectrodeArray:
         if len(self) < 2:
             raise ProfileError(
                 f"the array has {len(self) or 'no'} electrode{'' if len(self) else 's'}: give at "
-                "least two, as current must go somewhere"
+                "least two, as current must go somewhere",
+                about="electrodes",
+                problem="too few",
+                value=len(self),
+                allowed=2,
             )
         apart = self.distance_mm + np.diag(np.full(len(self), np.inf))
         first, second = divmod(int(apart.argmin()), len(self))
         if apart[first, second] < COINCIDENT_MM:
             x, y = self.position_mm[first]
             raise ProfileError(
-                f"electrodes {first} and {second} coincide at ({x:g}, {y:g}) mm: move one of them"
+                f"electrodes {first} and {second} coincide at ({x:g}, {y:g}) mm: move one of them",
+                about="electrodes",
+                problem="conflict",
+                value=(first, second),
+                electrode=first,
             )
 
     def __len__(self) -> int:

@@ -78,7 +78,9 @@ class Markers(Listener):
         except (RuntimeError, OSError) as error:
             raise MarkersError(
                 f"the Lab Streaming Layer makes no outlet: {error}; check the network, or leave "
-                "out --markers"
+                "out --markers",
+                about="--markers",
+                problem="impossible",
             ) from None
 
     def step(self, result: StepResult) -> None:
@@ -174,12 +176,18 @@ def _import_pylsl() -> Any:
         pylsl = importlib.import_module("pylsl")
     except ImportError:
         raise MarkersError(
-            "markers need pylsl: install it with the extra, pip install 'smarttouch[lsl]'"
+            "markers need pylsl: install it with the extra, pip install 'smarttouch[lsl]'",
+            about="pylsl",
+            problem="missing",
+            remedy="pip install 'smarttouch[lsl]'",
         ) from None
     except RuntimeError:
         raise MarkersError(
             "markers need liblsl, which pylsl has not found: install it (https://labstreaminglayer.org)"
-            ", or leave out --markers"
+            ", or leave out --markers",
+            about="liblsl",
+            problem="missing",
+            remedy="https://labstreaminglayer.org",
         ) from None
     # Its library otherwise writes over the screen; older ones cannot be told.
     with contextlib.suppress(AttributeError, RuntimeError):

@@ -39,9 +39,20 @@ class PatternFile:
 
     def __init__(self, path: Path, profile: Profile) -> None:
         if path.suffix not in ("", ".gif", ".json"):
-            raise SmartTouchError(f"cannot write {path}: give {FORMATS}")
+            raise SmartTouchError(
+                f"cannot write {path}: give {FORMATS}",
+                about="file",
+                problem="unknown",
+                value=path,
+                allowed=(".gif", ".json", ""),
+            )
         if not path.suffix and path.exists() and (not path.is_dir() or any(path.iterdir())):
-            raise SmartTouchError(f"{path} is there and not empty: give another folder")
+            raise SmartTouchError(
+                f"{path} is there and not empty: give another folder",
+                about="file",
+                problem="exists",
+                value=path,
+            )
         self._path, self._profile = path, profile
         self._activation: list[NDArray[np.uint8]] = []
         self._period_us: list[int] = []
@@ -62,13 +73,20 @@ class PatternFile:
             If there are none, or they cannot be written.
         """
         if not self._activation:
-            raise SmartTouchError("nothing was felt: there is nothing to write")
+            raise SmartTouchError(
+                "nothing was felt: there is nothing to write", about="patterns", problem="empty"
+            )
         try:
             {".gif": self._save_film, ".json": self._save_numbers, "": self._save_pictures}[
                 self._path.suffix
             ]()
         except OSError as error:
-            raise SmartTouchError(f"cannot write {self._path}: {error.strerror or error}") from None
+            raise SmartTouchError(
+                f"cannot write {self._path}: {error.strerror or error}",
+                about="file",
+                problem="unwritable",
+                value=self._path,
+            ) from None
 
     def _save_numbers(self) -> None:
         electrodes = self._profile.electrodes

@@ -84,7 +84,12 @@ class Output:
                 raise
         except OSError as error:
             if self._name:
-                raise SmartTouchError(f"cannot write to {self._name}: {error.strerror}") from None
+                raise SmartTouchError(
+                    f"cannot write to {self._name}: {error.strerror}",
+                    about="output",
+                    problem="unwritable",
+                    value=self._name,
+                ) from None
 
 
 class PlainOutput(Output):

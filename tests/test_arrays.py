@@ -49,10 +49,24 @@ def test_arrays_come_back(kind, shape):
         assert np.array_equal(both["b"], array)
 
 
-def test_objects_are_not_unpickled():
-    data = plain(np.array([{}], object))
-    with pytest.raises(ValueError, match="objects"):
+class MakesAFolder:
+    """What does something as soon as it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.path),)
+
+
+def test_objects_are_not_unpickled(tmp_path):
+    path = tmp_path / "made"
+    data = plain(np.array([MakesAFolder(path)], object))
+    with pytest.raises(ValueError):
         read_array(io.BytesIO(data), len(data))
+    assert not path.exists()
+    np.load(io.BytesIO(data), allow_pickle=True)
+    assert path.exists()
 
 
 def header(text):
@@ -76,7 +90,7 @@ def test_a_small_archive_of_much_is_not_unpacked(traced):
         archive.writestr("a.npy", bytes(300_000_000))
     assert len(file.getvalue()) < 400_000
     tracemalloc.reset_peak()
-    with pytest.raises(ValueError, match="claims"):
+    with pytest.raises(ValueError):
         read_arrays(file)
     assert tracemalloc.get_traced_memory()[1] < 10**7
 

@@ -14,6 +14,8 @@ from smarttouch.run.step import Step, StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.sequence import ScanSequence
 
+from .raising import raises
+
 
 @pytest.fixture
 def drawing(profile, make_bank):
@@ -116,5 +118,6 @@ def test_save(drawing, tmp_path):
     drawing.save(tmp_path / "felt.png")
     with Image.open(tmp_path / "felt.png") as sheet:
         assert sheet.width > 700
-    with pytest.raises(SmartTouchError, match="cannot write"):
-        drawing.save(tmp_path / "none" / "felt.png")
+    path = tmp_path / "none" / "felt.png"
+    with raises(SmartTouchError, about="file", problem="unwritable", value=path):
+        drawing.save(path)

@@ -11,6 +11,8 @@ from smarttouch.mosaic import Mosaic
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.sources.page import PageSensor
 
+from .raising import raises
+
 
 class Still:
     """A finger that is where a test puts it."""
@@ -87,5 +89,5 @@ def test_what_is_far_away_does_not_eat_the_memory(profile):
 
 
 def test_nothing_seen_is_no_page(profile):
-    with pytest.raises(SmartTouchError, match="saw nothing"):
+    with raises(SmartTouchError, about="page", problem="empty"):
         Mosaic(profile.optics).page()

@@ -15,6 +15,8 @@ from smarttouch.run.step import Step, StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.sequence import ScanSequence
 
+from .raising import raises
+
 
 def step(electrode, intensity=1.0, period_us=20_000):
     activation = np.zeros((3, 64), np.float32)
@@ -77,18 +79,21 @@ def test_a_folder_of_pictures(keep):
 
 
 def test_what_cannot_be_written_is_named(profile, tmp_path):
-    with pytest.raises(SmartTouchError, match=r"a\.bmp: give \.gif, \.json"):
-        PatternFile(tmp_path / "a.bmp", profile)
+    path = tmp_path / "a.bmp"
+    with raises(SmartTouchError, about="file", problem="unknown", value=path) as error:
+        PatternFile(path, profile)
+    assert all(suffix in str(error.value) for suffix in error.value.allowed)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "x").touch()
-    with pytest.raises(SmartTouchError, match="not empty"):
+    with raises(SmartTouchError, about="file", problem="exists", value=tmp_path / "full"):
         PatternFile(tmp_path / "full", profile)
-    with pytest.raises(SmartTouchError, match="nothing was felt"):
+    with raises(SmartTouchError, about="patterns", problem="empty"):
         PatternFile(tmp_path / "a.gif", profile).save()
-    lost = PatternFile(tmp_path / "none" / "a.json", profile)
-    lost.watch(step(0))
-    with pytest.raises(SmartTouchError, match="cannot write"):
-        lost.save()
+    for path in (tmp_path / "none" / "a.json", tmp_path / "none" / "a.gif"):
+        lost = PatternFile(path, profile)
+        lost.watch(step(0))
+        with raises(SmartTouchError, about="file", problem="unwritable", value=path):
+            lost.save()
 
 
 def test_every_class_counts(profile, tmp_path):

@@ -1,17 +1,19 @@
 """No sign that a terminal would obey gets to one, whoever wrote it."""
 
+import errno
 import io
 import os
 import sys
 import unicodedata
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch import terminal
 from smarttouch.errors import SmartTouchError
 from smarttouch.terminal import PlainOutput, guarded_output, printable
+
+from .raising import raises
 
 OBEYED = (
     *range(0x20), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x2028, 0x202F),
@@ -83,12 +85,14 @@ def test_a_console_draws_and_shows_nothing_else(monkeypatch):
 
 class Full(io.StringIO):
     def write(self, text):
-        raise OSError(28, "No space left on device")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def test_what_cannot_be_written_is_one_sentence_and_what_cannot_be_complained_of_nothing():
-    with pytest.raises(SmartTouchError, match=r"standard output: No space left on device"):
-        print("x", file=PlainOutput(Full(), "standard output"))
+    name = "standard output"
+    with raises(SmartTouchError, about="output", problem="unwritable", value=name) as error:
+        print("x", file=PlainOutput(Full(), name))
+    assert os.strerror(errno.ENOSPC) in str(error.value)
     print("x", file=PlainOutput(Full(), ""))
 
 

@@ -77,7 +77,10 @@ class Board(Timely, ABC):
         if output is not None and output.wiring is not None and not self.takes_wiring:
             raise BoardError(
                 "output.wiring is for boards whose outputs are wired by the user (etactilekit:): "
-                "remove it from the profile of this one"
+                "remove it from the profile of this one",
+                about="output.wiring",
+                problem="conflict",
+                value=output.wiring,
             )
         super().__init__()
         self.notes: list[str] = []
@@ -88,7 +91,9 @@ class Board(Timely, ABC):
     def open(self) -> None:
         """Connect, shake hands, and put all electrodes at zero."""
         if self._opened:
-            raise BoardError("the board is open already: close it first")
+            raise BoardError(
+                "the board is open already: close it first", about="board", problem="open"
+            )
         # A new run starts from zero intensity, and its time may start anew.
         self._gate.begin_session()
         self._begin_unless_halted()
@@ -129,25 +134,39 @@ class Board(Timely, ABC):
             If the board is closed, of another size, or gone.
         """
         self._due_ns = self.clock.now_ns() if due_ns is None else due_ns
-        if not self._opened:
-            raise BoardError("the board is not open: open it before sending")
+        self._require_open("sending")
         self._go_on_unless_stopped()
         if sequence.electrodes != self.capabilities.electrodes:
             raise BoardError(
                 f"the sequence is for {sequence.electrodes} electrodes, the board has "
-                f"{self.capabilities.electrodes}: use the profile of this board"
+                f"{self.capabilities.electrodes}: use the profile of this board",
+                about="electrodes",
+                problem="conflict",
+                value=sequence.electrodes,
+                allowed=self.capabilities.electrodes,
             )
         if sequence.vibration is not None and not self.capabilities.vibrates:
             raise BoardError(
                 "the sequence asks for mechanical vibration, and this board has no vibrators: "
-                "give --vibrators"
+                "give --vibrators",
+                about="vibration",
+                problem="impossible",
+                remedy="--vibrators",
             )
         if sequence.recharge_ua is not None and not self.capabilities.recharges:
             raise BoardError(
-                "the sequence ends with a recharge phase, and this board makes none: leave it out"
+                "the sequence ends with a recharge phase, and this board makes none: leave it out",
+                about="recharge_ua",
+                problem="impossible",
             )
         if not 1 <= times <= LONGEST_REPEAT:
-            raise BoardError(f"{times} repetitions are not possible: from 1 to {LONGEST_REPEAT}")
+            raise BoardError(
+                f"{times} repetitions are not possible: from 1 to {LONGEST_REPEAT}",
+                about="times",
+                problem="too few" if times < 1 else "too many",
+                value=times,
+                allowed=LONGEST_REPEAT,
+            )
         proved = self._gate.prove(sequence, times)
         try:
             self._refuse_late(self._due_ns)
@@ -162,7 +181,12 @@ class Board(Timely, ABC):
             # The skin has felt nothing for a while: what comes next begins at zero.
             self._gate.restart()
             self.notes.append(f"{lost}: started anew")
-            raise BoardRestartedError(f"{lost}, and was started anew") from None
+            raise BoardRestartedError(
+                f"{lost}, and was started anew",
+                about=lost.about,
+                problem=lost.problem,
+                value=lost.value,
+            ) from None
         except BoardError:
             # What fails on a board that someone has halted, fails because of that.
             if self._halted:
@@ -208,14 +232,19 @@ class Board(Timely, ABC):
         BoardError
             If the board cannot measure, or its answer makes no sense.
         """
-        if not self._opened:
-            raise BoardError("the board is not open: open it before measuring")
+        self._require_open("measuring")
         self._gate.restart()
         try:
             return self._measure()
         finally:
             # What comes next begins at zero, and its time may start anew.
             self._gate.restart()
+
+    def _require_open(self, what: str) -> None:
+        if not self._opened:
+            raise BoardError(
+                f"the board is not open: open it before {what}", about="board", problem="closed"
+            )
 
     def _note_round_trip(self, ask: Callable[[], object]) -> None:
         """Time a question; note it if the line keeps answers back."""
@@ -269,7 +298,9 @@ class Board(Timely, ABC):
         raise lost
 
     def _measure(self) -> Impedance:
-        raise BoardError("this board does not measure: use a multimeter")
+        raise BoardError(
+            "this board does not measure: use a multimeter", about="measure", problem="impossible"
+        )
 
     @abstractmethod
     def _stop(self) -> None: ...

@@ -97,7 +97,7 @@ class ETactileKitBoard(SteppedKit):
         self._stop_pulses()
         nothing = self._codec.nothing
         if not (self._load(nothing) or self._load(nothing)):
-            raise self._lost("does not confirm a pattern of zeros")
+            raise self._lost("does not confirm a pattern of zeros", "mute")
 
     # -- sequences ---------------------------------------------------------
 
@@ -109,7 +109,12 @@ class ETactileKitBoard(SteppedKit):
             # Its parser would never get a turn again.
             raise BoardError(
                 f"a scan of {self._outputs} outputs takes {busy_us} µs, which does not fit "
-                f"{settings.period_ns // 1000} µs: lower pulse.discharge_us or the rate"
+                f"{settings.period_ns // 1000} µs: lower pulse.discharge_us or the rate",
+                about="period_us",
+                problem="too small",
+                value=settings.period_ns // 1000,
+                allowed=busy_us,
+                remedy="pulse.discharge_us",
             )
         return codec.payload(sequence, self._wiring, self._scale, self._gate.limits)
 
@@ -268,7 +273,10 @@ class ETactileKitBoard(SteppedKit):
         if found is None or found[1] is None:
             raise LineLostError(
                 f"the board at {self._port_name} did not tell all of its {self._outputs} readings: "
-                "measure again"
+                "measure again",
+                about="measure",
+                problem="mute",
+                value=self._port_name,
             )
         volts = found[1][self._wiring].astype(np.float64) * VOLTS_PER_COUNT
         through_skin = np.maximum(level_ua / 1000 - volts / DUMMY_KOHM, 1e-6)

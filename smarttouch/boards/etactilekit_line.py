@@ -59,7 +59,11 @@ class ETactileKitLine(KeptBoard):
         self._outputs = int(self._wiring.max()) + 1
         if self._outputs > 253:
             raise BoardError(
-                f"output {self._outputs - 1} is out of reach: an eTactileKit counts to 253 outputs"
+                f"output {self._outputs - 1} is out of reach: an eTactileKit counts to 253 outputs",
+                about="output.wiring",
+                problem="too large",
+                value=self._outputs - 1,
+                allowed=252,
             )
         self._lost_frames = 0
 
@@ -82,13 +86,21 @@ class ETactileKitLine(KeptBoard):
         if self._outputs > capacity:
             raise BoardError(
                 f"the eTactileKit at {self._port_name} has {capacity} outputs, the profile needs "
-                f"{self._outputs}: use the profile of this board"
+                f"{self._outputs}: use the profile of this board",
+                about="electrodes",
+                problem="too many",
+                value=self._outputs,
+                allowed=capacity,
             )
         firmware = self._meet_modes() if self._echoes(chips) else self._meet_heights()
         if self._wanted not in (None, firmware) and {self._wanted, firmware} != set(FIRMWARES[1:]):
             raise BoardError(
                 f"the board at {self._port_name} answers as firmware {firmware} does, not as "
-                f"{self._wanted}: leave ?firmware out"
+                f"{self._wanted}: leave ?firmware out",
+                about="?firmware",
+                problem="conflict",
+                value=self._wanted,
+                allowed=firmware,
             )
         return self._wanted or firmware, capacity
 
@@ -107,7 +119,10 @@ class ETactileKitLine(KeptBoard):
                 return answer[0]
         raise BoardError(
             f"the board at {self._port_name} does not answer as an eTactileKit does: check that "
-            "it is on, and switch it off and on"
+            "it is on, and switch it off and on",
+            about="board",
+            problem="mute",
+            value=self._port_name,
         )
 
     def _echoes(self, chips: int) -> bool:
@@ -122,7 +137,8 @@ class ETactileKitLine(KeptBoard):
             if answer != bytes([chips]):
                 raise self._lost(
                     "answers in a way that no known eTactileKit does "
-                    f"({answer.hex() or 'not at all'}): switch it off and on, or update it"
+                    f"({answer.hex() or 'not at all'}): switch it off and on, or update it",
+                    "malformed",
                 )
         return False
 
@@ -131,7 +147,7 @@ class ETactileKitLine(KeptBoard):
         # No sense pulses: the guard of every change counts on that.
         self._write_out(codec.quiet + NO_SENSE + bytes([0xFC, self._outputs]) + PING)
         if not codec.is_answer(self._read(1, ECHO_S)):
-            raise self._lost("does not echo its number of electrodes")
+            raise self._lost("does not echo its number of electrodes", "mute")
         if self._wanted is None and self._forgets_hosts() and self._forgets_hosts():
             return "newest"
         return "71adee2"
@@ -141,7 +157,7 @@ class ETactileKitLine(KeptBoard):
         # Its electrodes come back with whatever pattern it had: not before the height is zero.
         self._write_out(codec.quiet + CHIPS)
         if not self._read(1, CHIPS_S):
-            raise self._lost("does not confirm a height of zero")
+            raise self._lost("does not confirm a height of zero", "mute")
         self._write_out(bytes([0xFC, self._outputs]) + codec.question)
         answer = self._read(codec.answer_bytes + 1, ECHO_S)
         if codec.is_answer(answer):
@@ -150,9 +166,14 @@ class ETactileKitLine(KeptBoard):
         if len(answer) == self._outputs:
             raise BoardError(
                 f"the firmware of the board at {self._port_name} is eTactileKit v1.0, which is "
-                "not spoken: update it"
+                "not spoken: update it",
+                about="firmware",
+                problem="too old",
+                value="v1.0",
+                allowed=FIRMWARES,
             )
-        raise self._lost(f"told {len(answer)} bytes of readings, not {codec.answer_bytes}")
+        what = f"told {len(answer)} bytes of readings, not {codec.answer_bytes}"
+        raise self._lost(what, "malformed")
 
     def _forgets_hosts(self) -> bool:
         """Return whether it drops half a command when its host was away for a while."""
@@ -231,7 +252,7 @@ class ETactileKitLine(KeptBoard):
             # It may only have been late, and silence costs far more than waiting here.
             if codec.is_answer(self._read(codec.answer_bytes, CHIPS_S)):
                 return
-        raise self._lost("does not answer any more")
+        raise self._lost("does not answer any more", "mute")
 
     def _note_loss(self) -> None:
         self._lost_frames += 1
@@ -266,9 +287,19 @@ def _parse(options: str) -> tuple[bool, str | None]:
         elif name == "firmware":
             if value not in FIRMWARES:
                 raise BoardError(
-                    f"etactilekit: knows no firmware {value!r}: choose {', '.join(FIRMWARES)}"
+                    f"etactilekit: knows no firmware {value!r}: choose {', '.join(FIRMWARES)}",
+                    about="?firmware",
+                    problem="unknown",
+                    value=value,
+                    allowed=FIRMWARES,
                 )
             firmware = value
         else:
-            raise BoardError(f"etactilekit: knows the options ?slow and ?firmware, not ?{option}")
+            raise BoardError(
+                f"etactilekit: knows the options ?slow and ?firmware, not ?{option}",
+                about="option",
+                problem="unknown",
+                value=option,
+                allowed=("slow", "firmware"),
+            )
     return slow, firmware

@@ -60,7 +60,9 @@ class KeptLine:
         except OSError as error:
             raise BoardError(
                 f"the process that keeps the board's line cannot be started ({reason(error)}): "
-                "close other programs and try again"
+                "close other programs and try again",
+                about="keeper",
+                problem="impossible",
             ) from None
 
     def _start(self) -> None:
@@ -217,6 +219,10 @@ def _descriptor(port: Port) -> int:
     if not isinstance(port, (serial.Serial, protocol_socket.Serial)):
         raise BoardError(
             "this board goes on by itself when its program is gone, so a process of its own must "
-            "hold the line, which is possible for a serial device or tcp://HOST:PORT only"
+            "hold the line, which is possible for a serial device or tcp://HOST:PORT only",
+            about="port",
+            problem="impossible",
+            value=port.port,
+            remedy="tcp://HOST:PORT",
         )
     return int(port.fileno())

@@ -66,7 +66,9 @@ class LinkBoard(Board):
 
     def _open(self) -> None:
         if not self._line.name:
-            raise BoardError("link: needs a port, for example link:/dev/ttyACM0")
+            raise BoardError(
+                "link: needs a port, for example link:/dev/ttyACM0", about="port", problem="missing"
+            )
         port = open_port(self._line.name)
         self._identity = identity_of(port)
         self._start(port)
@@ -141,7 +143,7 @@ class LinkBoard(Board):
                 self._go_on_unless_stopped()
                 return
             number = next(iter(self._in_flight))
-        raise line.lost(f"has not acknowledged sequence {number} within {ANSWER_S:g} s")
+        raise line.lost(f"has not acknowledged sequence {number} within {ANSWER_S:g} s", "mute")
 
     def _send_again(self) -> None:
         """Send a sequence that has no ACK once more, as long as it is not too late for it.
@@ -219,7 +221,10 @@ class LinkBoard(Board):
         if probe.slots and not found:
             raise BoardError(
                 f"the board at {self._line.name} did not tell the voltages of its electrodes: "
-                "measure again"
+                "measure again",
+                about="measure",
+                problem="mute",
+                value=self._line.name,
             )
         return found[-1].astype(np.float64) if found else np.empty(0)
 
@@ -235,7 +240,11 @@ class LinkBoard(Board):
         if answer.version != protocol.VERSION:
             raise BoardError(
                 f"the board at {name} speaks link version {answer.version}, this "
-                f"program {protocol.VERSION}: bring both to the same"
+                f"program {protocol.VERSION}: bring both to the same",
+                about="version",
+                problem="conflict",
+                value=answer.version,
+                allowed=protocol.VERSION,
             )
         head = protocol.CAPABILITIES.size
         if len(answer.payload) < head:
@@ -244,7 +253,13 @@ class LinkBoard(Board):
             protocol.CAPABILITIES.unpack_from(answer.payload)
         )
         if output >= len(protocol.OUTPUTS):
-            raise BoardError(f"the board at {name} has outputs of unknown kind {output}")
+            raise BoardError(
+                f"the board at {name} has outputs of unknown kind {output}",
+                about="output.kind",
+                problem="unknown",
+                value=output,
+                allowed=protocol.OUTPUTS,
+            )
         self._kind = protocol.OUTPUTS[output]
         self.capabilities = Capabilities(
             electrodes=electrodes,
@@ -259,17 +274,30 @@ class LinkBoard(Board):
             recharges=bool(features & Feature.RECHARGE),
         )
         if known not in (None, self.capabilities):
-            raise OtherDeviceError(f"the board at {name} now is another: only HELLO was sent to it")
+            raise OtherDeviceError(
+                f"the board at {name} now is another: only HELLO was sent to it",
+                about="board",
+                problem="another",
+                value=name,
+            )
         wanted = self._gate.limits.electrodes
         if electrodes != wanted:
             raise BoardError(
                 f"the board at {name} has {electrodes} electrodes, the profile "
-                f"{wanted}: use the profile of this board"
+                f"{wanted}: use the profile of this board",
+                about="electrodes",
+                problem="conflict",
+                value=wanted,
+                allowed=electrodes,
             )
         if self._output is not None and self._output.kind != self.capabilities.output:
             raise BoardError(
                 f"the board at {name} is {self.capabilities.output}, the profile needs "
-                f"{self._output.kind}: use the profile of this board"
+                f"{self._output.kind}: use the profile of this board",
+                about="output.kind",
+                problem="conflict",
+                value=self._output.kind,
+                allowed=self.capabilities.output,
             )
 
     def _status(self) -> tuple[Any, ...]:
@@ -279,7 +307,12 @@ class LinkBoard(Board):
         return protocol.REPORT.unpack(answer.payload)
 
     def _nonsense(self) -> BoardError:
-        return BoardError(f"the board at {self._line.name} answers nonsense: check its firmware")
+        return BoardError(
+            f"the board at {self._line.name} answers nonsense: check its firmware",
+            about="board",
+            problem="malformed",
+            value=self._line.name,
+        )
 
     def _hear(self, message: Message) -> None:
         """Take in what comes unasked."""
@@ -331,11 +364,11 @@ class LinkBoard(Board):
         line = self._line
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
             text = message.payload[1:].decode("utf-8", "replace")
-            line.fail(line.gone(f"refused sequence {message.about} as unsafe: {text}"))
+            line.fail(line.gone(f"refused sequence {message.about} as unsafe: {text}", "refused"))
         elif why == Refusal.STOPPED and not line.overtaken:
-            line.fail(line.gone("has been stopped or started anew by someone else"))
+            line.fail(line.gone("has been stopped or started anew by someone else", "stopped"))
         elif why == Refusal.SILENCE:
-            line.fail(line.lost("heard nothing for 100 ms"))
+            line.fail(line.lost("heard nothing for 100 ms", "late"))
 
     def _aftermath(self) -> str:
         done = f", {self.acknowledged} sequences acknowledged"

@@ -198,13 +198,21 @@ class LinkLine:
             self.wait(lambda: self.fault is not None or answered() or halted(), AGAIN_S)
             self.raise_fault()
             if halted():
-                raise BoardStoppedError(f"the board at {self.name} was stopped before it answered")
+                raise BoardStoppedError(
+                    f"the board at {self.name} was stopped before it answered",
+                    about="board",
+                    problem="stopped",
+                    value=self.name,
+                )
             return self._answers.pop(kind) if answered() else None
 
     def _no_answer(self) -> BoardError:
         return BoardError(
             f"the board at {self.name} does not answer: check that it is on and speaks link "
-            f"version {protocol.VERSION}"
+            f"version {protocol.VERSION}",
+            about="board",
+            problem="mute",
+            value=self.name,
         )
 
     def send(
@@ -233,14 +241,24 @@ class LinkLine:
             The clock; without one it is never too late.
         """
         if not self.writing.acquire(timeout=ANSWER_S):
-            raise BoardError(f"the line to {self.name} is blocked: check the cable")
+            raise BoardError(
+                f"the line to {self.name} is blocked: check the cable",
+                about="port",
+                problem="blocked",
+                value=self.name,
+            )
         try:
             # Numbered here, so that packets leave in the order of their numbers.
             packet = start + self.session.encode(kind, about, payload)
             assert self._port is not None
             for at in range(0, len(packet), PIECE):
                 if self.overtaken and len(packet) > PIECE:
-                    raise BoardError("the board was stopped: open it again before sending")
+                    raise BoardError(
+                        "the board was stopped: open it again before sending",
+                        about="board",
+                        problem="stopped",
+                        value=self.name,
+                    )
                 piece = packet[at : at + PIECE]
                 if at:
                     self._port.write(piece)
@@ -248,7 +266,7 @@ class LinkLine:
                     return False
             self._last_written = self.now_s()
         except LINE_ERRORS as error:
-            self.fail(self.lost(f"cannot be written to ({reason(error)})"))
+            self.fail(self.lost(f"cannot be written to ({reason(error)})", "unwritable"))
             self.raise_fault()
         finally:
             self.writing.release()
@@ -271,13 +289,15 @@ class LinkLine:
         if self.fault is not None:
             raise self.fault
 
-    def lost(self, what: str) -> LineLostError:
+    def lost(self, what: str, problem: str) -> LineLostError:
         """Return a fault that starting anew may mend."""
-        return LineLostError(f"the board at {self.name} {what}{self._aftermath()}")
+        message = f"the board at {self.name} {what}{self._aftermath()}"
+        return LineLostError(message, about="board", problem=problem, value=self.name)
 
-    def gone(self, what: str) -> BoardError:
+    def gone(self, what: str, problem: str) -> BoardError:
         """Return a fault that is final."""
-        return BoardError(f"the board at {self.name} {what}{self._aftermath()}")
+        message = f"the board at {self.name} {what}{self._aftermath()}"
+        return BoardError(message, about="board", problem=problem, value=self.name)
 
     @prioritized()
     def _read_all(self) -> None:
@@ -288,14 +308,14 @@ class LinkLine:
                 data = self._port.read(self._port.in_waiting or 1)
             except LINE_ERRORS as error:
                 if not self._closing.is_set():
-                    self.fail(self.lost(f"has vanished ({reason(error)})"))
+                    self.fail(self.lost(f"has vanished ({reason(error)})", "gone"))
                 return
             before, now = now, self.now_s()
             silent_s += min(now - before, LISTENED_S)
             if self.take(data):
                 silent_s = 0.0
             if silent_s > SILENCE_S:
-                self.fail(self.lost(f"has been silent for {SILENCE_S:g} s"))
+                self.fail(self.lost(f"has been silent for {SILENCE_S:g} s", "mute"))
                 return
 
     def take(self, data: bytes) -> int:

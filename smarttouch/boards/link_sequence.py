@@ -63,12 +63,20 @@ def encode_sequence(
     """
     slots, electrodes = current_ua.shape
     if slots > _U16_MAX:
-        raise BoardError(f"{slots} slots are above the limit of {_U16_MAX}: scan fewer points")
+        raise BoardError(
+            f"{slots} slots are above the limit of {_U16_MAX}: scan fewer points",
+            about="slots",
+            problem="too many",
+            value=slots,
+            allowed=_U16_MAX,
+        )
     switched = output != "weighted"
     if switched and recharge_ua is not None:
         raise BoardError(
             f"a recharge phase needs a source for each electrode, and this board is {output}: "
-            "leave it out"
+            "leave it out",
+            about="recharge_ua",
+            problem="impossible",
         )
     flags = _MEASURE * measure | _RECHARGE * (recharge_ua is not None)
     parts = [
@@ -83,7 +91,12 @@ def encode_sequence(
         if strongest > _U16_MAX:
             raise BoardError(
                 f"a slot asks {strongest / 1000:.1f} mA of one source, the wire carries at most "
-                f"{_U16_MAX / 1000:.1f} mA: lower the currents"
+                f"{_U16_MAX / 1000:.1f} mA: lower the currents",
+                about="source_ua",
+                problem="too large",
+                value=strongest,
+                allowed=_U16_MAX,
+                slot=int(source.argmax()),
             )
         parts += [_u16(source.astype(np.uint16)), _pack_states(np.sign(current_ua))]
     else:
@@ -94,7 +107,11 @@ def encode_sequence(
     if len(payload) > LARGEST_PACKET:
         raise BoardError(
             f"a packet of {len(payload)} bytes is above the limit of {LARGEST_PACKET}: "
-            "scan fewer points at once"
+            "scan fewer points at once",
+            about="packet",
+            problem="too large",
+            value=len(payload),
+            allowed=LARGEST_PACKET,
         )
     return payload
 

@@ -63,7 +63,12 @@ class HostSession:
             If all numbers are used up.
         """
         if self._sent == LAST_NUMBER:
-            raise LineLostError(f"the session of {LAST_NUMBER} packets is over")
+            raise LineLostError(
+                f"the session of {LAST_NUMBER} packets is over",
+                about="session",
+                problem="too many",
+                allowed=LAST_NUMBER,
+            )
         self._sent += 1
         if kind in ANSWERS:
             self._asked[self._sent] = ANSWERS[kind]

@@ -26,7 +26,12 @@ class MemoryBoard(Board):
     ) -> None:
         super().__init__(limits, output)
         if rest:
-            raise BoardError(f"memory: takes nothing after the colon, not {rest!r}")
+            raise BoardError(
+                f"memory: takes nothing after the colon, not {rest!r}",
+                about="board",
+                problem="malformed",
+                value=rest,
+            )
         self.sequences: list[ScanSequence] = []
         kind = "weighted" if output is None else output.kind
         self.capabilities = Capabilities(

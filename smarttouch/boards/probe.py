@@ -31,7 +31,13 @@ def probe_sequences(limits: SafetyLimits, output: Output | None) -> Iterator[Sca
     if limits.electrode_ma is not None:
         peak_ma = min(peak_ma, 0.9 * min(limits.electrode_ma))
     if peak_ma < 0.02:
-        raise BoardError(f"the limits allow {peak_ma * 1000:.0f} µA: too little to measure with")
+        raise BoardError(
+            f"the limits allow {peak_ma * 1000:.0f} µA: too little to measure with",
+            about="limits",
+            problem="too small",
+            value=peak_ma,
+            allowed=0.02,
+        )
     top = peak_ma / limits.full_ma
     rise_s = limits.ramp_s * top
     start = time.monotonic_ns()

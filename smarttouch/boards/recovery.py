@@ -32,7 +32,9 @@ def start_anew(start: Callable[[], None], lost: LineLostError) -> None:
         except BoardStoppedError:
             raise
         except OtherDeviceError as other:
-            raise BoardError(f"{lost}; {other}") from None
+            raise BoardError(
+                f"{lost}; {other}", about=other.about, problem=other.problem, value=other.value
+            ) from None
         except BoardError as again:
             if not (left and isinstance(again, LineLostError)):
                 raise lost from None

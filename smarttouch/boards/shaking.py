@@ -71,7 +71,7 @@ class WavShaking(Shaking):
         try:
             self._stream = self._path.open("wb")
         except OSError as error:
-            raise BoardError(f"cannot write {self._path}: {error.strerror}") from None
+            raise self._unwritable(error) from None
         self._waveform, self._rate_hz = waveform, rate_hz
         self._begin_ns: int | None = None
         self._written = self._once = self._end = 0
@@ -135,7 +135,11 @@ class WavShaking(Shaking):
             self._stream.flush()
             os.pwrite(self._stream.fileno(), header, 0)
         except OSError as error:
-            raise BoardError(f"cannot write {self._path}: {error.strerror}") from None
+            raise self._unwritable(error) from None
+
+    def _unwritable(self, error: OSError) -> BoardError:
+        message = f"cannot write {self._path}: {error.strerror}"
+        return BoardError(message, about="file", problem="unwritable", value=self._path)
 
 
 def _wav_header(channels: int, rate_hz: int, samples: int) -> bytes:
@@ -143,7 +147,14 @@ def _wav_header(channels: int, rate_hz: int, samples: int) -> bytes:
     frame = 2 * channels
     size = samples * frame
     if size > _LARGEST_BYTES:
-        raise BoardError("the WAV file of the vibrators is full, it holds 4 GB: lower its rate")
+        raise BoardError(
+            "the WAV file of the vibrators is full, it holds 4 GB: lower its rate",
+            about="file",
+            problem="too large",
+            value=size,
+            allowed=_LARGEST_BYTES,
+            remedy="rate",
+        )
     sound = struct.pack("<HHIIHH", 1, channels, rate_hz, rate_hz * frame, frame, 16)
     whole = struct.pack("<4sI4s4sI", b"RIFF", 36 + size, b"WAVE", b"fmt ", len(sound))
     return whole + sound + struct.pack("<4sI", b"data", size)
@@ -186,14 +197,23 @@ class AudioShaking(Shaking):
             reason = str(error).partition("\n")[0].rstrip(".")
             raise BoardError(
                 f"cannot play {waveform.channels} vibrators on the sound device "
-                f"{self._device or 'of this computer'}: {reason}; see python3 -m sounddevice"
+                f"{self._device or 'of this computer'}: {reason}; see python3 -m sounddevice",
+                about="sound device",
+                problem="impossible",
+                value=self._device,
+                remedy="python3 -m sounddevice",
             ) from None
 
     def shake(
         self, amplitude: NDArray[np.float32], time_ns: int, period_ns: int, times: int
     ) -> None:
         if not self._stream.active:
-            raise BoardError("the sound device of the vibrators is gone: connect it again")
+            raise BoardError(
+                "the sound device of the vibrators is gone: connect it again",
+                about="sound device",
+                problem="gone",
+                value=self._device,
+            )
         over_ns = times * period_ns
         with self._lock:
             self._silenced = False
@@ -240,10 +260,16 @@ def _import_sounddevice() -> Any:
     except ImportError:
         raise BoardError(
             "vibrators:audio needs sounddevice: install it with pip install 'smarttouch[audio]', "
-            "or write a file with vibrators:FILE.wav"
+            "or write a file with vibrators:FILE.wav",
+            about="sounddevice",
+            problem="missing",
+            remedy="pip install 'smarttouch[audio]'",
         ) from None
     except OSError:
         raise BoardError(
             "vibrators:audio needs PortAudio: install it with apt install libportaudio2, or write "
-            "a file with vibrators:FILE.wav"
+            "a file with vibrators:FILE.wav",
+            about="PortAudio",
+            problem="missing",
+            remedy="apt install libportaudio2",
         ) from None

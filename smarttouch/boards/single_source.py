@@ -32,11 +32,18 @@ def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[n
     if wrong.any():
         raise BoardError(
             f"slot {int(wrong.argmax())} is no pattern of one electrode against all others, and "
-            "this board can make no other: use its own profile"
+            "this board can make no other: use its own profile",
+            about="current_ua",
+            problem="impossible",
+            slot=int(wrong.argmax()),
         )
     if len(np.unique(electrode)) != len(electrode):
         raise BoardError(
             f"{len(electrode)} slots share {len(np.unique(electrode))} electrodes: this board "
-            "drives each once in a scan"
+            "drives each once in a scan",
+            about="slots",
+            problem="too many",
+            value=len(electrode),
+            allowed=len(np.unique(electrode)),
         )
     return electrode, own

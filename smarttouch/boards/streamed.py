@@ -73,11 +73,20 @@ class StreamedBoard(Board):
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         super().__init__(limits, output)
         if not port:
-            raise BoardError(f"{self.kind}: needs a port, for example {self.kind}:/dev/ttyUSB0")
+            raise BoardError(
+                f"{self.kind}: needs a port, for example {self.kind}:/dev/ttyUSB0",
+                about="port",
+                problem="missing",
+            )
         if output is not None and output.kind != "one-against-all":
             raise BoardError(
                 f"a {self.kind} board is one-against-all, the profile needs {output.kind}: use "
-                f"--profile {self.usual_profile}"
+                f"--profile {self.usual_profile}",
+                about="output.kind",
+                problem="conflict",
+                value=output.kind,
+                allowed="one-against-all",
+                remedy=f"--profile {self.usual_profile}",
             )
         self._port_name = port
         self._number = 0
@@ -130,7 +139,10 @@ class StreamedBoard(Board):
         if self._identity is None and not self.can_be_asked:
             raise BoardError(
                 f"{lost}; USB tells no serial number of it and it cannot be asked who it is, so "
-                "nothing is sent to what comes back: check the cable, then start again"
+                "nothing is sent to what comes back: check the cable, then start again",
+                about=lost.about,
+                problem=lost.problem,
+                value=lost.value,
             )
         start_anew(self._start_again, lost)
 
@@ -249,7 +261,7 @@ class StreamedBoard(Board):
         except BoardError as error:
             self._fail(error)
         except LINE_ERRORS as error:
-            self._fail(self._lost(f"has vanished ({reason(error)})"))
+            self._fail(self._lost(f"has vanished ({reason(error)})", "gone"))
 
     def _take(self, until_s: float | None = None) -> Job | None:
         """Return the newest sequence, or None at a time or when closing."""
@@ -291,7 +303,7 @@ class StreamedBoard(Board):
         try:
             self._serial.write(data)
         except LINE_ERRORS as error:
-            raise self._lost(f"cannot be written to ({reason(error)})") from None
+            raise self._lost(f"cannot be written to ({reason(error)})", "unwritable") from None
 
     def _write_in_time(self, data: bytes, due_ns: int) -> bool:
         """Write what was due at a time, or nothing if that is too long ago."""
@@ -299,7 +311,7 @@ class StreamedBoard(Board):
         try:
             return write_before(self._serial, data, due_ns + LATE_NS, self._clock.now_ns)
         except LINE_ERRORS as error:
-            raise self._lost(f"cannot be written to ({reason(error)})") from None
+            raise self._lost(f"cannot be written to ({reason(error)})", "unwritable") from None
 
     def _read(self, count: int, within_s: float) -> bytes:
         """Return as many bytes as come in time, at most ``count``."""
@@ -308,14 +320,14 @@ class StreamedBoard(Board):
             self._serial.timeout = within_s
             return bytes(self._serial.read(count))
         except LINE_ERRORS as error:
-            raise self._lost(f"has vanished ({reason(error)})") from None
+            raise self._lost(f"has vanished ({reason(error)})", "gone") from None
 
     def _flush(self) -> None:
         assert self._serial is not None
         try:
             self._serial.reset_input_buffer()
         except LINE_ERRORS as error:
-            raise self._lost(f"has vanished ({reason(error)})") from None
+            raise self._lost(f"has vanished ({reason(error)})", "gone") from None
 
     def _fail(self, fault: BoardError) -> None:
         with self._news:
@@ -323,8 +335,15 @@ class StreamedBoard(Board):
             self._busy = False
             self._news.notify_all()
 
-    def _lost(self, what: str) -> LineLostError:
-        return LineLostError(f"the board at {self._port_name} {what}{self._aftermath()}")
+    def _lost(self, what: str, problem: str) -> LineLostError:
+        after = self._aftermath()
+        return LineLostError(
+            f"the board at {self._port_name} {what}{after}",
+            about="board",
+            problem=problem,
+            value=self._port_name,
+            remedy="switch it off" if after else "",
+        )
 
     def _aftermath(self) -> str:
         return ""

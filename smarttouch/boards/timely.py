@@ -40,7 +40,9 @@ class Timely:
     def _go_on_unless_stopped(self) -> None:
         if self._stopped.is_set():
             raise BoardStoppedError(
-                "the board was stopped, all electrodes are at zero: open it again before sending"
+                "the board was stopped, all electrodes are at zero: open it again before sending",
+                about="board",
+                problem="stopped",
             )
 
     def _pause(self, seconds: float) -> None:
@@ -60,5 +62,8 @@ class Timely:
     def _late(self) -> SequenceLateError:
         return SequenceLateError(
             f"this computer stood still for more than {LATE_NS // 1_000_000} ms: what was due then "
-            "was not sent, and intensity begins at zero"
+            "was not sent, and intensity begins at zero",
+            about="board",
+            problem="late",
+            allowed=LATE_NS,
         )

@@ -74,11 +74,19 @@ class VibratorBoard(Board):
         if not self._sample_hz >= FEWEST_SAMPLES * self._carrier_hz:
             raise BoardError(
                 f"vibrators: {self._sample_hz} samples a second are too few for "
-                f"{self._carrier_hz:g} Hz: give rate={FEWEST_SAMPLES * self._carrier_hz:g} or more"
+                f"{self._carrier_hz:g} Hz: give rate={FEWEST_SAMPLES * self._carrier_hz:g} or more",
+                about="rate",
+                problem="too small",
+                value=self._sample_hz,
+                allowed=FEWEST_SAMPLES * self._carrier_hz,
             )
         if device is None and not target.endswith(".wav"):
             raise BoardError(
-                f"vibrators: needs a file that ends in .wav, or audio, not {target!r}: {_EXAMPLE}"
+                f"vibrators: needs a file that ends in .wav, or audio, not {target!r}: {_EXAMPLE}",
+                about="board",
+                problem="malformed" if target else "missing",
+                value=target,
+                allowed=(".wav", "audio"),
             )
         self._vibrators = rows * columns
         self._vibrator_of = None if electrodes is None else vibrator_of(electrodes, rows, columns)
@@ -166,7 +174,12 @@ def _read_options(query: str) -> dict[str, Any]:
     try:
         given = parse_qsl(query, strict_parsing=True) if query else []
     except ValueError:
-        raise BoardError(f"vibrators: cannot read the options {query!r}: {_EXAMPLE}") from None
+        raise BoardError(
+            f"vibrators: cannot read the options {query!r}: {_EXAMPLE}",
+            about="option",
+            problem="malformed",
+            value=query,
+        ) from None
     for name, text in given:
         if name == "grid":
             read[name] = _grid(text)
@@ -175,18 +188,33 @@ def _read_options(query: str) -> dict[str, Any]:
         elif name == "rate":
             read[name] = _number(name, text, 1000, 192_000)
         else:
-            raise BoardError(f"vibrators: knows the options grid, hz and rate, not {name}")
+            raise BoardError(
+                f"vibrators: knows the options grid, hz and rate, not {name}",
+                about="option",
+                problem="unknown",
+                value=name,
+                allowed=("grid", "hz", "rate"),
+            )
     return read
 
 
 def _grid(text: str) -> tuple[int, int]:
     rows, _, columns = text.partition("x")
     if not (rows.isdecimal() and columns.isdecimal() and int(rows) * int(columns) > 0):
-        raise BoardError(f"vibrators: grid={text} is no grid: give rows x columns, {_EXAMPLE}")
+        raise BoardError(
+            f"vibrators: grid={text} is no grid: give rows x columns, {_EXAMPLE}",
+            about="grid",
+            problem="malformed",
+            value=text,
+        )
     if int(rows) * int(columns) > MOST_VIBRATORS:
         raise BoardError(
             f"vibrators: grid={text} has {int(rows) * int(columns)} vibrators: at most "
-            f"{MOST_VIBRATORS} are possible"
+            f"{MOST_VIBRATORS} are possible",
+            about="grid",
+            problem="too many",
+            value=int(rows) * int(columns),
+            allowed=MOST_VIBRATORS,
         )
     return int(rows), int(columns)
 
@@ -197,5 +225,11 @@ def _number(name: str, text: str, least: float, most: float) -> float:
     except ValueError:
         value = float("nan")
     if not least <= value <= most:
-        raise BoardError(f"vibrators: {name}={text} must be from {least:g} to {most:g}")
+        raise BoardError(
+            f"vibrators: {name}={text} must be from {least:g} to {most:g}",
+            about=name,
+            problem="out of range",
+            value=text,
+            allowed=(least, most),
+        )
     return value

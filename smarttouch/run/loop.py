@@ -94,7 +94,9 @@ def run_loop(
         raise BoardError(
             "there may be a finger on this board, and nobody says how strong it may be: give "
             "controls, for example Controls(ControlState(mode, level=0)), and raise the level "
-            "from there"
+            "from there",
+            about="controls",
+            problem="missing",
         )
     controls = controls or Controls(ControlState(pipeline.mode))
     if isinstance(source, Listener):

@@ -122,7 +122,13 @@ class Pipeline:
             tactile = TactileImage(request.activation, frame.time_ns, frame.force_n)
             wanted, period_us = level * request.level, request.period_us
         elif self.mode is Mode.COLOR:
-            raise ScheduleError("mode color is for sources that ask for their pulses: choose RA")
+            raise ScheduleError(
+                "mode color is for sources that ask for their pulses: choose RA",
+                about="mode",
+                problem="impossible",
+                value="color",
+                allowed="RA",
+            )
         else:
             tactile = self._mapper.map(frame, self.mode)
         pressure = force_gate(frame.force_n, self._profile.force)

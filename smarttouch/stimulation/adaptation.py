@@ -64,7 +64,11 @@ class Adaptation:
         if hold == "charge" and self._timing.width_us is not None:
             raise ScheduleError(
                 f"charge is held by longer pulses, and this board's last {self._timing.width_us} "
-                "µs always: hold energy"
+                "µs always: hold energy",
+                about="hold",
+                problem="impossible",
+                value=hold,
+                allowed="energy",
             )
         sites = len(profile.electrodes)
         self._limits, self._hold = profile.limits, hold

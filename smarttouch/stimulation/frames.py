@@ -112,9 +112,13 @@ class FrameSlots:
         primaries: tuple[Primary, ...],
         planned: bool = True,
     ) -> None:
-        reason = why_not(profile)
-        if reason is not None:
-            raise ScheduleError(f"a whole frame cannot be shown at once: {reason}: choose points")
+        if (why := why_not(profile)) is not None:
+            key, reason = why
+            raise ScheduleError(
+                f"a whole frame cannot be shown at once: {reason}: choose points",
+                about=key,
+                problem="impossible",
+            )
         # Matrices are small: with other work on the machine, a second thread costs a hundredfold.
         self._blas = ThreadpoolController()
         kernels = [np.asarray(bank.kernels(each), np.float64) for each in primaries]
@@ -297,12 +301,20 @@ def _selectivity(judge: SlotJudge, current_ma: Array, level: Array) -> Array:
     return np.array(found, np.float64).reshape(len(found), 2).T
 
 
-def why_not(profile: Profile) -> str | None:
-    """Return why a profile's board can show points only one by one; None if it need not."""
-    if profile.output.kind != "weighted":
-        return f"the board is {profile.output.kind}, with one source for all electrodes"
+def why_not(profile: Profile) -> tuple[str, str] | None:
+    """Return why a profile's board can show points only one by one; None if it need not.
+
+    Returns
+    -------
+    key, reason : str
+        The profile's key that keeps it from sharing slots, and why.
+    """
+    if (kind := profile.output.kind) != "weighted":
+        return "output.kind", f"the board is {kind}, with one source for all electrodes"
     if profile.pulse.carrier == "width":
-        return "pulse.carrier is 'width', one for all points of a slot"
+        return "pulse.carrier", "pulse.carrier is 'width', one for all points of a slot"
     if not profile.shares:
-        return "frames.share is not on, or limits.total_ma is not set, which bounds their current"
+        return "frames.share", (
+            "frames.share is not on, or limits.total_ma is not set, which bounds their current"
+        )
     return None

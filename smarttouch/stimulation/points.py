@@ -66,7 +66,10 @@ class PointSlots:
         if weights[:, masked].any():
             raise ScheduleError(
                 f"the kernels drive an electrode that output.masked {masked} lists: design the "
-                "bank of this very profile"
+                "bank of this very profile",
+                about="output.masked",
+                problem="conflict",
+                value=tuple(masked),
             )
         self._kernels_ua = weights * (profile.full_ma * 1000)[:, None]
         self._strongest = np.abs(weights).argmax(axis=1)
@@ -103,7 +106,13 @@ class PointSlots:
             raise ScheduleError(
                 f"the kernel of electrode {site} carries {total_ma[site]:.2f} mA in all at full "
                 f"strength, above the {most_ma:g} mA of a slot: lower perception.comfort_ratio, or "
-                "set limits.total_ma below it and kernels are designed within"
+                "set limits.total_ma below it and kernels are designed within",
+                about="limits.total_ma",
+                problem="too large",
+                value=float(total_ma[site]),
+                allowed=most_ma,
+                remedy="perception.comfort_ratio",
+                electrode=site,
             )
 
     def _weakest_that_switches(self, kind: str) -> NDArray[np.float32]:

@@ -82,18 +82,30 @@ class PointScan:
             if rate_hz is not None:
                 raise ScheduleError(
                     f"one rate of {rate_hz:g} Hz is not for several classes at once: set "
-                    "pulse.ra_rate_hz and pulse.sai_rate_hz of the profile"
+                    "pulse.ra_rate_hz and pulse.sai_rate_hz of the profile",
+                    about="rate",
+                    problem="conflict",
+                    value=rate_hz,
+                    remedy="pulse.ra_rate_hz",
                 )
             if timing.whole_hz or timing.every_electrode or timing.in_index_order:
                 raise ScheduleError(
                     "natural mode pulses at two rates, and this board scans all electrodes at "
-                    "one: choose RA or SAI"
+                    "one: choose RA or SAI",
+                    about="mode",
+                    problem="impossible",
+                    value="natural",
+                    allowed=("RA", "SAI"),
                 )
         for each_hz in rates_hz.values():
             if not _SLOWEST_HZ <= each_hz <= limits.rate_hz:
                 raise ScheduleError(
                     f"a rate of {each_hz:g} Hz is not possible: it must be at least "
-                    f"{_SLOWEST_HZ:g} Hz and at most the profile's limit of {limits.rate_hz:g} Hz"
+                    f"{_SLOWEST_HZ:g} Hz and at most the profile's limit of {limits.rate_hz:g} Hz",
+                    about="rate",
+                    problem="out of range",
+                    value=each_hz,
+                    allowed=(_SLOWEST_HZ, limits.rate_hz),
                 )
         self._vibrated = vibrated
         driven = [each for each in primaries if not (vibrated and each is Primary.PC)]
@@ -206,7 +218,12 @@ class PointScan:
         if period_us < self._least_us:
             raise ScheduleError(
                 f"pulses {period_us} µs apart are not possible: the profile's limit of "
-                f"{1e6 / self._least_us:g} Hz asks for {self._least_us} µs or more"
+                f"{1e6 / self._least_us:g} Hz asks for {self._least_us} µs or more",
+                about="period_us",
+                problem="too small",
+                value=period_us,
+                allowed=self._least_us,
+                remedy="limits.rate_hz",
             )
         driven = []
         for each in np.flatnonzero(activation.any(axis=1)).tolist():
@@ -216,7 +233,11 @@ class PointScan:
                 offered = ", ".join(primary.name for primary in self._driven) or "none"
                 raise ScheduleError(
                     f"{Primary(each).name} was asked for and cannot be driven here: choose of "
-                    f"{offered}"
+                    f"{offered}",
+                    about="mode",
+                    problem="impossible",
+                    value=Primary(each).name,
+                    allowed=tuple(primary.name for primary in self._driven),
                 )
         return tuple(driven)
 
@@ -262,7 +283,12 @@ class PointScan:
             raise ScheduleError(
                 f"the points of one frame expose an electrode as much as {needed_us / 1000:.0f} ms "
                 f"allow, and one sequence may bring at most {BURST_US / 1000:.0f} ms of it: lower "
-                "perception.comfort_ratio or pulse.width_us, or choose another mode"
+                "perception.comfort_ratio or pulse.width_us, or choose another mode",
+                about="period_us",
+                problem="too large",
+                value=needed_us,
+                allowed=BURST_US,
+                remedy="perception.comfort_ratio",
             )
         return needed_us
 

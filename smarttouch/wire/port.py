@@ -66,7 +66,10 @@ def open_port(
             # Short commands must not wait for the answer to those before them.
             port._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     except (*LINE_ERRORS, ValueError, AttributeError) as failure:
-        raise error(f"cannot open {name}: {_advice(failure)}") from None
+        problem, advice = _advice(failure)
+        raise error(
+            f"cannot open {name}: {advice}", about="port", problem=problem, value=name
+        ) from None
     return port
 
 
@@ -190,7 +193,12 @@ def write_before(
 
 
 def _other(name: str) -> OtherDeviceError:
-    return OtherDeviceError(f"by its USB numbers another device is at {name} now: nothing was sent")
+    return OtherDeviceError(
+        f"by its USB numbers another device is at {name} now: nothing was sent",
+        about="board",
+        problem="another",
+        value=name,
+    )
 
 
 def reason(error: Exception) -> str:
@@ -199,16 +207,17 @@ def reason(error: Exception) -> str:
     return os.strerror(number) if number else (str(error) or type(error).__name__)
 
 
-def _advice(error: Exception) -> str:
+def _advice(error: Exception) -> tuple[str, str]:
     text = str(error)
     if "lock" in text or "busy" in text.lower():
-        return "it is in use by another program: close that first"
+        return "busy", "it is in use by another program: close that first"
     if "ioctl" in text:
-        return "it is no serial port: check the name"
+        return "no serial port", "it is no serial port: check the name"
     if "refused" in text:
-        return "nobody listens there: check that it is on, its address and port"
+        return "refused", "nobody listens there: check that it is on, its address and port"
     if "No such file" in text or getattr(error, "errno", None) == 2:
-        return "there is no such port: check the cable and the name"
+        return "missing", "there is no such port: check the cable and the name"
     if "ermission" in text:
-        return "permission denied: add yourself to the group of the port (often dialout)"
-    return text
+        advice = "permission denied: add yourself to the group of the port (often dialout)"
+        return "forbidden", advice
+    return "malformed" if isinstance(error, ValueError) else "unreadable", text

@@ -8,10 +8,12 @@ import pytest
 from smarttouch.boards.board import make_board
 from smarttouch.boards.emulator.books import read_slots, read_state
 from smarttouch.boards.emulator.rules import Rules
-from smarttouch.errors import BoardError, SafetyError
+from smarttouch.errors import BoardError, BoardStoppedError, SafetyError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
+
+from ..raising import raises
 
 SECOND = 10**9
 
@@ -143,7 +145,7 @@ class Contract:
             thread.start()
             thread.join(5)
             assert not thread.is_alive()
-            with pytest.raises(BoardError, match="stopped"):
+            with raises(BoardStoppedError, about="board", problem="stopped"):
                 board.send(self.sequence(2))
             self.assert_silent()
 
@@ -153,24 +155,28 @@ class Contract:
             board.drain()
             board.send(self.sequence(1), times=1000)
         self.assert_silent()
-        with pytest.raises(BoardError, match="not open"):
+        with raises(BoardError, about="board", problem="closed"):
             board.send(self.sequence(2))
 
     def test_an_exception_puts_it_at_zero(self, make_board):
+        broken = RuntimeError("something broke")
+
         def run():
             with make_board() as board:
                 board.send(self.sequence(0))
                 board.drain()
                 board.send(self.sequence(1), times=1000)
-                raise RuntimeError("something broke")
+                raise broken
 
-        with pytest.raises(RuntimeError, match="broke"):
+        with pytest.raises(RuntimeError) as error:
             run()
+        assert error.value is broken
         self.assert_silent()
 
     def test_another_number_of_electrodes_is_refused(self, make_board):
         more = self.electrodes + 1
-        with make_board() as board, pytest.raises(BoardError, match=f"{more} electrodes"):
+        refused = {"about": "electrodes", "value": more, "allowed": self.electrodes}
+        with make_board() as board, raises(BoardError, **refused):
             board.send(self.sequence(0, electrodes=more))
 
     def test_an_unsafe_sequence_never_leaves(self, make_board, monkeypatch):
@@ -187,7 +193,7 @@ class Contract:
     def test_impossible_repetitions_are_named(self, make_board):
         with make_board() as board:
             for times in (0, -1, 65_536):
-                with pytest.raises(BoardError, match=f"{times} repetitions"):
+                with raises(BoardError, about="times", value=times):
                     board.send(self.sequence(0), times)
 
     def test_it_can_be_opened_again_and_begins_at_zero(self, make_board):
@@ -195,7 +201,7 @@ class Contract:
         board.close()
         for _ in range(2):
             with board:
-                with pytest.raises(SafetyError, match="rises from 0"):
+                with raises(SafetyError, limit="ramp_s", value=1, allowed=0):
                     board.send(self.sequence(1))
                 board.send(self.sequence(0))
                 board.drain()
@@ -332,8 +338,10 @@ class TestSimulated(TestMemory):
     def test_what_the_firmware_refuses_ends_it(self, make_board, monkeypatch):
         with make_board() as board:
             board.send(self.sequence(0))
-            monkeypatch.setattr(Rules, "complaint", lambda rules, sequence: "too much")
-            with pytest.raises(BoardError, match="refused sequence 2: too much"):
+            why = "too much"
+            monkeypatch.setattr(Rules, "complaint", lambda rules, sequence: why)
+            with raises(BoardError, about="board", problem="refused", value=2) as error:
                 board.send(self.sequence(1))
+            assert why in str(error.value)
             assert (board.refused, board.report().violations) == (1, 1)
         self.assert_silent()

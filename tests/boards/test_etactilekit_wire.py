@@ -15,6 +15,8 @@ from smarttouch.boards.scale import scale_of
 from smarttouch.errors import BoardError
 from smarttouch.stimulation.safety import SafetyLimits
 
+from ..raising import raises
+
 LIMITS = SafetyLimits(4, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
 WIRING = np.arange(4)
 END = bytes(3)
@@ -118,8 +120,16 @@ def test_settings_of_a_sequence():
     assert Settings(100, 50, 60, True).scan_us(32, 10) == 5120
 
 
-@pytest.mark.parametrize("wrong", ["polarity", "width", "short", "discharge"])
-def test_what_it_has_only_one_of_or_not_at_all_is_refused(wrong):
+@pytest.mark.parametrize(
+    ("wrong", "attributes"),
+    [
+        ("polarity", {"about": "current_ua", "problem": "conflict"}),
+        ("width", {"about": "width_us", "problem": "conflict"}),
+        ("short", {"about": "width_us", "problem": "too small", "value": 6, "allowed": 7}),
+        ("discharge", {"about": "discharge_us", "problem": "too large", "value": 244}),
+    ],
+)
+def test_what_it_has_only_one_of_or_not_at_all_is_refused(wrong, attributes):
     sequence = anodic(1000, sites=(1, 2))
     if wrong == "polarity":
         sequence.current_ua[1] *= -1
@@ -129,7 +139,7 @@ def test_what_it_has_only_one_of_or_not_at_all_is_refused(wrong):
         sequence = replace(sequence, width_us=np.full(2, 6, np.uint16))
     else:
         sequence = replace(sequence, discharge_us=np.full(2, 244, np.uint16))
-    with pytest.raises(BoardError, match=r"one polarity|one pulse width|too short|too long"):
+    with raises(BoardError, **attributes):
         settings_of(sequence)
 
 

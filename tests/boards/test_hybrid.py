@@ -10,9 +10,10 @@ from smarttouch.boards.board import make_board
 from smarttouch.boards.hybrid import HybridBoard
 from smarttouch.boards.impedance import classify
 from smarttouch.boards.vibrators import VibratorBoard
-from smarttouch.errors import BoardError, BoardRestartedError, SafetyError
+from smarttouch.errors import BoardError, BoardRestartedError, BoardStoppedError, SafetyError
 from smarttouch.profile.device import Output
 
+from ..raising import raises
 from . import test_contract
 
 SECOND = test_contract.SECOND
@@ -90,11 +91,11 @@ class Vibrated(test_contract.Contract):
         with make_board() as board:
             board.send(self.sequence(0))
             board.send(self.sequence(1))
-            self.board._send = fail_with(BoardError("the line broke"))
-            with pytest.raises(BoardError, match="the line broke"):
+            self.board._send = fail_with(BoardError("the line broke", about="line"))
+            with raises(BoardError, about="line"):
                 board.send(self.sequence(2))
             for part in (board, self.shaking):
-                with pytest.raises(BoardError, match="stopped"):
+                with raises(BoardStoppedError, about="board", problem="stopped"):
                     part.send(self.sequence(3))
             samples, rate_hz = self.read()
         assert len(samples) < 1.02 * rate_hz
@@ -104,11 +105,13 @@ class Vibrated(test_contract.Contract):
         with make_board() as board:
             board.send(self.sequence(0))
             board.send(self.sequence(1))
-            self.shaking._send = fail_with(BoardError("the sound device is gone"))
-            with pytest.raises(BoardError, match="the sound device is gone"):
+            self.shaking._send = fail_with(
+                BoardError("the sound device is gone", about="sound device")
+            )
+            with raises(BoardError, about="sound device"):
                 board.send(self.sequence(2))
             for part in (board, self.board):
-                with pytest.raises(BoardError, match="stopped"):
+                with raises(BoardStoppedError, about="board", problem="stopped"):
                     part.send(replace(self.sequence(3), vibration=None))
 
     def test_electrodes_that_are_back_begin_at_zero_and_so_do_vibrators(self, make_board):
@@ -120,7 +123,7 @@ class Vibrated(test_contract.Contract):
             with pytest.raises(BoardRestartedError):
                 board.send(self.sequence(2))
             self.board._send = sends
-            with pytest.raises(SafetyError, match="rises from 0"):
+            with raises(SafetyError, limit="ramp_s", value=1, allowed=0):
                 board.send(self.sequence(3))
             board.send(replace(self.sequence(0), time_ns=4 * SECOND))
             board.send(self.sequence(5))
@@ -131,19 +134,19 @@ class Vibrated(test_contract.Contract):
 
     def test_vibrators_that_cannot_be_opened_leave_the_electrodes_closed(self, make_board):
         board = make_board()
-        self.shaking._open = fail_with(BoardError("no sound"))
-        with pytest.raises(BoardError, match="no sound"):
+        self.shaking._open = fail_with(BoardError("no sound", about="sound device"))
+        with raises(BoardError, about="sound device"):
             board.open()
-        with pytest.raises(BoardError, match="not open"):
+        with raises(BoardError, about="board", problem="closed"):
             self.board.send(self.sequence(0))
 
     def test_the_electrodes_close_whatever_the_vibrators_do(self, make_board):
         board = make_board()
         board.open()
-        self.shaking._close = fail_with(BoardError("no sound"))
-        with pytest.raises(BoardError, match="no sound"):
+        self.shaking._close = fail_with(BoardError("no sound", about="sound device"))
+        with raises(BoardError, about="sound device"):
             board.close()
-        with pytest.raises(BoardError, match="not open"):
+        with raises(BoardError, about="board", problem="closed"):
             self.board.send(self.sequence(0))
 
     def test_it_measures_without_shaking(self, make_board):
@@ -162,7 +165,7 @@ class Vibrated(test_contract.Contract):
         with make_board() as board:
             board.send(self.sequence(0))
             too_much = replace(self.sequence(1), vibration=np.full(8, 1.01, np.float32))
-            with pytest.raises(SafetyError, match="vibration"):
+            with raises(SafetyError, limit="vibration", value=pytest.approx(1.01)):
                 board.send(too_much)
             board.send(self.sequence(1))
             assert board.shaking.report().sequences == 2

@@ -11,6 +11,8 @@ from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 
+from ..raising import raises
+
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 
 
@@ -67,7 +69,7 @@ def test_a_probe_keeps_to_what_the_board_can():
 
 def test_limits_too_low_to_measure_are_named():
     limits = SafetyLimits(2, 0.02, 200, 0.5, 100, 0.6, 0.5, 0.02)
-    with pytest.raises(BoardError, match="18 µA: too little"):
+    with raises(BoardError, about="limits", value=pytest.approx(0.018), allowed=0.02):
         next(probe_sequences(limits, None))
 
 

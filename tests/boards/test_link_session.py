@@ -9,6 +9,8 @@ from smarttouch.boards.link_session import HostSession
 from smarttouch.errors import LineLostError
 from smarttouch.wire.framing import Deframer
 
+from ..raising import raises
+
 LOWER, UPPER = 0x1234, 0xABCD
 SESSION = UPPER << 32 | LOWER
 
@@ -136,7 +138,7 @@ def test_when_numbers_run_out_another_session_is_needed(monkeypatch):
     talk = Talk().begin()
     talk.session.encode(Kind.HEARTBEAT)
     talk.session.encode(Kind.HEARTBEAT)
-    with pytest.raises(LineLostError, match="4 packets"):
+    with raises(LineLostError, about="session", problem="too many", allowed=4):
         talk.session.encode(Kind.HEARTBEAT)
 
 

@@ -50,8 +50,9 @@ def test_modes_go_round():
 
 @pytest.mark.parametrize("level", [-0.1, 1.1, float("nan")])
 def test_no_other_level_can_be_wished(level):
-    with pytest.raises(ValueError, match="not between 0 and 1"):
+    with pytest.raises(ValueError) as error:
         ControlState(Mode.RA, level)
+    assert str(level) in str(error.value)
 
 
 def test_keys_raise_it_no_higher_than_the_most():

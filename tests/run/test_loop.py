@@ -10,7 +10,13 @@ import pytest
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.boards.probe import one_each
-from smarttouch.errors import BoardError, BoardRestartedError, LineLostError, SafetyError
+from smarttouch.errors import (
+    BoardError,
+    BoardRestartedError,
+    BoardStoppedError,
+    LineLostError,
+    SafetyError,
+)
 from smarttouch.events import BoardRestarted
 from smarttouch.primary import Mode
 from smarttouch.realtime import Pace
@@ -27,6 +33,8 @@ from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.ledger import ChargeLedger
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
+
+from ..raising import raises
 
 
 class FakeClock:
@@ -46,6 +54,10 @@ class FakeClock:
         self.time_ns = max(self.time_ns, deadline_ns) + late
 
 
+class BrokenStageError(Exception):
+    pass
+
+
 class Bars(Sensor):
     """A sensor over black bars."""
 
@@ -56,7 +68,7 @@ class Bars(Sensor):
 
     def read(self, time_ns):
         if self.fails_at == len(self.times):
-            raise RuntimeError("the sensor broke")
+            raise BrokenStageError
         if len(self.times) == self.most:
             return None
         self.times.append(time_ns)
@@ -211,7 +223,7 @@ def test_a_stop_request_ends_it_before_the_next_frame(pipeline, board):
 @pytest.mark.parametrize("stage", ["sensor", "pipeline", "board", "observer"])
 def test_an_exception_in_any_stage_ends_at_zero(monkeypatch, pipeline, board, stage):
     def broken(*_):
-        raise RuntimeError("the stage broke")
+        raise BrokenStageError
 
     sensor = Bars(fails_at=3 if stage == "sensor" else None)
     if stage == "board":
@@ -219,7 +231,7 @@ def test_an_exception_in_any_stage_ends_at_zero(monkeypatch, pipeline, board, st
     if stage == "pipeline":
         monkeypatch.setattr(pipeline, "process", broken)
     observers = [broken] if stage == "observer" else []
-    with pytest.raises(RuntimeError, match="broke"), board:
+    with pytest.raises(BrokenStageError), board:
         run_loop(
             sensor,
             pipeline,
@@ -264,11 +276,12 @@ def intensities(board):
 
 def test_a_board_that_was_lost_and_is_back_begins_at_zero(monkeypatch, pipeline, board):
     tally, send = RunStatistics(), board._send
+    lost = LineLostError("the board at x has vanished")
 
     def loses_the_fortieth(sequence, times):
         if len(board.sequences) == 40:
             monkeypatch.setattr(board, "_send", send)
-            raise LineLostError("the board at x has vanished")
+            raise lost
         return send(sequence, times)
 
     monkeypatch.setattr(board, "_send", loses_the_fortieth)
@@ -277,7 +290,8 @@ def test_a_board_that_was_lost_and_is_back_begins_at_zero(monkeypatch, pipeline,
         run_loop(Bars(60), pipeline, board, stop=StopRequest(), statistics=tally, clock=FakeClock())
     assert (tally.restarts, tally.frames) == (1, 59)
     assert intensities(board)[39:42] == [1, 0, pytest.approx(0.04)]
-    assert board.notes == ["the board at x has vanished: started anew"]
+    (note,) = board.notes
+    assert str(lost) in note
 
 
 def test_after_a_loss_nothing_but_zero_is_let_through(monkeypatch, profile, pipeline, board):
@@ -300,16 +314,16 @@ def test_after_a_loss_nothing_but_zero_is_let_through(monkeypatch, profile, pipe
             patch.setattr(board, "_recover", lambda lost: None)
             with pytest.raises(BoardRestartedError):
                 board.send(replace(last, time_ns=last.time_ns + 10**9))
-        with pytest.raises(SafetyError, match="rises from 0"):
+        with raises(SafetyError, limit="ramp_s", value=1, allowed=0):
             board.send(replace(last, time_ns=last.time_ns + 2 * 10**9))
 
 
 def test_a_board_that_stays_lost_ends_the_run(monkeypatch, pipeline, board):
     def broken(*_):
-        raise LineLostError("the board at x has vanished")
+        raise LineLostError("the board at x has vanished", about="board", problem="gone", value="x")
 
     monkeypatch.setattr(board, "_send", broken)
-    with pytest.raises(BoardError, match="vanished"), board:
+    with raises(LineLostError, about="board", problem="gone", value="x"), board:
         run_loop(
             Bars(60),
             pipeline,
@@ -400,9 +414,8 @@ def test_what_could_not_be_held_is_told(profile):
     for _ in range(20):
         adaptation.observe(sequence, np.full(2, 100.0, np.float32))
         adaptation.apply(sequence)
-    assert Regulator(adaptation).notes() == [
-        "charge could not be held at 2 sites: pulses are at their longest"
-    ]
+    (note,) = Regulator(adaptation).notes()
+    assert "2 sites" in note
 
 
 def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
@@ -477,8 +490,7 @@ def test_what_is_not_known_has_no_current(pipeline, board, unknown):
     assert intensity[89] == 1
     assert tally.blind == 20
     words = [words for time_ns, words in told if time_ns in (800_000_000, 1_200_000_000)]
-    assert words[0].endswith("no current")
-    assert words[1] == "image and force are known"
+    assert [unknown in each for each in words] == [True, unknown == "force"]
 
 
 def test_a_force_source_has_the_last_word(pipeline, board):
@@ -537,6 +549,8 @@ def test_the_user_s_wish_is_heeded_and_told_of(pipeline, board):
         for sequence in (board.sequences[i] for i in (79, 119))
     ]
     assert current_ua[0] < 0 < current_ua[1]
+    end_ns, _ = told.pop()
+    assert end_ns == 2_400_000_000
     assert told == [
         (0, "intensity 0.50"),
         (0, "mode RA"),
@@ -544,7 +558,6 @@ def test_the_user_s_wish_is_heeded_and_told_of(pipeline, board):
         (1_000_000_000, "intensity 0.25"),
         (1_000_000_000, "goes on"),
         (1_600_000_000, "mode SAI"),
-        (2_400_000_000, "the end of what the sensor sees"),
     ]
 
 
@@ -555,10 +568,11 @@ def test_the_same_image_again_is_felt_once(pipeline, board):
 
 def test_every_step_is_observed_also_one_that_was_lost(pipeline, board, monkeypatch):
     send, seen = board._send, []
+    lost = LineLostError("the line is lost")
 
     def lose(sequence, times):
         if sequence.time_ns == 400_000_000:
-            raise LineLostError("the line is lost")
+            raise lost
         return send(sequence, times)
 
     monkeypatch.setattr(board, "_send", lose)
@@ -567,7 +581,7 @@ def test_every_step_is_observed_also_one_that_was_lost(pipeline, board, monkeypa
     assert [sent.number is None for sent in seen] == [i == 20 for i in range(30)]
     assert (tally.seen, tally.felt) == (30, 29)
     assert [sent.step.restarted for sent in seen] == [i in (0, 21) for i in range(30)]
-    assert any("started anew" in words for _, words in told)
+    assert [time_ns for time_ns, words in told if str(lost) in words] == [400_000_000]
 
 
 def test_the_time_that_a_board_was_lost_is_no_error_of_the_period(pipeline, board, monkeypatch):
@@ -648,7 +662,7 @@ def test_a_board_stopped_by_nobody_who_may_is_a_fault(pipeline, board):
     def stops(_sent):
         board.stop()
 
-    with board, pytest.raises(BoardError, match="stopped"):
+    with board, raises(BoardStoppedError, about="board", problem="stopped"):
         run_loop(
             Bars(60),
             pipeline,
@@ -663,7 +677,7 @@ def test_a_board_stopped_by_nobody_who_may_is_a_fault(pipeline, board):
 def test_on_a_finger_somebody_must_say_how_strong(monkeypatch, pipeline, board):
     monkeypatch.setattr(type(board), "on_a_finger", True)
     with board:
-        with pytest.raises(BoardError, match="give controls"):
+        with raises(BoardError, about="controls", problem="missing"):
             run_loop(
                 Bars(5),
                 pipeline,

@@ -18,6 +18,8 @@ from smarttouch.stimulation.schedule import PointScan
 from smarttouch.stimulation.sequence import Proof, ScanSequence
 from smarttouch.stimulation.timing import ScanTiming
 
+from ..raising import raises
+
 COMPLIANCE_V = 300.0
 KOHM = 50.0
 
@@ -218,7 +220,7 @@ def test_longer_pulses_lengthen_the_period():
 
 
 def test_one_width_only_cannot_hold_charge():
-    with pytest.raises(ScheduleError, match=r"this board's last 50 µs always: hold energy"):
+    with raises(ScheduleError, about="hold", value="charge", allowed="energy"):
         Adaptation(MOUSE, "charge", COMPLIANCE_V, ScanTiming(width_us=50))
     Adaptation(MOUSE, "energy", COMPLIANCE_V, ScanTiming(width_us=50))
 

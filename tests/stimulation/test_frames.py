@@ -19,6 +19,8 @@ from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.stimulation.schedule import PointScan
 from smarttouch.stimulation.timing import ScanTiming
 
+from ..raising import raises
+
 _DRAWN = np.zeros((8, 8), np.bool_)
 _DRAWN[1, 1:7] = _DRAWN[2:, 3] = True
 LETTER_T = np.flatnonzero(_DRAWN)
@@ -290,14 +292,14 @@ def test_masked_electrodes_carry_nothing(profile, changed):
 
 def test_boards_that_cannot_are_refused(profile, bank, changed):
     board = load_profile("kajimoto-61")
-    with pytest.raises(ScheduleError, match="one source for all electrodes: choose points"):
+    with raises(ScheduleError, about="output.kind", problem="impossible"):
         FrameSlots(board, load_bank(board), (Primary.RA,))
-    with pytest.raises(ScheduleError, match=r"pulse\.carrier"):
+    with raises(ScheduleError, about="pulse.carrier", problem="impossible"):
         FrameSlots(changed(profile, {"pulse.carrier": "width"}), bank, (Primary.RA,))
-    with pytest.raises(ScheduleError, match=r"frames\.share"):
+    with raises(ScheduleError, about="frames.share", problem="impossible"):
         FrameSlots(changed(profile, {"frames.share": False}), bank, (Primary.RA,))
     # As profiles were before they had that key.
-    with pytest.raises(ScheduleError, match=r"frames\.share"):
+    with raises(ScheduleError, about="frames.share", problem="impossible"):
         FrameSlots(
             changed(profile, {"limits.total_ma": None, "frames.share": None}), bank, (Primary.RA,)
         )

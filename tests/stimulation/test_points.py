@@ -22,6 +22,8 @@ from smarttouch.stimulation.sequence_limits import prove_slots
 from smarttouch.stimulation.sums import SlotAdder
 from smarttouch.stimulation.timing import ScanTiming
 
+from ..raising import raises
+
 
 def image(activation, time_ns=10**9):
     rows = np.zeros((3, 64), np.float32)
@@ -81,12 +83,13 @@ def test_the_gate_bounds_charge_where_width_carries_intensity(by_width, bank):
     gate.prove_measurement(sequence)
     # Twice as long, and within all other limits.
     object.__setattr__(sequence, "width_us", np.full(64, 180, np.uint16))
-    with pytest.raises(SafetyError, match=r"µC is more than intensity 0\.500 allows"):
+    charge_uc = 180e-6 * np.abs(sequence.current_ua.astype(int)).max()
+    with raises(SafetyError, limit="intensity", value=pytest.approx(charge_uc)):
         gate.prove_measurement(sequence)
 
 
 def test_a_board_with_one_width_wants_height(by_width, bank):
-    with pytest.raises(ScheduleError, match=r"set pulse\.carrier = 'height'"):
+    with raises(ScheduleError, about="pulse.carrier", value="width", allowed="height"):
         PointScan(by_width, bank, (Primary.RA,), timing=ScanTiming(own_widths=False))
 
 
@@ -132,15 +135,15 @@ def test_hard_things_pulse_faster_when_pressed(profile, bank):
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("options", "attributes"),
     [
-        ({"rate_hz": 50.0}, "set pulse.ra_rate_hz and pulse.sai_rate_hz"),
-        ({"timing": ScanTiming(whole_hz=True)}, "choose RA or SAI"),
-        ({"timing": ScanTiming(in_index_order=True)}, "choose RA or SAI"),
+        ({"rate_hz": 50.0}, {"about": "rate", "value": 50, "remedy": "pulse.ra_rate_hz"}),
+        ({"timing": ScanTiming(whole_hz=True)}, {"about": "mode", "allowed": ("RA", "SAI")}),
+        ({"timing": ScanTiming(in_index_order=True)}, {"about": "mode", "allowed": ("RA", "SAI")}),
     ],
 )
-def test_where_two_rates_are_not_possible(profile, bank, options, says):
-    with pytest.raises(ScheduleError, match=says):
+def test_where_two_rates_are_not_possible(profile, bank, options, attributes):
+    with raises(ScheduleError, **attributes):
         PointScan(profile, bank, Mode.NATURAL.primaries, **options)
 
 

@@ -175,10 +175,11 @@ def test_what_is_proved_cannot_be_changed():
     assert proved.current_ua.tolist() == GOOD
     for name in ("current_ua", "width_us", "discharge_us", "site"):
         array = getattr(proved, name)
-        with pytest.raises(ValueError, match="read-only"):
+        with pytest.raises(ValueError):
             array[...] = 0
-        with pytest.raises(ValueError, match="WRITEABLE"):
+        with pytest.raises(ValueError):
             array.setflags(write=True)
+        assert not array.flags.writeable
 
 
 def test_an_array_that_answers_for_another_is_read_as_what_it_is():

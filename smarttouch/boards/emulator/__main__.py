@@ -62,14 +62,31 @@ def _make(options: argparse.Namespace) -> serve.Firmware:
     electrodes, protocol = options.electrodes, options.protocol
     if protocol == "kajimoto61":
         if electrodes not in (None, ELECTRODES):
-            raise BoardError(f"a kajimoto61 has {ELECTRODES} electrodes, not {electrodes}")
+            raise BoardError(
+                f"a kajimoto61 has {ELECTRODES} electrodes, not {electrodes}",
+                about="--electrodes",
+                problem="conflict",
+                value=electrodes,
+                allowed=ELECTRODES,
+            )
         electrodes = ELECTRODES
     elif protocol == "etactilekit":
         electrodes = 32 if electrodes is None else electrodes
         if not 1 <= electrodes <= MOST_OUTPUTS:
-            raise BoardError(f"an eTactileKit has 1 to {MOST_OUTPUTS} outputs, not {electrodes}")
+            raise BoardError(
+                f"an eTactileKit has 1 to {MOST_OUTPUTS} outputs, not {electrodes}",
+                about="--electrodes",
+                problem="too few" if electrodes < 1 else "too many",
+                value=electrodes,
+                allowed=MOST_OUTPUTS,
+            )
     elif electrodes is None or electrodes < 1:
-        raise BoardError("a board needs electrodes: say how many with --electrodes")
+        raise BoardError(
+            "a board needs electrodes: say how many with --electrodes",
+            about="--electrodes",
+            problem="missing" if electrodes is None else "too few",
+            value=electrodes,
+        )
     books, finger = Books(electrodes, options.books), Finger(electrodes, options.event)
     if protocol == "kajimoto61":
         return Kajimoto61Firmware(books, finger, options.compliance)

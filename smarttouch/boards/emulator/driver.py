@@ -47,7 +47,12 @@ class EmulatorBoard(LinkBoard):
     ) -> None:
         super().__init__("", limits, output)
         if rest:
-            raise BoardError(f"emulator: takes nothing after the colon, not {rest!r}")
+            raise BoardError(
+                f"emulator: takes nothing after the colon, not {rest!r}",
+                about="board",
+                problem="malformed",
+                value=rest,
+            )
         kind = "weighted" if output is None else output.kind
         self._command = [
             sys.executable,
@@ -97,8 +102,12 @@ class EmulatorBoard(LinkBoard):
                 if select.select([output], [], [], 0)[0]:
                     piece = os.read(output.fileno(), 256)
                     if not piece:
+                        code = self._process.wait()
                         raise BoardError(
-                            f"the emulator did not start (exit {self._process.wait()})"
+                            f"the emulator did not start (exit {code})",
+                            about="emulator",
+                            problem="gone",
+                            value=code,
                         )
                     said += piece
                 else:
@@ -106,7 +115,10 @@ class EmulatorBoard(LinkBoard):
         if not said.endswith(b"\n"):
             raise BoardError(
                 f"the emulator has not started within {_STARTS_WITHIN_S:g} s: this computer is "
-                "too busy, try again"
+                "too busy, try again",
+                about="emulator",
+                problem="late",
+                allowed=_STARTS_WITHIN_S,
             )
         return said.decode().strip()
 

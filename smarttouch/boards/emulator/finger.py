@@ -72,9 +72,8 @@ def parse_event(text: str) -> Event:
     words = text.split()
     kind = next((each for each in get_args(Kind) if words[1:2] == [each]), None)
     if kind is None:
-        raise BoardError(
-            f"event {text!r} is none: write a time in s and one of {', '.join(get_args(Kind))}"
-        )
+        what = f" is none: write a time in s and one of {', '.join(get_args(Kind))}"
+        raise _bad(text, what, "unknown", get_args(Kind))
     form = "TIME " + kind
     if kind not in _WHOLE_FINGER:
         form += " ELECTRODE"
@@ -83,15 +82,23 @@ def parse_event(text: str) -> Event:
         electrode = 0 if kind in _WHOLE_FINGER else int(words.pop(2))
         time_s, *values = (float(word) for word in (words[0], *words[2:]))
     except (IndexError, ValueError):
-        raise BoardError(f"event {text!r} has no number where one belongs: write {form}") from None
-    if len(values) != len(_VALUES.get(kind, "").split()):
-        raise BoardError(f"event {text!r} has {len(values)} values after its name: write {form}")
+        what = f" has no number where one belongs: write {form}"
+        raise _bad(text, what, "malformed", form) from None
+    if (few := len(_VALUES.get(kind, "").split())) != len(values):
+        problem = "too few" if len(values) < few else "too many"
+        raise _bad(text, f" has {len(values)} values after its name: write {form}", problem, form)
     if not all(0 <= value < math.inf for value in (time_s, *values)) or electrode < 0:
-        raise BoardError(f"event {text!r} has a number that is negative or not finite")
+        raise _bad(text, " has a number that is negative or not finite", "negative")
     if (kind == "drift" and values[0] == 0) or (kind == "peel" and not 0 < values[0] <= 1):
         limit = "above 0" if kind == "drift" else "above 0 and at most 1"
-        raise BoardError(f"event {text!r}: {values[0]:g} is out of range, it must be {limit}")
+        what = f": {values[0]:g} is out of range, it must be {limit}"
+        raise _bad(text, what, "out of range", limit)
     return Event(time_s, kind, electrode, tuple(values))
+
+
+def _bad(text: str, what: str, problem: str, allowed: object = None) -> BoardError:
+    message = f"event {text!r}{what}"
+    return BoardError(message, about="event", problem=problem, value=text, allowed=allowed)
 
 
 class Finger:
@@ -120,7 +127,11 @@ class Finger:
             if event.electrode >= electrodes:
                 raise BoardError(
                     f"an event is of electrode {event.electrode}, the board has 0 to "
-                    f"{electrodes - 1}"
+                    f"{electrodes - 1}",
+                    about="event",
+                    problem="too large",
+                    value=event.electrode,
+                    allowed=electrodes - 1,
                 )
         self._due = deque(parsed)
         self._touches, self._pressure_n = True, FORCE_N

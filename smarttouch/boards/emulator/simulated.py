@@ -71,7 +71,12 @@ class SimulatedBoard(Board):
     ) -> None:
         super().__init__(limits, output)
         if rest:
-            raise BoardError(f"simulated: takes nothing after the colon, not {rest!r}")
+            raise BoardError(
+                f"simulated: takes nothing after the colon, not {rest!r}",
+                about="board",
+                problem="malformed",
+                value=rest,
+            )
         self._kind = "weighted" if output is None else output.kind
         # A stop comes from another thread, between two sequences.
         self._speaking = threading.Lock()
@@ -136,7 +141,12 @@ class SimulatedBoard(Board):
             elif message.kind == Kind.NAK:
                 self.refused += 1
                 words = message.payload[1:].decode("utf-8", "replace")
-                raise BoardError(f"the simulated board refused sequence {message.about}: {words}")
+                raise BoardError(
+                    f"the simulated board refused sequence {message.about}: {words}",
+                    about="board",
+                    problem="refused",
+                    value=message.about,
+                )
 
     def _wait(self, time_ns: int) -> None:
         """Let time pass, and the board know that its host is there."""

@@ -1,13 +1,17 @@
 """What happens to the finger, and how it is written."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.boards.emulator.finger import Finger, parse_event
+from smarttouch.boards.emulator.finger import Finger, Kind, parse_event
 from smarttouch.boards.emulator.skin import Skin
 from smarttouch.errors import BoardError
+
+from ...raising import raises
 
 HEALTHY = Skin(16).series_ohm
 
@@ -83,31 +87,33 @@ def test_a_change_leaves_the_voltage_on_an_electrode():
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "problem", "allowed"),
     [
-        ("", "write a time in s and one of lift"),
-        ("lift", "write a time"),
-        ("1 jump", "write a time"),
-        ("soon lift", "write TIME lift"),
-        ("1 lift 3", "1 values after its name: write TIME lift"),
-        ("1 drift 3 4", "write TIME drift ELECTRODE FACTOR SECONDS"),
-        ("1 drift", "write TIME drift"),
-        ("1 open 1.5", "write TIME open ELECTRODE"),
-        ("1 force", "write TIME force NEWTON"),
-        ("-1 lift", "negative or not finite"),
-        ("inf lift", "negative or not finite"),
-        ("1 force nan", "negative or not finite"),
-        ("1 open -1", "negative or not finite"),
-        ("1 drift 3 0 5", "0 is out of range"),
-        ("1 peel 3 1.5", "1.5 is out of range"),
-        ("1 open 16", "electrode 16, the board has 0 to 15"),
+        ("", "unknown", get_args(Kind)),
+        ("lift", "unknown", get_args(Kind)),
+        ("1 jump", "unknown", get_args(Kind)),
+        ("soon lift", "malformed", "TIME lift"),
+        ("1 lift 3", "too many", "TIME lift"),
+        ("1 drift 3 4", "too few", "TIME drift ELECTRODE FACTOR SECONDS"),
+        ("1 drift", "malformed", "TIME drift ELECTRODE FACTOR SECONDS"),
+        ("1 open 1.5", "malformed", "TIME open ELECTRODE"),
+        ("1 force", "too few", "TIME force NEWTON"),
+        ("-1 lift", "negative", None),
+        ("inf lift", "negative", None),
+        ("1 force nan", "negative", None),
+        ("1 open -1", "negative", None),
+        ("1 drift 3 0 5", "out of range", "above 0"),
+        ("1 peel 3 1.5", "out of range", "above 0 and at most 1"),
     ],
 )
-def test_bad_text_is_one_clear_sentence(text, says):
-    with pytest.raises(BoardError) as error:
+def test_bad_text_is_one_clear_sentence(text, problem, allowed):
+    with raises(BoardError, about="event", problem=problem, value=text, allowed=allowed):
         Finger(16, [text])
-    assert says in str(error.value)
-    assert "\n" not in str(error.value)
+
+
+def test_an_event_of_an_electrode_that_is_not_there_is_named():
+    with raises(BoardError, about="event", problem="too large", value=16, allowed=15):
+        Finger(16, ["1 open 16"])
 
 
 @given(text=st.text(max_size=30) | st.from_regex(r"[0-9.e-]{1,5} [a-z]{4,5}( [0-9.e-]{1,4}){0,4}"))

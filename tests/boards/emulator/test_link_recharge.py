@@ -115,25 +115,36 @@ def test_silence_cuts_it_off_at_its_own_time():
 
 
 @pytest.mark.parametrize(
-    ("bad", "words"),
+    ("bad", "good", "number"),
     [
-        ({"recharge": [-20, -20, 20, 19]}, "out of balance"),
-        ({"recharge": [-501, 501, 0, 0]}, "501 uA"),
-        ({"recharge": [-32768, 32767, 1, 0]}, "32768 uA"),
-        ({"recharge_us": 0}, "phase of 0 us"),
-        ({"recharge_us": 20_001, "period": 50_000}, "phase of 20001 us"),
-        ({"recharge": [-500, 500, 0, 0], "recharge_us": 4001}, "2000500 pC"),
-        ({"recharge_us": 9_701}, "do not fit"),
-        ({"slots": []}, "without slots"),
-        ({"recharge": [-20, 20, 0, 0, 0]}, "bytes are not"),
+        ({"recharge": [-20, -20, 20, 19]}, {"recharge": [-20, -20, 20, 20]}, ""),
+        ({"recharge": [-501, 501, 0, 0]}, {"recharge": [-500, 500, 0, 0]}, "501 uA"),
+        ({"recharge": [-32768, 32767, 1, 0]}, {"recharge": [-500, 499, 1, 0]}, "32768 uA"),
+        ({"recharge_us": 0}, {"recharge_us": 1}, "0 us"),
+        (
+            {"recharge_us": 20_001, "period": 50_000},
+            {"recharge_us": 20_000, "period": 50_000},
+            "20001 us",
+        ),
+        (
+            {"recharge": [-500, 500, 0, 0], "recharge_us": 4001},
+            {"recharge": [-500, 500, 0, 0], "recharge_us": 4000},
+            "2000500 pC",
+        ),
+        ({"recharge_us": 9_701}, {"recharge_us": 9_700}, ""),
+        ({"slots": []}, {}, ""),
+        ({"recharge": [-20, 20, 0, 0, 0]}, {"recharge": [-20, 20, 0, 0]}, "bytes"),
     ],
 )
-def test_what_breaks_the_boards_own_limits_is_refused(bad, words):
+def test_what_breaks_the_boards_own_limits_is_refused(bad, good, number):
+    """By itself: what keeps the limit by one is taken."""
+    (answer,) = Rig().send(0, **good)
+    assert answer.kind == Kind.ACK
     rig = Rig()
     (answer,) = rig.send(0, **bad)
-    refusal = Refusal.MALFORMED if "bytes" in words else Refusal.UNSAFE
+    refusal = Refusal.MALFORMED if number == "bytes" else Refusal.UNSAFE
     assert (answer.kind, answer.payload[0]) == (Kind.NAK, refusal)
-    assert words in answer.payload[1:].decode()
+    assert number in answer.payload[1:].decode()
     rig.advance(50)
     assert (rig.books.slots, rig.books.recharges, rig.books.violations) == (0, 0, 1)
 

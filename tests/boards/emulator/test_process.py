@@ -131,27 +131,28 @@ def test_what_stays_for_ever_ends_on_ctrl_c(start, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "names"),
     [
-        ("", "say how many with --electrodes"),
-        ("--electrodes=0", "say how many"),
-        ("--protocol=kajimoto61 --electrodes=60", "a kajimoto61 has 61 electrodes, not 60"),
-        ("--protocol=etactilekit --electrodes=256", "1 to 255 outputs, not 256"),
-        ("--protocol=other", "invalid choice"),
-        ("--electrodes=4 --discovery-port=8888", "add --tcp"),
-        ("--electrodes=4 --linger=-1", "--linger -1 is no time"),
-        ("--electrodes=4 --linger=nan", "--linger nan is no time"),
-        ("--electrodes=4 --compliance=0", "--compliance 0 is out of range"),
-        ("--electrodes=4 --books=/nowhere", "/nowhere is no folder"),
-        ("--electrodes=4 --event=soon", "event 'soon' is none"),
-        ("--electrodes=4 --event=1_open_4", "electrode 4, the board has 0 to 3"),
+        ("", "--electrodes"),
+        ("--electrodes=0", "--electrodes"),
+        ("--protocol=kajimoto61 --electrodes=60", "kajimoto61 61 60"),
+        ("--protocol=etactilekit --electrodes=256", "255 256"),
+        ("--protocol=other", "--protocol 'other'"),
+        ("--electrodes=4 --discovery-port=8888", "--discovery-port --tcp"),
+        ("--electrodes=4 --linger=-1", "--linger -1"),
+        ("--electrodes=4 --linger=nan", "--linger nan"),
+        ("--electrodes=4 --compliance=0", "--compliance 0"),
+        ("--electrodes=4 --books=/nowhere", "/nowhere"),
+        ("--electrodes=4 --event=soon", "'soon'"),
+        ("--electrodes=4 --event=1_open_4", "4 3"),
     ],
 )
-def test_what_it_cannot_do_is_one_sentence(capsys, arguments, says):
+def test_what_it_cannot_do_is_one_sentence(capsys, arguments, names):
     with pytest.raises(SystemExit) as ended:
         main([each.replace("_", " ") for each in arguments.split()])
     assert ended.value.code == 2
-    assert says in capsys.readouterr().err.splitlines()[-1]
+    said = capsys.readouterr().err.splitlines()[-1].partition("error: ")[2]
+    assert set(names.split()) <= set(said.replace(":", " ").replace(",", " ").split())
 
 
 PARENT = """
