@@ -91,14 +91,27 @@ def parse_pages(text: str, count: int) -> list[int]:
         # Nine digits: longer numbers are no pages, and Python refuses the longest.
         match = re.fullmatch(r"\s*([0-9]{1,9})\s*(-\s*([0-9]{1,9})?\s*)?", part)
         if match is None:
-            raise PageError(f"--pages {text}: {part.strip()!r} is no page: write 1,3-5 or 7-")
+            message = f"--pages {text}: {part.strip()!r} is no page: write 1,3-5 or 7-"
+            raise PageError(message, about="--pages", problem="malformed", value=part.strip())
         first = int(match[1])
         last = int(match[3] or count) if match[2] else first
         for number in (first, last):
             if not 1 <= number <= count:
-                raise PageError(f"--pages {text}: the document {_absent(number, count)}")
+                raise PageError(
+                    f"--pages {text}: the document {_absent(number, count)}",
+                    about="--pages",
+                    problem="missing",
+                    value=number,
+                    allowed=(1, count),
+                )
         if last < first:
-            raise PageError(f"--pages {text}: {first} is behind {last}: write {last}-{first}")
+            raise PageError(
+                f"--pages {text}: {first} is behind {last}: write {last}-{first}",
+                about="--pages",
+                problem="conflict",
+                value=(first, last),
+                remedy=f"{last}-{first}",
+            )
         indexes += range(first - 1, last)
     return indexes
 
@@ -134,7 +147,13 @@ class Document(contextlib.AbstractContextManager["Document", None], ABC):
             If there is no such page, or it cannot be read.
         """
         if not 0 <= index < len(self):
-            raise PageError(f"{self.path} {_absent(index + 1, len(self))}")
+            raise PageError(
+                f"{self.path} {_absent(index + 1, len(self))}",
+                about="page",
+                problem="missing",
+                value=index + 1,
+                allowed=(1, len(self)),
+            )
         return self._load(index)
 
     @abstractmethod
@@ -207,7 +226,8 @@ class PdfDocument(Document):
         try:
             sheet = self._pdf[index]
         except pypdfium2.PdfiumError:
-            raise PageError(f"{name} cannot be read: the file is damaged") from None
+            message = f"{name} cannot be read: the file is damaged"
+            raise PageError(message, about="page", problem="damaged", value=index + 1) from None
         with contextlib.closing(sheet):
             return self._render(sheet, name)
 
@@ -236,7 +256,8 @@ def _is_pdf(path: Path) -> bool:
         with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file:
             return _SIGNATURE in file.read(_SIGNATURE_WITHIN)
     except OSError as error:
-        raise PageError(f"cannot read {path}: {error.strerror}") from None
+        message = f"cannot read {path}: {error.strerror}"
+        raise PageError(message, about="file", problem="unreadable", value=path) from None
 
 
 def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument":
@@ -244,16 +265,22 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument":
         import pypdfium2
     except ImportError:
         raise PageError(
-            f"{path}: a PDF needs the extra pdf: pip install 'smarttouch[pdf]'"
+            f"{path}: a PDF needs the extra pdf: pip install 'smarttouch[pdf]'",
+            about="pypdfium2",
+            problem="missing",
+            value=path,
+            remedy="pip install 'smarttouch[pdf]'",
         ) from None
     try:
         pdf = pypdfium2.PdfDocument(path, password)
     except pypdfium2.PdfiumError as error:
         if "password" not in str(error).lower():
-            raise PageError(f"{path} is damaged, or has no pages: save it anew") from None
-        if password is None:
-            raise PageError(f"{path} is encrypted: give --password") from None
-        raise PageError(f"{path} is encrypted, and --password is not its password") from None
+            message = f"{path} is damaged, or has no pages: save it anew"
+            raise PageError(message, about="file", problem="damaged", value=path) from None
+        about, problem, message = "--password", "missing", f"{path} is encrypted: give --password"
+        if password is not None:
+            problem, message = "wrong", f"{path} is encrypted, and --password is not its password"
+        raise PageError(message, about=about, problem=problem, value=path) from None
     # What is filled in would be missing without it; it must come before any page.
     if pdf.get_formtype() == pypdfium2.raw.FORMTYPE_ACRO_FORM:
         pdf.init_forms()

@@ -22,6 +22,7 @@ LARGEST_MM = 2000.0
 SMALLEST_MM = 2.0
 INCH_MM = 25.4
 IMAGE = "an image that can be read: give a PNG, JPEG or TIFF"
+_SCALE = "--dpi or --page-width-mm"
 _LEAST_BELIEVED_DPI = 50.0
 """Files that say less (1 or 72 by default) mean that nobody measured."""
 _EVEN = 1.02
@@ -80,7 +81,8 @@ def load_page(path: Path, dpi: float | None = None, page_width_mm: float | None 
     with open_image(path) as image:
         grey, mm_per_pixel = read_grey(path, image, dpi, page_width_mm)
     if mm_per_pixel is None:
-        raise PageError(f"{path} does not say how large it is: give --dpi or --page-width-mm")
+        message = f"{path} does not say how large it is: give {_SCALE}"
+        raise PageError(message, about="scale", problem="missing", value=path, remedy=_SCALE)
     height, width = grey.shape
     require_size_mm(str(path), width * mm_per_pixel, height * mm_per_pixel)
     return Page(grey, mm_per_pixel)
@@ -89,10 +91,12 @@ def load_page(path: Path, dpi: float | None = None, page_width_mm: float | None 
 def check_scale_options(dpi: float | None, page_width_mm: float | None) -> None:
     """Raise a PageError if the scale that a user gave is none."""
     if dpi is not None and page_width_mm is not None:
-        raise PageError("--dpi and --page-width-mm both given: one of them is enough")
+        message = "--dpi and --page-width-mm both given: one of them is enough"
+        both = ("--dpi", "--page-width-mm")
+        raise PageError(message, about=both[0], problem="conflict", value=both)
     for name, value in (("--dpi", dpi), ("--page-width-mm", page_width_mm)):
         if value is not None and not 0 < value < float("inf"):
-            raise PageError(f"{name} {value:g} must be above 0")
+            raise PageError(f"{name} {value:g} must be above 0", about=name, value=value, allowed=0)
 
 
 @contextmanager
@@ -115,13 +119,14 @@ def open_image(path: Path, wanted: str = IMAGE) -> Iterator[Image.Image]:
             with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file, Image.open(file) as image:
                 yield image
     except Image.DecompressionBombError:
-        raise PageError(
-            f"{path} is above {MOST_PIXELS // 10**6} megapixels: make it smaller first"
-        ) from None
+        message = f"{path} is above {MOST_PIXELS // 10**6} megapixels: make it smaller first"
+        raise PageError(message, about="pixels", problem="too many", allowed=MOST_PIXELS) from None
     except UnidentifiedImageError:
-        raise PageError(f"{path} is not {wanted}") from None
+        message = f"{path} is not {wanted}"
+        raise PageError(message, about="file", problem="malformed", value=path) from None
     except _DAMAGES as error:
-        raise PageError(f"{path} cannot be read: {error}") from None
+        message = f"{path} cannot be read: {error}"
+        raise PageError(message, about="file", problem="damaged", value=path) from None
 
 
 def read_grey(
@@ -157,23 +162,33 @@ def require_pixels(name: str, width: int, height: int) -> None:
     if width * height > MOST_PIXELS:
         raise PageError(
             f"{name} has {width} x {height} pixels, above the limit of "
-            f"{MOST_PIXELS // 10**6} megapixels: make it smaller first"
+            f"{MOST_PIXELS // 10**6} megapixels: make it smaller first",
+            about="pixels",
+            problem="too many",
+            value=(width, height),
+            allowed=MOST_PIXELS,
         )
     if min(width, height) < FEWEST_PIXELS:
         raise PageError(
             f"{name} has {width} x {height} pixels: a page needs at least "
-            f"{FEWEST_PIXELS} x {FEWEST_PIXELS}"
+            f"{FEWEST_PIXELS} x {FEWEST_PIXELS}",
+            about="pixels",
+            problem="too few",
+            value=(width, height),
+            allowed=(FEWEST_PIXELS, FEWEST_PIXELS),
         )
 
 
-def require_size_mm(
-    name: str, width_mm: float, height_mm: float, options: str = "--dpi or --page-width-mm"
-) -> None:
+def require_size_mm(name: str, width_mm: float, height_mm: float, options: str = _SCALE) -> None:
     """Raise a PageError if a page is larger or smaller than paper is."""
     if max(width_mm, height_mm) > LARGEST_MM or min(width_mm, height_mm) < SMALLEST_MM:
         raise PageError(
             f"{name} would be {width_mm:.4g} x {height_mm:.4g} mm: give a {options} "
-            f"that makes it {SMALLEST_MM:g} to {LARGEST_MM:g} mm"
+            f"that makes it {SMALLEST_MM:g} to {LARGEST_MM:g} mm",
+            about="size_mm",
+            value=(width_mm, height_mm),
+            allowed=(SMALLEST_MM, LARGEST_MM),
+            remedy=options,
         )
 
 

@@ -166,7 +166,10 @@ def _field_mm(
     if not ((chosen > 0) & (chosen * min(electrodes.cell_mm) <= optics.magnification)).all():
         raise ProfileError(
             "optics.homography takes some electrode out of the camera's sight, or sees less than "
-            "one: calibrate the registration again, or remove it"
+            "one: calibrate the registration again, or remove it",
+            about="optics.homography",
+            problem="impossible",
+            value=optics.homography,
         )
     width_mm, height_mm = (1 / chosen).tolist()
     return width_mm, height_mm

@@ -53,7 +53,11 @@ def _best_states(judge: "_Judge", problem: Problem, site: int) -> tuple[NDArray[
     if not np.isfinite(reached):
         raise DesignError(
             f"no switching pattern activates {problem.describe(site)}: its electrodes are too far "
-            "apart for its depth"
+            "apart for its depth",
+            about="site",
+            problem="impossible",
+            value=site,
+            electrode=site,
         )
     if len(problem.driven) <= EXACT:
         away = problem.profile.electrodes.distance_mm[site, problem.driven]

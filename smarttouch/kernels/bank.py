@@ -89,7 +89,7 @@ class KernelBank:
 
         weights = self._made(primary)[site]
         if not weights.any():
-            raise DesignError(masked_site(site))
+            raise masked_site(site)
         return Kernel(
             weights=weights,
             worst_other=float(self.worst_other[primary][site]),
@@ -108,7 +108,11 @@ class KernelBank:
             )
             raise DesignError(
                 f"mode {primary.name} is not possible with this profile's board: "
-                f"it offers {offered or 'none'}"
+                f"it offers {offered or 'none'}",
+                about="mode",
+                problem="impossible",
+                value=primary,
+                allowed=tuple(sorted(self.weights)),
             )
         return self.weights[primary]
 
@@ -176,7 +180,8 @@ def make_bank(path: Path, profile: Profile, progress: Progress | None = None) ->
     try:
         write_bank(path, profile, bank)
     except OSError as error:
-        raise DesignError(f"cannot write the bank {path}: {error.strerror}") from None
+        message = f"cannot write the bank {path}: {error.strerror}"
+        raise DesignError(message, about="file", problem="unwritable", value=path) from None
     shutil.rmtree(_parts(path, profile), ignore_errors=True)
     return bank
 

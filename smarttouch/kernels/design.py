@@ -82,14 +82,22 @@ def design_kernel(
     if best == np.inf:
         raise DesignError(
             f"no kernel for {problem.describe(site)}: the target cannot be activated; change the "
-            "array, or the depths of its profile"
+            "array, or the depths of its profile",
+            about="site",
+            problem="impossible",
+            value=site,
+            electrode=site,
         )
     if not (programme.unique and rows.within_limits(programme.pattern)) and rows.limit(programme):
         best = programme.most_selective()
         if best == np.inf:
             raise DesignError(
                 f"no kernel for {problem.describe(site)} keeps limits.total_ma and "
-                "limits.electrode_ma of the profile: raise them, or lower the strongest current"
+                "limits.electrode_ma of the profile: raise them, or lower the strongest current",
+                about="limits",
+                problem="too small",
+                remedy="limits.total_ma or limits.electrode_ma",
+                electrode=site,
             )
     weights = rows.orbits @ programme.settled()
     return problem.judge(weights, site, node)

@@ -71,11 +71,16 @@ class Kernel:
         return np.asarray(self.weights / np.abs(self.weights).max())
 
 
-def masked_site(site: int) -> str:
-    """Return what to say of a site that has no kernel."""
-    return (
+def masked_site(site: int) -> DesignError:
+    """Return the error of a site that has no kernel."""
+    return DesignError(
         f"site {site} is masked: its electrode is not driven; choose another, or take it out of "
-        "output.masked of the profile"
+        "output.masked of the profile",
+        about="site",
+        problem="masked",
+        value=site,
+        remedy="output.masked",
+        electrode=site,
     )
 
 
@@ -127,7 +132,10 @@ class Problem:
         if primary in others or not others:
             raise DesignError(
                 f"{primary.name} must be selected against one or two other classes, not against "
-                f"{', '.join(each.name for each in others) or 'none'}"
+                f"{', '.join(each.name for each in others) or 'none'}",
+                about="others",
+                problem="conflict" if others else "missing",
+                value=tuple(others),
             )
         sets = {each: self._might_be(everywhere(profile, each)) for each in Primary}
         aims = self._might_be(targets(profile, primary))
@@ -177,11 +185,18 @@ class Problem:
     def check_site(self, site: int) -> None:
         """Raise a DesignError unless the array has such a site, and it is not masked."""
         if not 0 <= site < self.electrodes:
+            last = self.electrodes - 1
+            message = f"site {site} is out of range: the array has sites 0 to {last}"
             raise DesignError(
-                f"site {site} is out of range: the array has sites 0 to {self.electrodes - 1}"
+                message,
+                about="site",
+                problem="unknown",
+                value=site,
+                allowed=(0, last),
+                electrode=site,
             )
         if site in self.profile.output.masked:
-            raise DesignError(masked_site(site))
+            raise masked_site(site)
 
     def beyond_a_pitch(self, site: int) -> NDArray[np.bool_]:
         """Return which own rows are farther than one pitch from a site's target, (M,)."""
@@ -246,9 +261,8 @@ class Problem:
             aims = rows.target[:, site] if node == 0 else self.axon(site)[node][None]
             own_af = float((aims @ weights).min())
             if own_af <= 0:
-                raise DesignError(
-                    f"the pattern for {self.describe(site)} does not activate its target"
-                )
+                message = f"the pattern for {self.describe(site)} does not activate its target"
+                raise DesignError(message, about="pattern", value=own_af, allowed=0, electrode=site)
             others = rows.other @ weights
             highest = float(others.max())
             if highest / own_af > worst:

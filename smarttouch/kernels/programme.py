@@ -144,7 +144,8 @@ class Programme:
             self._add_magnitudes()
             self._cost(np.r_[np.zeros(self._count + 1), prices])
             if self._solve() is None:
-                raise DesignError("the solver lost its own answer: loosen the limits a little")
+                message = "the solver lost its own answer: loosen the limits a little"
+                raise DesignError(message, about="solver", problem="gone")
         return self.pattern
 
     def _keep_optimum(self) -> None:
@@ -190,7 +191,10 @@ class Programme:
             if rescue is None:
                 raise DesignError(
                     f"the solver gave up ({self._solver.modelStatusToString(status)}): "
-                    "check the depths and sizes of the profile"
+                    "check the depths and sizes of the profile",
+                    about="solver",
+                    problem="failed",
+                    value=self._solver.modelStatusToString(status),
                 )
             for name, value in rescue.items():
                 self._solver.setOptionValue(name, value)

@@ -47,7 +47,11 @@ def field(
         if skin.layers:
             raise DesignError(
                 "layered skin is offered for point, disc and annulus electrodes, not for "
-                "rectangles: use medium 'half-space'"
+                "rectangles: use medium 'half-space'",
+                about="skin.medium",
+                problem="conflict",
+                value=skin.medium,
+                allowed=("half-space",),
             )
         found = potential.rectangle(x, y, depth_mm, outer, inner)
     elif skin.layers or shape == "annulus":

@@ -47,7 +47,11 @@ class Afferents:
         if not self.depth_mm > 0:
             raise DesignError(
                 f"a {self.primary.name} fiber at a depth of {self.depth_mm:g} mm lies outside "
-                "the skin: depths are measured below the surface, above 0"
+                "the skin: depths are measured below the surface, above 0",
+                about="depth_mm",
+                problem="too small",
+                value=self.depth_mm,
+                allowed=0,
             )
 
 

@@ -200,10 +200,15 @@ def threshold_ma(
         candidates = np.geomspace(low, high, count)
         first = _first_to_fire(axon, candidates if cathodic else -candidates, steps)
         if not 0 < first < count:
+            polarity = "cathodic" if cathodic else "anodic"
             raise DesignError(
-                f"no {'cathodic' if cathodic else 'anodic'} threshold from {_FLOOR_MA:g} to "
+                f"no {polarity} threshold from {_FLOOR_MA:g} to "
                 f"{_CEILING_MA:g} mA with a {width_us:g} µs pulse: check the fiber's depth and "
-                f"internode ({fiber.internode_mm:g} mm), and that potentials are in mV per mA"
+                f"internode ({fiber.internode_mm:g} mm), and that potentials are in mV per mA",
+                about="threshold_ma",
+                problem="too small" if first == 0 else "too large",
+                value=polarity,
+                allowed=(_FLOOR_MA, _CEILING_MA),
             )
         low, high = float(candidates[first - 1]), float(candidates[first])
     return high

@@ -33,7 +33,10 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
         from matplotlib.figure import Figure
     except ImportError:
         raise SmartTouchError(
-            "figures need matplotlib: install it with the extra, pip install 'smarttouch[plot]'"
+            "figures need matplotlib: install it with the extra, pip install 'smarttouch[plot]'",
+            about="matplotlib",
+            problem="missing",
+            remedy="pip install 'smarttouch[plot]'",
         ) from None
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
@@ -47,7 +50,13 @@ def require_drawable(path: Path) -> None:
         If its name ends in none of `FORMATS`, or matplotlib is not installed.
     """
     if path.suffix.lower().lstrip(".") not in FORMATS:
-        raise SmartTouchError(f"cannot draw {path}: name it {', '.join('*.' + f for f in FORMATS)}")
+        raise SmartTouchError(
+            f"cannot draw {path}: name it {', '.join('*.' + f for f in FORMATS)}",
+            about="file",
+            problem="unknown",
+            value=path,
+            allowed=tuple(f".{each}" for each in FORMATS),
+        )
     new_figure(1, 1)
 
 

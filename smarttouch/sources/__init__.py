@@ -37,7 +37,13 @@ def open_sensor(
         if name not in taken:
             kind = url.partition(":")[0]
             takes = ", ".join(taken) or "none"
-            raise SensorError(f"{kind}: does not take {name}: leave it out (it takes {takes})")
+            raise SensorError(
+                f"{kind}: does not take {name}: leave it out (it takes {takes})",
+                about=name,
+                problem="unknown",
+                value=given[name],
+                allowed=tuple(taken),
+            )
     if light_on_dark and "light_on_dark" in taken:
         given["light_on_dark"] = True
     sensor: Sensor = opener(rest, profile, **given)

@@ -112,12 +112,23 @@ class CameraSource(Source):
         if size is not None and not (min(size) >= 2 and size[0] * size[1] <= _MOST_PIXELS):
             raise SensorError(
                 f"a size of {size[0]} x {size[1]} is no size of an image: give two numbers of "
-                "pixels, for example 640 x 480"
+                "pixels, for example 640 x 480",
+                about="--size",
+                value=size,
             )
         if fps is not None and not 0 < fps <= 1000:
-            raise SensorError(f"{fps:g} images a second cannot be: give above 0, at most 1000")
+            raise SensorError(
+                f"{fps:g} images a second cannot be: give above 0, at most 1000",
+                about="--fps",
+                value=fps,
+                allowed=1000,
+            )
         if exposure is not None and not abs(exposure) < 1e9:
-            raise SensorError(f"an exposure of {exposure:g} cannot be: give one the camera knows")
+            raise SensorError(
+                f"an exposure of {exposure:g} cannot be: give one the camera knows",
+                about="--exposure",
+                value=exposure,
+            )
         self._size, self._exposure, self._fps = size, exposure, fps
         self._capture: cv2.VideoCapture | None = None
         self._failures = 0
@@ -139,7 +150,10 @@ class CameraSource(Source):
             self.close()
             raise SensorError(
                 f"cannot open {self.title}: check that it is plugged in, that its number is right "
-                "and that no other program uses it"
+                "and that no other program uses it",
+                about="camera",
+                problem="unavailable",
+                value=self._device,
             )
         self._failures = 0
 
@@ -178,7 +192,9 @@ class CameraSource(Source):
         """Return the next image; waits as long as the driver does, a second at most."""
         capture = self._capture
         if capture is None:
-            raise SourceLostError(f"{self.title} is not open")
+            raise SourceLostError(
+                f"{self.title} is not open", about="camera", problem="gone", value=self._device
+            )
         with QUIET_OPENCV:
             try:
                 taken, image = capture.read()
@@ -187,7 +203,12 @@ class CameraSource(Source):
         if not taken or image is None or not image.size:
             self._failures += 1
             if self._failures >= FAILURES:
-                raise SourceLostError(f"{self.title} gave no image {FAILURES} times in a row")
+                raise SourceLostError(
+                    f"{self.title} gave no image {FAILURES} times in a row",
+                    about="camera",
+                    problem="mute",
+                    value=self._device,
+                )
             time.sleep(min(timeout_s, _PAUSE_S))
             return None
         self._failures = 0
@@ -219,7 +240,10 @@ def to_grey(image: NDArray[Any]) -> NDArray[np.uint8]:
     channels = 1 if image.ndim == 2 else image.shape[-1]
     if image.dtype != np.uint8 or image.ndim not in (2, 3) or channels not in (1, 3, 4):
         raise SensorError(
-            f"images of {image.shape} {image.dtype} are not known: give grey or color"
+            f"images of {image.shape} {image.dtype} are not known: give grey or color",
+            about="image",
+            problem="malformed",
+            value=(image.shape, str(image.dtype)),
         )
     if channels == 1:
         return np.ascontiguousarray(image.reshape(image.shape[:2]))
@@ -236,5 +260,8 @@ def _device(rest: str) -> int | str:
         return number
     raise SensorError(
         f"camera:{rest} is no camera: give its number, as in camera:0, or its device, as in "
-        "camera:/dev/video2"
+        "camera:/dev/video2",
+        about="camera",
+        problem="malformed",
+        value=rest,
     )

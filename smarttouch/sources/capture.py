@@ -148,7 +148,7 @@ class LiveSensor(Sensor):
         self._unread = False
         self._over = False
         self._closed = False
-        self._failure: tuple[str, Exception | None] | None = None
+        self._failure: SensorError | None = None
         self._told = False
         self._is_open = True
         self._lost_ns: int | None = None
@@ -177,17 +177,17 @@ class LiveSensor(Sensor):
                 self._thread.start()
                 self._changed.wait_for(lambda: self._newest or self._over, FIRST_IMAGE_S)
             if self._failure is not None:
-                words, cause = self._failure
                 self._told = True
-                raise SensorError(words) from cause
+                raise self._failure
             if self._over and not self._unread:
                 return None
             look = self._newest
             if look is None:
-                raise SensorError(
+                message = (
                     f"no image came within {FIRST_IMAGE_S:g} s from {self.title}: check that it "
                     "is on, and that no other program uses it"
                 )
+                raise self._error("mute", message, FIRST_IMAGE_S)
             self._unread = False
         age_ns = max(0, self._now_ns() - look.taken_ns)
         return Frame(
@@ -209,7 +209,7 @@ class LiveSensor(Sensor):
             self.dropped_frames += self._unread
             self._unread = False
             if self._failure is not None and not self._told:
-                self.notes.append(self._failure[0])
+                self.notes.append(str(self._failure))
         self._stop.set()
         if self._thread is None:
             self._source.close()
@@ -230,9 +230,11 @@ class LiveSensor(Sensor):
             if str(end):
                 self.notes.append(str(end))
         except SensorError as error:
-            self._fail(str(error), None)
+            self._fail(error)
         except Exception as error:
-            self._fail(f"{self.title} failed: {type(error).__name__}: {error}", error)
+            failure = self._error("failed", f"{self.title} failed: {type(error).__name__}: {error}")
+            failure.__cause__ = error
+            self._fail(failure)
         finally:
             with self._changed:
                 self._over = True
@@ -268,10 +270,11 @@ class LiveSensor(Sensor):
             self._lost_ns = None
             self._intake.interrupt()
         elif gone_s > self._replug_s:
-            raise SensorError(
+            message = (
                 f"{self.title} is gone and was not back within {self._replug_s:g} s: plug it in "
                 "and start again"
             )
+            raise self._error("gone", message, self._replug_s)
 
     def _take(self, shot: Shot) -> None:
         image, pose = self._intake.take(shot.image)
@@ -291,8 +294,11 @@ class LiveSensor(Sensor):
                 self.frames += images
                 self.dropped_frames += images
 
-    def _fail(self, words: str, cause: Exception | None) -> None:
+    def _error(self, problem: str, message: str, most: float | None = None) -> SensorError:
+        return SensorError(message, about="sensor", problem=problem, value=self.title, allowed=most)
+
+    def _fail(self, failure: SensorError) -> None:
         with self._changed:
             if self._closed:
-                self.notes.append(words)
-            self._failure = (words, cause)
+                self.notes.append(str(failure))
+            self._failure = failure

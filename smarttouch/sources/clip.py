@@ -83,9 +83,8 @@ class VideoFile(Clip):
         text = int(self._capture.get(cv2.CAP_PROP_FOURCC)) == _TEXT
         if not self._capture.isOpened() or text:
             self.close()
-            raise SensorError(
-                f"{self.path} is not a video that can be read: give an MP4, AVI, MKV or MOV"
-            )
+            message = f"{self.path} is not a video that can be read: give an MP4, AVI, MKV or MOV"
+            raise _wrong("file", "malformed", self.path, message)
         rate_hz = self._capture.get(cv2.CAP_PROP_FPS)
         if 0 < rate_hz <= FASTEST_HZ:
             self.rate_hz = rate_hz
@@ -96,7 +95,8 @@ class VideoFile(Clip):
         self._first = self.next()
         if self._first is None or min(self._first.shape) < _FEWEST_PIXELS:
             self.close()
-            raise SensorError(f"{self.path} holds no frame that can be read: record it again")
+            message = f"{self.path} holds no frame that can be read: record it again"
+            raise _wrong("file", "empty", self.path, message)
 
     def next(self) -> NDArray[np.uint8] | None:
         if self._first is not None:
@@ -157,7 +157,11 @@ class ImageFolder(Clip):
             if (width, height) != sizes[0]:
                 raise SensorError(
                     f"{file} has {width} x {height} pixels, {self._files[0].name} has "
-                    f"{sizes[0][0]} x {sizes[0][1]}: all images of a folder must be of one size"
+                    f"{sizes[0][0]} x {sizes[0][1]}: all images of a folder must be of one size",
+                    about="file",
+                    problem="conflict",
+                    value=file,
+                    allowed=sizes[0],
                 )
 
     def next(self) -> NDArray[np.uint8] | None:
@@ -178,14 +182,26 @@ class ImageFolder(Clip):
 
 def _require_file(path: Path) -> None:
     if path.is_dir():
-        raise SensorError(f"{path} is a folder: give a video file, or frames:{path}")
+        raise SensorError(
+            f"{path} is a folder: give a video file, or frames:{path}",
+            about="file",
+            problem="folder",
+            value=path,
+            remedy=f"frames:{path}",
+        )
     require_file(path, SensorError, MOST_DOCUMENT_BYTES)
 
 
 def _images(folder: Path) -> list[Path]:
     """Return the images of a folder, 2.png before 10.png."""
     if folder.is_file():
-        raise SensorError(f"{folder} is a file: give a folder of images, or video:{folder}")
+        raise SensorError(
+            f"{folder} is a file: give a folder of images, or video:{folder}",
+            about="folder",
+            problem="file",
+            value=folder,
+            remedy=f"video:{folder}",
+        )
     try:
         files = [
             file
@@ -193,12 +209,18 @@ def _images(folder: Path) -> list[Path]:
             if file.suffix.lower() in SUFFIXES and not file.name.startswith(".")
         ]
     except FileNotFoundError:
-        raise SensorError(f"no folder {folder}: check its name") from None
+        raise _wrong("folder", "missing", folder, f"no folder {folder}: check its name") from None
     except OSError as error:
-        raise SensorError(f"cannot read the folder {folder}: {error.strerror}") from None
+        message = f"cannot read the folder {folder}: {error.strerror}"
+        raise _wrong("folder", "unreadable", folder, message) from None
     if not files:
-        raise SensorError(f"{folder} holds no images: give PNG, JPEG, BMP, TIFF or PGM files")
+        message = f"{folder} holds no images: give PNG, JPEG, BMP, TIFF or PGM files"
+        raise _wrong("folder", "empty", folder, message)
     return sorted(files, key=_natural)
+
+
+def _wrong(about: str, problem: str, path: Path, message: str) -> SensorError:
+    return SensorError(message, about=about, problem=problem, value=path)
 
 
 def _natural(file: Path) -> list[tuple[int, int, str]]:
@@ -218,9 +240,11 @@ def _reading(file: Path) -> Iterator[Image.Image]:
         ):
             yield image
     except UnidentifiedImageError:
-        raise SensorError(f"{file} is not an image that can be read: remove it") from None
+        message = f"{file} is not an image that can be read: remove it"
+        raise _wrong("file", "malformed", file, message) from None
     except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
-        raise SensorError(f"{file} cannot be read, remove it: {error}") from None
+        message = f"{file} cannot be read, remove it: {error}"
+        raise _wrong("file", "damaged", file, message) from None
 
 
 def _size(file: Path) -> tuple[int, int]:
@@ -229,11 +253,13 @@ def _size(file: Path) -> tuple[int, int]:
         width, height = image.size
         if image.format in _TURNED and image.getexif().get(ExifTags.Base.Orientation, 1) >= 5:
             width, height = height, width
-    if min(width, height) < _FEWEST_PIXELS or width * height > _MOST_PIXELS:
-        raise SensorError(
+    small = min(width, height) < _FEWEST_PIXELS
+    if small or width * height > _MOST_PIXELS:
+        message = (
             f"{file} has {width} x {height} pixels: a frame needs at least {_FEWEST_PIXELS} x "
             f"{_FEWEST_PIXELS}, and at most {_MOST_PIXELS // 10**6} megapixels"
         )
+        raise _wrong("file", "too few pixels" if small else "too many pixels", file, message)
     return width, height
 
 

@@ -44,17 +44,22 @@ class FlatField:
 
     def __init__(self, dark: NDArray[np.float32], gain: NDArray[np.float32]) -> None:
         if dark.ndim != 2 or dark.shape != gain.shape or not dark.size:
-            raise SensorError(
+            raise _no_field(
+                "malformed",
+                (dark.shape, gain.shape),
                 f"a flat field with a dark level of shape {dark.shape} and a gain of shape "
-                f"{gain.shape} is none: calibrate the optics again"
+                f"{gain.shape} is none: calibrate the optics again",
             )
         if not (np.isfinite(dark).all() and np.isfinite(gain).all() and (gain >= 0).all()):
-            raise SensorError(
+            raise _no_field(
+                "impossible",
+                None,
                 "the flat field has gains that are negative or no numbers: calibrate the optics "
-                "again"
+                "again",
             )
         if not gain.any():
-            raise SensorError("the flat field calls every pixel dead: calibrate the optics again")
+            message = "the flat field calls every pixel dead: calibrate the optics again"
+            raise _no_field("dead", gain.size, message)
         self.dark = np.ascontiguousarray(dark, np.float32)
         self.gain = np.ascontiguousarray(gain, np.float32)
 
@@ -86,9 +91,12 @@ class FlatField:
         """
         if image.shape != self.gain.shape:
             (rows, columns), (height, width) = image.shape[:2], self.gain.shape
-            raise SensorError(
+            raise _no_field(
+                "conflict",
+                (columns, rows),
                 f"the flat field is for frames of {width} × {height}, this one has {columns} × "
-                f"{rows}: calibrate the optics again, or remove optics.flat_field"
+                f"{rows}: calibrate the optics again, or remove optics.flat_field",
+                (width, height),
             )
         level = np.subtract(image, self.dark, dtype=np.float32)
         level *= self.gain
@@ -117,26 +125,43 @@ class FlatField:
         if dark.shape != white.shape:
             raise CalibrationError(
                 f"the dark frames are {dark.shape[1]} × {dark.shape[0]}, the white ones "
-                f"{white.shape[1]} × {white.shape[0]}: use one sensor for both"
+                f"{white.shape[1]} × {white.shape[0]}: use one sensor for both",
+                about="frames",
+                problem="conflict",
+                value=white.shape,
+                allowed=dark.shape,
             )
         span = white - dark
         usual = float(np.median(span))
         if usual < LEAST_SPAN:
             raise CalibrationError(
                 f"white is only {usual:.0f} grey levels brighter than dark, {LEAST_SPAN:.0f} are "
-                "needed: is the light on, the sensor covered for the dark and on white paper after?"
+                "needed: is the light on, the sensor covered for the dark and on white paper "
+                "after?",
+                about="white",
+                problem="too small",
+                value=usual,
+                allowed=LEAST_SPAN,
             )
         saturated = float((white >= SATURATED).mean())
         if saturated > MOST_SATURATED:
             raise CalibrationError(
                 f"{saturated:.0%} of the pixels are saturated on white paper: lower the exposure "
-                "or the light"
+                "or the light",
+                about="white",
+                problem="saturated",
+                value=saturated,
+                allowed=MOST_SATURATED,
             )
         broken = (span < DEAD_SHARE * usual) | (dark > np.median(dark) + HOT_LEVELS)
         if broken.mean() > MOST_BROKEN:
             raise CalibrationError(
                 f"{int(broken.sum())} of {broken.size} pixels are dead or hot: is the field of "
-                "view free, lit evenly enough and really dark when covered?"
+                "view free, lit evenly enough and really dark when covered?",
+                about="pixels",
+                problem="too many",
+                value=int(broken.sum()),
+                allowed=int(MOST_BROKEN * broken.size),
             )
         level = float(np.median(white[~broken]))
         gain = np.where(broken, 0.0, level / np.where(broken, 1.0, span))
@@ -168,19 +193,29 @@ class FlatField:
             If there is none, or it is not one.
         """
         if not Path(path).exists():
-            raise SensorError(
+            message = (
                 f"no flat field {path}: put it beside the profile, or remove optics.flat_field"
             )
+            raise _no_field("missing", Path(path), message)
         with open_file(Path(path), SensorError, MOST_BANK_BYTES) as file:
             try:
                 stored = read_arrays(file)
                 dark, gain = (np.asarray(stored[name], np.float32) for name in ("dark", "gain"))
             except (OSError, ValueError, TypeError, KeyError):
-                raise SensorError(
+                raise _no_field(
+                    "unreadable",
+                    Path(path),
                     f"{path} is not a flat field: calibrate the optics again, or remove "
-                    "optics.flat_field"
+                    "optics.flat_field",
                 ) from None
         return cls(dark, gain)
+
+
+def _no_field(problem: str, value: object, message: str, allowed: object = None) -> SensorError:
+    key = "optics.flat_field"
+    return SensorError(
+        message, about=key, problem=problem, value=value, allowed=allowed, remedy=key
+    )
 
 
 def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
@@ -192,10 +227,17 @@ def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
         If there are none, or they differ in shape.
     """
     if not len(images):
-        raise CalibrationError("no frames came: check the sensor")
+        raise CalibrationError(
+            "no frames came: check the sensor", about="frames", problem="missing"
+        )
     shapes = {image.shape for image in images}
     if len(shapes) > 1:
-        raise CalibrationError(f"the frames differ in shape, {sorted(shapes)}: use one sensor")
+        raise CalibrationError(
+            f"the frames differ in shape, {sorted(shapes)}: use one sensor",
+            about="frames",
+            problem="conflict",
+            value=tuple(sorted(shapes)),
+        )
     total = np.zeros(images[0].shape)
     for image in images:
         total += image

@@ -32,5 +32,7 @@ def read_what_came(port: Port, title: str) -> bytes:
             with contextlib.suppress(BlockingIOError):
                 data += wire.recv(_LARGEST_READ)
     except LINE_ERRORS as error:
-        raise SourceLostError(f"{title} is gone: {reason(error)}") from None
+        raise SourceLostError(
+            f"{title} is gone: {reason(error)}", about="port", problem="gone", value=title
+        ) from None
     return data

@@ -70,7 +70,10 @@ class ReadingPath:
     ) -> None:
         if not SLOWEST_MM_S <= speed_mm_s <= FASTEST_MM_S:
             raise SensorError(
-                f"--speed {speed_mm_s:g} must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g} mm/s"
+                f"--speed {speed_mm_s:g} must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g} mm/s",
+                about="--speed",
+                value=speed_mm_s,
+                allowed=(SLOWEST_MM_S, FASTEST_MM_S),
             )
         field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
         lines = find_lines(page, light_on_dark) or [_whole(page)]
@@ -123,17 +126,39 @@ class RecordedPath:
         try:
             rows = list(csv.reader(io.StringIO(read_text(path, SensorError), newline="")))
         except csv.Error:
-            raise SensorError(f"cannot read the path {path}: it is not a text table") from None
-        if not rows or tuple(cell.strip() for cell in rows[0]) != _COLUMNS:
-            raise SensorError(f"{path} must begin with the line {','.join(_COLUMNS)}")
+            raise SensorError(
+                f"cannot read the path {path}: it is not a text table",
+                about="file",
+                problem="malformed",
+                value=path,
+            ) from None
+        heading = tuple(cell.strip() for cell in rows[0]) if rows else ()
+        if heading != _COLUMNS:
+            raise SensorError(
+                f"{path} must begin with the line {','.join(_COLUMNS)}",
+                about="columns",
+                value=heading,
+                allowed=_COLUMNS,
+            )
         table = [_numbers(path, number, row) for number, row in enumerate(rows[1:], 2) if row]
         if len(table) < 2:
-            raise SensorError(f"{path} has {len(table)} points: a path needs at least two")
+            raise SensorError(
+                f"{path} has {len(table)} points: a path needs at least two",
+                about="rows",
+                problem="too few",
+                value=len(table),
+                allowed=2,
+            )
         self._table = np.array(table)
         steps = np.diff(self._table[:, 0])
         if (steps <= 0).any():
             number = int(np.argmax(steps <= 0)) + 3
-            raise SensorError(f"{path}, line {number}: time must rise from line to line")
+            raise SensorError(
+                f"{path}, line {number}: time must rise from line to line",
+                about="line",
+                problem="falling",
+                value=number,
+            )
         self._start_s = float(self._table[0, 0])
         self.duration_s = float(self._table[-1, 0]) - self._start_s
 
@@ -183,5 +208,10 @@ def _numbers(path: Path, number: int, row: list[str]) -> list[float]:
     except ValueError:
         values = []
     if len(values) != len(_COLUMNS) or not all(map(math.isfinite, values)):
-        raise SensorError(f"{path}, line {number}: needs {len(_COLUMNS)} numbers, has {row}")
+        raise SensorError(
+            f"{path}, line {number}: needs {len(_COLUMNS)} numbers, has {row}",
+            about="line",
+            problem="malformed",
+            value=number,
+        )
     return values

@@ -121,13 +121,20 @@ def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
     """
     if image.ndim != 2 or image.dtype != np.uint8:
         raise SensorError(
-            f"a frame on the wire is grey, one byte a pixel, not {image.dtype} of {image.shape}"
+            f"a frame on the wire is grey, one byte a pixel, not {image.dtype} of {image.shape}",
+            about="frame",
+            problem="malformed",
+            value=(image.shape, str(image.dtype)),
         )
     rows, columns = image.shape
     if not (1 <= rows <= MOST_PIXELS_A_SIDE and 1 <= columns <= MOST_PIXELS_A_SIDE):
         raise SensorError(
             f"a frame on the wire has 1 to {MOST_PIXELS_A_SIDE} rows and columns, "
-            f"not {rows} x {columns}"
+            f"not {rows} x {columns}",
+            about="frame",
+            problem="too large" if image.size else "empty",
+            value=image.shape,
+            allowed=MOST_PIXELS_A_SIDE,
         )
     head = _FRAME.pack(rows, columns, time_us % NUMBERS)
     return frame_packet(VERSION, Kind.FRAME, number % NUMBERS, head + image.tobytes())
@@ -143,7 +150,12 @@ def encode_force(number: int, time_us: int, reading: int | None) -> bytes:
     """
     value = NO_READING if reading is None else reading
     if not NO_READING <= value < 2**31:
-        raise SensorError(f"reading {value} does not fit 32 bits: scale it down")
+        raise SensorError(
+            f"reading {value} does not fit 32 bits: scale it down",
+            about="reading",
+            problem="too large",
+            value=value,
+        )
     payload = _FORCE.pack(value, time_us % NUMBERS)
     return frame_packet(VERSION, Kind.FORCE, number % NUMBERS, payload)
 

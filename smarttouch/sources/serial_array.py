@@ -42,9 +42,17 @@ def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -
         If there is no such port, or it cannot be opened.
     """
     if not rest:
-        raise SensorError("serial-array: names no port: give one, as in serial-array:/dev/ttyACM0")
+        raise SensorError(
+            "serial-array: names no port: give one, as in serial-array:/dev/ttyACM0",
+            about="port",
+            problem="missing",
+        )
     if baud is not None and baud < 1:
-        raise SensorError(f"--baud {baud} is no speed of a line: give bits a second, as in 115200")
+        raise SensorError(
+            f"--baud {baud} is no speed of a line: give bits a second, as in 115200",
+            about="--baud",
+            value=baud,
+        )
     return LiveSensor(SerialArraySource(rest, USUAL_BAUD if baud is None else baud), profile)
 
 
@@ -159,7 +167,11 @@ class SerialArraySource(Source):
             raise SensorError(
                 f"what comes from {self._name} is no frames: check its speed (--baud, now "
                 f"{self._baud}) and that the device sends the format of "
-                "smarttouch/sources/sensor_protocol.py"
+                "smarttouch/sources/sensor_protocol.py",
+                about="port",
+                problem="malformed",
+                value=self._name,
+                remedy="--baud",
             )
 
 

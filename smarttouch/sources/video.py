@@ -63,7 +63,10 @@ def open_frames(
     rate_hz = USUAL_HZ if fps is None else fps
     if not 0 < rate_hz <= FASTEST_HZ:
         raise SensorError(
-            f"{rate_hz:g} images a second cannot be: give above 0, at most {FASTEST_HZ:g}"
+            f"{rate_hz:g} images a second cannot be: give above 0, at most {FASTEST_HZ:g}",
+            about="--fps",
+            value=rate_hz,
+            allowed=FASTEST_HZ,
         )
     return _open(ImageFolder(Path(rest), rate_hz), profile, unpaced)
 

@@ -31,7 +31,12 @@ def open_it(rest: str, *, cpi: float = USUAL_CPI, grab: bool = False) -> "EvdevM
         If there is none, it may not be read, or the extra is missing.
     """
     if not 10 <= cpi <= 100_000:
-        raise SensorError(f"--cpi {cpi:g} is no resolution of a mouse: give counts per inch")
+        raise SensorError(
+            f"--cpi {cpi:g} is no resolution of a mouse: give counts per inch",
+            about="--cpi",
+            value=cpi,
+            allowed=(10, 100_000),
+        )
     return EvdevMotion(_open(rest) if rest else _first_mouse(), cpi, grab)
 
 
@@ -66,9 +71,8 @@ class EvdevMotion(Motion):
                 device.grab()
             except OSError as error:
                 device.close()
-                raise SensorError(
-                    f"{self._path} cannot be had alone ({error.strerror}): leave out --grab"
-                ) from None
+                message = f"{self._path} cannot be had alone ({error.strerror}): leave out --grab"
+                raise _wrong("busy", self._path, message, "--grab") from None
         self._thread = threading.Thread(target=self._listen, name="mouse", daemon=True)
         self._thread.start()
 
@@ -81,7 +85,12 @@ class EvdevMotion(Motion):
             If it was pulled out.
         """
         if self._gone:
-            raise SourceLostError(f"{self._path} is gone: plug the mouse in again")
+            raise SourceLostError(
+                f"{self._path} is gone: plug the mouse in again",
+                about="mouse",
+                problem="gone",
+                value=self._path,
+            )
         with self._lock:
             across, down = self._counts
         if self._first is None:
@@ -127,20 +136,27 @@ class EvdevMotion(Motion):
             self.notes.append(words)
 
 
+def _wrong(problem: str, path: str, message: str, remedy: str = "") -> SensorError:
+    return SensorError(message, about="mouse", problem=problem, value=path, remedy=remedy)
+
+
 def _open(path: str) -> "InputDevice[str]":
     evdev = _evdev()
     if not Path(path).exists():
-        raise SensorError(f"no device {path}: see {_FOLDER}/by-id for what there is")
+        message = f"no device {path}: see {_FOLDER}/by-id for what there is"
+        raise _wrong("missing", path, message)
     try:
         device: InputDevice[str] = evdev.InputDevice(path, readonly=True)
     except PermissionError:
-        raise SensorError(f"{path} may not be read by you: {_GROUP}") from None
+        raise _wrong("forbidden", path, f"{path} may not be read by you: {_GROUP}") from None
     except OSError as error:
-        raise SensorError(f"{path} is no input device: {error.strerror or error}") from None
+        message = f"{path} is no input device: {error.strerror or error}"
+        raise _wrong("no device", path, message) from None
     if not _is_mouse(device):
         name = device.name
         device.close()
-        raise SensorError(f"{path}, {name}, tells no motion along two axes: choose a mouse")
+        message = f"{path}, {name}, tells no motion along two axes: choose a mouse"
+        raise _wrong("no mouse", path, message)
     return device
 
 
@@ -152,7 +168,8 @@ def _first_mouse() -> "InputDevice[str]":
             if _is_mouse(device):
                 return device
             device.close()
-    raise SensorError(f"no mouse among what you may read in {_FOLDER}: plug one in, or {_GROUP}")
+    message = f"no mouse among what you may read in {_FOLDER}: plug one in, or {_GROUP}"
+    raise _wrong("missing", str(_FOLDER), message)
 
 
 def _natural(path: str) -> tuple[int, str]:
@@ -171,5 +188,8 @@ def _evdev() -> ModuleType:
         return importlib.import_module("evdev")
     except ImportError:
         raise SensorError(
-            "evdev: needs the extra mouse, on Linux: pip install 'smarttouch[mouse]'"
+            "evdev: needs the extra mouse, on Linux: pip install 'smarttouch[mouse]'",
+            about="evdev",
+            problem="missing",
+            remedy="pip install 'smarttouch[mouse]'",
         ) from None

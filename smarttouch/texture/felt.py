@@ -123,7 +123,8 @@ class FeltMap:
             If the hand was never there, or the file cannot be written.
         """
         if not np.isfinite(self._least).all():
-            raise SmartTouchError("the hand felt nothing: there is nothing to draw")
+            message = "the hand felt nothing: there is nothing to draw"
+            raise SmartTouchError(message, about="felt", problem="empty")
         half = np.abs(self._position_mm).max(axis=0) + np.array(self._cell_mm)
         corner, end = self._least - half, self._most + half
         wide_mm, high_mm = (end - corner).tolist()

@@ -35,10 +35,14 @@ class Grating(Texture):
         if not FINEST_PITCH_MM <= pitch_mm <= COARSEST_PITCH_MM:
             raise PageError(
                 f"a grating of {pitch_mm:g} mm cannot be felt: give {FINEST_PITCH_MM:g} to "
-                f"{COARSEST_PITCH_MM:g} mm"
+                f"{COARSEST_PITCH_MM:g} mm",
+                about="pitch_mm",
+                value=pitch_mm,
+                allowed=(FINEST_PITCH_MM, COARSEST_PITCH_MM),
             )
         if not abs(angle_deg) <= 360:
-            raise PageError(f"{angle_deg:g} degrees are no angle: give -360 to 360")
+            message = f"{angle_deg:g} degrees are no angle: give -360 to 360"
+            raise PageError(message, about="angle_deg", value=angle_deg, allowed=(-360, 360))
         turned = f", turned by {angle_deg:g}°" if angle_deg else ""
         super().__init__(f"grating of {pitch_mm:g} mm{turned}", None)
         angle = math.radians(angle_deg)

@@ -77,14 +77,27 @@ def open_motion(url: str, **options: Any) -> Motion:
     kind, colon, rest = url.partition(":")
     sensors = {point.name for point in entry_points(group="smarttouch.sensors")}
     if not colon or kind not in _OPENERS.keys() | sensors:
-        names = ", ".join(f"{each}:" for each in [*_OPENERS, *sorted(sensors)])
-        raise SensorError(f"unknown motion {url!r}: it must begin with one of {names}")
+        known = (*_OPENERS, *sorted(sensors))
+        names = ", ".join(f"{each}:" for each in known)
+        raise SensorError(
+            f"unknown motion {url!r}: it must begin with one of {names}",
+            about="motion",
+            problem="unknown",
+            value=url,
+            allowed=known,
+        )
     opener = import_module(_OPENERS.get(kind, _ANY_SENSOR)).open_it
     given = {name: value for name, value in options.items() if value is not None}
     taken = list(inspect.signature(opener).parameters)[1:]
     for name in given:
         if name not in taken:
             takes = ", ".join(taken) or "none"
-            raise SensorError(f"{kind}: does not take {name}: leave it out (it takes {takes})")
+            raise SensorError(
+                f"{kind}: does not take {name}: leave it out (it takes {takes})",
+                about=name,
+                problem="unknown",
+                value=given[name],
+                allowed=tuple(taken),
+            )
     motion: Motion = opener(rest if kind in _OPENERS else url, **given)
     return motion

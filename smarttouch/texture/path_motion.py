@@ -18,7 +18,8 @@ _NEEDED = ("time_s", "x_mm", "y_mm")
 def open_it(rest: str) -> "PathMotion":
     """Open ``path:CSV``."""
     if not rest:
-        raise SensorError("path: names no file: give one, as in path:way.csv")
+        message = "path: names no file: give one, as in path:way.csv"
+        raise SensorError(message, about="file", problem="missing")
     return PathMotion(Path(rest))
 
 
@@ -49,7 +50,8 @@ class PathMotion(Motion):
         falling = np.diff(table[:, 0]) <= 0
         if falling.any():
             line = rows[int(np.argmax(falling)) + 1][0]
-            raise SensorError(f"{path}, line {line}: time must rise from line to line")
+            message = f"{path}, line {line}: time must rise from line to line"
+            raise SensorError(message, about="line", problem="falling", value=line)
         table[:, 0] -= table[0, 0]
         self._table = table
         self.duration_s = float(table[-1, 0])
@@ -73,11 +75,14 @@ def _read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
         heading = [cell.strip() for cell in next(reader, [])]
         rows = [(reader.line_num, row) for row in reader if row]
     except csv.Error:
-        raise SensorError(f"cannot read the path {path}: it is not a text table") from None
+        message = f"cannot read the path {path}: it is not a text table"
+        raise SensorError(message, about="file", problem="malformed", value=path) from None
     if not set(_NEEDED) <= set(heading):
-        raise SensorError(f"{path} must begin with a line that names {','.join(_NEEDED)}")
+        message = f"{path} must begin with a line that names {','.join(_NEEDED)}"
+        raise SensorError(message, about="columns", value=tuple(heading), allowed=_NEEDED)
     if len(rows) < 2:
-        raise SensorError(f"{path} has {len(rows)} points: a path needs at least two")
+        message = f"{path} has {len(rows)} points: a path needs at least two"
+        raise SensorError(message, about="rows", problem="too few", value=len(rows), allowed=2)
     return heading, rows
 
 
@@ -89,5 +94,6 @@ def _numbers(
     except (ValueError, IndexError):
         numbers = [float("nan")]
     if not np.isfinite(numbers).all():
-        raise SensorError(f"{path}, line {line}: needs numbers for {','.join(columns)}, has {row}")
+        message = f"{path}, line {line}: needs numbers for {','.join(columns)}, has {row}"
+        raise SensorError(message, about="line", problem="malformed", value=line)
     return numbers

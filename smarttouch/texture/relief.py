@@ -87,7 +87,10 @@ class Relief(Texture):
         if not FINEST_PITCH_MM <= grain_mm <= COARSEST_PITCH_MM:
             raise PageError(
                 f"--grain-mm {grain_mm:g} cannot be felt: give {FINEST_PITCH_MM:g} to "
-                f"{COARSEST_PITCH_MM:g} mm"
+                f"{COARSEST_PITCH_MM:g} mm",
+                about="--grain-mm",
+                value=grain_mm,
+                allowed=(FINEST_PITCH_MM, COARSEST_PITCH_MM),
             )
         self.grain_mm = grain_mm
         pixel_mm = min(max(grain_mm / _PER_GRAIN, _FINEST_MM), _COARSEST_MM)

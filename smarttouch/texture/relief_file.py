@@ -67,7 +67,7 @@ def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = 
             if deep:
                 values = np.asarray(ImageOps.exif_transpose(image), np.float64)
         if scale is None:
-            raise PageError(f"{path} does not say how large it is: give {_SCALE}")
+            raise _unscaled(path)
         mm_per_pixel = scale
         if deep:
             height = _stretched(path.name, _like(values, grey.shape), 0.0)
@@ -114,17 +114,22 @@ def _load_array(
         try:
             heights = np.asarray(read_array(file, path.stat().st_size), np.float64)
         except (OSError, ValueError, TypeError) as error:
-            raise PageError(
-                f"cannot read the height map {path}: it is not an array of numbers ({error})"
-            ) from None
+            message = f"cannot read the height map {path}: it is not an array of numbers ({error})"
+            raise PageError(message, about="file", problem="malformed", value=path) from None
     if heights.ndim != 2:
-        raise PageError(f"{path} has {heights.ndim} axes: a height map has two, rows and columns")
+        message = f"{path} has {heights.ndim} axes: a height map has two, rows and columns"
+        raise PageError(message, about="axes", value=heights.ndim, allowed=2)
     require_pixels(str(path), heights.shape[1], heights.shape[0])
     if dpi is not None:
         return heights, 25.4 / dpi
     if width_mm is None:
-        raise PageError(f"{path} does not say how large it is: give {_SCALE}")
+        raise _unscaled(path)
     return heights, width_mm / heights.shape[1]
+
+
+def _unscaled(path: Path) -> PageError:
+    message = f"{path} does not say how large it is: give {_SCALE}"
+    return PageError(message, about="scale", problem="missing", value=path, remedy=_SCALE)
 
 
 def _like(values: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -141,5 +146,6 @@ def _stretched(name: str, values: NDArray[np.float64], least: float) -> NDArray[
     if high - low <= max(least, 1e-12):
         low, high = values.min(), values.max()
     if high - low <= max(least, 1e-12):
-        raise PageError(f"{name} is flat: there is nothing on it that could be felt")
+        message = f"{name} is flat: there is nothing on it that could be felt"
+        raise PageError(message, about="texture", problem="empty", value=name)
     return np.asarray(np.clip((values - low) / (high - low), 0, 1), np.float32)

@@ -107,9 +107,12 @@ class MouseSensor(Sensor):
     ) -> None:
         super().__init__(f"{texture.title} under {motion.title}")
         if len(mode.primaries) != 1:
-            raise SensorError(f"--mode {mode} is more than one class: choose RA, SAI or PC")
+            message = f"--mode {mode} is more than one class: choose RA, SAI or PC"
+            allowed = tuple(each.name for each in Primary)
+            raise SensorError(message, about="--mode", value=mode, allowed=allowed)
         if not 0 < scale < math.inf:
-            raise SensorError(f"--scale {scale:g} must be above 0")
+            message = f"--scale {scale:g} must be above 0"
+            raise SensorError(message, about="--scale", value=scale, allowed=0)
         self.fastest_hz = _possible_hz(rate_hz, fastest_hz, profile.limits.rate_hz)
         self.duration_s = motion.duration_s
         self.knows_force = motion.knows_force or press_n is not None
@@ -213,13 +216,20 @@ def _possible_hz(rate_hz: float, fastest_hz: float | None, most_hz: float) -> fl
     if not SLOWEST_RATE_HZ <= rate_hz <= most_hz:
         raise SensorError(
             f"--rate {rate_hz:g} is not possible: give {SLOWEST_RATE_HZ:g} to {most_hz:g} frames a "
-            "second, the limit of the profile"
+            "second, the limit of the profile",
+            about="--rate",
+            value=rate_hz,
+            allowed=(SLOWEST_RATE_HZ, most_hz),
         )
     if fastest_hz is None:
         return min(FASTEST_HZ, rate_hz / 2)
     if not 0 < fastest_hz <= rate_hz / 2:
         raise SensorError(
             f"--fastest {fastest_hz:g} is not possible with {rate_hz:g} frames a second: give at "
-            f"most half of them, {rate_hz / 2:g}, or raise --rate"
+            f"most half of them, {rate_hz / 2:g}, or raise --rate",
+            about="--fastest",
+            value=fastest_hz,
+            allowed=rate_hz / 2,
+            remedy="--rate",
         )
     return fastest_hz

@@ -42,7 +42,10 @@ def open_it(
     """
     if rest and not (rest.isdecimal() and 0 < int(rest) <= _MOST_ROUNDS):
         raise SensorError(
-            f"sweep:{rest} is no number of rounds: give 1 to {_MOST_ROUNDS}, as in sweep:3"
+            f"sweep:{rest} is no number of rounds: give 1 to {_MOST_ROUNDS}, as in sweep:3",
+            about="rounds",
+            value=rest,
+            allowed=(1, _MOST_ROUNDS),
         )
     motion = SweepMotion(speed_mm_s, span_mm, lane_mm, int(rest or USUAL_ROUNDS), seed)
     motion.origin_mm = origin_mm
@@ -92,14 +95,21 @@ class SweepMotion(Motion):
     ) -> None:
         if not SLOWEST_MM_S <= speed_mm_s <= FASTEST_MM_S:
             raise SensorError(
-                f"--speed {speed_mm_s:g} must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g} mm/s"
+                f"--speed {speed_mm_s:g} must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g} mm/s",
+                about="--speed",
+                value=speed_mm_s,
+                allowed=(SLOWEST_MM_S, FASTEST_MM_S),
             )
         super().__init__(f"a virtual hand at {speed_mm_s:g} mm/s")
         points = _round_trip(span_mm, lane_mm)
         if rounds * len(points) > _MOST_STROKES:
             raise SensorError(
                 f"{rounds} rounds of {len(points) // 2} lanes are more strokes than "
-                f"{_MOST_STROKES}: ask for fewer"
+                f"{_MOST_STROKES}: ask for fewer",
+                about="strokes",
+                problem="too many",
+                value=rounds * len(points),
+                allowed=_MOST_STROKES,
             )
         self._table = _timed(np.vstack([points[:1], *[points[1:]] * rounds]), speed_mm_s)
         self.duration_s = float(self._table[-1, 0])

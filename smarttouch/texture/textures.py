@@ -50,11 +50,14 @@ def open_texture(
         }  # fmt: skip
         for name, value in given.items():
             if value:
-                raise PageError(f"{name} is for images, and {spec} is exact: leave it out")
+                message = f"{name} is for images, and {spec} is exact: leave it out"
+                raise PageError(message, about=name, problem="conflict", value=value)
         return _grating(spec, rest)
     if kind == "text" and ":" in spec:
         if dpi is not None:
-            raise PageError("--dpi is for images, and a text is printed anew: give --width-mm")
+            message = "--dpi is for images, and a text is printed anew: give --width-mm"
+            about, remedy = "--dpi", "--width-mm"
+            raise PageError(message, about=about, problem="conflict", value=dpi, remedy=remedy)
         heights = print_heights(rest, width_mm)
     else:
         heights = load_heights(Path(spec), dpi, width_mm)
@@ -64,6 +67,7 @@ def open_texture(
 def _grating(spec: str, rest: str) -> Texture:
     match = re.fullmatch(rf"\s*{_NUMBER}\s*(mm)?\s*(,\s*([-+]?){_NUMBER}\s*(deg|°)?)?\s*", rest)
     if match is None:
-        raise PageError(f"{spec!r} is no grating: write grating:4mm or grating:4mm,30deg")
+        message = f"{spec!r} is no grating: write grating:4mm or grating:4mm,30deg"
+        raise PageError(message, about="grating", problem="malformed", value=spec)
     pitch_mm, sign, angle = float(match[1]), match[4], float(match[5] or 0)
     return Grating(pitch_mm, -angle if sign == "-" else angle)

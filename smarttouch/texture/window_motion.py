@@ -42,7 +42,8 @@ def open_it(rest: str, *, texture: Texture | None = None) -> "WindowMotion":
         If there is no display, or Python has no Tk.
     """
     if rest:
-        raise SensorError(f"window: takes nothing after the colon, not {rest!r}")
+        message = f"window: takes nothing after the colon, not {rest!r}"
+        raise SensorError(message, about="motion", problem="malformed", value=f"window:{rest}")
     return WindowMotion(texture)
 
 
@@ -95,7 +96,8 @@ class WindowMotion(Motion):
         except queue.Empty:
             self._open = False
             self._closing.set()
-            raise SensorError("window: the display does not answer: try again") from None
+            message = "window: the display does not answer: try again"
+            raise SensorError(message, about="display", problem="mute") from None
         if isinstance(started, SensorError):
             self.close()
             raise started
@@ -121,13 +123,13 @@ class WindowMotion(Motion):
             import tkinter
         except ImportError:
             words = "window: this Python has no Tk: apt install python3-tk, or move by evdev:"
-            self._started.put(SensorError(words))
+            self._started.put(_missing("tkinter", words))
             return
         try:
             root = tkinter.Tk()
         except tkinter.TclError as error:
             words = f"window: there is no display ({error}): run it in a desktop, or move by evdev:"
-            self._started.put(SensorError(words))
+            self._started.put(_missing("display", words))
             return
         try:
             pointer, shown = self._fill(root)
@@ -136,7 +138,8 @@ class WindowMotion(Motion):
             root.mainloop()
             del shown
         except tkinter.TclError as error:
-            self._started.put(SensorError(f"window: the display failed: {error}"))
+            message = f"window: the display failed: {error}"
+            self._started.put(SensorError(message, about="display", problem="failed"))
         self._open = False
         # Tcl ends the program if another thread collects what is left of the window.
         self._closing.wait()
@@ -185,6 +188,10 @@ def fit(
     mm_per_px *= smaller
     wide, high = (max(1, round(side / mm_per_px)) for side in size_mm)
     return (wide, high), mm_per_px
+
+
+def _missing(what: str, message: str) -> SensorError:
+    return SensorError(message, about=what, problem="missing", remedy="evdev:")
 
 
 def _png(image: NDArray[np.uint8]) -> bytes:

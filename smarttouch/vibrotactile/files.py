@@ -27,8 +27,10 @@ class _Table:
     """Number of each row's line in the file."""
     columns: dict[str, Array]
 
-    def error(self, row: int, what: str) -> SmartTouchError:
-        return SmartTouchError(f"{self.path}, line {self.line[row]}: {what}")
+    def error(self, row: int, what: str, problem: str) -> SmartTouchError:
+        line = self.line[row]
+        message = f"{self.path}, line {line}: {what}"
+        return SmartTouchError(message, about="line", problem=problem, value=line)
 
 
 def read_csv(path: Path, seconds: float, seed: int) -> Trace:
@@ -64,6 +66,7 @@ def _over_time(table: _Table) -> Trace:
             row,
             f"time_s {time[row]:g} is not after the {time[row - 1]:g} before it: sort the lines "
             "and give each time once",
+            "falling",
         )
     displacement, force = (table.columns.get(name) for name in _BESIDE[_TIME])
     return sampled(time, displacement, force, str(table.path))
@@ -77,6 +80,7 @@ def _from_spectrum(table: _Table, seconds: float, seed: int) -> Trace:
             int(row),
             f"{amplitude[row]:g} µm at {frequency[row]:g} Hz: give frequencies from 0 to "
             f"{highest:g} Hz and amplitudes that are not negative",
+            "impossible",
         )
     phase = table.columns.get("phase_deg")
     if phase is None:
@@ -94,7 +98,8 @@ def _read(path: Path) -> _Table:
         reader = csv.reader(io.StringIO(read_text(path, SmartTouchError), newline=""))
         rows = [(number, row) for number, row in enumerate(reader, 1) if any(row)]
     except csv.Error:
-        raise SmartTouchError(f"{path} is no CSV file: save it as comma-separated UTF-8") from None
+        message = f"{path} is no CSV file: save it as comma-separated UTF-8"
+        raise SmartTouchError(message, about="file", problem="malformed", value=path) from None
     (number, header), rows = rows[0] if rows else (1, []), rows[1:]
     names = [each.strip() for each in header]
     first = next((each for each in _BESIDE if each in names), "")
@@ -102,11 +107,20 @@ def _read(path: Path) -> _Table:
     if not beside or beside == ["phase_deg"]:
         raise SmartTouchError(
             f"{path}, line {number}: the columns are {', '.join(names) or 'none'}: name them "
-            "time_s and displacement_um or force_n, or frequency_hz and amplitude_um"
+            "time_s and displacement_um or force_n, or frequency_hz and amplitude_um",
+            about="columns",
+            value=tuple(names),
+            allowed=tuple(_BESIDE),
         )
     fewest = 2 if first == _TIME else 1
     if len(rows) < fewest:
-        raise SmartTouchError(f"{path} has {len(rows)} rows of numbers: give {fewest} or more")
+        raise SmartTouchError(
+            f"{path} has {len(rows)} rows of numbers: give {fewest} or more",
+            about="rows",
+            problem="too few",
+            value=len(rows),
+            allowed=fewest,
+        )
     wanted = (first, *beside)
     places = [names.index(each) for each in wanted]
     values = np.array([[_number(path, line, row, at) for at in places] for line, row in rows])
@@ -120,5 +134,6 @@ def _number(path: Path, line: int, row: list[str], place: int) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise SmartTouchError(f"{path}, line {line}: {text!r} is not a number: correct it")
+        message = f"{path}, line {line}: {text!r} is not a number: correct it"
+        raise SmartTouchError(message, about="line", problem="malformed", value=line)
     return value

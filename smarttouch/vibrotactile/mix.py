@@ -183,7 +183,11 @@ def mix(
         raise ScheduleError(
             f"{' and '.join(each.name for each in electrical)} answer this, each at a rate of its "
             "own, and this board scans all electrodes at one: choose another board, or something "
-            "that one class alone answers"
+            "that one class alone answers",
+            about="classes",
+            problem="too many",
+            value=tuple(electrical),
+            allowed=1,
         )
     trains = list(ideal.values())
     if shaking:
@@ -231,7 +235,11 @@ def _drivable(
         raise ScheduleError(
             f"only {' and '.join(each.name for each in left_out)} would answer this, and the "
             f"board of {profile.name} drives {' and '.join(each.name for each in made)} at these "
-            "sites: choose another profile, or something that others answer too"
+            "sites: choose another profile, or something that others answer too",
+            about="classes",
+            problem="impossible",
+            value=left_out,
+            allowed=tuple(made),
         )
     return [each for each in answering if each in made], left_out
 

@@ -51,12 +51,18 @@ def chosen(profile: Profile, sites: Collection[int]) -> NDArray[np.intp]:
         If there are none, or one is not on the array or masked.
     """
     if len(sites) == 0:
-        raise ScheduleError("no site is to pulse: choose at least one")
+        message = "no site is to pulse: choose at least one"
+        raise ScheduleError(message, about="site", problem="missing")
     count, masked = len(profile.electrodes), profile.output.masked
     for each in sites:
         if not 0 <= each < count or each in masked:
             without = f" without {', '.join(map(str, sorted(masked)))}" if masked else ""
             raise ScheduleError(
-                f"site {each} cannot pulse: {profile.name} has sites 0 to {count - 1}{without}"
+                f"site {each} cannot pulse: {profile.name} has sites 0 to {count - 1}{without}",
+                about="site",
+                problem="masked" if each in masked else "unknown",
+                value=each,
+                allowed=(0, count - 1),
+                electrode=each,
             )
     return np.unique(np.array(list(sites), np.intp))

@@ -40,18 +40,27 @@ class Trace:
         if self.displacement_um.shape != self.force_n.shape or self.displacement_um.ndim != 1:
             raise SmartTouchError(
                 f"a trace of {self.displacement_um.shape} displacements and {self.force_n.shape} "
-                "forces: give as many of both, in one row"
+                "forces: give as many of both, in one row",
+                about="samples",
+                problem="conflict",
+                value=(self.displacement_um.shape, self.force_n.shape),
             )
         if len(self.force_n) < 2:
-            raise SmartTouchError(f"{self.title} has {len(self.force_n)} samples: give two or more")
+            raise SmartTouchError(
+                f"{self.title} has {len(self.force_n)} samples: give two or more",
+                about="samples",
+                problem="too few",
+                value=len(self.force_n),
+                allowed=2,
+            )
         if not (np.isfinite(self.displacement_um).all() and np.isfinite(self.force_n).all()):
             raise SmartTouchError(
-                f"{self.title} has a sample that is not a finite number: leave such samples out"
+                f"{self.title} has a sample that is not a finite number: leave such samples out",
+                about="samples",
+                problem="not finite",
             )
         if self.duration_s > LONGEST_S:
-            raise SmartTouchError(
-                f"{self.title} lasts {self.duration_s:g} s: at most {LONGEST_S:g}, cut it"
-            )
+            raise _too_long(self.title, self.duration_s)
 
     @property
     def duration_s(self) -> float:
@@ -99,21 +108,32 @@ def sampled(
     if len(time) < 2 or any(row.shape != time.shape for row in rows):
         raise SmartTouchError(
             f"{title} has {len(time)} times for {len(rows[0])} displacements and {len(rows[1])} "
-            "forces: give as many of each, two or more"
+            "forces: give as many of each, two or more",
+            about="samples",
+            problem="conflict" if len(time) > 1 else "too few",
+            value=(len(time), len(rows[0]), len(rows[1])),
         )
     steps = np.diff(time)
     if not (np.isfinite(time).all() and (steps > 0).all()):
         worst = int(np.argmin(np.where(np.isfinite(steps), steps, -math.inf)))
         raise SmartTouchError(
             f"{title}: times must rise, and sample {worst + 1} at {time[worst + 1]:g} s does not: "
-            "sort them and give each once"
+            "sort them and give each once",
+            about="samples",
+            problem="falling",
+            value=worst + 1,
         )
     if time[-1] - time[0] > LONGEST_S:
-        raise SmartTouchError(
-            f"{title} lasts {time[-1] - time[0]:g} s: at most {LONGEST_S:g}, cut it"
-        )
+        raise _too_long(title, float(time[-1] - time[0]))
     sample_hz = float(np.clip(1 / np.median(steps), SAMPLE_HZ, HIGHEST_SAMPLE_HZ))
     count = max(2, round((time[-1] - time[0]) * sample_hz) + 1)
     even = time[0] + np.arange(count) / sample_hz
     displacement, force = (np.interp(even, time, row) for row in rows)
     return Trace(displacement, force, sample_hz, title)
+
+
+def _too_long(title: str, seconds: float) -> SmartTouchError:
+    message = f"{title} lasts {seconds:g} s: at most {LONGEST_S:g}, cut it"
+    return SmartTouchError(
+        message, about="duration_s", problem="too large", value=seconds, allowed=LONGEST_S
+    )

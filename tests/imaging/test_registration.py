@@ -9,6 +9,8 @@ from smarttouch.errors import ProfileError
 from smarttouch.imaging.registration import Registration
 from smarttouch.profile import load_profile, profile_names
 
+from ..raising import raises
+
 
 def changed(profile, **optics):
     return profile.optics.model_copy(update=optics)
@@ -125,5 +127,6 @@ def test_a_tilted_camera_sees_a_quadrilateral_of_each_cell(profile):
 )  # fmt: skip
 def test_a_homography_that_is_none(profile, matrix):
     optics = changed(profile, homography=tuple(map(float, matrix)))
-    with pytest.raises(ProfileError, match="calibrate the registration again"):
+    key, value = "optics.homography", optics.homography
+    with raises(ProfileError, about=key, problem="impossible", value=value):
         Registration(profile.electrodes, optics, (64, 64))

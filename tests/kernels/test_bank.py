@@ -26,6 +26,8 @@ from smarttouch.kernels.problem import Problem
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile, profile_names
 
+from ..raising import raises
+
 MUTANTS = int(os.environ.get("SMARTTOUCH_MUTANTS", "100"))
 PAIRS = int(os.environ.get("SMARTTOUCH_PAIRS", "1"))
 """Rounds in which three processes design one bank at once."""
@@ -101,8 +103,10 @@ def test_one_against_all_offers_its_polarity_only():
     row = bank.kernels(Primary.RA)[30]
     assert row[30] == -1
     assert np.delete(row, 30) == pytest.approx(np.full(60, 1 / 60))
-    with pytest.raises(DesignError, match=r"mode SAI is not possible.*offers RA"):
+    only_ra = {"problem": "impossible", "value": Primary.SAI, "allowed": (Primary.RA,)}
+    with raises(DesignError, about="mode", **only_ra) as caught:
         bank.kernels(Primary.SAI)
+    assert "RA (" in str(caught.value), "with what it reaches elsewhere"
 
 
 @pytest.fixture
@@ -200,7 +204,8 @@ def test_a_bank_around_masked_electrodes(name, keys, changed):
         assert not bank.kernels(primary)[masked].any()
         fired = (weights * bank.receptor[primary]).sum(axis=1)
         assert fired[mine.driven] == pytest.approx(1, rel=1e-4)
-        with pytest.raises(DesignError, match=r"site 5 is masked.*output\.masked"):
+        none = {"problem": "masked", "value": 5, "remedy": "output.masked", "electrode": 5}
+        with raises(DesignError, about="site", **none):
             bank.kernel(primary, 5, "weighted")
         assert bank.kernel(primary, 2, "weighted").worst_other > 0
 
@@ -282,18 +287,21 @@ def test_a_bank_that_would_be_unpickled_or_unpacked_without_end(tmp_path):
 
 def test_a_bank_takes_no_pipe_s_place(tmp_path, mine, no_design):
     os.mkfifo(tmp_path / "pipe.npz")
-    with pytest.raises(DesignError):
-        make_bank(tmp_path / "pipe.npz", mine)
+    path = tmp_path / "pipe.npz"
+    with raises(DesignError, about="file", problem="no file", value=path):
+        make_bank(path, mine)
 
 
 def test_a_bank_that_cannot_be_kept_is_used_all_the_same(cache, mine, monkeypatch):
     def full(*_):
-        raise OSError(28, "No space left on device")
+        raise OSError(28, os.strerror(28))
 
     monkeypatch.setattr(banks, "write_bank", full)
     assert Primary.RA in load_bank(mine).weights
-    with pytest.raises(DesignError, match="No space left"):
-        make_bank(cache / "mine.npz", mine)
+    path = cache / "mine.npz"
+    with raises(DesignError, about="file", problem="unwritable", value=path) as caught:
+        make_bank(path, mine)
+    assert os.strerror(28) in str(caught.value)
 
 
 @pytest.mark.parametrize("round_", range(PAIRS))

@@ -11,6 +11,8 @@ from smarttouch.kernels.problem import Problem
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
+from ..raising import raises
+
 SPACING = "skin.node_spacing_mm"
 
 
@@ -180,8 +182,9 @@ def test_limits_that_no_kernel_keeps(line, changed):
     lowered = [0.004] * 3 + [1.0] + [0.004] * 3
     threshold = [0.001] * 3 + [0.4] + [0.001] * 3
     mine = changed(line, {"limits.electrode_ma": lowered, "perception.threshold_ma": threshold})
-    with pytest.raises(DesignError, match=r"RA at site 3 of line-7 keeps limits.*raise them"):
+    with raises(DesignError, about="limits", problem="too small", electrode=3) as caught:
         design_kernel(Problem(mine, Primary.RA), 3)
+    assert "limits.electrode_ma" in caught.value.remedy
 
 
 def test_an_active_ending_turns_ra_to_the_cathode(line, changed):
@@ -192,7 +195,7 @@ def test_an_active_ending_turns_ra_to_the_cathode(line, changed):
 
 @pytest.mark.parametrize("site", [-1, 7, 1000])
 def test_site_out_of_range(line, site):
-    with pytest.raises(DesignError, match=f"site {site} is out of range.*0 to 6"):
+    with raises(DesignError, about="site", problem="unknown", value=site, allowed=(0, 6)):
         design_kernel(Problem(line, Primary.RA), site)
 
 

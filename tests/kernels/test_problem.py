@@ -10,6 +10,8 @@ from smarttouch.physiology.afferents import everywhere
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
+from ..raising import raises
+
 
 def test_distinct_sites(profile):
     ra, sai = Problem(profile, Primary.RA), Problem(profile, Primary.SAI)
@@ -91,8 +93,11 @@ def test_judging_says_what_weights_do(profile):
     assert kernel.worst_other == pytest.approx(max(af[Primary.RA], af[Primary.PC]))
     assert af[kernel.worst_other_class] == pytest.approx(kernel.worst_other)
     assert kernel.peak_normalized[27] == 1
-    with pytest.raises(DesignError, match="SAI at site 27 of electric-mouse does not activate"):
+    below = {"value": lambda reached: reached < 0, "allowed": 0, "electrode": 27}
+    with raises(DesignError, about="pattern", **below) as caught:
         problem.judge(-weights, 27)
+    for name in ("SAI", "27", "electric-mouse"):
+        assert name in str(caught.value)
 
 
 def test_no_last_bit_chooses_between_classes_pressed_alike(profile):
@@ -136,5 +141,6 @@ def test_a_spread_of_layers_has_rows_for_every_conductivity(profile, changed):
 
 @pytest.mark.parametrize("others", [[], [Primary.RA], [Primary.RA, Primary.PC]])
 def test_a_class_cannot_be_selected_against_itself(profile, others):
-    with pytest.raises(DesignError, match="one or two other classes, not against"):
+    problem = "conflict" if others else "missing"
+    with raises(DesignError, about="others", problem=problem, value=tuple(others)):
         Problem(profile, Primary.RA, others)

@@ -18,6 +18,8 @@ from smarttouch.kernels.switching import (
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
+from ..raising import raises
+
 
 @pytest.fixture(scope="module")
 def small(changed):
@@ -157,14 +159,15 @@ def test_one_of_n_counts_on_no_masked_electrode(small):
 
 @pytest.mark.parametrize("design", [design_kernel, design_one_of_n, design_three_state])
 def test_a_masked_site_has_no_kernel(small, design):
-    with pytest.raises(DesignError, match=r"site 2 is masked.*output\.masked"):
+    masked = {"problem": "masked", "value": 2, "remedy": "output.masked", "electrode": 2}
+    with raises(DesignError, about="site", **masked):
         design(Problem(small(**{"output.masked": [2]}), Primary.RA), 2)
 
 
 @pytest.mark.parametrize("site", [-1, 6])
 def test_site_out_of_range(small, site):
     for design in (design_one_of_n, design_three_state):
-        with pytest.raises(DesignError, match="out of range"):
+        with raises(DesignError, about="site", problem="unknown", value=site, allowed=(0, 5)):
             design(Problem(small(), Primary.RA), site)
 
 

@@ -9,6 +9,8 @@ from smarttouch.physiology.afferents import along_axon, everywhere, targets, var
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
+from ..raising import raises
+
 
 def test_paper_nodes_run_from_minus_five_to_five():
     sai = everywhere(load_profile("line-7"), Primary.SAI)
@@ -53,7 +55,8 @@ def test_an_axon_starts_under_its_electrode(profile, primary):
 def test_a_fiber_outside_the_skin_is_refused(profile):
     inside = targets(profile, Primary.RA)
     for depth_mm in (0.0, -0.7, float("nan")):
-        with pytest.raises(DesignError, match=r"RA fiber at a depth of .* lies outside the skin"):
+        depth = {"value": lambda given, depth_mm=depth_mm: given is depth_mm, "allowed": 0}
+        with raises(DesignError, about="depth_mm", **depth):
             afferents.Afferents(
                 Primary.RA, inside.position_mm, depth_mm, inside.direction, None, inside.grid
             )

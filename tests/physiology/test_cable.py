@@ -98,9 +98,9 @@ def test_shape():
 
 
 def test_refuses_what_cannot_be_a_cable():
-    with pytest.raises(ValueError, match="positive"):
+    with pytest.raises(ValueError, match="spacing"):
         cable_response([1.0], 0.0, 1.0, 1.0, [1.0], 1.0)
-    with pytest.raises(ValueError, match="one-dimensional"):
+    with pytest.raises(ValueError, match="activating"):
         cable_response([[1.0]], 1.0, 1.0, 1.0, [1.0], 1.0)
     with pytest.raises(ValueError, match="initial_mv"):
         cable_response([1.0], 1.0, 1.0, 1.0, [1.0], 1.0, initial_mv=[0.0, 0.0])

@@ -1,7 +1,5 @@
 """The picture of shared slots shows what the plan says, on the very electrodes that it drives."""
 
-import re
-
 import numpy as np
 import pytest
 from matplotlib.text import Text
@@ -20,6 +18,8 @@ from smarttouch.plotting.style import save
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.frames import FrameSlots
+
+from ..said import numbers_in
 
 RA, SAI = Primary.RA, Primary.SAI
 
@@ -105,7 +105,8 @@ def test_a_letter_takes_a_quarter_of_the_slots(plans, panels, profile):
     assert len(letter.slots) <= len(sites) / 4
     assert all(slot.kept for slot in letter.slots)
     title = panels[0, 0].get_title(loc="left").replace("\n", " ")
-    assert title == f"A letter, RA: {len(sites)} slots point by point, {len(letter.slots)} shared"
+    assert "RA" in title
+    assert numbers_in(title) == [len(sites), len(letter.slots)]
     assert names_drawn(panels[0, 0], profile) == {
         site: str(number) for number, slot in enumerate(letter.slots, 1) for site in slot.sites
     }
@@ -160,9 +161,8 @@ def test_two_classes_in_one_slot(plans, panels, profile, rows, bank):
         image = marked(MIXED, each.name[0])[None].astype(np.float32)
         sent = FrameSlots(profile, bank, (each,)).slots(image, 1.0)
         alone.append(np.abs(sent.current_ua).sum() / 2000)
-    label = re.fullmatch("alone: RA (.*) mA, SAI (.*) mA", panels[2, 1].get_xlabel())
     # Scans plan within .99 of the bounds.
-    assert [float(each) for each in label.groups()] == pytest.approx(alone, rel=0.02)
+    assert numbers_in(panels[2, 1].get_xlabel()) == pytest.approx(alone, rel=0.02)
     assert slot.figures.total_ma < 0.6 * sum(alone)
 
 
@@ -185,11 +185,10 @@ def test_scales_are_those_of_all_panels(figure, panels):
     assert {axes.collections[0].get_clim() for axes in currents} == {(-most, most)}
     fields = [*panels[1], *panels[2, 2:]]
     assert {axes.collections[0].get_clim() for axes in fields} == {(-1, 1)}
-    labels = [axes.get_xlabel() for axes in figure.axes[12:]]
-    assert labels == [
-        "current (mA), cathodic > 0",
-        "activating function, of the weakest target's",
-    ]
+    current, field = (axes.get_xlabel() for axes in figure.axes[12:])
+    assert "(mA)" in current
+    assert "cathodic > 0" in current
+    assert "mA" not in field
 
 
 def test_text_does_not_overlap_and_the_file_is_written(figure, tmp_path):

@@ -17,7 +17,11 @@ from smarttouch.sources import capture
 from smarttouch.sources.capture import LiveSensor, Shot, Source, SourceEndedError
 from smarttouch.sources.flat_field import FlatField
 
+from ..raising import raises
+from ..said import numbers_in
+
 SECOND = 1_000_000_000
+ODD = ZeroDivisionError("by zero")
 
 
 class Script(Source):
@@ -214,35 +218,41 @@ def test_images_from_before_the_run_are_nobodys(profile):
 
 
 def test_a_source_that_cannot_be_opened(profile):
-    source = Script(opens=[SensorError("no camera 0")])
-    with pytest.raises(SensorError, match=r"^no camera 0$"):
+    error = SensorError("no camera 0")
+    source = Script(opens=[error])
+    with pytest.raises(SensorError) as caught:
         LiveSensor(source, profile)
+    assert caught.value is error
     assert source.closes == 1
 
 
 def test_no_image_at_first(profile, monkeypatch):
     monkeypatch.setattr(capture, "FIRST_IMAGE_S", 0.01)
-    with (
-        LiveSensor(Handed(), profile) as sensor,
-        pytest.raises(SensorError, match=r"no image came within 0\.01 s from by hand: check"),
-    ):
+    mute = {"about": "sensor", "problem": "mute", "value": "by hand", "allowed": 0.01}
+    with LiveSensor(Handed(), profile) as sensor, raises(SensorError, **mute):
         sensor.read(0)
 
 
 @pytest.mark.parametrize(
-    ("error", "words"),
+    ("error", "attributes"),
     [
-        (SensorError("the flat field does not fit"), "^the flat field does not fit$"),
-        (ZeroDivisionError("by zero"), "camera 0 failed: ZeroDivisionError: by zero"),
+        (
+            SensorError("of its own", about="image", problem="malformed", value=7),
+            {"about": "image", "problem": "malformed", "value": 7, "__cause__": None},
+        ),
+        (
+            ODD,
+            {"about": "sensor", "problem": "failed", "value": "camera 0", "__cause__": ODD},
+        ),
     ],
 )
-def test_errors_of_the_thread_reach_the_reader(profile, error, words):
+def test_errors_of_the_thread_reach_the_reader(profile, error, attributes):
     source = Script(error)
     with LiveSensor(source, profile) as sensor:
         for _ in range(2):
-            with pytest.raises(SensorError, match=words) as caught:
+            with raises(SensorError, **attributes) as caught:
                 sensor.read(0)
-        assert (caught.value.__cause__ is error) is isinstance(error, ZeroDivisionError)
+            assert str(error) in str(caught.value)
     assert source.closes == 1
     assert sensor.notes == []
 
@@ -254,7 +264,9 @@ def test_an_error_that_nobody_read_becomes_a_note(profile):
         sensor.read(0)
         source.hand(ValueError("odd"))
         sensor._thread.join()
-    assert sensor.notes == ["by hand failed: ValueError: odd"]
+    (note,) = sensor.notes
+    for name in ("by hand", "ValueError", "odd"):
+        assert name in note
     assert (sensor.frames, sensor.dropped_frames) == (1, 0)
 
 
@@ -278,7 +290,8 @@ def test_unplugged_and_plugged_in_again(profile):
     )
     with LiveSensor(source, profile, now_ns=lambda: now[0]) as sensor:
         numbers = read_to_the_end(sensor)
-    assert sensor.notes == ["camera 0 was gone for 2.3 s"]
+    (note,) = sensor.notes
+    assert numbers_in(note) == [0, 2.3]
     assert numbers[-1] == 1
     assert sensor.frames == len(set(numbers)) + sensor.dropped_frames == 2
 
@@ -288,7 +301,8 @@ def test_not_plugged_in_again(profile):
     gone = [SensorError("no camera")] * 20
     source = Script(shot(0), SourceLostError("gone"), opens=[None, *gone])
     sensor = LiveSensor(source, profile, replug_s=3, now_ns=lambda: next(now))
-    with sensor, pytest.raises(SensorError, match="camera 0 is gone and was not back within 3 s"):
+    lost = {"about": "sensor", "problem": "gone", "value": "camera 0", "allowed": 3}
+    with sensor, raises(SensorError, **lost):
         read_to_the_end(sensor)
     assert sensor.frames == 1
 
@@ -301,7 +315,8 @@ def test_closing_while_it_is_gone(profile, monkeypatch):
         sensor.read(0)
         source.hand(SourceLostError("gone"))
         until(lambda: sensor.notes)
-    assert sensor.notes == ["by hand was gone for 0.0 s"]
+    (note,) = sensor.notes
+    assert numbers_in(note) == [0.0]
 
 
 def test_a_driver_that_hangs_is_left_behind(profile, monkeypatch):
@@ -318,7 +333,8 @@ def test_a_driver_that_hangs_is_left_behind(profile, monkeypatch):
     until(lambda: not source.events)
     sensor.close()
     sensor.close()
-    assert sensor.notes == ["camera 0 did not answer within 0.01 s and was left open"]
+    (note,) = sensor.notes
+    assert numbers_in(note) == [0, 0.01]
     free.set()
     sensor._thread.join()
     assert source.closes == 1
@@ -360,5 +376,6 @@ def test_the_flat_field_of_the_profile_is_applied(profile, changed, tmp_path):
     with LiveSensor(Script(shot(60)), corrected) as sensor:
         assert (sensor.read(0).image == 100).all()
     other = Shot(np.zeros((9, 9), np.uint8), 0)
-    with LiveSensor(Script(other), corrected) as sensor, pytest.raises(SensorError):
+    misfit = {"about": "optics.flat_field", "problem": "conflict", "value": (9, 9)}
+    with LiveSensor(Script(other), corrected) as sensor, raises(SensorError, **misfit):
         sensor.read(0)

@@ -11,6 +11,8 @@ from smarttouch.calibrate.simulated import SimulatedPatch
 from smarttouch.errors import CalibrationError, SensorError
 from smarttouch.sources.flat_field import FlatField
 
+from ..raising import raises
+
 
 def measured(patch, frames=32):
     return FlatField.measure(patch.images(frames, light=False), patch.images(frames, light=True))
@@ -67,7 +69,8 @@ def test_it_is_a_new_image_and_saturates(field):
 
 
 def test_another_shape(field):
-    with pytest.raises(SensorError, match=r"64 × 48, this one has 48 × 64"):
+    misfit = {"problem": "conflict", "value": (48, 64), "allowed": (64, 48)}
+    with raises(SensorError, about="optics.flat_field", **misfit):
         field.correct(np.zeros((64, 48), np.uint8))
 
 
@@ -112,29 +115,29 @@ def test_a_damaged_file_is_refused_or_still_a_field(tmp_path_factory, cut, at, v
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
-    [(None, "no flat field"), (b"", "is not a flat field"), (b"garbage" * 50, "is not a flat")],
+    ("content", "problem"),
+    [(None, "missing"), (b"", "unreadable"), (b"garbage" * 50, "unreadable")],
 )
-def test_a_file_that_is_none(tmp_path, content, said):
+def test_a_file_that_is_none(tmp_path, content, problem):
     path = tmp_path / "f.npz"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(SensorError, match=said):
+    with raises(SensorError, about="optics.flat_field", problem=problem, value=path):
         FlatField.load(path)
 
 
 @pytest.mark.parametrize(
-    ("dark", "gain", "said"),
+    ("dark", "gain", "problem", "value"),
     [
-        (np.zeros((2, 2)), np.ones((2, 3)), "go|none"),
-        (np.zeros((2, 2)), np.full((2, 2), np.nan), "no numbers"),
-        (np.zeros((2, 2)), -np.ones((2, 2)), "negative"),
-        (np.zeros((2, 2)), np.zeros((2, 2)), "every pixel dead"),
-        (np.zeros(4), np.ones(4), "is none"),
+        (np.zeros((2, 2)), np.ones((2, 3)), "malformed", ((2, 2), (2, 3))),
+        (np.zeros((2, 2)), np.full((2, 2), np.nan), "impossible", None),
+        (np.zeros((2, 2)), -np.ones((2, 2)), "impossible", None),
+        (np.zeros((2, 2)), np.zeros((2, 2)), "dead", 4),
+        (np.zeros(4), np.ones(4), "malformed", ((4,), (4,))),
     ],
 )
-def test_arrays_that_are_no_field(dark, gain, said):
-    with pytest.raises(SensorError, match=said):
+def test_arrays_that_are_no_field(dark, gain, problem, value):
+    with raises(SensorError, about="optics.flat_field", problem=problem, value=value):
         FlatField(dark.astype(np.float32), gain.astype(np.float32))
 
 
@@ -143,21 +146,22 @@ def grey(level, shape=(8, 8)):
 
 
 @pytest.mark.parametrize(
-    ("dark", "white", "said"),
+    ("dark", "white", "about", "problem", "value"),
     [
-        ([], grey(200), "no frames"),
-        (grey(10), grey(30), "only 20 grey levels brighter"),
-        (grey(200), grey(20), "only -180 grey levels"),
-        (grey(10), grey(255), "saturated"),
-        (grey(10), grey(200, (8, 9)), "one sensor for both"),
-        (grey(10), grey(200) + grey(200, (9, 9)), "differ in shape"),
+        ([], grey(200), "frames", "missing", None),
+        (grey(10), grey(30), "white", "too small", 20),
+        (grey(200), grey(20), "white", "too small", -180),
+        (grey(10), grey(255), "white", "saturated", 1.0),
+        (grey(10), grey(200, (8, 9)), "frames", "conflict", (8, 9)),
+        (grey(10), grey(200) + grey(200, (9, 9)), "frames", "conflict", ((8, 8), (9, 9))),
     ],
 )
-def test_references_that_are_none(dark, white, said):
-    with pytest.raises(CalibrationError, match=said):
+def test_references_that_are_none(dark, white, about, problem, value):
+    with raises(CalibrationError, about=about, problem=problem, value=value):
         FlatField.measure(dark, white)
 
 
 def test_too_many_broken_pixels():
-    with pytest.raises(CalibrationError, match=r"200 of 4096 pixels are dead or hot"):
+    # Two in a hundred of 64 x 64 may be broken.
+    with raises(CalibrationError, about="pixels", problem="too many", value=200, allowed=81):
         measured(SimulatedPatch(dead=200))

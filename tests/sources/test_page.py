@@ -11,6 +11,8 @@ from smarttouch.sources import open_sensor
 from smarttouch.sources.frame import Sensor
 from smarttouch.sources.page import PageSensor
 
+from ..raising import raises
+
 TEN_MS = 10_000_000
 HEADER = "time_s,x_mm,y_mm,angle_deg,force_n\n"
 
@@ -126,5 +128,6 @@ def test_a_page_image_of_one_s_own(profile, tmp_path):
 
 @pytest.mark.parametrize("url", ["nothing:x", "page", "", "camera", ":"])
 def test_unknown_sensors(profile, url):
-    with pytest.raises(SensorError, match=r"must begin with one of .*page:, .*text:"):
+    known = {"page", "text"}.issubset
+    with raises(SensorError, about="sensor", problem="unknown", value=url, allowed=known):
         open_sensor(url, profile)

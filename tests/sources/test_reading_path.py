@@ -16,6 +16,8 @@ from smarttouch.documents.text_lines import find_lines
 from smarttouch.errors import SensorError
 from smarttouch.sources.reading_path import ReadingPath, RecordedPath
 
+from ..raising import raises
+
 HEADER = "time_s,x_mm,y_mm,angle_deg,force_n\n"
 
 
@@ -128,7 +130,7 @@ def test_a_tall_block_takes_several_sweeps(profile):
 
 @pytest.mark.parametrize("speed", [0, -1, 501, math.nan, math.inf])
 def test_impossible_speeds(profile, speed):
-    with pytest.raises(SensorError, match="--speed"):
+    with raises(SensorError, about="--speed", value=lambda given: given is speed):
         ReadingPath(print_text("x"), profile, speed)
 
 
@@ -143,28 +145,30 @@ def test_recorded_path(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "about", "problem", "value"),
     [
-        ("", "must begin with the line"),
-        ("a,b\n", "must begin with the line"),
-        (HEADER, "0 points"),
-        (HEADER + "0,0,0,0,0\n", "1 points"),
-        (HEADER + "0,0,0,0,0\n1,x,0,0,0\n", "line 3: needs 5 numbers"),
-        (HEADER + "0,0,0,0,0\n1,nan,0,0,0\n", "line 3: needs 5 numbers"),
-        (HEADER + "0,0,0,0,0\n1,0,0,0\n", "line 3: needs 5 numbers"),
-        (HEADER + "0,0,0,0,0\n0,0,0,0,0\n", "line 3: time must rise"),
+        ("", "columns", "", ()),
+        ("a,b\n", "columns", "", ("a", "b")),
+        (HEADER, "rows", "too few", 0),
+        (HEADER + "0,0,0,0,0\n", "rows", "too few", 1),
+        (HEADER + "0,0,0,0,0\n1,x,0,0,0\n", "line", "malformed", 3),
+        (HEADER + "0,0,0,0,0\n1,nan,0,0,0\n", "line", "malformed", 3),
+        (HEADER + "0,0,0,0,0\n1,0,0,0\n", "line", "malformed", 3),
+        (HEADER + "0,0,0,0,0\n0,0,0,0,0\n", "line", "falling", 3),
     ],
 )
-def test_bad_recorded_paths(tmp_path, text, words):
+def test_bad_recorded_paths(tmp_path, text, about, problem, value):
     file = tmp_path / "path.csv"
     file.write_text(text)
-    with pytest.raises(SensorError, match=words):
+    with raises(SensorError, about=about, problem=problem, value=value) as caught:
         RecordedPath(file)
+    assert str(file) in str(caught.value)
 
 
 def test_missing_path(tmp_path):
-    with pytest.raises(SensorError, match="no file"):
-        RecordedPath(tmp_path / "none.csv")
+    path = tmp_path / "none.csv"
+    with raises(SensorError, about="file", problem="missing", value=path):
+        RecordedPath(path)
 
 
 @given(st.one_of(st.text(max_size=200), st.text(max_size=200).map(lambda tail: HEADER + tail)))

@@ -1,20 +1,12 @@
-"""Emulated sensors: deadlines, books, faults, and the process."""
+"""Emulated sensors: deadlines, books, faults, and what they send."""
 
-import json
 import math
-import select
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from smarttouch.errors import SensorError
-from smarttouch.sources import open_sensor
-from smarttouch.sources.emulator.__main__ import main
 from smarttouch.sources.emulator.devices import (
     ArrayDevice,
     CellDevice,
@@ -24,10 +16,10 @@ from smarttouch.sources.emulator.devices import (
 )
 from smarttouch.sources.emulator.faults import Fault, Faults, parse_fault
 from smarttouch.sources.emulator.serve import Server, Socket
-from smarttouch.sources.forces.force import open_force
-from smarttouch.sources.forces.load_cell import open_cell
 from smarttouch.sources.forces.readings import TextReadings
 from smarttouch.sources.sensor_protocol import ArrayFrame, CellReading, Info, MessageStream
+
+from ..raising import raises
 
 MS = 10**6
 NOTHING_WRONG = frozenset()
@@ -149,10 +141,11 @@ def test_orders(capsys):
         server.advance(now_ms * MS, True)
     assert socket.taken == b"HX711 reading: 981\r\n" * server.books.sent
     assert server.books.sent == 4
-    said = capsys.readouterr().err
-    assert "'x' is no number" in said
-    assert "the port's name would change" in said
-    assert "event '0.004000 dance' is none" in said
+    number, unplugged, dance = capsys.readouterr().err.splitlines()
+    assert "'x'" in number
+    assert "--event '0 unplug 0'" in unplugged
+    assert "'0.004000 dance'" in dance
+    assert "garbage, nan, freeze, silent, unplug" in dance
 
 
 @pytest.mark.parametrize(
@@ -168,11 +161,24 @@ def test_events(text, fault):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "2", "nan", "2 dance", "x nan", "2 nan x", "-1 nan", "2 nan 1 1", "inf nan"]
+    ("text", "problem"),
+    [
+        *((text, "unknown") for text in ("", "2", "nan", "2 dance")),
+        *((text, "malformed") for text in ("x nan", "2 nan x", "-1 nan", "2 nan 1 1", "inf nan")),
+    ],
 )
-def test_what_is_no_event(text):
-    with pytest.raises(SensorError, match=r"^event "):
+def test_what_is_no_event(text, problem):
+    with raises(SensorError, about="event", problem=problem, value=text):
         parse_fault(text)
+
+
+def test_orders_that_cannot_be():
+    cell = CellDevice(press(0.0, None, None))
+    with raises(SensorError, about="order", problem="malformed", value="x"):
+        cell.heed(["force", "x"])
+    server, _ = make_server()
+    with raises(SensorError, about="event", problem="impossible", value="unplug"):
+        server._add(Fault(0, "unplug"))
 
 
 def test_what_is_wrong_at_a_time():
@@ -215,7 +221,8 @@ def test_an_array_reads_a_page_again_and_again(profile):
     look = look_at_page("text:o", profile, 16, 24)
     assert look(0.0).shape == look(1000.0).shape == (16, 24)
     assert max(np.ptp(look(time_s)) for time_s in np.arange(0, 3, 0.02)) > 100
-    with pytest.raises(SensorError, match="looks at page:FILE or text:STRING"):
+    allowed = ("page", "text")
+    with raises(SensorError, about="--sensor", value="camera:0", allowed=allowed):
         look_at_page("camera:0", profile, 16, 16)
 
 
@@ -264,131 +271,3 @@ def test_a_port_whose_name_stays():
     finally:
         socket.close()
     assert not name.parent.exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["loadcell", "--rate=0"], "--rate 0 is out of range"),
-        (["serial-array", "--rows=256"], "--rows 256 is out of range: give 2 to 255"),
-        (["serial-array", "--event=1 nan"], "a pixel is always a number"),
-        (["serial-array", "--sensor=camera:0"], "looks at page:FILE or text:STRING"),
-        (["hx711", "--event=1 dance"], "is none: write a time in s and one of garbage"),
-        (["hx711", "--noise=-1"], "--noise -1 is no good number"),
-        (["hx711", "--force=nan"], "--force nan is no good number"),
-        (["hx711", "--path=/nowhere.csv"], "/nowhere.csv"),
-        (["hx711", "--linger=-1"], "is no time"),
-        (["hx711", "--profile=none"], "no profile 'none'"),
-        (["hx711", "--books=/nowhere/books"], "is in no folder"),
-    ],
-)
-def test_wrong_arguments(capsys, arguments, words):
-    with pytest.raises(SystemExit) as ended:
-        main(arguments)
-    assert ended.value.code == 2
-    assert words in capsys.readouterr().err
-
-
-@pytest.fixture
-def start(tmp_path):
-    """Return a starter of emulators: the process and the name of its port."""
-    started = []
-
-    def run(*arguments):
-        command = [sys.executable, "-m", "smarttouch.sources.emulator", *arguments]
-        process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-        started.append(process)
-        assert select.select([process.stdout], [], [], 30)[0], "the emulator prints no port"
-        return process, process.stdout.readline().strip()
-
-    yield run
-    for process in started:
-        process.kill()
-        process.communicate()
-
-
-def until(condition):
-    deadline = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < deadline, "it never came true"
-        time.sleep(0.01)
-
-
-def test_every_frame_of_an_array_is_read_dropped_or_lost(start, profile, tmp_path):
-    books = tmp_path / "books.json"
-    process, name = start(
-        "serial-array", "--rate=400", "--count=300", "--linger=0.2", f"--books={books}"
-    )
-    with open_sensor(f"serial-array:{name}", profile) as sensor:
-        look = sensor.read(0)
-        assert look.image.shape == (64, 64)
-        read = {look.number}
-
-        def see():
-            look = sensor.read(0)
-            read.add(look.number)
-            return look
-
-        until(lambda: see() and sensor._source._before >= 299)
-        until(lambda: see().stale)
-    assert process.wait(60) == 0
-    account = json.loads(books.read_text())
-    assert account["sent"] == 300
-    assert account["garbage"] == 0
-    assert sensor.frames == len(read) + sensor.dropped_frames
-    # What was sent while the port was opened, as many frames as that takes, was nobody's.
-    assert 0 < sensor.frames <= 300
-
-
-@pytest.mark.realtime
-def test_a_cell_with_all_faults_and_orders(start, profile, changed):
-    events = ["0.4 garbage 0.6", "1.2 nan 0.3", "1.8 unplug 0.4"]
-    process, name = start(
-        "hx711", "--force=0.6", "--counts-per-n=1000", *(f"--event={each}" for each in events)
-    )
-    in_newtons = changed(profile, {"force.curve": (-80.0, 0.001)})
-    with open_force(f"hx711:{name}", in_newtons) as force:
-        for _ in events:
-            until(lambda: force.read(0) > 0)
-            assert force.read(0) == pytest.approx(0.6, abs=0.4)
-            until(lambda: math.isnan(force.read(0)))
-        until(lambda: force.read(0) > 0)
-        said = " ".join(force.notes)
-        for words in ("what came was no reading", "said that there is none", "was gone for"):
-            assert words in said
-    with open_cell(f"hx711:{name}") as cell:
-        process.stdin.write("weight 200\n")
-        process.stdin.flush()
-        until(lambda: cell.reading() > 81_600)
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(60) == 0
-    assert json.loads(process.stdout.read())["sent"] > 0
-
-
-PARENT = """
-import os, subprocess, sys
-process = subprocess.Popen(
-    [sys.executable, *sys.argv[1:], f"--parent={os.getpid()}"], start_new_session=True
-)
-process.wait()
-"""
-
-
-def test_it_ends_with_a_parent_that_is_killed(tmp_path):
-    """Its end of a pipe that it has inherited closes: there is no trace of it left."""
-    books = tmp_path / "books.json"
-    command = ["-m", "smarttouch.sources.emulator", "hx711", "--linger=inf", f"--books={books}"]
-    parent = subprocess.Popen(
-        [sys.executable, "-c", PARENT, *command], stdout=subprocess.PIPE, text=True
-    )
-    try:
-        assert parent.stdout.readline().startswith("/dev/")
-        parent.kill()
-        parent.wait()
-        assert parent.stdout.read() == ""
-        assert json.loads(books.read_text()) == {"sent": 0, "dropped": 0, "garbage": 0}
-    finally:
-        parent.kill()
-        parent.communicate()

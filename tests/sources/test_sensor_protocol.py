@@ -27,6 +27,8 @@ from smarttouch.sources.sensor_protocol import (
 )
 from smarttouch.wire.framing import Deframer, Packet, frame_packet
 
+from ..raising import raises
+
 NUMBER = st.integers(0, 2**32 - 1)
 SIDE = st.integers(1, 255)
 IMAGE = st.tuples(SIDE, SIDE).filter(lambda shape: shape[0] * shape[1] < 2000)
@@ -83,24 +85,24 @@ def test_the_page_in_the_docstring_is_what_is_sent():
 
 
 @pytest.mark.parametrize(
-    "image",
+    ("image", "problem", "value"),
     [
-        np.zeros((0, 4), np.uint8),
-        np.zeros((4, 0), np.uint8),
-        np.zeros((256, 4), np.uint8),
-        np.zeros((4, 256), np.uint8),
-        np.zeros((4, 4, 3), np.uint8),
-        np.zeros((4, 4)),
+        (np.zeros((0, 4), np.uint8), "empty", (0, 4)),
+        (np.zeros((4, 0), np.uint8), "empty", (4, 0)),
+        (np.zeros((256, 4), np.uint8), "too large", (256, 4)),
+        (np.zeros((4, 256), np.uint8), "too large", (4, 256)),
+        (np.zeros((4, 4, 3), np.uint8), "malformed", ((4, 4, 3), "uint8")),
+        (np.zeros((4, 4)), "malformed", ((4, 4), "float64")),
     ],
 )
-def test_what_no_frame_can_hold(image):
-    with pytest.raises(SensorError, match="a frame on the wire"):
+def test_what_no_frame_can_hold(image, problem, value):
+    with raises(SensorError, about="frame", problem=problem, value=value):
         encode_frame(0, 0, image)
 
 
 @pytest.mark.parametrize("reading", [2**31, NO_READING - 1])
 def test_what_no_reading_can_hold(reading):
-    with pytest.raises(SensorError, match="does not fit 32 bits"):
+    with raises(SensorError, about="reading", problem="too large", value=reading):
         encode_force(0, 0, reading)
 
 

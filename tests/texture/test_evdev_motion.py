@@ -10,6 +10,8 @@ import pytest
 from smarttouch.errors import SensorError, SourceLostError
 from smarttouch.texture.motion import open_motion
 
+from ..raising import raises
+
 CODES = SimpleNamespace(EV_SYN=0, EV_REL=2, REL_X=0, REL_Y=1, REL_WHEEL=8, SYN_DROPPED=3)
 
 
@@ -110,7 +112,7 @@ def test_a_mouse_that_is_pulled_out_ends_the_run(device):
     with open_motion("evdev:") as motion:
         device.latest.pull_out()
         motion._thread.join(10)
-        with pytest.raises(SourceLostError, match="plug the mouse in again"):
+        with raises(SourceLostError, about="mouse", problem="gone", value=device.place):
             motion.read(0)
 
 
@@ -118,7 +120,8 @@ def test_it_can_be_had_alone(device):
     with open_motion("evdev:", grab=True):
         assert device.latest.grabbed
     device.taken = True
-    with pytest.raises(SensorError, match="leave out --grab"):
+    busy = {"problem": "busy", "value": device.place, "remedy": "--grab"}
+    with raises(SensorError, about="mouse", **busy):
         open_motion("evdev:", grab=True)
     assert device.latest.closed
 
@@ -138,30 +141,31 @@ def test_the_first_mouse_is_found_among_others(device, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("error", "words"),
-    [(PermissionError(13, "no"), "group input"), (OSError(25, "Inappropriate"), "no input device")],
+    ("error", "problem"),
+    [(PermissionError(13, "no"), "forbidden"), (OSError(25, "Inappropriate"), "no device")],
 )
-def test_a_device_that_cannot_be_read(device, error, words):
+def test_a_device_that_cannot_be_read(device, error, problem):
     device.error = error
-    with pytest.raises(SensorError, match=words):
+    with raises(SensorError, about="mouse", problem=problem, value=device.place):
         open_motion(f"evdev:{device.place}")
 
 
 def test_what_is_no_mouse(device, monkeypatch):
     device.moves = (8,)
-    with pytest.raises(SensorError, match="no motion along two axes"):
+    with raises(SensorError, about="mouse", problem="no mouse", value=device.place):
         open_motion(f"evdev:{device.place}")
     assert device.latest.closed
     monkeypatch.setattr(sys.modules["evdev"], "list_devices", list)
-    with pytest.raises(SensorError, match="group input"):
+    with raises(SensorError, about="mouse", problem="missing", value="/dev/input") as caught:
         open_motion("evdev:")
-    with pytest.raises(SensorError, match="no device"):
+    assert "usermod" in str(caught.value), "the group that may read it is to be joined"
+    with raises(SensorError, about="mouse", problem="missing", value="/dev/input/none"):
         open_motion("evdev:/dev/input/none")
-    with pytest.raises(SensorError, match="--cpi 1 "):
+    with raises(SensorError, about="--cpi", value=1, allowed=(10, 100_000)):
         open_motion("evdev:", cpi=1)
 
 
 def test_without_the_extra_it_names_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "evdev", None)
-    with pytest.raises(SensorError, match=r"smarttouch\[mouse\]"):
+    with raises(SensorError, about="evdev", remedy="pip install 'smarttouch[mouse]'"):
         open_motion("evdev:")

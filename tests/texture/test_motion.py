@@ -1,5 +1,7 @@
 """How the hand moves: by itself, along a recorded way, as a sensor says."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,6 +10,8 @@ from hypothesis import strategies as st
 from smarttouch.errors import SensorError
 from smarttouch.texture.motion import open_motion
 from smarttouch.texture.sweep_motion import REST_S, START_S, SweepMotion, strokes_over
+
+from ..raising import raises
 
 
 def places(motion, step_s=0.01):
@@ -82,39 +86,50 @@ def test_a_sensor_tells_the_motion():
 
 
 @pytest.mark.parametrize(
-    ("url", "options", "words"),
+    ("url", "options", "about", "problem", "value"),
     [
-        ("wheel:", {}, "sweep:, "),
-        ("sweep", {}, "unknown motion"),
-        ("sweep:x", {}, "sweep:x is no number"),
-        ("sweep:99999", {}, "1 to 10000"),
-        ("sweep:", {"speed_mm_s": 0.0}, "--speed 0"),
-        ("sweep:", {"cpi": 400}, "does not take cpi"),
-        ("sweep:9999", {"span_mm": (10, 1000)}, "strokes"),
-        ("path:", {}, "names no file"),
-        ("path:none.csv", {}, "none.csv"),
-        ("camera:x", {}, "camera"),
+        ("wheel:", {}, "motion", "unknown", "wheel:"),
+        ("sweep", {}, "motion", "unknown", "sweep"),
+        ("sweep:x", {}, "rounds", "", "x"),
+        ("sweep:99999", {}, "rounds", "", "99999"),
+        ("sweep:", {"speed_mm_s": 0.0}, "--speed", "", 0.0),
+        ("sweep:", {"cpi": 400}, "cpi", "unknown", 400),
+        ("path:", {}, "file", "missing", None),
+        ("path:none.csv", {}, "file", "missing", Path("none.csv")),
+        ("camera:x", {}, "camera", "malformed", "x"),
     ],
 )
-def test_what_is_wrong_is_one_sentence(url, options, words):
-    with pytest.raises(SensorError, match=words) as caught:
+def test_what_is_wrong_is_said(url, options, about, problem, value):
+    with raises(SensorError, about=about, problem=problem, value=value):
         open_motion(url, **options)
-    assert "\n" not in str(caught.value)
+
+
+def test_what_a_motion_may_be():
+    known = {"sweep", "path", "evdev", "window", "camera"}.issubset
+    with raises(SensorError, about="motion", allowed=known):
+        open_motion("wheel:")
+    with raises(SensorError, about="rounds", allowed=(1, 10_000)):
+        open_motion("sweep:0")
+    rounds = 9999
+    with raises(SensorError, about="strokes", value=lambda strokes: strokes > 10 * rounds):
+        open_motion(f"sweep:{rounds}", span_mm=(10, 1000))
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "about", "problem", "value"),
     [
-        ("x_mm,y_mm\n0,0\n", "names time_s"),
-        ("time_s,x_mm,y_mm\n0,0,0\n", "at least two"),
-        ("time_s,x_mm,y_mm\n0,0,0\n0,1,1\n", "line 3: time must rise"),
-        ("time_s,x_mm,y_mm\n0,0,0\n1,a,1\n", "line 3: needs numbers"),
-        ("time_s,x_mm,y_mm\n0,0,0\n1,inf,1\n", "line 3: needs numbers"),
-        ("time_s,x_mm,y_mm\n0,0,0\n1,1\n", "line 3: needs numbers"),
+        ("x_mm,y_mm\n0,0\n", "columns", "", ("x_mm", "y_mm")),
+        ("time_s,x_mm,y_mm\n0,0,0\n", "rows", "too few", 1),
+        ("time_s,x_mm,y_mm\n0,0,0\n0,1,1\n", "line", "falling", 3),
+        ("time_s,x_mm,y_mm\n0,0,0\n1,1,1\n1,2,2\n3,0,0\n", "line", "falling", 4),
+        ("time_s,x_mm,y_mm\n0,0,0\n1,a,1\n", "line", "malformed", 3),
+        ("time_s,x_mm,y_mm\n0,0,0\n1,inf,1\n", "line", "malformed", 3),
+        ("time_s,x_mm,y_mm\n0,0,0\n1,1\n", "line", "malformed", 3),
     ],
 )
-def test_a_wrong_way_says_where(tmp_path, text, words):
+def test_a_wrong_way_says_where(tmp_path, text, about, problem, value):
     path = tmp_path / "way.csv"
     path.write_text(text)
-    with pytest.raises(SensorError, match=words):
+    with raises(SensorError, about=about, problem=problem, value=value) as caught:
         open_motion(f"path:{path}")
+    assert str(path) in str(caught.value)

@@ -18,6 +18,8 @@ from smarttouch.vibrotactile.sites import chosen, disc, stimulated
 from smarttouch.vibrotactile.spec import open_trace
 from smarttouch.vibrotactile.train import merged, shortest_us, thinned
 
+from ..raising import raises
+
 ALL = "tone:30Hz,6um+tone:250Hz,1.5um+press:0.45N"
 
 trains = st.lists(
@@ -101,7 +103,8 @@ def test_a_board_without_pc_leaves_it_out_or_refuses():
     mixture = mix_colors(open_trace(ALL, 0.5), profile, bank)
     assert mixture.left_out == (Primary.SAI, Primary.PC)
     assert not mixture.drive[:, [Primary.SAI, Primary.PC]].any()
-    with pytest.raises(ScheduleError, match=r"only PC would answer this, and .* drives RA"):
+    only = {"problem": "impossible", "value": (Primary.PC,), "allowed": (Primary.RA,)}
+    with raises(ScheduleError, about="classes", **only):
         mix_colors(open_trace("tone:250Hz,1um", 0.5), profile, bank)
     assert mix_colors(open_trace("tone:250Hz,1um", 0.5), profile, bank, vibrated=True).vibrated
 
@@ -109,7 +112,8 @@ def test_a_board_without_pc_leaves_it_out_or_refuses():
 def test_a_board_with_one_rate_takes_one_class(profile, bank):
     timing = ScanTiming(whole_hz=True)
     assert mix_colors(open_trace("tone:30Hz,6um"), profile, bank, timing=timing).mode is Mode.RA
-    with pytest.raises(ScheduleError, match="RA and SAI answer this, each at a rate of its own"):
+    both = {"problem": "too many", "value": (Primary.RA, Primary.SAI), "allowed": 1}
+    with raises(ScheduleError, about="classes", **both):
         mix_colors(open_trace("tone:30Hz,6um+press:1N"), profile, bank, timing=timing)
 
 
@@ -135,19 +139,22 @@ def test_where_pc_is_felt_elsewhere_its_pulses_move(profile, bank):
     assert profile.perception.pc_shift_mm == (0, -2)
     assert stimulated(profile, Primary.PC, np.array([3, 59])).tolist() == [11]
     assert stimulated(profile, Primary.RA, np.array([3, 59])).tolist() == [3, 59]
-    with pytest.raises(ScheduleError, match="only PC would answer this"):
+    with raises(ScheduleError, about="classes", problem="impossible", value=(Primary.PC,)):
         mix_colors(open_trace("tone:250Hz,1um", 0.3), profile, bank, sites=[59])
 
 
-@pytest.mark.parametrize(("sites", "says"), [([], "no site"), ([64], "site 64"), ([-1], "site -1")])
-def test_sites_that_cannot_pulse_are_refused(sites, says, profile):
-    with pytest.raises(ScheduleError, match=says):
+@pytest.mark.parametrize(
+    ("sites", "problem", "site"),
+    [([], "missing", None), ([64], "unknown", 64), ([-1], "unknown", -1)],
+)
+def test_sites_that_cannot_pulse_are_refused(sites, problem, site, profile):
+    with raises(ScheduleError, about="site", problem=problem, value=site, electrode=site):
         chosen(profile, sites)
 
 
 def test_masked_sites_are_refused_and_not_in_the_disc(profile, changed):
     broken = changed(profile, {"output.masked": (27,)})
-    with pytest.raises(ScheduleError, match=r"site 27 cannot pulse: .* without 27"):
+    with raises(ScheduleError, about="site", problem="masked", value=27, allowed=(0, 63)):
         chosen(broken, [27, 28])
     assert disc(broken).tolist() == [28, 35, 36]
 

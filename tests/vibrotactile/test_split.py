@@ -12,6 +12,8 @@ from smarttouch.vibrotactile.spec import open_trace
 from smarttouch.vibrotactile.split import SPAN_DB, shares, split
 from smarttouch.vibrotactile.trace import Trace
 
+from ..raising import raises
+
 SILENT = 0.01
 """Drive of a class that is said to be silent."""
 
@@ -135,5 +137,5 @@ def test_more_of_the_same_drives_no_class_less(seed, factor):
 
 
 def test_a_force_at_which_sai_is_full_before_it_answers_is_refused():
-    with pytest.raises(ScheduleError, match=r"raise force\.full_n"):
+    with raises(ScheduleError, about="force.full_n", problem="too small", value=0.001):
         split(open_trace("press:0.5N", 0.2), sai_full_n=0.001)

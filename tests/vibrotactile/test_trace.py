@@ -1,6 +1,7 @@
 """Traces: from arrays, from CSV files, and written in a line."""
 
 import contextlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from hypothesis import strategies as st
 from smarttouch.errors import SmartTouchError
 from smarttouch.vibrotactile.spec import is_spec, open_trace
 from smarttouch.vibrotactile.trace import SAMPLE_HZ, Trace, sampled
+
+from ..raising import raises
 
 
 @pytest.fixture
@@ -41,24 +44,31 @@ def test_finer_samples_are_kept():
 
 
 @pytest.mark.parametrize(
-    ("time_s", "moved", "says"),
+    ("time_s", "moved", "about", "problem", "value"),
     [
-        ([0, 1, 1], [0, 0, 0], "sample 2 at 1 s does not"),
-        ([0, np.nan, 1], [0, 0, 0], "times must rise"),
-        ([0], [0], "1 times"),
-        ([0, 1], [0, 0, 0], "2 times for 3"),
-        ([0, 601], [0, 0], "at most 600"),
-        ([0, 1], [0, np.inf], "not a finite number"),
+        ([0, 1, 1], [0, 0, 0], "samples", "falling", 2),
+        ([0, np.nan, 1], [0, 0, 0], "samples", "falling", 1),
+        ([0], [0], "samples", "too few", (1, 1, 1)),
+        ([0, 1], [0, 0, 0], "samples", "conflict", (2, 3, 2)),
+        ([0, 601], [0, 0], "duration_s", "too large", 601),
+        ([0, 1], [0, np.inf], "samples", "not finite", None),
     ],
 )
-def test_arrays_that_are_no_trace_are_refused(time_s, moved, says):
-    with pytest.raises(SmartTouchError, match=says):
+def test_arrays_that_are_no_trace_are_refused(time_s, moved, about, problem, value):
+    with raises(SmartTouchError, about=about, problem=problem, value=value):
         sampled(time_s, moved)
 
 
 def test_a_trace_has_as_many_forces_as_displacements():
-    with pytest.raises(SmartTouchError, match="as many of both"):
+    with raises(SmartTouchError, about="samples", problem="conflict", value=((3,), (4,))):
         Trace(np.zeros(3), np.zeros(4))
+
+
+def test_how_long_a_trace_may_be():
+    with raises(SmartTouchError, about="duration_s", value=601, allowed=600):
+        Trace(np.zeros(601), np.zeros(601), sample_hz=1.0)
+    with raises(SmartTouchError, about="samples", problem="too few", value=1, allowed=2):
+        Trace(np.zeros(1), np.zeros(1))
 
 
 def test_a_file_of_force_and_displacement(csv_file):
@@ -86,34 +96,38 @@ def test_phases_that_a_spectrum_has_not_follow_the_seed(csv_file):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "about", "problem", "value"),
     [
-        ("", "line 1: the columns are none"),
-        ("a,b\n1,2\n", "line 1: the columns are a, b: name them"),
-        ("time_s,amplitude_um\n1,2\n", "line 1"),
-        ("frequency_hz,phase_deg\n1,2\n", "line 1"),
-        ("time_s,force_n\n0,1\n", "has 1 rows of numbers: give 2"),
-        ("time_s,force_n\n0,1\n\n1,x\n", "line 4: 'x' is not a number"),
-        ("time_s,force_n\n0,1\n1\n", "line 3: '' is not a number"),
-        ("time_s,force_n\n0,1\n1,nan\n", "line 3: 'nan'"),
-        ("time_s,force_n\n0,1\n\n2,1\n1.5,1\n", "line 5: time_s 1.5 is not after the 2"),
-        ("frequency_hz,amplitude_um\n30,1\n40,-1\n", "line 3: -1 µm at 40 Hz"),
-        ("frequency_hz,amplitude_um\n9000,1\n", "line 2: 1 µm at 9000 Hz"),
-        ("time_s,force_n\n0,1\n700,1\n", "lasts 700 s"),
+        ("", "columns", "", ()),
+        ("a,b\n1,2\n", "columns", "", ("a", "b")),
+        ("time_s,amplitude_um\n1,2\n", "columns", "", ("time_s", "amplitude_um")),
+        ("frequency_hz,phase_deg\n1,2\n", "columns", "", ("frequency_hz", "phase_deg")),
+        ("time_s,force_n\n0,1\n", "rows", "too few", 1),
+        ("time_s,force_n\n0,1\n\n1,x\n", "line", "malformed", 4),
+        ("time_s,force_n\n0,1\n1\n", "line", "malformed", 3),
+        ("time_s,force_n\n0,1\n1,nan\n", "line", "malformed", 3),
+        ("time_s,force_n\n0,1\n\n2,1\n1.5,1\n", "line", "falling", 5),
+        ("frequency_hz,amplitude_um\n30,1\n40,-1\n", "line", "impossible", 3),
+        ("frequency_hz,amplitude_um\n9000,1\n", "line", "impossible", 2),
+        ("time_s,force_n\n0,1\n700,1\n", "duration_s", "too large", 700),
     ],
 )
-def test_a_bad_file_is_told_with_its_line(csv_file, text, says):
-    with pytest.raises(SmartTouchError, match=says):
-        open_trace(csv_file(text))
+def test_a_bad_file_is_told_with_its_line(csv_file, text, about, problem, value):
+    path = csv_file(text)
+    with raises(SmartTouchError, about=about, problem=problem, value=value) as caught:
+        open_trace(path)
+    assert path in str(caught.value)
 
 
 def test_files_that_cannot_be_read(csv_file, tmp_path):
-    with pytest.raises(SmartTouchError, match="neither a file nor a trace in a line: write"):
-        open_trace(str(tmp_path / "none.csv"))
-    with pytest.raises(SmartTouchError, match=f"{tmp_path} is a folder"):
+    none = str(tmp_path / "none.csv")
+    with raises(SmartTouchError, about="trace", problem="missing", value=none):
+        open_trace(none)
+    with raises(SmartTouchError, about="file", problem="folder", value=tmp_path):
         open_trace(str(tmp_path))
-    with pytest.raises(SmartTouchError, match="not a text in UTF-8"):
-        open_trace(csv_file("time_s,µ", encoding="latin-1"))
+    path = csv_file("time_s,µ", encoding="latin-1")
+    with raises(SmartTouchError, about="file", problem="not UTF-8", value=Path(path)):
+        open_trace(path)
 
 
 def test_a_line_is_the_sum_of_its_parts():
@@ -152,28 +166,35 @@ def test_a_sweep_passes_its_middle_at_half_time():
 
 
 @pytest.mark.parametrize(
-    ("spec", "says"),
+    ("spec", "about", "problem", "value"),
     [
-        ("tone:30Hz", "'tone:30Hz' is no part of a trace: write"),
-        ("tone:30Hz,8mm", "no part"),
-        ("tone:30Hz,8um+hum:3", "'hum:3' is no part"),
-        ("tone:-30Hz,8um", "no part"),
-        ("tone:0Hz,8um", "frequencies must be above 0"),
-        ("tone:2000Hz,8um", "at most 1000 Hz"),
-        ("sweep:100-50Hz,8um", "lower one first"),
-        ("press:1N@2-1", "let it end after it begins"),
-        ("press:1N@0-9", "the trace 2 s"),
-        ("noise:50.1-50.2Hz,1um", "too narrow a band"),
+        ("tone:30Hz", "trace", "malformed", "tone:30Hz"),
+        ("tone:30Hz,8mm", "trace", "malformed", "tone:30Hz,8mm"),
+        ("tone:30Hz,8um+hum:3", "trace", "malformed", "hum:3"),
+        ("tone:-30Hz,8um", "trace", "malformed", "tone:-30Hz,8um"),
+        ("tone:0Hz,8um", "frequency", "", (0,)),
+        ("tone:2000Hz,8um", "frequency", "", (2000,)),
+        ("sweep:100-50Hz,8um", "frequency", "", (100, 50)),
+        ("press:1N@2-1", "trace", "conflict", (2, 1)),
+        ("press:1N@0-9", "trace", "late", (0, 9)),
+        ("noise:50.1-50.2Hz,1um", "trace", "too narrow", (50.1, 50.2)),
     ],
 )
-def test_a_line_that_cannot_be_understood(spec, says):
-    with pytest.raises(SmartTouchError, match=says):
+def test_a_line_that_cannot_be_understood(spec, about, problem, value):
+    with raises(SmartTouchError, about=about, problem=problem, value=value):
         open_trace(spec)
+
+
+def test_what_a_line_may_be():
+    with raises(SmartTouchError, about="frequency", allowed=(0, 1000)):
+        open_trace("tone:0Hz,8um")
+    with raises(SmartTouchError, about="trace", allowed=(0, 2), remedy="--seconds"):
+        open_trace("press:1N@0-9")
 
 
 @pytest.mark.parametrize("seconds", [0, -1, 601, float("nan")])
 def test_impossible_lengths_are_refused(seconds):
-    with pytest.raises(SmartTouchError, match="are not possible"):
+    with raises(SmartTouchError, about="--seconds", value=lambda given: given is seconds):
         open_trace("press:1N", seconds)
 
 

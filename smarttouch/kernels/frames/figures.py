@@ -68,9 +68,13 @@ class FrameBounds:
 
     def __post_init__(self) -> None:
         for name, value in (("other", self.other), ("spill", self.spill), ("uneven", self.uneven)):
-            if not 0 < value < (1 if name == "uneven" else np.inf):
+            most = 1 if name == "uneven" else np.inf
+            if not 0 < value < most:
                 raise DesignError(
-                    f"bound {name} = {value} of a frame must be above 0, uneven below 1"
+                    f"bound {name} = {value} of a frame must be above 0, uneven below 1",
+                    about=name,
+                    value=value,
+                    allowed=(0, most),
                 )
 
 
@@ -125,3 +129,15 @@ def judge_all(judge: SlotJudge, current: Array, level: Array) -> list[FrameFigur
         judge.judge(current[slot], level[slot], [field[slot] for field in fields])
         for slot in range(len(current))
     ]
+
+
+def no_active_site() -> DesignError:
+    """Return the error of a frame that nothing can be said of."""
+    message = "a frame without an active site has no figures: leave its slot out"
+    return DesignError(message, about="slot", problem="empty")
+
+
+def masked_point(site: int) -> DesignError:
+    """Return the error of a site that no frame can activate."""
+    message = f"site {site} is masked: its electrode is not driven; leave it out"
+    return DesignError(message, about="site", problem="masked", value=site, electrode=site)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import DesignError
 from smarttouch.kernels.frames.fields import FieldMap, Single
-from smarttouch.kernels.frames.figures import Bounded, FrameBounds, FrameFigures
+from smarttouch.kernels.frames.figures import Bounded, FrameBounds, FrameFigures, no_active_site
 from smarttouch.physiology.activation import af_matrix
 from smarttouch.physiology.afferents import Afferents, everywhere, targets
 from smarttouch.primary import Primary
@@ -52,7 +52,10 @@ class FrameJudge:
         if np.shape(wish_af) != (len(profile.electrodes),):
             raise DesignError(
                 f"wish_af has {np.size(wish_af)} values, the array {len(profile.electrodes)} "
-                "electrodes: give one for each"
+                "electrodes: give one for each",
+                about="wish_af",
+                value=np.size(wish_af),
+                allowed=len(profile.electrodes),
             )
         self.profile, self.primary = profile, primary
         self.wish_af = np.asarray(wish_af, np.float64)
@@ -156,7 +159,7 @@ class FrameJudge:
         """
         active = np.flatnonzero(level)
         if not len(active):
-            raise DesignError("a frame without an active site has no figures: leave its slot out")
+            raise no_active_site()
         smallest, ratio = self.reference(current, level)
         *others, own = self.reached(current) if reached is None else reached
         other = max(float(field.max()) for field in others)

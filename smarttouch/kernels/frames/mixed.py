@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import DesignError
 from smarttouch.kernels.frames.fields import FieldMap, Single
-from smarttouch.kernels.frames.figures import Bounded, FrameBounds, FrameFigures
+from smarttouch.kernels.frames.figures import Bounded, FrameBounds, FrameFigures, no_active_site
 from smarttouch.kernels.frames.judge import FrameJudge, reached
 from smarttouch.profile import Profile
 
@@ -42,7 +42,9 @@ class MixedJudge:
         self.judges = tuple(judges)
         classes = [each.primary for each in judges]
         if not classes or len(set(classes)) < len(classes):
-            raise DesignError("a mixed frame needs one judge for each of its classes")
+            message = "a mixed frame needs one judge for each of its classes"
+            problem = "conflict" if classes else "missing"
+            raise DesignError(message, about="judges", problem=problem, value=tuple(classes))
         self.target = np.concatenate([each.target for each in judges])
         self.wish_af = np.concatenate([each.wish_af for each in judges])
         self.wanted: list[FieldMap] = [each.own for each in judges]
@@ -91,7 +93,7 @@ class MixedJudge:
             If no point is active.
         """
         if not level.any():
-            raise DesignError("a frame without an active site has no figures: leave its slot out")
+            raise no_active_site()
         count = len(self.judges)
         fields = self.reached(current) if reached is None else reached
         rest = max((float(field.max()) for field in fields[count:]), default=0.0)

@@ -25,9 +25,14 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import DesignError
 from smarttouch.kernels.frames.fields import FieldMap, Single
-from smarttouch.kernels.frames.figures import Bounded, FrameBounds, FrameFigures, SlotJudge
+from smarttouch.kernels.frames.figures import (
+    Bounded,
+    FrameBounds,
+    FrameFigures,
+    SlotJudge,
+    masked_point,
+)
 
 Array = NDArray[np.float64]
 
@@ -190,9 +195,7 @@ class FrameOperator(Generic[AnyJudge]):
         active = np.flatnonzero(level)
         masked = self._masked[active]
         if masked.any():
-            raise DesignError(
-                f"site {active[masked][0]} is masked: its electrode is not driven; leave it out"
-            )
+            raise masked_point(int(active[masked][0]))
         return active
 
     def _system(self, active: NDArray[np.intp]) -> Array:

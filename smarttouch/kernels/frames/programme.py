@@ -132,13 +132,18 @@ class _Joint:
             if status == highspy.HighsModelStatus.kInfeasible and cold:
                 raise DesignError(
                     "no currents activate all points of this slot within its bounds: use more "
-                    "slots, or loosen the bounds"
+                    "slots, or loosen the bounds",
+                    about="slot",
+                    problem="impossible",
                 )
             if status != highspy.HighsModelStatus.kOptimal:
                 if cold:
                     raise DesignError(
                         f"the solver gave up ({self._solver.modelStatusToString(status)}): "
-                        "check the depths and sizes of the profile"
+                        "check the depths and sizes of the profile",
+                        about="solver",
+                        problem="failed",
+                        value=self._solver.modelStatusToString(status),
                     )
                 self._solver.clearSolver()
                 cold = True
@@ -158,7 +163,8 @@ class _Joint:
                 )
             self._solver.clearSolver()
             cold = True
-        raise DesignError(f"no optimum after {rounds} rounds: loosen the bounds a little")
+        message = f"no optimum after {rounds} rounds: loosen the bounds a little"
+        raise DesignError(message, about="solver", problem="late", value=rounds, allowed=_ROUNDS)
 
     def _give_broken(self, current: Array, worst: float) -> int:
         added = 0

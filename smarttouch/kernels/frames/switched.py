@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import DesignError
 from smarttouch.kernels.assignment import pole_shares
-from smarttouch.kernels.frames.figures import FrameBounds
+from smarttouch.kernels.frames.figures import FrameBounds, masked_point
 from smarttouch.kernels.frames.judge import FrameJudge
 from smarttouch.kernels.frames.operator import keeps
 from smarttouch.kernels.frames.slots import FrameSlot
@@ -65,14 +65,14 @@ class SwitchedSearch:
     ) -> None:
         profile, self.sites = judge.profile, np.flatnonzero(level)
         if profile.output.kind == "weighted":
-            raise DesignError("the board has a source for every electrode: use FrameOperator")
+            message = "the board has a source for every electrode: use FrameOperator"
+            raise DesignError(message, about="output.kind", value=profile.output.kind)
         masked = np.setdiff1d(self.sites, profile.driven)
         if len(masked):
-            raise DesignError(
-                f"site {masked[0]} is masked: its electrode is not driven; leave it out"
-            )
+            raise masked_point(int(masked[0]))
         if not len(self.sites):
-            raise DesignError("a slot without an active site has no states: leave it out")
+            message = "a slot without an active site has no states: leave it out"
+            raise DesignError(message, about="slot", problem="empty")
         self._judge, self._level, self._bounds = judge, level, bounds
         limit = profile.limits.total_ma if total_ma is None else total_ma
         self._total_ma = np.inf if limit is None else limit

@@ -149,7 +149,13 @@ def look_at_page(url: str, profile: Profile, rows: int, columns: int) -> Look:
     """
     kind = url.partition(":")[0]
     if kind not in ("page", "text"):
-        raise SensorError(f"--sensor {url!r}: an emulated array looks at page:FILE or text:STRING")
+        raise SensorError(
+            f"--sensor {url!r}: an emulated array looks at page:FILE or text:STRING",
+            about="--sensor",
+            problem="unknown",
+            value=url,
+            allowed=("page", "text"),
+        )
     shape = {"sensor_rows": rows, "sensor_columns": columns}
     optics = profile.optics.model_copy(update=shape)
     sensor = open_sensor(url, profile.model_copy(update={"optics": optics}))
@@ -181,4 +187,6 @@ def _number(word: str) -> float:
     try:
         return float(np.nan_to_num(float(word)))
     except ValueError:
-        raise SensorError(f"{word!r} is no number") from None
+        raise SensorError(
+            f"{word!r} is no number", about="order", problem="malformed", value=word
+        ) from None

@@ -41,14 +41,23 @@ def parse_fault(text: str) -> Fault:
     kind = next((each for each in get_args(Kind) if words[1:2] == [each]), None)
     if kind is None:
         raise SensorError(
-            f"event {text!r} is none: write a time in s and one of {', '.join(get_args(Kind))}"
+            f"event {text!r} is none: write a time in s and one of {', '.join(get_args(Kind))}",
+            about="event",
+            problem="unknown",
+            value=text,
+            allowed=get_args(Kind),
         )
     try:
         times = [float(word) for word in (words[0], *words[2:])]
     except ValueError:
         times = []
     if len(times) not in (1, 2) or not all(0 <= each < math.inf for each in times):
-        raise SensorError(f"event {text!r} has no good times: write TIME {kind} or TIME {kind} FOR")
+        raise SensorError(
+            f"event {text!r} has no good times: write TIME {kind} or TIME {kind} FOR",
+            about="event",
+            problem="malformed",
+            value=text,
+        )
     return Fault(times[0], kind, *times[1:])
 
 

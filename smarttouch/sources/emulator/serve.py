@@ -245,7 +245,13 @@ class Server:
 
     def _add(self, fault: Fault) -> None:
         if fault.kind == "unplug" and not self._socket.keeps_name:
-            raise SensorError("the port's name would change: start it with --event '0 unplug 0'")
+            raise SensorError(
+                "the port's name would change: start it with --event '0 unplug 0'",
+                about="event",
+                problem="impossible",
+                value=fault.kind,
+                remedy="--event",
+            )
         self._faults.add(fault)
 
     def _obey(self, time_s: float) -> None:

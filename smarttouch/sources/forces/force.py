@@ -77,7 +77,11 @@ class FixedForce(ForceSource):
         if not 0 <= self._force_n <= LARGEST_FIXED_N:
             raise SensorError(
                 f"fixed:{text} is no force: give newtons from 0 to {LARGEST_FIXED_N:g}, as in "
-                "fixed:0.5"
+                "fixed:0.5",
+                about="force",
+                problem="impossible",
+                value=text,
+                allowed=LARGEST_FIXED_N,
             )
         super().__init__(f"fixed {self._force_n:g} N")
 
@@ -118,7 +122,10 @@ def _read_table(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         heading = [cell.strip() for cell in next(reader, [])]
         if not set(_COLUMNS) <= set(heading):
             raise SensorError(
-                f"{path} must begin with a line that names the columns {','.join(_COLUMNS)}"
+                f"{path} must begin with a line that names the columns {','.join(_COLUMNS)}",
+                about="columns",
+                value=tuple(heading),
+                allowed=_COLUMNS,
             )
         where = [heading.index(name) for name in _COLUMNS]
         # The line in the file: a row may be blank, or quoted over several lines.
@@ -126,14 +133,30 @@ def _read_table(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             (reader.line_num, _numbers(path, reader.line_num, row, where)) for row in reader if row
         ]
     except csv.Error:
-        raise SensorError(f"cannot read the force {path}: it is not a text table") from None
+        raise SensorError(
+            f"cannot read the force {path}: it is not a text table",
+            about="file",
+            problem="malformed",
+            value=path,
+        ) from None
     if len(rows) < 2:
-        raise SensorError(f"{path} has {len(rows)} rows: a recorded force needs at least two")
+        raise SensorError(
+            f"{path} has {len(rows)} rows: a recorded force needs at least two",
+            about="rows",
+            problem="too few",
+            value=len(rows),
+            allowed=2,
+        )
     table = np.array([numbers for _, numbers in rows])
     falling = np.diff(table[:, 0]) <= 0
     if falling.any():
         line = rows[int(np.argmax(falling)) + 1][0]
-        raise SensorError(f"{path}, line {line}: time must rise from line to line")
+        raise SensorError(
+            f"{path}, line {line}: time must rise from line to line",
+            about="line",
+            problem="falling",
+            value=line,
+        )
     return table[:, 0].copy(), table[:, 1].copy()
 
 
@@ -144,10 +167,17 @@ def _numbers(path: Path, line: int, row: list[str], where: list[int]) -> tuple[f
         time_s = force_n = math.nan
     if not (math.isfinite(time_s) and math.isfinite(force_n)):
         raise SensorError(
-            f"{path}, line {line}: needs numbers for {' and '.join(_COLUMNS)}, has {row}"
+            f"{path}, line {line}: needs numbers for {' and '.join(_COLUMNS)}, has {row}",
+            about="line",
+            problem="malformed",
+            value=line,
         )
     if abs(force_n) > LARGEST_RECORDED_N:
         raise SensorError(
-            f"{path}, line {line}: {force_n:g} N is more than any finger presses: give newtons"
+            f"{path}, line {line}: {force_n:g} N is more than any finger presses: give newtons",
+            about="force_n",
+            problem="too large",
+            value=force_n,
+            allowed=LARGEST_RECORDED_N,
         )
     return time_s, force_n

@@ -131,8 +131,10 @@ class LoadCell:
         with self._news:
             came, self._collected = self._collected, None
         if not came:
-            raise SensorError(
-                f"no reading came from the {self.title} in {seconds:g} s: check its cable and power"
+            raise self._mute(
+                f"no reading came from the {self.title} in {seconds:g} s: check its cable and "
+                "power",
+                seconds,
             )
         return np.array(came, np.float64)
 
@@ -154,12 +156,21 @@ class LoadCell:
         if self._heard:
             raise SensorError(
                 f"what comes from the {self.title} is no readings: check its speed (now "
-                f"{self._baud}; another one is set by ?baud=N after the port) and what it sends"
+                f"{self._baud}; another one is set by ?baud=N after the port) and what it sends",
+                about="port",
+                problem="malformed",
+                value=self._name,
+                remedy="?baud=",
             )
-        raise SensorError(
+        raise self._mute(
             f"no reading came within {FIRST_READING_S:g} s from the {self.title}: check that it "
-            "is on and sends by itself"
+            "is on and sends by itself",
+            FIRST_READING_S,
         )
+
+    def _mute(self, message: str, seconds: float) -> SensorError:
+        about, value = "port", self._name
+        return SensorError(message, about=about, problem="mute", value=value, allowed=seconds)
 
     def _listen(self, port: Port | None) -> None:
         while not self._closing.is_set():
@@ -222,7 +233,11 @@ class LoadCellForce(ForceSource):
         if profile.force.curve is None:
             raise SensorError(
                 f"profile {profile.name} has no force.curve: run smarttouch calibrate force, or, "
-                "for a sketch that prints grams, set curve = [0, 0.00980665] in [force]"
+                "for a sketch that prints grams, set curve = [0, 0.00980665] in [force]",
+                about="force.curve",
+                problem="missing",
+                value=profile.name,
+                remedy="smarttouch calibrate force",
             )
         self._curve = profile.force.curve
         contact_n = profile.force.contact_n
@@ -260,14 +275,17 @@ def _parse(url: str) -> tuple[str, str, int]:
     kind, _, rest = url.partition(":")
     if kind not in _KINDS:
         kinds = " or ".join(f"{each}:PORT" for each in _KINDS)
-        raise SensorError(f"{url!r} is no load cell: give {kinds}")
+        message, known = f"{url!r} is no load cell: give {kinds}", tuple(_KINDS)
+        raise SensorError(message, about="force", problem="unknown", value=url, allowed=known)
     name, asked, speed = rest.partition("?baud=")
     if not name:
-        raise SensorError(f"{url!r} names no port: give one, as in {kind}:/dev/ttyUSB0")
+        message = f"{url!r} names no port: give one, as in {kind}:/dev/ttyUSB0"
+        raise SensorError(message, about="port", problem="missing", value=url)
     if not asked:
         return kind, name, _KINDS[kind][0]
     if not (speed.isdecimal() and 0 < int(speed) < 10**8):
-        raise SensorError(f"{url!r}: {speed!r} is no speed of a line: give bits a second, 115200")
+        message = f"{url!r}: {speed!r} is no speed of a line: give bits a second, 115200"
+        raise SensorError(message, about="?baud=", value=speed)
     return kind, name, int(speed)
 
 

@@ -19,6 +19,7 @@ from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.sequence import whole_ua
 
+from ...raising import raises
 from .test_operator import make_operator
 
 __all__ = ["make_operator"]
@@ -86,7 +87,7 @@ def test_classes_are_all_driven_sites_once(profile, changed):
 def test_a_hexagon_has_no_colors():
     mine = load_profile("kajimoto-61")
     operator = FrameOperator(FrameJudge(mine, Primary.RA, np.ones(61)))
-    with pytest.raises(DesignError, match="color classes are for grids"):
+    with raises(DesignError, about="array", problem="no grid"):
         color_classes(operator, 2)
     assert SharedKernels(operator, np.array([3, 40])).worst_other > 0
 

@@ -12,6 +12,8 @@ from smarttouch.kernels.problem import Problem
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
+from ...raising import raises
+
 
 @pytest.fixture(scope="module", params=[Primary.RA, Primary.SAI], ids=lambda each: each.name)
 def judged(request, profile, bank):
@@ -84,14 +86,16 @@ def test_limits_are_the_smallest_of_all(profile, changed):
 
 
 def test_what_cannot_be_judged_is_said(profile):
-    with pytest.raises(DesignError, match="wish_af has 3 values, the array 64"):
+    with raises(DesignError, about="wish_af", value=3, allowed=64):
         FrameJudge(profile, Primary.RA, np.ones(3))
     judge = FrameJudge(load_profile("smarttouch-4x4"), Primary.RA, np.ones(16))
-    with pytest.raises(DesignError, match="without an active site"):
+    with raises(DesignError, about="slot", problem="empty"):
         judge.judge(np.zeros(16), np.zeros(16))
 
 
-@pytest.mark.parametrize("bound", [{"other": 0.0}, {"spill": -1.0}, {"uneven": 1.0}])
-def test_bounds_that_are_none_are_refused(bound):
-    with pytest.raises(DesignError, match="must be above 0"):
-        FrameBounds(**bound)
+@pytest.mark.parametrize(
+    ("name", "value", "most"), [("other", 0.0, np.inf), ("spill", -1.0, np.inf), ("uneven", 1.0, 1)]
+)
+def test_bounds_that_are_none_are_refused(name, value, most):
+    with raises(DesignError, about=name, value=value, allowed=(0, most)):
+        FrameBounds(**{name: value})

@@ -14,6 +14,8 @@ from smarttouch.kernels.frames.slots import likely_slots, plan_slots
 from smarttouch.kernels.problem import Problem
 from smarttouch.primary import Primary
 
+from ...raising import raises
+
 BOTH = (Primary.RA, Primary.SAI)
 
 
@@ -50,7 +52,7 @@ def test_figures_are_those_of_all_rows(operator, problems, seed, ra, sai):
     level = wished(seed, ra, sai)
     judge = operator.judge
     if not level.any():
-        with pytest.raises(DesignError, match="leave its slot out"):
+        with raises(DesignError, about="slot", problem="empty"):
             judge.judge(np.zeros(64), level)
         return
     rough = 0.05 * np.random.default_rng(seed).normal(size=64)
@@ -146,5 +148,8 @@ def test_targets_that_nothing_reaches_have_endless_ratios(operator):
 
 
 def test_a_class_cannot_be_mixed_with_itself(judges):
-    with pytest.raises(DesignError, match="one judge for each of its classes"):
+    twice = (judges[0].primary, judges[0].primary)
+    with raises(DesignError, about="judges", problem="conflict", value=twice):
         MixedJudge([judges[0], judges[0]])
+    with raises(DesignError, about="judges", problem="missing", value=()):
+        MixedJudge([])

@@ -16,6 +16,8 @@ from smarttouch.physiology.afferents import everywhere
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
+from ...raising import raises
+
 LETTER_T = "........ .#####.. ...#.... ...#.... ...#.... ...#.... ...#.... ...#...."
 
 
@@ -144,7 +146,7 @@ def test_masked_electrodes_carry_nothing(profile, changed):
         None,
     )
     level[28] = 1
-    with pytest.raises(DesignError, match="site 28 is masked"):
+    with raises(DesignError, about="site", problem="masked", value=28, electrode=28):
         operator.currents(level)
 
 

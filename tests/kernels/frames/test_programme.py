@@ -13,6 +13,7 @@ from smarttouch.kernels.problem import Problem
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
+from ...raising import raises
 from .test_operator import scattered
 
 
@@ -91,5 +92,5 @@ def test_every_limit_binds_where_it_should(small):
 
 def test_what_is_impossible_is_said(profile):
     judge = FrameJudge(load_profile("smarttouch-4x4"), Primary.RA, np.full(16, 2.0))
-    with pytest.raises(DesignError, match="use more slots"):
+    with raises(DesignError, about="slot", problem="impossible"):
         joint_programme(judge, np.ones(16), FrameBounds(), 1.0)

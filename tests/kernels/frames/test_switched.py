@@ -17,6 +17,7 @@ from smarttouch.kernels.frames.switched import SwitchedSearch, plan_switched_slo
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
+from ...raising import raises
 from .test_operator import LETTER_T, drawn, scattered
 
 WISH_AF = {Primary.RA: 2.275, Primary.SAI: 0.714}
@@ -237,11 +238,11 @@ def test_a_point_that_breaks_its_bound_stands_alone_with_its_own_kernel():
 
 def test_what_no_slot_can_be_is_said(make_judge, profile):
     judge = make_judge(Primary.RA, **{"output.masked": [3]})
-    with pytest.raises(DesignError, match="site 3 is masked"):
+    with raises(DesignError, about="site", problem="masked", value=3, electrode=3):
         plan_switched_slots(judge, level_of([3, 9]), FrameBounds())
-    with pytest.raises(DesignError, match="without an active site"):
+    with raises(DesignError, about="slot", problem="empty"):
         SwitchedSearch(judge, np.zeros(64), FrameBounds())
     weighted = FrameJudge(profile, Primary.RA, np.ones(64))
-    with pytest.raises(DesignError, match="source for every electrode"):
+    with raises(DesignError, about="output.kind", value="weighted"):
         SwitchedSearch(weighted, level_of([3]), FrameBounds())
     assert plan_switched_slots(judge, np.zeros(64), FrameBounds()) == []

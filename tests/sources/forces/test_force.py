@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 from smarttouch.errors import SensorError
 from smarttouch.sources.forces.force import RecordedForce, open_force
 
+from ...raising import raises
+
 HEADER = "time_s,force_n\n"
 SECOND = 10**9
 
@@ -33,12 +35,13 @@ def test_fixed_force(profile, text, force_n):
 
 @pytest.mark.parametrize("text", ["", "x", "-0.1", "20.1", "nan", "inf", "0.5 N"])
 def test_what_is_no_fixed_force(profile, text):
-    with pytest.raises(SensorError, match="is no force: give newtons from 0 to 20"):
+    with raises(SensorError, about="force", problem="impossible", value=text, allowed=20):
         open_force(f"fixed:{text}", profile)
 
 
 def test_unknown_kinds_of_force(profile):
-    with pytest.raises(SensorError, match=r"unknown force 'spring:1': .*fixed:, hx711:, loadcell:"):
+    known = {"fixed", "hx711", "loadcell", "recorded"}.issubset
+    with raises(SensorError, about="force", problem="unknown", value="spring:1", allowed=known):
         open_force("spring:1", profile)
 
 
@@ -57,33 +60,48 @@ def test_a_recorded_path_is_a_recorded_force_too(recorded):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "about", "problem", "value"),
     [
-        ("", "must begin with a line that names the columns time_s,force_n"),
-        ("0,1\n1,2\n", "must begin with a line"),
-        (HEADER, "0 rows"),
-        (HEADER + "0,1\n", "1 rows"),
-        (HEADER + "0,1\n1,x\n", "line 3: needs numbers"),
-        (HEADER + "0,1\n\n1\n", "line 4: needs numbers"),
-        (HEADER + "0,1\n1,nan\n", "line 3: needs numbers"),
-        (HEADER + "0,1\ninf,1\n", "line 3: needs numbers"),
-        (HEADER + "0,1\n1,150\n", "line 3: 150 N is more than any finger"),
-        (HEADER + "0,1\n\n2,1\n2,1\n3,1\n", "line 5: time must rise"),
-        (HEADER + '0,1\n1,"', "needs numbers"),
+        ("", "columns", "", ()),
+        ("0,1\n1,2\n", "columns", "", ("0", "1")),
+        (HEADER, "rows", "too few", 0),
+        (HEADER + "0,1\n", "rows", "too few", 1),
+        (HEADER + "0,1\n1,x\n", "line", "malformed", 3),
+        (HEADER + "0,1\n\n1\n", "line", "malformed", 4),
+        (HEADER + "0,1\n1,nan\n", "line", "malformed", 3),
+        (HEADER + "0,1\ninf,1\n", "line", "malformed", 3),
+        (HEADER + "0,1\n1,150\n", "force_n", "too large", 150),
+        (HEADER + "0,1\n\n2,1\n2,1\n3,1\n", "line", "falling", 5),
+        (HEADER + '0,1\n1,"', "line", "malformed", 3),
     ],
 )
-def test_bad_records(recorded, text, words):
-    with pytest.raises(SensorError, match=words):
+def test_bad_records(recorded, text, about, problem, value):
+    with raises(SensorError, about=about, problem=problem, value=value) as caught:
         recorded(text)
+    assert "force.csv" in str(caught.value)
+
+
+def test_the_columns_a_record_needs(recorded):
+    with raises(SensorError, about="columns", allowed=("time_s", "force_n")):
+        recorded("time,force\n")
+
+
+def test_a_force_that_is_no_finger_s_is_said_with_its_line(recorded):
+    with raises(SensorError, about="force_n", allowed=100) as caught:
+        recorded(HEADER + "0,1\n1,150\n")
+    assert "line 3" in str(caught.value)
 
 
 def test_no_record(tmp_path, profile):
-    for path in (tmp_path / "none.csv", tmp_path):
-        with pytest.raises(SensorError, match=r"no file|is a folder"):
+    binary = tmp_path / "binary"
+    binary.write_bytes(b"\xff\xfe\x00")
+    for path, problem in (
+        (tmp_path / "none.csv", "missing"),
+        (tmp_path, "folder"),
+        (binary, "not UTF-8"),
+    ):
+        with raises(SensorError, about="file", problem=problem, value=path):
             open_force(f"recorded:{path}", profile)
-    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(SensorError, match="not a text in UTF-8"):
-        open_force(f"recorded:{tmp_path / 'binary'}", profile)
 
 
 @given(st.one_of(st.text(max_size=200), st.text(max_size=200).map(lambda tail: HEADER + tail)))
