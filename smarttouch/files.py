@@ -45,7 +45,7 @@ def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> N
     except (FileNotFoundError, NotADirectoryError, ValueError):
         raise _wrong(error, "missing", path, f"no file {path}: check its name") from None
     except OSError as failure:
-        raise _unreadable(error, path, failure) from None
+        raise unreadable(error, path, failure) from None
 
 
 def require_replaceable(path: Path, error: type[SmartTouchError]) -> None:
@@ -79,7 +79,7 @@ def open_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> Bina
         number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
         file = os.fdopen(number, "rb")
     except OSError as failure:
-        raise _unreadable(error, path, failure) from None
+        raise unreadable(error, path, failure) from None
     try:
         _check(path, os.fstat(number), error, most_bytes)
     except BaseException:
@@ -96,7 +96,7 @@ def read_bytes(
         with open_file(path, error, most_bytes) as file:
             data = file.read(most_bytes + 1)
     except OSError as failure:
-        raise _unreadable(error, path, failure) from None
+        raise unreadable(error, path, failure) from None
     if len(data) > most_bytes:
         raise _too_large(error, path, len(data), most_bytes)
     return data
@@ -169,7 +169,7 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
         message = f"cannot write {path}: no file has such a name"
         raise _wrong(error, "unwritable", path, message) from None
     except OSError as failure:
-        raise _unwritable(error, path, failure) from None
+        raise unwritable(error, path, failure) from None
 
 
 def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None) -> BinaryIO:
@@ -196,7 +196,7 @@ def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None)
         try:
             file = os.fdopen(os.open(path, flags, 0o666), "r+b")
         except OSError as failure:
-            raise _unwritable(error, of or path, failure) from None
+            raise unwritable(error, of or path, failure) from None
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -241,11 +241,13 @@ def _wrong(error: type[SmartTouchError], problem: str, path: Path, message: str)
     return error(message, about="file", problem=problem, value=path)
 
 
-def _unreadable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:
+def unreadable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:
+    """Return the error that a file which cannot be read ends in."""
     return _wrong(error, "unreadable", path, f"cannot read {path}: {failure.strerror}")
 
 
-def _unwritable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:
+def unwritable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:
+    """Return the error that a file which cannot be written ends in."""
     reason = "nobody reads from it" if failure.errno == errno.ENXIO else failure.strerror
     return _wrong(error, "unwritable", path, f"cannot write {path}: {reason}")
 

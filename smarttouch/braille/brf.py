@@ -72,7 +72,10 @@ def _codes(line: str, where: str) -> str:
         if pattern(cell) >= SIX_DOT_PATTERNS:
             raise BrailleError(
                 f"{cell} ({where}, cell {column}) has dots 7 or 8, which BRF files cannot hold: "
-                "write a .pef file, or choose a table of 6 dots"
+                "write a .pef file, or choose a table of 6 dots",
+                about="cell",
+                problem="eight dots",
+                value=cell,
             )
     return "".join(_CODE[pattern(cell)] for cell in line)
 
@@ -83,6 +86,9 @@ def _cells(line: str, name: str, count: int) -> str:
         if ord(cell) < ord(BLANK):
             raise BrailleError(
                 f"{name}, line {count}, column {column}: {code!r} is not ASCII Braille: is this a "
-                "BRF file?"
+                "BRF file?",
+                about="cell",
+                problem="malformed",
+                value=code,
             )
     return cells

@@ -41,7 +41,10 @@ def require_cells(line: str) -> None:
         if not is_cell(character):
             raise BrailleError(
                 f"{character!r} at place {column + 1} is not a cell of Braille: give characters "
-                "U+2800 to U+28FF"
+                "U+2800 to U+28FF",
+                about="cell",
+                problem="malformed",
+                value=character,
             )
 
 
@@ -77,6 +80,11 @@ def dots_to_cells(dots: NDArray[Any]) -> str:
         If there are other than 6 or 8 dots a cell.
     """
     if dots.ndim != 2 or dots.shape[1] not in (6, 8):
-        raise BrailleError(f"dots of shape {dots.shape} are not cells: give (N, 6) or (N, 8)")
+        raise BrailleError(
+            f"dots of shape {dots.shape} are not cells: give (N, 6) or (N, 8)",
+            about="dots",
+            problem="malformed",
+            value=dots.shape,
+        )
     patterns = np.packbits(dots.astype(bool), axis=1, bitorder="little")
     return "".join(chr(ord(BLANK) + int(each)) for each in patterns.ravel())

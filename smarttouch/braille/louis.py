@@ -51,7 +51,13 @@ class LouisCode:
 
     def __init__(self, table: str, goes_back: bool | None = None) -> None:
         if not has_table(table):
-            raise BrailleError(f"there is no liblouis table {table} here: {INSTALL}")
+            raise BrailleError(
+                f"there is no liblouis table {table!r} here: {INSTALL}",
+                about="table",
+                problem="missing",
+                value=table,
+                remedy=INSTALL,
+            )
         self._table = table
         self.goes_back = _goes_both_ways(table) if goes_back is None else goes_back
         self._known: dict[str, bool] = {}
@@ -165,7 +171,12 @@ def _translate(table: str, text: str, mode: int, back: bool = False) -> str:
         if read.value == length and written.value <= room // 2:
             return outbuf.raw[: written.value * width].decode(encoding, "replace")
     way = "cells into a text" if back else "a text into cells"
-    raise BrailleError(f"liblouis could not turn {way} with {table}: choose another table")
+    raise BrailleError(
+        f"liblouis could not turn {way} with {table}: choose another table",
+        about="table",
+        problem="impossible",
+        value=table,
+    )
 
 
 def _cell(dots: str) -> str:

@@ -82,15 +82,28 @@ def parse_pef(data: bytes, name: str = "PEF") -> Pages:
         _refuse_declarations(data, name)
         root = ET.fromstring(data)
     except (ET.ParseError, expat.ExpatError, LookupError, ValueError) as error:
-        raise BrailleError(f"{name} is not XML: {error}") from None
+        raise BrailleError(
+            f"{name} is not XML: {error}", about="file", problem="malformed", value=name
+        ) from None
     if root.tag != f"{{{_PEF}}}pef":
-        raise BrailleError(f"{name} is not a PEF file: its root is {root.tag!r}")
+        raise BrailleError(
+            f"{name} is not a PEF file: its root is {root.tag!r}",
+            about="file",
+            problem="unknown",
+            value=root.tag,
+            allowed=f"{{{_PEF}}}pef",
+        )
     pages = [
         [_row(row, name) for row in page.findall(f"{{{_PEF}}}row")]
         for page in root.iter(f"{{{_PEF}}}page")
     ]
     if not pages:
-        raise BrailleError(f"{name} is a PEF file without a page: there is nothing to read")
+        raise BrailleError(
+            f"{name} is a PEF file without a page: there is nothing to read",
+            about="file",
+            problem="empty",
+            value=name,
+        )
     return pages
 
 
@@ -102,7 +115,12 @@ def _refuse_declarations(data: bytes, name: str) -> None:
     """Raise if there is a document type: entities can blow up a small file beyond all bounds."""
 
     def refuse(*_: object) -> None:
-        raise BrailleError(f"{name} declares a document type, which PEF files have no use for")
+        raise BrailleError(
+            f"{name} declares a document type, which PEF files have no use for",
+            about="file",
+            problem="doctype",
+            value=name,
+        )
 
     parser = expat.ParserCreate()
     parser.StartDoctypeDeclHandler = refuse
@@ -114,5 +132,7 @@ def _row(row: ET.Element, name: str) -> str:
     try:
         require_cells(line)
     except BrailleError as error:
-        raise BrailleError(f"{name}: {error}") from None
+        raise BrailleError(
+            f"{name}: {error}", about=error.about, problem=error.problem, value=error.value
+        ) from None
     return line

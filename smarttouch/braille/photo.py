@@ -83,7 +83,12 @@ def read_braille(
         If the page shows no Braille, or the direction of the light is none.
     """
     if light_from_deg is not None and not math.isfinite(light_from_deg):
-        raise PageError(f"light from {light_from_deg:g}°: give 0 for the right, 90 for the top")
+        raise PageError(
+            f"light from {light_from_deg:g}°: give 0 for the right, 90 for the top",
+            about="light_from_deg",
+            problem="malformed",
+            value=light_from_deg,
+        )
     grey = page.grey
     if turned:
         grey = np.ascontiguousarray(grey[::-1, ::-1])
@@ -92,20 +97,29 @@ def read_braille(
     view = find_view(images, light_from_deg)
     if view is None:
         raise PageError(
-            "no dots are found that make cells: is it a page of Braille, lit from one side?"
+            "no dots are found that make cells: is it a page of Braille, lit from one side?",
+            about="page",
+            problem="empty",
         )
     view = look_closer(images, view, light_from_deg)
     if view.certainty < LEAST_CERTAINTY:
         raise PageError(
             f"of {view.strong.sum()} dots found, {view.proven.sum()} fit cells, too few: is it a "
-            "page of Braille, lit from one side?"
+            "page of Braille, lit from one side?",
+            about="page",
+            problem="too few",
+            value=view.certainty,
+            allowed=LEAST_CERTAINTY,
         )
     read = view.read()
     lines = cell_lines(view.names[read])
     if _is_ornament(lines):
         raise PageError(
             f"the {read.sum()} dots found are a pattern, no text: is it a page of Braille, lit "
-            "from one side?"
+            "from one side?",
+            about="page",
+            problem="pattern",
+            value=int(read.sum()),
         )
     # The size of a pixel of the view, in those of the page.
     pixel = grey.shape[1] / view.image.shape[1]

@@ -67,7 +67,11 @@ def load_cells(source: str, table: Table, leave_out: bool = False) -> Loaded:
             notes = _notes(table, table.missing(text))
         paragraphs = cells.strip("\n").split("\n")
     if not any(paragraph.strip(BLANK) for paragraph in paragraphs):
-        raise BrailleError("there is nothing to read: give a text, or a file with one")
+        raise BrailleError(
+            "there is nothing to read: give a text, or a file with one",
+            about="text",
+            problem="empty",
+        )
     return Loaded(paragraphs, pages, notes)
 
 
@@ -88,7 +92,13 @@ def write_cells(path: Path, pages: Pages) -> None:
         lines = "".join(f"{line}\n" for page in pages for line in page)
         write_bytes(path, lines.encode())
     else:
-        raise BrailleError(f"cannot write {path}: give a name that ends in .brf, .pef or .txt")
+        raise BrailleError(
+            f"cannot write {path}: give a name that ends in .brf, .pef or .txt",
+            about="file",
+            problem="ending",
+            value=path,
+            allowed=(".brf", ".pef", ".txt"),
+        )
 
 
 def _is_braille(text: str) -> bool:

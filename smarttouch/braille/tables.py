@@ -82,7 +82,10 @@ class Table:
             others = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
             raise BrailleError(
                 f"table {self.name} has no cells for {missing[0]!r} (U+{ord(missing[0]):04X})"
-                f"{others}: {self.code.remedy}"
+                f"{others}: {self.code.remedy}",
+                about="text",
+                problem="unknown",
+                value=missing,
             )
         tidy = tidy.translate(dict.fromkeys(map(ord, missing)))
         return "\n".join(self.code.encode(line) for line in tidy.split("\n"))
@@ -98,7 +101,10 @@ class Table:
         if not self.code.goes_back:
             raise BrailleError(
                 f"table {self.name} turns texts into cells only, it cannot read them back: "
-                "choose another table"
+                "choose another table",
+                about="table",
+                problem="impossible",
+                value=self.name,
             )
         lines = cells.split("\n")
         for line in lines:
@@ -166,13 +172,23 @@ def open_table(name: str = DEFAULT_TABLE) -> Table:
             return Table(name, f"liblouis table {name}", LouisCode(name))
         raise BrailleError(
             f"unknown table {name!r}: choose one of {', '.join(_KNOWN)}, or give the file name of "
-            "a liblouis table"
+            "a liblouis table",
+            about="table",
+            problem="unknown",
+            value=name,
+            allowed=tuple(_KNOWN),
         )
     if known.file is not None and louis.has_table(known.file):
         code = _EnglishLouis if known.built_in is Grade1 else LouisCode
         return Table(name, known.title, code(known.file, known.goes_back))
     if known.built_in is None:
-        raise BrailleError(f"table {name} ({known.title}) needs liblouis: {louis.INSTALL}")
+        raise BrailleError(
+            f"table {name} ({known.title}) needs liblouis: {louis.INSTALL}",
+            about="liblouis",
+            problem="missing",
+            value=name,
+            remedy=louis.INSTALL,
+        )
     return Table(name, known.title, known.built_in(), MISSING_NOTE if known.file else None)
 
 

@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.calibrate.polynomial import fit, hysteresis, left_out, rises, zero_of
 from smarttouch.errors import CalibrationError
 from smarttouch.profile import ForceLaw
 
@@ -19,8 +20,6 @@ BEND_WORTH = 0.7
 """A quadratic must predict weights that it was not fitted to this much better than a line."""
 BEND_LEAST = 0.002
 """Of full force: a line this good is good enough."""
-FEWEST_FOR_BEND = 4
-"""Distinct weights."""
 MOST_RESIDUAL = 0.05
 """Of full force, rms."""
 MOST_DRIFT = 0.03
@@ -133,7 +132,12 @@ def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
     if len(good) < FEWEST_READINGS or len(good) < (1 - MOST_MISSING) * len(raw):
         raise CalibrationError(
             f"{len(good)} of {len(raw)} readings at {grams:g} g are numbers, {FEWEST_READINGS} "
-            "and half of all are needed: check the cell's connections, or give more --seconds"
+            "and half of all are needed: check the cell's connections, or give more --seconds",
+            about="readings",
+            problem="too few",
+            value=len(good),
+            allowed=FEWEST_READINGS,
+            remedy="--seconds",
         )
     middle = float(np.median(good))
     spread = 1.4826 * float(np.median(np.abs(good - middle)))
@@ -163,22 +167,22 @@ def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
     force = np.array([each.force_n for each in weighings])
     _require_weights(grams, law)
     _require_answer(weighings, grams, reading)
-    coefficients = _fit(reading, force, 1)
-    line_n, bend_n = (_left_out(grams, reading, force, degree) for degree in (1, 2))
+    coefficients = fit(reading, force, 1)
+    line_n, bend_n = (left_out(grams, reading, force, degree) for degree in (1, 2))
     better = bend_n < BEND_WORTH * line_n and line_n > BEND_LEAST * law.full_n
-    if better and _rises(bent := _fit(reading, force, 2), reading):
+    if better and rises(bent := fit(reading, force, 2), reading):
         coefficients = bent
     polynomial = np.polynomial.Polynomial(coefficients)
     residual = polynomial(reading) - force
     slope_n = float(polynomial.deriv()((reading.min() + reading.max()) / 2))
     found = ForceFound(
         tuple(float(f"{each:.9g}") for each in coefficients),
-        _zero(polynomial, reading),
+        zero_of(polynomial, reading),
         slope_n,
         float(np.sqrt(np.mean(residual**2))),
         float(np.abs(residual).max()),
         float(np.median([each.spread for each in weighings])) * abs(slope_n),
-        _hysteresis(grams, polynomial(reading)),
+        hysteresis(grams, polynomial(reading)),
         law.full_n,
         tuple(weighings),
     )
@@ -188,17 +192,30 @@ def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
 
 def _require_weights(grams: NDArray[np.float64], law: ForceLaw) -> None:
     if not (np.isfinite(grams).all() and (grams >= 0).all()):
-        raise CalibrationError("a weight must be a number of grams, 0 or more: give it again")
+        raise CalibrationError(
+            "a weight must be a number of grams, 0 or more: give it again",
+            about="weights",
+            problem="malformed",
+            value=tuple(grams.tolist()),
+        )
     distinct = len(np.unique(grams))
     if distinct < 3:
         raise CalibrationError(
-            f"{distinct} different weights say nothing of the residual: give three or more"
+            f"{distinct} different weights say nothing of the residual: give three or more",
+            about="weights",
+            problem="too few",
+            value=distinct,
+            allowed=3,
         )
     full_g = 1000 * law.full_n / STANDARD_GRAVITY
     if grams.max() < LEAST_REACH * full_g:
         raise CalibrationError(
             f"the heaviest weight of {grams.max():g} g is far below full force, {full_g:.0f} g: "
-            "give one about as heavy as that"
+            "give one about as heavy as that",
+            about="weights",
+            problem="too small",
+            value=float(grams.max()),
+            allowed=LEAST_REACH * full_g,
         )
 
 
@@ -210,7 +227,11 @@ def _require_answer(
     if moved <= 5 * noise or moved == 0:
         raise CalibrationError(
             f"the readings move by {moved:.6g} from the lightest to the heaviest weight, and by "
-            f"{noise:.6g} by themselves: is the cell connected, and the weight on it?"
+            f"{noise:.6g} by themselves: is the cell connected, and the weight on it?",
+            about="readings",
+            problem="mute",
+            value=moved,
+            allowed=5 * noise,
         )
     mean = np.array([reading[grams == each].mean() for each in np.unique(grams)])
     steps = np.diff(mean)
@@ -219,7 +240,10 @@ def _require_answer(
         first, second = np.unique(grams)[[turned.argmax(), turned.argmax() + 1]]
         raise CalibrationError(
             f"the reading does not go on in one direction from {first:g} to {second:g} g: weigh "
-            "again, each weight alone and at rest"
+            "again, each weight alone and at rest",
+            about="readings",
+            problem="conflict",
+            value=(float(first), float(second)),
         )
 
 
@@ -230,62 +254,20 @@ def _require_good(found: ForceFound) -> None:
         )
         raise CalibrationError(
             f"the curve misses the weights by {found.residual_n:.3f} N rms, above "
-            f"{MOST_RESIDUAL:.0%} of full force, {found.full_n:g} N: weigh {worst.grams:g} g again"
+            f"{MOST_RESIDUAL:.0%} of full force, {found.full_n:g} N: weigh {worst.grams:g} g again",
+            about="residual",
+            problem="too large",
+            value=found.residual_n,
+            allowed=MOST_RESIDUAL * found.full_n,
         )
     restless = max(found.weighings, key=lambda each: abs(each.drift))
     drift_n = abs(restless.drift * found.slope_n)
     if drift_n > MOST_DRIFT * found.full_n:
         raise CalibrationError(
             f"the reading drifted by {drift_n:.3f} N while {restless.grams:g} g lay on the cell: "
-            "wait until it rests, and weigh again"
+            "wait until it rests, and weigh again",
+            about="drift",
+            problem="too large",
+            value=drift_n,
+            allowed=MOST_DRIFT * found.full_n,
         )
-
-
-def _fit(
-    reading: NDArray[np.float64], force: NDArray[np.float64], degree: int
-) -> NDArray[np.float64]:
-    """Return coefficients, lowest first; fitted about the middle, as raw counts are large."""
-    fitted = np.polynomial.Polynomial.fit(reading, force, degree)
-    coefficients = np.zeros(degree + 1)
-    found = fitted.convert().coef
-    coefficients[: len(found)] = found
-    return coefficients
-
-
-def _left_out(
-    grams: NDArray[np.float64],
-    reading: NDArray[np.float64],
-    force: NDArray[np.float64],
-    degree: int,
-) -> float:
-    """Return the rms error, N, at weights that a fit was not made from; infinite if too few."""
-    weights = np.unique(grams)
-    if len(weights) < (FEWEST_FOR_BEND if degree > 1 else 3):
-        return float("inf")
-    errors = []
-    for each in weights:
-        out = grams == each
-        fitted = np.polynomial.Polynomial.fit(reading[~out], force[~out], degree)
-        errors += list(fitted(reading[out]) - force[out])
-    return float(np.sqrt(np.mean(np.square(errors))))
-
-
-def _rises(coefficients: NDArray[np.float64], reading: NDArray[np.float64]) -> bool:
-    """Return whether a curve goes in one direction over and a little beyond the readings."""
-    low, high = reading.min(), reading.max()
-    spare = 0.25 * (high - low)
-    slope = np.polynomial.Polynomial(coefficients).deriv()
-    ends = slope(np.array([low - spare, high + spare]))
-    return bool(ends[0] * ends[1] > 0)
-
-
-def _zero(polynomial: np.polynomial.Polynomial, reading: NDArray[np.float64]) -> float:
-    roots = polynomial.roots()
-    real = roots[np.isreal(roots)].real
-    middle = (reading.min() + reading.max()) / 2
-    return float(real[np.abs(real - middle).argmin()]) if len(real) else float("nan")
-
-
-def _hysteresis(grams: NDArray[np.float64], force: NDArray[np.float64]) -> float:
-    apart = [np.ptp(force[grams == each]) for each in np.unique(grams) if (grams == each).sum() > 1]
-    return float(max(apart)) if apart else float("nan")

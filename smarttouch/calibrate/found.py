@@ -29,19 +29,30 @@ def parse_electrodes(text: str | None, profile: Profile) -> list[int]:
         found = re.fullmatch("([0-9]{1,6})(?:-([0-9]{1,6}))?", part.strip())
         if found is None:
             raise CalibrationError(
-                f"--electrodes {text!r} is not understood: give numbers and ranges like 0-7,12"
+                f"--electrodes {text!r} is not understood: give numbers and ranges like 0-7,12",
+                about="--electrodes",
+                problem="malformed",
+                value=text,
             )
         low, high = int(found[1]), int(found[2] or found[1])
         if not low <= high < count:
             raise CalibrationError(
                 f"--electrodes {part.strip()} is out of range: {profile.name} has electrodes 0 to "
-                f"{count - 1}"
+                f"{count - 1}",
+                about="--electrodes",
+                problem="unknown",
+                value=part.strip(),
+                allowed=count - 1,
             )
         chosen += range(low, high + 1)
     masked = sorted(set(chosen) & set(profile.output.masked))
     if masked:
         raise CalibrationError(
-            f"electrode {masked[0]} is masked in {profile.name}: leave it out of --electrodes"
+            f"electrode {masked[0]} is masked in {profile.name}: leave it out of --electrodes",
+            about="--electrodes",
+            problem="masked",
+            value=masked[0],
+            electrode=masked[0],
         )
     return sorted(set(chosen))
 
@@ -60,7 +71,10 @@ def filled(profile: Profile, found: Found) -> tuple[list[float], list[float]]:
     if not usable:
         raise CalibrationError(
             "no electrode was felt and then strong enough: check contact with "
-            "'smarttouch calibrate contact', and explain the task"
+            "'smarttouch calibrate contact', and explain the task",
+            about="thresholds",
+            problem="empty",
+            remedy="smarttouch calibrate contact",
         )
     threshold, comfort = profile.threshold_ma.astype(float), profile.full_ma.astype(float)
     for site, each in usable.items():

@@ -39,12 +39,22 @@ def collect_images(sensor: Sensor, count: int) -> Images:
         elif time.monotonic() - last > SILENCE_S:
             raise CalibrationError(
                 f"{sensor.title} gave {len(images)} of {count} frames, and none for "
-                f"{SILENCE_S:g} s: check the sensor"
+                f"{SILENCE_S:g} s: check the sensor",
+                about="frames",
+                problem="late",
+                value=len(images),
+                allowed=count,
             )
         else:
             time.sleep(_LOOK_S)
     if not images:
-        raise CalibrationError(f"{sensor.title} gave no frames: check the sensor")
+        raise CalibrationError(
+            f"{sensor.title} gave no frames: check the sensor",
+            about="frames",
+            problem="missing",
+            value=0,
+            allowed=count,
+        )
     return images
 
 

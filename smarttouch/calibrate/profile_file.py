@@ -11,7 +11,7 @@ import tomlkit
 from tomlkit.items import Array
 
 from smarttouch.errors import CalibrationError, ProfileError
-from smarttouch.files import MOST_TOML_BYTES, read_text, require_replaceable
+from smarttouch.files import MOST_TOML_BYTES, read_text, require_replaceable, unwritable
 from smarttouch.profile import Profile, load_profile, profile_names
 from smarttouch.resources import data_folder
 
@@ -57,13 +57,31 @@ class ProfileFile:
         try:
             self._document = tomlkit.parse(text)
         except (tomlkit.exceptions.TOMLKitError, ValueError, RecursionError) as error:
-            raise ProfileError(f"{self._source} cannot be changed: {error}") from None
+            raise ProfileError(
+                f"{self._source} cannot be changed: {error}",
+                about="file",
+                problem="malformed",
+                value=self._source,
+            ) from None
         self.output = output
         self._overwrite = overwrite
         if output.suffix != ".toml":
-            raise CalibrationError(f"--output {output} must end in .toml")
+            raise CalibrationError(
+                f"--output {output} must end in .toml",
+                about="file",
+                problem="ending",
+                value=output,
+                allowed=(".toml",),
+                remedy="--output",
+            )
         if not output.absolute().parent.is_dir():
-            raise CalibrationError(f"cannot write {output}: its folder does not exist")
+            raise CalibrationError(
+                f"cannot write {output}: its folder does not exist",
+                about="file",
+                problem="unwritable",
+                value=output,
+                remedy="--output",
+            )
         self._require_free(output)
         self._keep_flat_field()
 
@@ -109,7 +127,7 @@ class ProfileFile:
             for path, draft in drafts.items():
                 draft.replace(path)
         except OSError as error:
-            raise CalibrationError(f"cannot write {self.output}: {error.strerror}") from None
+            raise unwritable(CalibrationError, self.output, error) from None
         finally:
             for draft in drafts.values():
                 draft.unlink(missing_ok=True)
@@ -121,13 +139,25 @@ class ProfileFile:
         except ProfileError as error:
             said = str(error).removeprefix(f"{draft}: ")
             raise CalibrationError(
-                f"what was measured makes no profile, nothing was written: {said}"
+                f"what was measured makes no profile, nothing was written: {said}",
+                about=error.about,
+                problem=error.problem,
+                value=error.value,
+                allowed=error.allowed,
+                remedy=error.remedy,
+                electrode=error.electrode,
             ) from None
 
     def _require_free(self, path: Path) -> None:
         require_replaceable(path, CalibrationError)
         if path.exists() and not self._overwrite:
-            raise CalibrationError(f"{path} exists already: give another --output, or --overwrite")
+            raise CalibrationError(
+                f"{path} exists already: give another --output, or --overwrite",
+                about="file",
+                problem="exists",
+                value=path,
+                remedy="--overwrite",
+            )
 
     def _table(self, name: str) -> MutableMapping[str, Any]:
         table = self._document[name]

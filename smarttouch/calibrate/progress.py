@@ -85,7 +85,10 @@ class Progress:
             sync_folder(self.path.absolute().parent)
         except OSError as error:
             raise CalibrationError(
-                f"cannot keep what was measured in {self.path}: {error.strerror}"
+                f"cannot keep what was measured in {self.path}: {error.strerror}",
+                about="file",
+                problem="unwritable",
+                value=self.path,
             ) from None
 
     def forget(self) -> None:
@@ -99,13 +102,21 @@ class Progress:
             found = {int(site): _thresholds(entry) for site, entry in stored["found"].items()}
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
             raise CalibrationError(
-                f"{self.path} is not the beginning of a threshold session: remove it to begin anew"
+                f"{self.path} is not the beginning of a threshold session: remove it to begin anew",
+                about="file",
+                problem="malformed",
+                value=self.path,
             ) from None
         for key, value in self._settings.items():
-            if not isinstance(settings, dict) or settings.get(key) != value:
+            before = settings.get(key) if isinstance(settings, dict) else None
+            if before != value:
                 raise CalibrationError(
                     f"{self.path} was begun with another {key}: go on with the same, or remove it "
-                    "to begin anew"
+                    "to begin anew",
+                    about=key,
+                    problem="conflict",
+                    value=value,
+                    allowed=before,
                 )
         return found
 

@@ -140,7 +140,12 @@ def _within(dots: Dots, target: DotTarget) -> Dots:
     if there.sum() < FEWEST_DOTS:
         raise CalibrationError(
             f"{int(there.sum())} dots of the target are seen, {FEWEST_DOTS} are needed: bring more "
-            "of it into view, or print it with a smaller --dot-pitch-mm"
+            "of it into view, or print it with a smaller --dot-pitch-mm",
+            about="dots",
+            problem="too few",
+            value=int(there.sum()),
+            allowed=FEWEST_DOTS,
+            remedy="--dot-pitch-mm",
         )
     return Dots(dots.pixel[there], dots.cell[there])
 
@@ -158,7 +163,11 @@ def _fit(dots: Dots, target: DotTarget) -> tuple[NDArray[np.float64], NDArray[np
     for _ in range(_ROUNDS):
         fitted, _ = cv2.findHomography(page_mm[kept], aim[kept], 0)
         if fitted is None:
-            raise CalibrationError("the dots lie on one line: bring more of the target into view")
+            raise CalibrationError(
+                "the dots lie on one line: bring more of the target into view",
+                about="dots",
+                problem="on a line",
+            )
         homography = np.asarray(fitted, np.float64)
         # A tilted disc is seen as an ellipse, and its middle is not where the disc's middle is.
         aside = _seen_centers(homography, page_mm, radius) - apply(homography, page_mm)
@@ -207,11 +216,21 @@ def _require_good(found: RegistrationFound) -> None:
     if not worst <= MOST_RESIDUAL:
         raise CalibrationError(
             f"the dots are up to {worst:.2f} of an electrode's pitch from where they should be, "
-            f"above {MOST_RESIDUAL:g}: lay the target flat, check its --dot-pitch-mm and the lens"
+            f"above {MOST_RESIDUAL:g}: lay the target flat, check its --dot-pitch-mm and the lens",
+            about="residual",
+            problem="too large",
+            value=float(worst),
+            allowed=MOST_RESIDUAL,
+            remedy="--dot-pitch-mm",
         )
     count = len(found.electrode_pixel)
     if len(found.outside) > MOST_OUTSIDE * count:
         raise CalibrationError(
             f"{len(found.outside)} of {count} electrodes look beyond the image: move the target's "
-            "L under the middle of the array, or check optics.magnification"
+            "L under the middle of the array, or check optics.magnification",
+            about="electrodes",
+            problem="outside",
+            value=len(found.outside),
+            allowed=MOST_OUTSIDE * count,
+            remedy="optics.magnification",
         )

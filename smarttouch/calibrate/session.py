@@ -225,7 +225,11 @@ class ThresholdSession:
         if not procedure.believable:
             raise CalibrationError(
                 f"electrode {site}: {procedure.guessed} of {procedure.blanks} trials without any "
-                "current were called felt: explain the task again, then run the same command again"
+                "current were called felt: explain the task again, then run the same command again",
+                about="blanks",
+                problem="too many",
+                value=procedure.guessed,
+                electrode=site,
             )
         return Thresholds(
             procedure.threshold_ma,

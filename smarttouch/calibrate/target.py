@@ -135,13 +135,21 @@ def target_for(profile: Profile, pitch_mm: float | None = None) -> DotTarget:
                 f"{optics.sensor_columns} × {optics.sensor_rows} pixels over "
                 f"{optics.field_width_mm:g} × {optics.field_height_mm:g} mm are too coarse for a "
                 "target: set optics.rotation_deg, offset_x_mm and offset_y_mm by hand, or give "
-                "--dot-pitch-mm if the sensor is finer than the profile says"
+                "--dot-pitch-mm if the sensor is finer than the profile says",
+                about="optics",
+                problem="impossible",
+                value=finest_mm,
+                allowed=field_mm / FEWEST_PITCHES,
+                remedy="--dot-pitch-mm",
             )
         pitch_mm = max(wished) if wished else min(fit)
     if not _FINEST_MM <= pitch_mm <= field_mm:
         raise CalibrationError(
             f"--dot-pitch-mm {pitch_mm:g} must be from {_FINEST_MM:g} to the field of view's "
-            f"{field_mm:g} mm"
+            f"{field_mm:g} mm",
+            about="--dot-pitch-mm",
+            value=pitch_mm,
+            allowed=(_FINEST_MM, field_mm),
         )
     longest = max(optics.field_width_mm, optics.field_height_mm) / pitch_mm
     return DotTarget(pitch_mm, min(_MOST_DOTS, math.ceil(0.75 * longest) + _SPARE))

@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from smarttouch import electrodes
 from smarttouch.electrodes import ElectrodeArray
-from smarttouch.profile.table import Number, Positive, Table
+from smarttouch.profile.table import Number, Positive, Table, UnfitError
 
 
 class GridLayout(Table):
@@ -23,9 +23,13 @@ class GridLayout(Table):
     @model_validator(mode="after")
     def _ring(self) -> Self:
         if self.inner_diameter_mm >= self.diameter_mm:
-            raise ValueError(
+            raise UnfitError(
                 f"inner_diameter_mm {self.inner_diameter_mm:g} must be below diameter_mm "
-                f"{self.diameter_mm:g}"
+                f"{self.diameter_mm:g}",
+                about="array.inner_diameter_mm",
+                problem="too large",
+                value=self.inner_diameter_mm,
+                allowed=self.diameter_mm,
             )
         return self
 
@@ -83,10 +87,14 @@ class FreeLayout(Table):
             "rectangle": first > 0 and second > 0,
         }
         if not inside[self.shape]:
-            raise ValueError(
+            raise UnfitError(
                 f"size_mm {list(self.size_mm)} does not go with shape {self.shape!r}: "
                 "give [diameter, 0] of a disc, [outer, inner] of an annulus, [width, height] of "
-                "a rectangle"
+                "a rectangle",
+                about="array.size_mm",
+                problem="conflict",
+                value=self.size_mm,
+                remedy="array.shape",
             )
         return self
 

@@ -5,7 +5,7 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from smarttouch.profile.table import Positive, Table
+from smarttouch.profile.table import Positive, Table, UnfitError
 
 
 class SkinLayer(Table):
@@ -58,19 +58,36 @@ class Skin(Table):
     def _conducting(self) -> Self:
         layered = self.medium == "layered"
         if layered != bool(self.layers) or layered != (self.conductivity_s_per_m is None):
-            raise ValueError(
+            raise UnfitError(
                 "a layered medium takes its conductivities from skin.layers, any other one from "
-                "skin.conductivity_s_per_m: give just that"
+                "skin.conductivity_s_per_m: give just that",
+                about="skin.medium",
+                problem="conflict",
+                value=self.medium,
+                remedy="skin.layers" if layered else "skin.conductivity_s_per_m",
             )
         if layered and not np.isinf(self.layers[-1].thickness_mm):
-            raise ValueError("the last of skin.layers goes on without end: leave out thickness_mm")
+            raise UnfitError(
+                "the last of skin.layers goes on without end: leave out thickness_mm",
+                about="skin.layers",
+                problem="conflict",
+                value=self.layers[-1].thickness_mm,
+            )
         if any(np.isinf(layer.thickness_mm) for layer in self.layers[:-1]):
-            raise ValueError("each of skin.layers but the last needs its thickness_mm")
+            raise UnfitError(
+                "each of skin.layers but the last needs its thickness_mm",
+                about="skin.layers",
+                problem="missing",
+            )
         for name in ("ra", "sai", "pc"):
             depth = getattr(self, f"{name}_depth_mm")
             if depth - getattr(self.spread, f"{name}_depth_mm") <= 0:
-                raise ValueError(
+                raise UnfitError(
                     f"spread.{name}_depth_mm reaches the surface from {name}_depth_mm {depth:g}: "
-                    "no fiber lies outside the skin; lower it"
+                    "no fiber lies outside the skin; lower it",
+                    about=f"skin.spread.{name}_depth_mm",
+                    problem="too large",
+                    value=getattr(self.spread, f"{name}_depth_mm"),
+                    allowed=depth,
                 )
         return self

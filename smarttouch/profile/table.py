@@ -1,13 +1,35 @@
 """What all tables of a profile share."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 
+class UnfitError(ValueError):
+    """A value in a profile that does not fit the rest of it.
+
+    Reading a file makes a `ProfileError` of it, which has the same attributes.
+
+    Parameters
+    ----------
+    message : str
+        One sentence: what is wrong, which number, what to do.
+    **attributes
+        See `SmartTouchError`; the key and its value need not be given where pydantic knows them.
+    """
+
+    def __init__(self, message: str, **attributes: Any) -> None:
+        super().__init__(message)
+        self.attributes = attributes
+
+
 def _require_sensible(value: float) -> float:
     if not SMALLEST <= value <= LARGEST:
-        raise ValueError(f"{value:g} is of no use: give a number from {SMALLEST:g} to {LARGEST:g}")
+        raise UnfitError(
+            f"{value:g} is of no use: give a number from {SMALLEST:g} to {LARGEST:g}",
+            problem="too small" if value < SMALLEST else "too large",
+            allowed=SMALLEST if value < SMALLEST else LARGEST,
+        )
     return value
 
 

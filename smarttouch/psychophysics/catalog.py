@@ -16,7 +16,7 @@ from smarttouch.psychophysics.procedures.constant import (
 )
 from smarttouch.psychophysics.procedures.procedure import Procedure
 from smarttouch.psychophysics.procedures.repeats import Repeats
-from smarttouch.psychophysics.stimuli import Stimuli
+from smarttouch.psychophysics.stimuli import Stimuli, require_site
 from smarttouch.psychophysics.tasks import (
     DetectionTask,
     DiscomfortTask,
@@ -127,23 +127,32 @@ def design(name: str, profile: Profile, wanted: Wanted) -> Design:
         If there is no such experiment, or it cannot be as it is asked for.
     """
     if name not in CATALOG:
-        raise ExperimentError(f"there is no experiment {name!r}: choose {' or '.join(CATALOG)}")
+        raise ExperimentError(
+            f"there is no experiment {name!r}: choose {' or '.join(CATALOG)}",
+            about="experiment",
+            problem="unknown",
+            value=name,
+            allowed=tuple(CATALOG),
+        )
     entry = CATALOG[name]
     method = wanted.procedure or entry.methods[0]
     if method not in entry.methods:
         raise ExperimentError(
-            f"--procedure {method!r} is not for {name}: choose {' or '.join(entry.methods)}"
+            f"--procedure {method!r} is not for {name}: choose {' or '.join(entry.methods)}",
+            about="--procedure",
+            problem="unknown",
+            value=method,
+            allowed=entry.methods,
         )
-    site = wanted.site
-    if site is not None and site not in profile.driven:
-        raise ExperimentError(
-            f"--site {site} is masked or none of the {len(profile.electrodes)} sites of "
-            f"{profile.name}: leave it out for the middle"
-        )
+    require_site(wanted.site, profile)
     if name in _IN_MA and profile.pulse.carrier == "width":
         raise ExperimentError(
             f"{name} counts in mA, and intensity changes the width of this profile's pulses: set "
-            "pulse.carrier = 'height'"
+            "pulse.carrier = 'height'",
+            about="pulse.carrier",
+            problem="conflict",
+            value="width",
+            allowed=("height",),
         )
     train_s = entry.train_s if wanted.train_s is None else wanted.train_s
     return entry.make(Stimuli(profile, wanted.primary, train_s), wanted, method)
@@ -213,7 +222,11 @@ def _discomfort(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
     if stimuli.train_s < slowest_s:
         raise ExperimentError(
             f"a current that is enough in {stimuli.train_s:g} s comes too suddenly: give --train-s "
-            f"{slowest_s:g} or more"
+            f"{slowest_s:g} or more",
+            about="--train-s",
+            problem="too small",
+            value=stimuli.train_s,
+            allowed=slowest_s,
         )
     task = DiscomfortTask(stimuli, _site(stimuli, wanted), _rate_hz(stimuli, wanted))
     return Design(task, Repeats(wanted.repetitions or 5), method, again=False)
@@ -224,7 +237,10 @@ def _two_point(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
     if not apart_mm:
         raise ExperimentError(
             f"no two electrodes of {stimuli.profile.name} lie beside each other: choose another "
-            "profile"
+            "profile",
+            about="profile",
+            problem="impossible",
+            value=stimuli.profile.name,
         )
     nearest = apart_mm[: 2 * _FARTHEST]
     procedure = _constant([(0.0, each) for each in nearest], wanted, True, REPETITIONS)
@@ -237,7 +253,10 @@ def _localization(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
     far_mm = sorted({abs(each) for each in beside if -each in beside})[:_FARTHEST]
     if not far_mm:
         raise ExperimentError(
-            f"site {site} has no neighbors as far left as right: choose one in the middle of a row"
+            f"site {site} has no neighbors as far left as right: choose one in the middle of a row",
+            about="--site",
+            problem="impossible",
+            value=site,
         )
     pairs = [(0.0, sign * each) for each in far_mm for sign in (-1, 1)]
     task = LocalizationTask(stimuli, site, _rate_hz(stimuli, wanted))

@@ -33,6 +33,16 @@ class Course:
 
     def __post_init__(self) -> None:
         if not 0 <= self.gap_s <= 60:
-            raise ExperimentError(f"--gap-s {self.gap_s:g} must be from 0 to 60 s")
+            raise ExperimentError(
+                f"--gap-s {self.gap_s:g} must be from 0 to 60 s",
+                about="--gap-s",
+                value=self.gap_s,
+                allowed=(0, 60),
+            )
         if self.answer_s is not None and not 0 < self.answer_s <= 3600:
-            raise ExperimentError(f"--answer-s {self.answer_s:g} must be above 0, at most 3600 s")
+            raise ExperimentError(
+                f"--answer-s {self.answer_s:g} must be above 0, at most 3600 s",
+                about="--answer-s",
+                value=self.answer_s,
+                allowed=(0, 3600),
+            )

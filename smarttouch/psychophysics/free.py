@@ -15,9 +15,10 @@ import numpy as np
 
 from smarttouch.errors import ExperimentError
 from smarttouch.events import Note
+from smarttouch.files import unwritable
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
-from smarttouch.psychophysics.stimuli import Stimuli, picture
+from smarttouch.psychophysics.stimuli import Stimuli, picture, require_site
 from smarttouch.run.controls import Controls, ControlState
 from smarttouch.run.listener import Listener
 from smarttouch.run.step import StepResult
@@ -60,7 +61,11 @@ def up_to_the_ceiling(profile: Profile) -> Profile:
     if (profile.threshold_ma >= ceiling_ma).any():
         raise ExperimentError(
             f"a threshold of {profile.threshold_ma.max():.2f} mA is not below the limit of "
-            f"{most_ma:g} mA: correct perception.threshold_ma or limits.current_ma"
+            f"{most_ma:g} mA: correct perception.threshold_ma or limits.current_ma",
+            about="perception.threshold_ma",
+            problem="too large",
+            value=float(profile.threshold_ma.max()),
+            allowed=most_ma,
         )
     perception = profile.perception.model_dump() | {"comfort_ma": ceiling_ma}
     return Profile.model_validate({**profile.model_dump(), "perception": perception})
@@ -85,9 +90,15 @@ class FreeLog:
         try:
             self._file = path.open("x", newline="", encoding="utf-8-sig")
         except FileExistsError:
-            raise ExperimentError(f"{path} exists: give another --output") from None
+            raise ExperimentError(
+                f"{path} exists: give another --output",
+                about="file",
+                problem="exists",
+                value=path,
+                remedy="--output",
+            ) from None
         except OSError as error:
-            raise ExperimentError(f"cannot write {path}: {error.strerror}") from None
+            raise unwritable(ExperimentError, path, error) from None
         self._writer = csv.writer(self._file)
         self.write(COLUMNS)
 
@@ -103,7 +114,7 @@ class FreeLog:
             self._writer.writerow(row)
             self._file.flush()
         except OSError as error:
-            raise ExperimentError(f"cannot write {self.path}: {error.strerror}") from None
+            raise unwritable(ExperimentError, self.path, error) from None
 
     def close(self) -> None:
         """Let go of the file."""
@@ -184,15 +195,21 @@ class FreeSensor(Sensor, Listener):
         fastest_hz = min(FASTEST_HZ, profile.limits.rate_hz)
         if not SLOWEST_HZ <= rate_hz <= fastest_hz:
             raise ExperimentError(
-                f"--rate {rate_hz:g} must be from {SLOWEST_HZ:g} to {fastest_hz:g} Hz"
+                f"--rate {rate_hz:g} must be from {SLOWEST_HZ:g} to {fastest_hz:g} Hz",
+                about="--rate",
+                value=rate_hz,
+                allowed=(SLOWEST_HZ, fastest_hz),
             )
         if primary not in offered:
             raise ExperimentError(
                 f"--mode {primary.name} is not possible with {profile.name}: choose "
-                + " or ".join(each.name for each in offered)
+                + " or ".join(each.name for each in offered),
+                about="--mode",
+                problem="impossible",
+                value=primary.name,
+                allowed=tuple(each.name for each in offered),
             )
-        if site is not None and site not in profile.driven:
-            raise ExperimentError(f"--site {site} is masked or none of {profile.name}'s sites")
+        require_site(site, profile)
         self.knows_force = press_n is not None
         self.primary, self.rate_hz = primary, rate_hz
         self._profile, self._offered, self._log = profile, offered, log

@@ -2,16 +2,21 @@
 
 import csv
 import io
-import math
 import os
-from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from types import NoneType, TracebackType
-from typing import Any, Self, get_args
+from types import TracebackType
+from typing import Any, Self
 
 from smarttouch.errors import ExperimentError
-from smarttouch.files import MOST_TABLE_BYTES, open_alone, read_bytes, require_file
+from smarttouch.files import (
+    MOST_TABLE_BYTES,
+    open_alone,
+    read_bytes,
+    require_file,
+    unwritable,
+)
+from smarttouch.psychophysics.cells import read_cell, write_cell, write_line
 
 _BOM = "\N{ZERO WIDTH NO-BREAK SPACE}".encode()
 """By which spreadsheets know UTF-8."""
@@ -143,7 +148,13 @@ class RowFile:
     def __init__(self, path: Path, about: About, overwrite: bool = False) -> None:
         self.path, self.about = path, about
         if path.suffix.lower() != ".csv":
-            raise ExperimentError(f"answers go into a .csv file, not {path}: give such a name")
+            raise ExperimentError(
+                f"answers go into a .csv file, not {path}: give such a name",
+                about="file",
+                problem="ending",
+                value=path,
+                allowed=(".csv",),
+            )
         if path.exists():
             require_file(path, ExperimentError, MOST_TABLE_BYTES)
         self._file = open_alone(path, ExperimentError)
@@ -162,9 +173,9 @@ class RowFile:
             self._file.truncate(len(whole))
             self._file.seek(len(whole))
             if not whole:
-                self._write(_BOM + _line(COLUMNS.values()))
+                self._write(_BOM + write_line(COLUMNS.values()))
         except OSError as error:
-            raise ExperimentError(f"cannot write {self.path}: {error.strerror}") from None
+            raise unwritable(ExperimentError, self.path, error) from None
 
     def append(self, row: TrialRow) -> None:
         """Add one trial.
@@ -175,11 +186,11 @@ class RowFile:
             If it is about something else, has what no cell can hold, or cannot be written.
         """
         self._require_same([row])
-        line = _line(_cell(getattr(row, name), COLUMNS[name]) for name in COLUMNS)
+        line = write_line(write_cell(getattr(row, name), COLUMNS[name]) for name in COLUMNS)
         try:
             self._write(line)
         except OSError as error:
-            raise ExperimentError(f"cannot write {self.path}: {error.strerror}") from None
+            raise unwritable(ExperimentError, self.path, error) from None
         self.rows.append(row)
 
     def close(self) -> None:
@@ -209,7 +220,11 @@ class RowFile:
                 if has != wanted:
                     raise ExperimentError(
                         f"{self.path} has {name} {has!r}, not {wanted!r}: give another file, or "
-                        "overwrite it"
+                        "overwrite it",
+                        about=name,
+                        problem="conflict",
+                        value=has,
+                        allowed=wanted,
                     )
 
 
@@ -229,12 +244,20 @@ def _parse(data: bytes, path: Path) -> list[TrialRow]:
     try:
         lines = list(csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True))
     except (UnicodeDecodeError, csv.Error) as error:
-        raise ExperimentError(f"{path} is no CSV file in UTF-8: {error}") from None
+        raise ExperimentError(
+            f"{path} is no CSV file in UTF-8: {error}",
+            about="file",
+            problem="malformed",
+            value=path,
+        ) from None
     head = lines[0] if lines else []
     for column in COLUMNS.values():
         if column not in head:
             raise ExperimentError(
-                f"{path} has no column {column} in its first line: give a file of answers"
+                f"{path} has no column {column} in its first line: give a file of answers",
+                about=column,
+                problem="missing",
+                value=path,
             )
     place = {each.name: head.index(COLUMNS[each.name]) for each in fields(TrialRow)}
     kinds = {each.name: each.type for each in fields(TrialRow)}
@@ -245,47 +268,14 @@ def _parse(data: bytes, path: Path) -> list[TrialRow]:
         try:
             values: dict[str, Any] = {}
             for name, kind in kinds.items():
-                values[name] = _value(line[place[name]], kind)
+                values[name] = read_cell(line[place[name]], kind)
             rows.append(TrialRow(**values))
         except (IndexError, ValueError):
             raise ExperimentError(
                 f"{path}, line {number}: {COLUMNS[name]} is missing or not what belongs there; "
-                "mend or delete the line"
+                "mend or delete the line",
+                about=COLUMNS[name],
+                problem="malformed",
+                value=dict(enumerate(line)).get(place[name]),
             ) from None
     return rows
-
-
-def _value(text: str, kind: Any) -> str | bool | float | None:
-    """Return what a cell says; kinds are those of the attributes of `TrialRow`."""
-    if kind is str:
-        return text
-    kinds = get_args(kind) or (kind,)
-    if not text and NoneType in kinds:
-        return None
-    if bool in kinds:
-        return bool(("0", "1").index(text))
-    if int in kinds:
-        return int(text)
-    number = float(text)
-    if not math.isfinite(number):
-        raise ValueError(text)
-    return number
-
-
-def _cell(value: str | float | None, column: str) -> str:
-    if isinstance(value, str):
-        if "\n" in value or "\r" in value:
-            raise ExperimentError(f"{column} {value!r} has a line break: leave it out")
-        return value
-    if value is None:
-        return ""
-    if not math.isfinite(value):
-        raise ExperimentError(f"{column} is {value}, which no trial can be: give a number")
-    # What comes from numpy would be written with its type's name.
-    return repr(float(value)) if isinstance(value, float) else str(int(value))
-
-
-def _line(cells: Iterable[str]) -> bytes:
-    line = io.StringIO(newline="")
-    csv.writer(line, lineterminator="\n").writerow(cells)
-    return line.getvalue().encode()

@@ -75,7 +75,10 @@ class Stimuli:
     def __init__(self, profile: Profile, primary: Primary, train_s: float) -> None:
         if not 0 < train_s <= LONGEST_S:
             raise ExperimentError(
-                f"--train-s {train_s:g} must be above 0 and at most {LONGEST_S:g} s"
+                f"--train-s {train_s:g} must be above 0 and at most {LONGEST_S:g} s",
+                about="--train-s",
+                value=train_s,
+                allowed=(0, LONGEST_S),
             )
         self.profile, self.primary, self.train_s = profile, primary, train_s
 
@@ -91,13 +94,20 @@ class Stimuli:
         if not 0 < rate_hz <= limit_hz:
             raise ExperimentError(
                 f"pulses at {rate_hz:g} Hz are not possible: the frequency must be above 0 and at "
-                f"most the profile's limit of {limit_hz:g} Hz"
+                f"most the profile's limit of {limit_hz:g} Hz",
+                about="rate_hz",
+                value=rate_hz,
+                allowed=(0, limit_hz),
             )
         pulses = round(self.train_s * rate_hz)
         if pulses < FEWEST_PULSES:
             raise ExperimentError(
                 f"{self.train_s:g} s at {rate_hz:g} Hz are {pulses} pulses, fewer than the "
-                f"{FEWEST_PULSES} that make a frequency: raise --train-s"
+                f"{FEWEST_PULSES} that make a frequency: raise --train-s",
+                about="--train-s",
+                problem="too few",
+                value=pulses,
+                allowed=FEWEST_PULSES,
             )
         activation = np.zeros((len(Primary), len(self.profile.electrodes)), np.float32)
         if isinstance(where, np.ndarray):
@@ -137,6 +147,19 @@ class Stimuli:
                 if far_mm > 0 and off_mm < found.get(far_mm, (np.inf,))[0] - 1e-6:
                     found[far_mm] = off_mm, (left, right)
         return {far_mm: found[far_mm][1] for far_mm in sorted(found)}
+
+
+def require_site(site: int | None, profile: Profile) -> None:
+    """Raise an `ExperimentError` unless a site is driven; None is the middle."""
+    if site is not None and site not in profile.driven:
+        raise ExperimentError(
+            f"--site {site} is masked or none of the {len(profile.electrodes)} sites of "
+            f"{profile.name}: leave it out for the middle",
+            about="--site",
+            problem="unknown",
+            value=site,
+            allowed=tuple(profile.driven.tolist()),
+        )
 
 
 def picture(profile: Profile, activation: NDArray[np.float32]) -> NDArray[np.uint8]:

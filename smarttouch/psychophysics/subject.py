@@ -64,6 +64,7 @@ class Subject(Listener):
             raise ExperimentError(
                 "simulated subjects feel simulated currents only: choose the board simulated:",
                 about="board",
+                problem="conflict",
                 allowed=("simulated:",),
             )
         self._board = board

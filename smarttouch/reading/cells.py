@@ -163,13 +163,24 @@ def cell_layout(profile: Profile, lines: int = 1, eight: bool = False) -> CellLa
         pixel_mm=pixel_of(profile),
     )
     if lines < 1:
-        raise ReadingError(f"{lines} lines of Braille at once are not possible: give 1 or more")
+        raise ReadingError(
+            f"{lines} lines of Braille at once are not possible: give 1 or more",
+            about="--lines",
+            problem="too small",
+            value=lines,
+            allowed=1,
+        )
     if layout.height > rows or dot_x + 1 > columns:
-        needed = replace(layout, lines=1).height
+        fewer = lines > 1 and replace(layout, lines=1).height <= rows
         raise ReadingError(
             f"{profile.name} has {rows} x {columns} electrodes, {lines} line{'s' * (lines > 1)} of "
             f"Braille with {8 if eight else 6} dots need {layout.height} x {dot_x + 1}: choose "
-            + ("fewer lines" if lines > 1 and needed <= rows else "another profile")
+            + ("fewer lines" if fewer else "another profile"),
+            about="profile",
+            problem="too few",
+            value=(rows, columns),
+            allowed=(layout.height, dot_x + 1),
+            remedy="--lines" if fewer else "",
         )
     return layout
 
@@ -180,6 +191,9 @@ def _grid_of(electrodes: ElectrodeArray, name: str) -> tuple[int, int]:
     if len(x) * len(y) != len(electrodes):
         raise ReadingError(
             f"the electrodes of {name} are no grid of rows and columns, dots would fall between "
-            "them: choose another profile, or read letter shapes"
+            "them: choose another profile, or read letter shapes",
+            about="profile",
+            problem="no grid",
+            value=name,
         )
     return len(y), len(x)

@@ -67,7 +67,10 @@ class Motion:
         if not SLOWEST_MM_S <= self.speed_mm_s <= FASTEST_MM_S:
             raise ReadingError(
                 f"--speed {self.speed_mm_s:g} must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g} "
-                "mm/s"
+                "mm/s",
+                about="--speed",
+                value=self.speed_mm_s,
+                allowed=(SLOWEST_MM_S, FASTEST_MM_S),
             )
 
 
@@ -112,7 +115,12 @@ class SweepingCursor:
         waits: bool = False,
     ) -> None:
         if not 0 <= pause_s <= LONGEST_PAUSE_S:
-            raise ReadingError(f"--pause {pause_s:g} must be from 0 to {LONGEST_PAUSE_S:g} s")
+            raise ReadingError(
+                f"--pause {pause_s:g} must be from 0 to {LONGEST_PAUSE_S:g} s",
+                about="--pause",
+                value=pause_s,
+                allowed=(0, LONGEST_PAUSE_S),
+            )
         self._feed, self._motion = feed, motion
         self._press_n, self._pause_s, self._waits = press_n, pause_s, waits
         self._index, self._line_s = 0, 0.0

@@ -70,5 +70,9 @@ def word_error_rate(truth: str, text: str) -> float:
 
 def _rate(truth: Sequence[str], text: Sequence[str]) -> float:
     if not truth:
-        raise ReadingError("the text to compare with is empty: give what stands on the page")
+        raise ReadingError(
+            "the text to compare with is empty: give what stands on the page",
+            about="truth",
+            problem="empty",
+        )
     return Levenshtein.distance(truth, text) / len(truth)

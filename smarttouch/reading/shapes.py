@@ -75,7 +75,13 @@ class Shapes:
         """
         require_rows(profile, source.note)
         if source.holds_cells:
-            raise ReadingError(f"{source.name} holds Braille, not letters: read it --as braille")
+            raise ReadingError(
+                f"{source.name} holds Braille, not letters: read it --as braille",
+                about="--as",
+                problem="conflict",
+                value="shapes",
+                allowed=("braille",),
+            )
         for prepared in source.prepared():
             for index in range(len(prepared.lines)):
                 yield shape_line(prepared, index, profile, self.style)

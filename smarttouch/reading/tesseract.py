@@ -76,7 +76,10 @@ def find_tesseract() -> Path:
     found = shutil.which("tesseract")
     if found is None:
         raise ReadingError(
-            "Tesseract is not here: apt install tesseract-ocr (or brew install tesseract)"
+            "Tesseract is not here: apt install tesseract-ocr (or brew install tesseract)",
+            about="tesseract",
+            problem="missing",
+            remedy="apt install tesseract-ocr",
         )
     return Path(found)
 
@@ -123,7 +126,12 @@ def read_words(
         If Tesseract or its data are missing, it fails or takes too long.
     """
     if not re.fullmatch(r"\w+(\+\w+)*", languages, re.ASCII):
-        raise ReadingError(f"languages {languages!r}: give codes such as eng or eng+deu")
+        raise ReadingError(
+            f"languages {languages!r}: give codes such as eng or eng+deu",
+            about="languages",
+            problem="malformed",
+            value=languages,
+        )
     find_tesseract()
     shown = [index for index, image in enumerate(images) if not _is_blank(image)]
     if not shown:
@@ -213,10 +221,18 @@ def _run(
         )
     except subprocess.TimeoutExpired:
         raise TooSlowError(
-            f"Tesseract did not finish within {timeout_s:g} s: give it a smaller image"
+            f"Tesseract did not finish within {timeout_s:g} s: give it a smaller image",
+            about="tesseract",
+            problem="late",
+            value=timeout_s,
         ) from None
     except OSError as error:
-        raise ReadingError(f"{program} does not start: {error.strerror}") from None
+        raise ReadingError(
+            f"{program} does not start: {error.strerror}",
+            about="tesseract",
+            problem="unusable",
+            value=program,
+        ) from None
     out, told = (each.decode("utf-8", "replace") for each in (done.stdout, done.stderr))
     return subprocess.CompletedProcess(done.args, done.returncode, out, told)
 
@@ -227,8 +243,17 @@ def _require_success(done: "subprocess.CompletedProcess[str]") -> None:
     if missing is not None:
         package = "tesseract-ocr-" + missing[1].lower().replace("_", "-")
         raise ReadingError(
-            f"Tesseract has no data for the language {missing[1]}: apt install {package}"
+            f"Tesseract has no data for the language {missing[1]}: apt install {package}",
+            about="languages",
+            problem="missing",
+            value=missing[1],
+            remedy=f"apt install {package}",
         )
     if done.returncode:
         told = done.stderr.strip().split("\n")[-1] or "it says nothing"
-        raise ReadingError(f"Tesseract failed with status {done.returncode}: {told}")
+        raise ReadingError(
+            f"Tesseract failed with status {done.returncode}: {told}",
+            about="tesseract",
+            problem="failed",
+            value=done.returncode,
+        )

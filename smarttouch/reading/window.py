@@ -69,7 +69,11 @@ def require_rows(profile: Profile, note: Callable[[str], None]) -> None:
     if rows < FEWEST_ROWS:
         raise ReadingError(
             f"{profile.name} has {rows} row{'s' * (rows > 1)} of electrodes, letter shapes need at "
-            f"least {FEWEST_ROWS}: choose another profile, for example electric-mouse"
+            f"least {FEWEST_ROWS}: choose another profile, for example electric-mouse",
+            about="profile",
+            problem="too few",
+            value=rows,
+            allowed=FEWEST_ROWS,
         )
     if rows < ENOUGH_ROWS:
         note(

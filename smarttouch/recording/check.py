@@ -148,7 +148,12 @@ def check_recording(
             if len(report.differences) < KEPT:
                 report.differences.append(difference)
     if not report.sequences:
-        raise RecordingError(f"{path} holds no sequence: there is nothing to check")
+        raise RecordingError(
+            f"{path} holds no sequence: there is nothing to check",
+            about="file",
+            problem="empty",
+            value=recording.path,
+        )
     if not recording.whole:
         report.left_out = report.left_out or "the recording is cut"
     return report
@@ -190,7 +195,10 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
         if run.compliance_v is None:
             raise RecordingError(
                 f"the settings in {recording.path} do not say how it was made: compliance_v is "
-                "missing, which hold needs"
+                "missing, which hold needs",
+                about="settings.compliance_v",
+                problem="missing",
+                value=recording.path,
             )
         adaptation = Adaptation(profile, run.hold, run.compliance_v, run.timing)
     if run.balance:

@@ -48,7 +48,11 @@ class RecordedControls(Controls):
             if recorded.mode not in modes:
                 raise RecordingError(
                     f"{recording.path} has steps in mode {recorded.mode}, which this board does "
-                    f"not offer: choose a board and profile that do"
+                    "not offer: choose a board and profile that do",
+                    about="mode",
+                    problem="unknown",
+                    value=recorded.mode,
+                    allowed=modes,
                 )
 
     def state(self, time_ns: int) -> ControlState:

@@ -49,10 +49,20 @@ def export(path: Path, folder: Path) -> list[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
-            raise RecordingError(f"{folder} is not empty: give a folder that is, or a new one")
+            raise RecordingError(
+                f"{folder} is not empty: give a folder that is, or a new one",
+                about="file",
+                problem="not empty",
+                value=folder,
+            )
         return _export(recording, folder)
     except OSError as error:
-        raise RecordingError(f"cannot write into {folder}: {error.strerror}") from None
+        raise RecordingError(
+            f"cannot write into {folder}: {error.strerror}",
+            about="file",
+            problem="unwritable",
+            value=folder,
+        ) from None
 
 
 def _export(recording: Recording, folder: Path) -> list[Path]:

@@ -16,7 +16,7 @@ from mcap.writer import MCAP0_MAGIC
 from pydantic import ValidationError
 
 from smarttouch.errors import ProfileError, RecordingError
-from smarttouch.files import open_file
+from smarttouch.files import open_file, unreadable
 from smarttouch.profile import Profile
 from smarttouch.recording.chunks import (
     BASE_BYTES,
@@ -79,14 +79,19 @@ class Recording:
             with open_file(path, RecordingError, MOST_BYTES) as file:
                 self._look_through(file)
         except OSError as error:
-            raise RecordingError(f"cannot read {path}: {error.strerror}") from None
+            raise unreadable(RecordingError, path, error) from None
         found = self.about.get("format")
         if found is None:
-            raise RecordingError(f"{path} tells nothing of a run: it is no recording of SmartTouch")
+            message = f"{path} tells nothing of a run: it is no recording of SmartTouch"
+            raise self._wrong("file", "unknown", message)
         if found != FORMAT:
             raise RecordingError(
                 f"{path} is a recording of format {found!r}, this version reads {FORMAT}: use the "
-                "version that made it"
+                "version that made it",
+                about="format",
+                problem="unknown",
+                value=found,
+                allowed=FORMAT,
             )
 
     @property
@@ -105,7 +110,8 @@ class Recording:
         try:
             return int(self.about["started_unix_ns"])
         except (KeyError, ValueError):
-            raise RecordingError(f"{self.path} does not say when its run began") from None
+            message = f"{self.path} does not say when its run began"
+            raise self._wrong("started_unix_ns", "missing", message) from None
 
     @property
     def started(self) -> datetime:
@@ -114,7 +120,10 @@ class Recording:
             return datetime.fromtimestamp(self.started_unix_ns / 1e9, UTC)
         except (OverflowError, ValueError, OSError):
             raise RecordingError(
-                f"{self.path} began at an impossible time, {self.started_unix_ns} ns"
+                f"{self.path} began at an impossible time, {self.started_unix_ns} ns",
+                about="started_unix_ns",
+                problem="impossible",
+                value=self.started_unix_ns,
             ) from None
 
     @property
@@ -129,9 +138,8 @@ class Recording:
             return Profile.model_validate_json(self.about.get("profile", ""))
         except (ValidationError, ProfileError) as error:
             first = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
-            raise RecordingError(
-                f"the profile in {self.path} is not one of this version's: {first}"
-            ) from None
+            message = f"the profile in {self.path} is not one of this version's: {first}"
+            raise self._wrong("profile", "malformed", message) from None
 
     @cached_property
     def settings(self) -> dict[str, Any]:
@@ -143,10 +151,9 @@ class Recording:
         """What of the settings its sequences depend on."""
         try:
             return read_settings(self.settings)
-        except ValueError as error:
-            raise RecordingError(
-                f"the settings in {self.path} do not say how it was made: {error}"
-            ) from None
+        except RecordingError as error:
+            error.args = (f"the settings in {self.path} do not say how it was made: {error}",)
+            raise
 
     @cached_property
     def versions(self) -> dict[str, Any]:
@@ -190,11 +197,15 @@ class Recording:
                         if count > self._most_messages:
                             raise RecordingError(
                                 f"{self.path} holds more than {self._most_messages:,} messages, "
-                                "too many for its size: it was not made by recording"
+                                "too many for its size: it was not made by recording",
+                                about="messages",
+                                problem="too many",
+                                value=count,
+                                allowed=self._most_messages,
                             )
                         yield each
         except OSError as error:
-            raise RecordingError(f"cannot read {self.path}: {error.strerror}") from None
+            raise unreadable(RecordingError, self.path, error) from None
 
     def _messages_in(self, opcode: int, at: int, data: bytes) -> Iterator[tuple[str, Message]]:
         records = broken_up(data) if opcode == Opcode.CHUNK else map(read_record, [opcode], [data])
@@ -222,10 +233,10 @@ class Recording:
     def _look_through(self, file: BinaryIO) -> None:
         """Take in all but the messages."""
         if not file.seek(0, os.SEEK_END):
-            raise RecordingError(f"{self.path} is empty")
+            raise self._wrong("file", "empty", f"{self.path} is empty")
         file.seek(0)
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise RecordingError(f"{self.path} is no MCAP file")
+            raise self._wrong("file", "malformed", f"{self.path} is no MCAP file")
         kinds: dict[int, Any] = {
             Opcode.METADATA: Metadata,
             Opcode.SCHEMA: Schema,
@@ -255,10 +266,15 @@ class Recording:
     def _require_size(self, claims: list[int], size: int) -> None:
         """Raise if the chunks of a file claim to hold more than a recording can."""
         believed = [each for each in claims if each <= MOST_CHUNK_BYTES]
-        if sum(believed) > BASE_BYTES + MOST_INFLATION * size or (claims and not believed):
+        most = BASE_BYTES + MOST_INFLATION * size
+        if sum(believed) > most or (claims and not believed):
             raise RecordingError(
                 f"{self.path} of {size / 1e6:,.1f} MB claims to hold {sum(claims) / 1e6:,.0f} MB: "
-                "it was not made by recording"
+                "it was not made by recording",
+                about="chunks",
+                problem="too large",
+                value=sum(claims),
+                allowed=most if believed else MOST_CHUNK_BYTES,
             )
         self._most_messages = BASE_MESSAGES + size
 
@@ -268,5 +284,8 @@ class Recording:
         except (KeyError, ValueError):
             table = None
         if not isinstance(table, dict):
-            raise RecordingError(f"the {key} in {self.path} cannot be read")
+            raise self._wrong(key, "malformed", f"the {key} in {self.path} cannot be read")
         return table
+
+    def _wrong(self, about: str, problem: str, message: str) -> RecordingError:
+        return RecordingError(message, about=about, problem=problem, value=self.path)

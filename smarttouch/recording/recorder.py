@@ -65,10 +65,18 @@ class RecordingWriter:
             self._file: BinaryIO = path.open("xb")
         except FileExistsError:
             raise RecordingError(
-                f"{path} exists and recordings are never overwritten: give another name"
+                f"{path} exists and recordings are never overwritten: give another name",
+                about="file",
+                problem="exists",
+                value=path,
             ) from None
         except OSError as error:
-            raise RecordingError(f"cannot record to {path}: {error.strerror}") from None
+            raise RecordingError(
+                f"cannot record to {path}: {error.strerror}",
+                about="file",
+                problem="unwritable",
+                value=path,
+            ) from None
         self._path = path
         self._started_unix_ns = started_unix_ns
         self._failure: Exception | None = None
@@ -100,7 +108,8 @@ class RecordingWriter:
             If the disk is full, broken or too slow; what it took stays.
         """
         if self._queue.qsize() > MOST_WAITING:
-            self._fail(OSError(0, f"{MOST_WAITING} frames wait for the disk, it is too slow"))
+            said = f"{MOST_WAITING} frames wait for the disk, it is too slow"
+            self._fail(TimeoutError(0, said))
         if self._failure is not None:
             raise self._complaint()
         self._queue.put(result)
@@ -137,7 +146,12 @@ class RecordingWriter:
     def _complaint(self) -> RecordingError:
         self._told = True
         said = getattr(self._failure, "strerror", None) or repr(self._failure)
-        return RecordingError(f"{self._path} is cut short: {said}; what was written is kept")
+        return RecordingError(
+            f"{self._path} is cut short: {said}; what was written is kept",
+            about="file",
+            problem="late" if isinstance(self._failure, TimeoutError) else "unwritable",
+            value=self._path,
+        )
 
     def _fail(self, error: Exception) -> None:
         self._failure = self._failure or error

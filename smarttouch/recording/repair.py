@@ -5,6 +5,7 @@ from pathlib import Path
 
 from smarttouch import __version__
 from smarttouch.errors import RecordingError
+from smarttouch.files import unwritable
 from smarttouch.recording.reader import Recording
 from smarttouch.recording.recorder import new_writer
 from smarttouch.recording.schemas import LAST, METADATA
@@ -89,7 +90,13 @@ def repair(path: Path, output: Path | None = None) -> Repaired:
                 steps += topic == LAST
             writer.finish()
     except FileExistsError:
-        raise RecordingError(f"{output} exists: give another name with --output") from None
+        raise RecordingError(
+            f"{output} exists: give another name with --output",
+            about="file",
+            problem="exists",
+            value=output,
+            remedy="--output",
+        ) from None
     except OSError as error:
-        raise RecordingError(f"cannot write {output}: {error.strerror}") from None
+        raise unwritable(RecordingError, output, error) from None
     return Repaired(output, messages, steps, recording.duration_s, recording.damaged_chunks)

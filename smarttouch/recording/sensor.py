@@ -21,7 +21,12 @@ def open_recording(rest: str, profile: Profile, *, unpaced: bool = False) -> "Re
         If there is no such recording.
     """
     if not rest:
-        raise SensorError("recording: needs a file: give recording:FILE.mcap")
+        raise SensorError(
+            "recording: needs a file: give recording:FILE.mcap",
+            about="file",
+            problem="missing",
+            remedy="recording:FILE.mcap",
+        )
     return RecordingSensor(Recording(Path(rest)), unpaced)
 
 
@@ -50,7 +55,12 @@ class RecordingSensor(Sensor):
         self._now: RecordedStep | None = None
         self._seen = True
         if self._ahead is None:
-            raise SensorError(f"{recording.path} holds no frames: nothing can be played from it")
+            raise SensorError(
+                f"{recording.path} holds no frames: nothing can be played from it",
+                about="file",
+                problem="empty",
+                value=recording.path,
+            )
         if not recording.whole:
             self.notes.append(f"{recording.path} is cut: it is played as far as it goes")
 

@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from smarttouch.errors import RecordingError
 from smarttouch.imaging.mapping import Tone
 from smarttouch.primary import Mode, Primary
 from smarttouch.stimulation.frames import Sharing
@@ -85,11 +86,18 @@ def read_settings(table: dict[str, Any]) -> RunSettings:
 
     Raises
     ------
-    ValueError
-        If one is missing or impossible; it says which.
+    RecordingError
+        If one is missing or impossible.
     """
     try:
         return RunSettings.model_validate(table)
     except ValidationError as error:
         first = error.errors()[0]
-        raise ValueError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+        key = ".".join(map(str, first["loc"]))
+        missing = first["type"] == "missing"
+        raise RecordingError(
+            f"{key}: {first['msg']}",
+            about=f"settings.{key}",
+            problem="missing" if missing else "malformed",
+            value=None if missing else first["input"],
+        ) from None

@@ -19,8 +19,7 @@ from skimage import data
 
 from smarttouch.kernels.bank import load_bank
 from smarttouch.primary import Mode, Primary
-from smarttouch.profile import load_profile
-from smarttouch.profile.device import Profile
+from smarttouch.profile import Profile, load_profile
 from smarttouch.reading.deliver import Reading
 from smarttouch.reading.legibility import legibility_of_shapes
 from smarttouch.reading.shapes import Shapes, Style

@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 from smarttouch.braille.layout import join, lay_out
 from smarttouch.errors import BrailleError
 
+from ..raising import raises
+
 WORDS = st.text(st.sampled_from("⠁⠃⠿⠐"), min_size=1, max_size=12)
 PARAGRAPHS = st.lists(st.lists(WORDS, max_size=8).map("⠀".join), max_size=6)
 
@@ -55,5 +57,11 @@ def test_lines_of_others_join():
 
 @pytest.mark.parametrize(("columns", "rows", "indent"), [(3, 5, 2), (1, 5, 0), (40, 0, 2)])
 def test_too_small_a_page(columns, rows, indent):
-    with pytest.raises(BrailleError, match=f"a page of {columns} x {rows} cells is too small"):
+    with raises(
+        BrailleError,
+        about="page",
+        problem="too small",
+        value=(columns, rows),
+        allowed=(indent + 2, 1),
+    ):
         lay_out(["⠁"], columns, rows, indent)

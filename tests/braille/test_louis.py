@@ -9,6 +9,8 @@ from smarttouch.braille.cells import is_cell
 from smarttouch.braille.louis import LouisCode
 from smarttouch.errors import BrailleError
 
+from ..raising import raises
+
 needs_liblouis = pytest.mark.skipif(
     louis.version() is None, reason=f"needs liblouis: {louis.INSTALL}"
 )
@@ -68,7 +70,7 @@ def test_one_may_become_many():
     "table", ["none.ctb", "", ",", "a" * 5000, "two\nlines.ctb", "en-ueb-g1.ctb,no.x"]
 )
 def test_no_such_table(table, capfd):
-    with pytest.raises(BrailleError, match="there is no liblouis table"):
+    with raises(BrailleError, about="table", problem="missing", value=table):
         LouisCode(table)
     assert capfd.readouterr() == ("", "")
 
@@ -100,7 +102,13 @@ def test_many_threads_at_once():
 def test_without_it(no_liblouis):
     assert louis.version() is None
     assert not louis.has_table("en-ueb-g1.ctb")
-    with pytest.raises(BrailleError, match="apt install liblouis20 liblouis-data"):
+    with raises(
+        BrailleError,
+        about="table",
+        problem="missing",
+        value="en-ueb-g1.ctb",
+        remedy="apt install liblouis20 liblouis-data",
+    ):
         LouisCode("en-ueb-g1.ctb")
 
 

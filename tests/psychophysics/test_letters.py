@@ -7,6 +7,8 @@ from smarttouch.errors import ExperimentError
 from smarttouch.profile import load_profile
 from smarttouch.psychophysics.letters import ALPHABET, draw_letter, parse_letters
 
+from ..raising import raises
+
 
 def drawing(letter, profile):
     return ["".join("#" if each else "." for each in row) for row in letter.reshape(8, 8)]
@@ -37,7 +39,7 @@ def test_masked_electrodes_draw_nothing(profile, changed):
 
 
 def test_a_line_array_has_no_letters():
-    with pytest.raises(ExperimentError, match="has 1 row of electrodes, letters need at least 4"):
+    with raises(ExperimentError, about="profile", problem="too few", value=1, allowed=4):
         draw_letter("A", load_profile("line-8"))
 
 
@@ -46,7 +48,10 @@ def test_letters_are_parsed():
     assert parse_letters("a,e,A,u") == "AEU"
 
 
-@pytest.mark.parametrize("text", ["A", "", "A1", "Ä,B"])
-def test_what_is_no_list_of_letters(text):
-    with pytest.raises(ExperimentError, match="two or more letters"):
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [("A", "too few"), ("", "too few"), ("A1", "unknown"), ("Ä,B", "unknown")],
+)
+def test_what_is_no_list_of_letters(text, problem):
+    with raises(ExperimentError, about="--letters", problem=problem, value=text):
         parse_letters(text)

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from smarttouch.errors import ExperimentError
 from smarttouch.psychophysics.rows import COLUMNS, About, RowFile, TrialRow, read_rows
 
+from ..raising import raises
+
 ABOUT = About("frequency", "constant", "p1", "1", 7)
 ROW = TrialRow(
     0, 3, 3, 12, "frequency", "constant", 30.0, 39.0, 2, "Hz", "2", "1", False, 0.84, 61.5, 0.7,
@@ -105,12 +107,14 @@ def test_each_row_is_on_disk_before_append_returns(tmp_path, monkeypatch):
 def test_no_other_session_goes_on(tmp_path, about):
     path = written(tmp_path / "a.csv", [ROW])
     before = path.read_bytes()
-    with pytest.raises(ExperimentError, match=r"give another file, or overwrite"):
+    (name,) = (each for each in vars(about) if getattr(about, each) != getattr(ABOUT, each))
+    has, wanted = getattr(ABOUT, name), getattr(about, name)
+    with raises(ExperimentError, about=name, problem="conflict", value=has, allowed=wanted):
         RowFile(path, about)
     assert path.read_bytes() == before
     with RowFile(path, about, overwrite=True) as file:
         assert file.rows == []
-        with pytest.raises(ExperimentError):
+        with raises(ExperimentError, about=name, problem="conflict", value=has, allowed=wanted):
             file.append(ROW)
 
 
@@ -124,35 +128,43 @@ def test_a_bad_line_is_named(tmp_path, column, cell):
     cells = lines[2].split(b",")
     cells[list(COLUMNS.values()).index(column)] = cell
     path.write_bytes(b"\n".join([*lines[:2], b",".join(cells), b""]))
-    with pytest.raises(ExperimentError, match=rf"line 3: {column} is missing or not"):
+    with raises(ExperimentError, about=column, problem="malformed", value=cell.decode()) as caught:
         read_rows(path)
+    assert f"{path}, line 3:" in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("data", "says"),
+    ("data", "about", "problem"),
     [
-        (b"\xff\xfe\x00\n", "no CSV file in UTF-8"),
-        (b"a,b\n1,2\n", "no column thisRepN"),
-        (b"", "no column thisRepN"),
+        (b"\xff\xfe\x00\n", "file", "malformed"),
+        (b"a,b\n1,2\n", "thisRepN", "missing"),
+        (b"", "thisRepN", "missing"),
     ],
 )
-def test_what_is_no_such_file(tmp_path, data, says):
+def test_what_is_no_such_file(tmp_path, data, about, problem):
     path = tmp_path / "a.csv"
     path.write_bytes(data)
-    with pytest.raises(ExperimentError, match=says):
+    with raises(ExperimentError, about=about, problem=problem, value=path):
         read_rows(path)
-    with pytest.raises(ExperimentError, match="no file"):
-        read_rows(tmp_path / "none.csv")
-    with pytest.raises(ExperimentError, match=r"\.csv"):
-        RowFile(tmp_path / "a.txt", ABOUT)
-    with pytest.raises(ExperimentError, match="cannot write"):
-        RowFile(tmp_path / "none" / "a.csv", ABOUT)
+
+
+def test_where_there_is_no_file_and_none_can_be(tmp_path):
+    path = tmp_path / "none.csv"
+    with raises(ExperimentError, about="file", problem="missing", value=path):
+        read_rows(path)
+    path = tmp_path / "a.txt"
+    with raises(ExperimentError, about="file", problem="ending", value=path):
+        RowFile(path, ABOUT)
+    path = tmp_path / "none" / "a.csv"
+    with raises(ExperimentError, about="file", problem="unwritable", value=path):
+        RowFile(path, ABOUT)
 
 
 @pytest.mark.parametrize("change", [{"level": float("nan")}, {"target": "a\nb"}])
 def test_what_no_cell_can_hold(tmp_path, change):
     path = written(tmp_path / "a.csv", [ROW])
-    with RowFile(path, ABOUT) as file, pytest.raises(ExperimentError):
+    (name,) = change
+    with RowFile(path, ABOUT) as file, raises(ExperimentError, about=name, problem="malformed"):
         file.append(dataclasses.replace(ROW, **change))
     assert read_rows(path) == [ROW]
 
@@ -208,7 +220,7 @@ def test_two_programs_do_not_write_one_file(tmp_path, start_writer):
             second, said = start_writer(path, overwrite)
             assert second.wait() == 2
             assert str(path) in said
-    with pytest.raises(ExperimentError):
+    with raises(ExperimentError, about="file", problem="busy", value=path):
         RowFile(path, ABOUT, overwrite=True)
     assert [row.number for row in read_rows(path)] == [3, 1, 2]
     first.kill()
@@ -222,7 +234,7 @@ def test_two_programs_do_not_write_one_file(tmp_path, start_writer):
 
 def test_who_is_refused_leaves_the_file_free(tmp_path):
     path = written(tmp_path / "a.csv", [ROW])
-    with pytest.raises(ExperimentError):
+    with raises(ExperimentError, about="seed", problem="conflict", value=7, allowed=8):
         RowFile(path, dataclasses.replace(ABOUT, seed=8))
     with RowFile(path, ABOUT) as file:
         assert file.rows == [ROW]

@@ -12,6 +12,7 @@ from smarttouch.psychophysics.rows import About, RowFile, read_rows
 from smarttouch.psychophysics.session import Session
 from smarttouch.psychophysics.trial import Answer
 
+from ..raising import raises
 from .sitting import DATE, Perfect, sit
 
 SHORT = Wanted(repetitions=2, standards=(30.0,), train_s=0.15)
@@ -104,10 +105,9 @@ def test_rows_say_what_was_shown_and_answered(profile, bank, tmp_path):
     first = [words for _, words in sat.told if words.startswith(("trial 1:", "response 1:"))]
     row = rows[0]
     where = {1: "first", 2: "second"}[row.comparison_interval]
-    assert first == [
-        f"trial 1: standard 30 Hz, comparison {row.comparison:g} Hz {where}",
-        f"response 1: {row.response} after 0.00 s",
-    ]
+    asked, answered = first
+    assert all(each in asked for each in ("30 Hz", f"{row.comparison:g} Hz", where))
+    assert all(each in answered for each in (row.response, "0.00 s"))
 
 
 def test_another_experiment_s_answers_are_not_gone_on_with(tmp_path):
@@ -115,7 +115,7 @@ def test_another_experiment_s_answers_are_not_gone_on_with(tmp_path):
     respond(path, ["1"], seed=3)
     made = design("frequency", MOUSE, Wanted(standards=(45.0,), seed=3))
     file = RowFile(path, About("f", "constant", "p", "s", 3))
-    with file, pytest.raises(ExperimentError, match="trial 1, is not of this experiment"):
+    with file, raises(ExperimentError, about="trial", problem="conflict", value=1):
         Session(made.task, made.procedure, file, DATE)
 
 
@@ -128,7 +128,7 @@ def test_more_answers_than_trials_are_another_experiment_s(tmp_path):
         made.procedure.next()
         made.procedure.answer(True)
     file = RowFile(path, About("f", "constant", "p", "s", 0))
-    with file, pytest.raises(ExperimentError, match="not of this experiment"):
+    with file, raises(ExperimentError, about="trial", problem="conflict", value=1):
         Session(made.task, made.procedure, file, DATE)
 
 

@@ -10,6 +10,8 @@ from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 from smarttouch.psychophysics.stimuli import Stimuli, picture
 
+from ..raising import raises
+
 
 @pytest.fixture(scope="module")
 def stimuli(profile):
@@ -48,16 +50,26 @@ def test_a_rising_train_reaches_its_level_at_its_last_pulse(stimuli):
 
 
 @pytest.mark.parametrize(
-    ("rate_hz", "says"), [(201, "the profile's limit of 200 Hz"), (2.9, "raise --train-s")]
+    ("rate_hz", "attributes"),
+    [
+        (201, {"about": "rate_hz", "value": 201, "allowed": (0, 200)}),
+        (0, {"about": "rate_hz", "value": 0, "allowed": (0, 200)}),
+        (2.9, {"about": "--train-s", "problem": "too few", "value": 1, "allowed": 2}),
+    ],
 )
-def test_trains_that_cannot_be(stimuli, rate_hz, says):
-    with pytest.raises(ExperimentError, match=says):
+def test_trains_that_cannot_be(stimuli, rate_hz, attributes):
+    with raises(ExperimentError, **attributes):
         stimuli.train([0], rate_hz)
 
 
 @pytest.mark.parametrize("train_s", [0, -1, float("nan"), 1e9])
 def test_lengths_that_cannot_be(profile, train_s):
-    with pytest.raises(ExperimentError, match="--train-s"):
+    with raises(
+        ExperimentError,
+        about="--train-s",
+        value=pytest.approx(train_s, nan_ok=True),
+        allowed=(0, 60),
+    ):
         Stimuli(profile, Primary.RA, train_s)
 
 

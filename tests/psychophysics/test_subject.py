@@ -13,6 +13,7 @@ from smarttouch.psychophysics.rows import read_rows
 from smarttouch.psychophysics.subject import Subject, TwoLooks, interval_of, make_observer
 from smarttouch.stimulation.safety import SafetyLimits
 
+from ..raising import raises
 from .sitting import Perfect, sit
 
 
@@ -64,7 +65,7 @@ def test_letters_are_felt_where_they_were_drawn(profile, bank, tmp_path):
 
 
 def test_only_simulated_boards_have_simulated_subjects(profile):
-    with pytest.raises(ExperimentError, match="simulated currents only"):
+    with raises(ExperimentError, about="--board", problem="conflict", allowed=("simulated:",)):
         Subject(None, SameObserver(), MemoryBoard("", SafetyLimits.of(profile)))
 
 

@@ -11,6 +11,8 @@ from smarttouch.profile import load_profile
 from smarttouch.psychophysics.catalog import CATALOG, Wanted, design
 from smarttouch.psychophysics.procedures.procedure import Condition
 
+from ..raising import raises
+
 
 def conditions(made):
     """Walk through an experiment, all answered right."""
@@ -42,7 +44,9 @@ def test_comparisons_above_the_limit_are_not_offered_and_that_is_said(profile, c
             } == {15, 30, 45, 60, 75, 90, 100}  # fmt: skip
     slow = changed(profile, {"limits.rate_hz": 100.0})
     made = design("frequency", slow, Wanted(repetitions=1, standards=(75.0,)))
-    assert made.notes == ["3 comparisons above the profile's limit of 100 Hz are not offered"]
+    (note,) = made.notes
+    assert "3 " in note
+    assert "100 Hz" in note
     assert max(each.comparison for each in conditions(made)) <= 100
 
 
@@ -65,7 +69,8 @@ def test_a_frequency_trial(profile):
         assert trial.intervals[2 - at].period_us == 33_333
     slower = task.trial(Condition(30.0, 20.0, 1, 0, 0))
     assert (slower.target, slower.success) == ("2", "1")
-    assert slower.words == "standard 30 Hz, comparison 20 Hz first"
+    assert "30 Hz" in slower.words
+    assert "20 Hz" in slower.words
     assert task.trial(Condition(30.0, 30.0, 1, 0, 0)).target == ""
 
 
@@ -146,7 +151,8 @@ def test_letters_are_asked_for_by_their_names(profile):
     trial = made.task.trial(Condition(0.0, 2.0, 0, 0, 0))
     assert (trial.target, trial.success, trial.alternatives) == ("Z", "Z", ("A", "E", "Z"))
     assert len(sites(trial.intervals[0])) > 10
-    assert made.notes == ["right by chance: 1 in 3"]
+    (note,) = made.notes
+    assert "1 in 3" in note
 
 
 def test_every_experiment_has_a_question_and_answers(profile):
@@ -160,27 +166,51 @@ def test_every_experiment_has_a_question_and_answers(profile):
 
 
 @pytest.mark.parametrize(
-    ("name", "wanted", "says"),
+    ("name", "wanted", "attributes"),
     [
-        ("hearing", Wanted(), "there is no experiment 'hearing': choose frequency or"),
-        ("letters", Wanted(procedure="staircase"), "is not for letters: choose constant"),
-        ("frequency", Wanted(site=64), "--site 64 is masked or none of the 64 sites"),
-        ("frequency", Wanted(standards=(300.0,)), "give lower standards"),
-        ("frequency", Wanted(standards=(200.0,), procedure="staircase"), "give lower --standards"),
-        ("localization", Wanted(site=0), "no neighbors as far left as right"),
-        ("discomfort", Wanted(train_s=0.9), "comes too suddenly: give --train-s 1 or more"),
-        ("letters", Wanted(letters="7"), "two or more letters"),
+        (
+            "hearing",
+            Wanted(),
+            {"about": "experiment", "value": "hearing", "allowed": tuple(CATALOG)},
+        ),
+        (
+            "letters",
+            Wanted(procedure="staircase"),
+            {"about": "--procedure", "value": "staircase", "allowed": ("constant",)},
+        ),
+        (
+            "frequency",
+            Wanted(site=64),
+            {"about": "--site", "value": 64, "allowed": tuple(range(64))},
+        ),
+        (
+            "frequency",
+            Wanted(standards=(300.0,)),
+            {"about": "--standards", "value": (300,), "allowed": 200},
+        ),
+        (
+            "frequency",
+            Wanted(standards=(200.0,), procedure="staircase"),
+            {"about": "--standards", "value": 200, "allowed": 200},
+        ),
+        (
+            "localization",
+            Wanted(site=0),
+            {"about": "--site", "problem": "impossible", "value": 0},
+        ),
+        ("discomfort", Wanted(train_s=0.9), {"about": "--train-s", "value": 0.9, "allowed": 1}),
+        ("letters", Wanted(letters="7"), {"about": "--letters", "value": "7"}),
     ],
 )
-def test_what_cannot_be_asked_for(profile, name, wanted, says):
-    with pytest.raises(ExperimentError, match=says):
+def test_what_cannot_be_asked_for(profile, name, wanted, attributes):
+    with raises(ExperimentError, **attributes):
         design(name, profile, wanted)
 
 
 @pytest.mark.parametrize("name", ["detection", "discomfort"])
 def test_where_width_carries_intensity_nothing_counts_in_milliamperes(profile, changed, name):
     by_width = changed(profile, {"pulse.carrier": "width"})
-    with pytest.raises(ExperimentError, match=r"set pulse\.carrier = 'height'"):
+    with raises(ExperimentError, about="pulse.carrier", value="width", allowed=("height",)):
         design(name, by_width, Wanted())
 
 

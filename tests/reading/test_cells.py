@@ -16,6 +16,8 @@ from smarttouch.reading.cells import CELL_MM, DOT_MM, LINE_MM, cell_layout
 from smarttouch.reading.deliver import Reading, deliver_line
 from smarttouch.reading.window import profile_for_reading
 
+from ..raising import raises
+
 ARRAYS = ["electric-mouse", "etactilekit-32", "optacon-24x6", "smarttouch-4x4"]
 
 
@@ -119,17 +121,25 @@ def test_a_dot_that_was_not_delivered_is_missed():
 
 
 @pytest.mark.parametrize(
-    ("name", "options", "words"),
+    ("name", "options", "attributes"),
     [
-        ("line-7", {}, "line-7 has 1 x 7 electrodes, 1 line of Braille with 6 dots need 3 x 3"),
-        ("kajimoto-61", {}, "no grid"),
-        ("electric-mouse", {"lines": 3}, "3 lines of Braille .* choose fewer lines"),
-        ("electric-mouse", {"lines": 0}, "0 lines"),
-        ("line-8", {"lines": 2}, "another profile"),
+        (
+            "line-7",
+            {},
+            {"about": "profile", "problem": "too few", "value": (1, 7), "allowed": (3, 3)},
+        ),
+        ("kajimoto-61", {}, {"about": "profile", "problem": "no grid", "value": "kajimoto-61"}),
+        (
+            "electric-mouse",
+            {"lines": 3},
+            {"about": "profile", "value": (8, 8), "remedy": "--lines"},
+        ),
+        ("electric-mouse", {"lines": 0}, {"about": "--lines", "value": 0, "allowed": 1}),
+        ("line-8", {"lines": 2}, {"about": "profile", "value": (1, 8), "remedy": ""}),
     ],
 )
-def test_arrays_without_room_are_named(name, options, words):
-    with pytest.raises(ReadingError, match=words):
+def test_arrays_without_room_are_named(name, options, attributes):
+    with raises(ReadingError, **attributes):
         cell_layout(load_profile(name), **options)
 
 

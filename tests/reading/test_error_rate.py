@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 from smarttouch.errors import ReadingError
 from smarttouch.reading.error_rate import character_error_rate, normalize, word_error_rate
 
+from ..raising import raises
+
 texts = st.text(max_size=30)
 words = st.text("abcd ", max_size=30)
 truths = words.filter(normalize)
@@ -51,7 +53,7 @@ def test_what_makes_no_difference(one, other):
 @pytest.mark.parametrize("truth", ["", " \n\t"])
 @pytest.mark.parametrize("rate", [character_error_rate, word_error_rate])
 def test_there_must_be_a_truth(rate, truth):
-    with pytest.raises(ReadingError, match="is empty: give what stands on the page"):
+    with raises(ReadingError, about="truth", problem="empty"):
         rate(truth, "text")
 
 

@@ -84,8 +84,8 @@ def test_what_is_hardly_recognized_is_told_of(tesseract, notes):
     tesseract("scrawl", confidence=0.3)
     assert list(recognized_lines(prepare_text("x"), HowToLook(), notes.append)) == [(0, "scrawl")]
     assert len(notes) == 1
-    assert "confidence of 30%" in notes[0]
-    assert "handwriting" in notes[0]
+    assert "30%" in notes[0]
+    assert "--language" in notes[0]
 
 
 @pytest.mark.parametrize("turn_deg", [0, 90, 180, 270])
@@ -101,7 +101,7 @@ def test_a_page_is_turned_as_it_should_be(monkeypatch, notes, turn_deg):
     prepared = upright_page(3, page, HowToLook(languages="deu"), notes.append)
     assert seen == ["deu"]
     if turn_deg:
-        assert f"page 3: it was turned by {turn_deg}° to be upright" in notes
+        assert any(note.startswith("page 3:") and f" {turn_deg}°" in note for note in notes)
     else:
         assert notes == []
     if turn_deg == 180:

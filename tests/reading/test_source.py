@@ -14,6 +14,8 @@ from smarttouch.reading.shapes import Shapes, Style, thin
 from smarttouch.reading.source import Source
 from smarttouch.reading.window import profile_for_reading
 
+from ..raising import raises
+
 
 @pytest.fixture
 def notes():
@@ -95,9 +97,10 @@ def test_few_rows_are_told_of_and_fewer_are_refused(source_of, notes):
     four = profile_for_reading(load_profile("smarttouch-4x4"))
     assert list(Shapes().lines(source_of("text:hi"), four))
     assert len(notes) == 1
-    assert "smarttouch-4x4 has 4 rows" in notes[0]
+    assert "smarttouch-4x4" in notes[0]
+    assert "4 rows" in notes[0]
     assert "--as braille" in notes[0]
-    with pytest.raises(ReadingError, match="line-7 has 1 row of electrodes"):
+    with raises(ReadingError, about="profile", problem="too few", value=1, allowed=4):
         list(Shapes().lines(source_of("text:hi"), profile_for_reading(load_profile("line-7"))))
 
 
@@ -118,12 +121,13 @@ def test_pages_come_in_the_order_asked_for(source_of, reading):
 def test_blank_pages_are_told_of(source_of, reading, notes):
     source = source_of("three.tif", "some words", "", "and more")
     assert len(list(Shapes().lines(source, reading))) == 2
-    assert notes == ["no line of text on page 2"]
+    (note,) = notes
+    assert note.endswith("page 2")
 
 
 def test_where_nothing_is_found_it_says_so(source_of, reading):
     for kind in (Shapes(), Braille(embossed=False)):
-        with pytest.raises(ReadingError, match="no line of text was found"):
+        with raises(ReadingError, about="page", problem="empty"):
             list(kind.lines(source_of("two.tif", "", ""), reading))
 
 
@@ -131,7 +135,7 @@ def test_a_picture_is_no_text(tmp_path, reading):
     from skimage import data
 
     Image.fromarray(data.astronaut()).save(tmp_path / "who.png")
-    with pytest.raises(ReadingError, match="no line of text"):
+    with raises(ReadingError, about="page", problem="empty"):
         list(Shapes().lines(Source(str(tmp_path / "who.png")), reading))
 
 
@@ -141,7 +145,8 @@ def test_empty_pages_count_only_where_others_are_not(notes):
     empty.add(2, True)
     empty.add(3, False)
     empty.conclude()
-    assert notes == ["no line of text on page 1, 3"]
+    (note,) = notes
+    assert note.endswith("page 1, 3")
 
 
 def test_light_print_is_felt_as_print(tmp_path, reading):
@@ -185,7 +190,7 @@ def test_words_and_cells_are_told_apart(tmp_path, reading):
     for name in ("a.brf", "a.txt"):
         lines = list(Braille().lines(Source(str(tmp_path / name)), reading))
         assert [line.cells for line in lines] == [("⠁⠃",)]
-    with pytest.raises(ReadingError, match=r"a\.brf holds Braille"):
+    with raises(ReadingError, about="--as", problem="conflict", allowed=("braille",)):
         list(Shapes().lines(Source(str(tmp_path / "a.brf")), reading))
 
 
@@ -222,5 +227,5 @@ def test_a_cell_stays_as_long_as_a_line_takes_to_move_on_by_one(reading):
 
 
 def test_blank_cells_alone_are_nothing_to_read(source_of, reading):
-    with pytest.raises(SmartTouchError, match="nothing to read"):
+    with raises(SmartTouchError, about="text", problem="empty"):
         list(Braille().lines(source_of(f"text:{BLANK}"), reading))

@@ -23,6 +23,8 @@ from smarttouch.recording.chunks import (
 from smarttouch.recording.reader import Recording
 from smarttouch.recording.repair import repair
 
+from ..raising import raises
+
 MAGIC = b"\x89MCAP0\r\n"
 
 
@@ -115,13 +117,24 @@ def test_a_bomb_of_many_chunks_is_refused_before_any_is_unpacked(write, monkeypa
 
     monkeypatch.setattr(zstandard, "ZstdDecompressor", unpack)
     for act in (Recording, describe, repair):
-        with pytest.raises(RecordingError, match=r"claims to hold 1,200 MB"):
+        with raises(
+            RecordingError,
+            about="chunks",
+            problem="too large",
+            value=lambda claimed: round(claimed / 1e6) == 1200,
+        ):
             act(path)
 
 
 def test_a_chunk_beyond_belief(write):
     body = chunk(message(b"{}"), claimed=MOST_CHUNK_BYTES + 1)
-    with pytest.raises(RecordingError, match="claims to hold 134 MB"):
+    with raises(
+        RecordingError,
+        about="chunks",
+        problem="too large",
+        value=MOST_CHUNK_BYTES + 1,
+        allowed=MOST_CHUNK_BYTES,
+    ):
         Recording(write(record(Opcode.CHUNK, body)))
     # Beside one that holds, it is a damage like any other.
     path = write(record(Opcode.CHUNK, body), record(Opcode.CHUNK, chunk(message(b"{}"))))
@@ -135,7 +148,9 @@ def test_too_many_messages(write):
                     + b"json" + struct.pack("<I", 0))  # fmt: skip
     path = write(record(Opcode.CHUNK, chunk(schema + message(b"") * 300_000)))
     assert path.stat().st_size < 50_000
-    with pytest.raises(RecordingError, match="too many for its size"):
+    with raises(
+        RecordingError, about="messages", problem="too many", allowed=lambda most: most < 150_000
+    ):
         list(Recording(path).messages())
 
 
@@ -150,7 +165,7 @@ def test_what_a_recording_may_hold_is_more_than_any_holds(goldens):
 def test_a_message_of_too_many_values():
     assert parse_message(json.dumps([0] * 900_000)) == [0] * 900_000
     assert parse_message(json.dumps("," * 3_000)) == "," * 3_000
-    with pytest.raises(ValueError, match="values"):
+    with pytest.raises(ValueError, match="6,000,002"):
         parse_message(b"[" + b"[]," * 3_000_000 + b"[]]")
     with pytest.raises(ValueError):
         parse_message(b"[" * 100_000)

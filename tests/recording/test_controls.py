@@ -10,6 +10,8 @@ from smarttouch.recording.controls import RecordedControls
 from smarttouch.recording.reader import Recording
 from smarttouch.run.controls import ControlState
 
+from ..raising import raises
+
 GOLDENS = Path(__file__).with_name("goldens")
 
 
@@ -39,5 +41,7 @@ def test_today_s_user_lowers_and_pauses(recording):
 
 
 def test_a_board_without_the_recorded_mode_is_refused():
-    with pytest.raises(RecordingError, match="in mode natural, which this board does not offer"):
+    with raises(
+        RecordingError, about="mode", problem="unknown", value=Mode.NATURAL, allowed=(Mode.RA,)
+    ):
         RecordedControls(Recording(GOLDENS / "natural.mcap"), ControlState(Mode.RA), (Mode.RA,))

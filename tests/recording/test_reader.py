@@ -15,6 +15,8 @@ from smarttouch.recording.account import describe
 from smarttouch.recording.check import check_recording
 from smarttouch.recording.reader import Recording
 
+from ..raising import raises
+
 
 @pytest.fixture(scope="session")
 def content(recording):
@@ -133,24 +135,24 @@ def test_no_bytes_crash_the_reader(broken_path, data):
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    ("content", "problem"),
     [
-        (b"", "is empty"),
-        (b"\x89MCAP", "is no MCAP file"),
-        (b"precious", "is no MCAP file"),
-        (b"\x89MCAP0\r\n", "it is no recording of SmartTouch"),
+        (b"", "empty"),
+        (b"\x89MCAP", "malformed"),
+        (b"precious", "malformed"),
+        (b"\x89MCAP0\r\n", "unknown"),
     ],
 )
-def test_what_is_none_of_ours(broken_path, content, words):
+def test_what_is_none_of_ours(broken_path, content, problem):
     broken_path.write_bytes(content)
-    with pytest.raises(RecordingError, match=words):
+    with raises(RecordingError, about="file", problem=problem, value=broken_path):
         Recording(broken_path)
 
 
 def test_what_is_not_there(tmp_path):
-    with pytest.raises(RecordingError, match="no file"):
+    with raises(RecordingError, about="file", problem="missing", value=tmp_path / "none.mcap"):
         Recording(tmp_path / "none.mcap")
-    with pytest.raises(RecordingError, match="is a folder"):
+    with raises(RecordingError, about="file", problem="folder", value=tmp_path):
         Recording(tmp_path)
 
 
@@ -164,7 +166,7 @@ def written(path, metadata):
 
 
 def test_a_recording_of_the_future(broken_path):
-    with pytest.raises(RecordingError, match="format '9', this version reads 1"):
+    with raises(RecordingError, about="format", problem="unknown", value="9", allowed="1"):
         written(broken_path, {"format": "9"})
 
 
@@ -177,7 +179,7 @@ def test_a_recording_that_does_not_say_how_it_was_made(broken_path, about, key, 
     if value == "{}" and key in ("settings", "versions"):
         assert getattr(found, key) == json.loads(value)
         return
-    with pytest.raises(RecordingError):
+    with raises(RecordingError, about=key, value=broken_path):
         getattr(found, key)
 
 

@@ -111,20 +111,35 @@ class Model:
     def __post_init__(self) -> None:
         if self.shape is Shape.WEIBULL and not self.logarithmic:
             raise ExperimentError(
-                "Weibull's function needs a logarithmic axis: choose normal or logistic"
+                "Weibull's function needs a logarithmic axis: choose normal or logistic",
+                about="shape",
+                problem="conflict",
+                value=self.shape,
+                allowed=(Shape.NORMAL, Shape.LOGISTIC),
             )
         floor = 0.0 if isinstance(self.guess, str) else self.guess
         if not 0 <= floor < 1:
-            raise ExperimentError(f"a guess rate of {floor:g} is no share: give 0 to below 1")
+            raise ExperimentError(
+                f"a guess rate of {floor:g} is no share: give 0 to below 1",
+                about="guess",
+                value=floor,
+                allowed=(0, 1),
+            )
         if not 0 <= self.most_lapses < (1 - floor) / 2:
             raise ExperimentError(
                 f"a lapse rate of up to {self.most_lapses:g} leaves no room for answers: give less "
-                f"than {(1 - floor) / 2:g}"
+                f"than {(1 - floor) / 2:g}",
+                about="most_lapses",
+                value=self.most_lapses,
+                allowed=(0, (1 - floor) / 2),
             )
         if self.at is not None and not floor < self.at < 1:
             raise ExperimentError(
                 f"the threshold cannot be at {self.at:g} of the answers: give a share between "
-                f"{floor:g} and 1"
+                f"{floor:g} and 1",
+                about="at",
+                value=self.at,
+                allowed=(floor, 1),
             )
 
     @property
@@ -154,7 +169,12 @@ class Model:
             return given
         if (given < 0).any():
             raise ExperimentError(
-                f"{given.min():g} has no logarithm: fit it on a linear axis, with --linear"
+                f"{given.min():g} has no logarithm: fit it on a linear axis, with --linear",
+                about="stimulus",
+                problem="too small",
+                value=float(given.min()),
+                allowed=0,
+                remedy="--linear",
             )
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(given))

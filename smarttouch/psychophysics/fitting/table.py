@@ -68,11 +68,19 @@ def read_table(
     for option, name in (("--x", x), ("--y", y)):
         if name not in head:
             raise ExperimentError(
-                f"{path} has no column {name!r}, but {', '.join(head)}: name one with {option}"
+                f"{path} has no column {name!r}, but {', '.join(head)}: name one with {option}",
+                about=option,
+                problem="missing",
+                value=name,
+                allowed=tuple(head),
             )
     if standard != "standard" and standard not in head:
         raise ExperimentError(
-            f"{path} has no column {standard!r}, but {', '.join(head)}: name one with --standard"
+            f"{path} has no column {standard!r}, but {', '.join(head)}: name one with --standard",
+            about="--standard",
+            problem="missing",
+            value=standard,
+            allowed=tuple(head),
         )
     rows = []
     for number, cells in lines:
@@ -87,7 +95,12 @@ def read_table(
             )
         )
     if not rows:
-        raise ExperimentError(f"{path} has no trials below its first line: give one that has")
+        raise ExperimentError(
+            f"{path} has no trials below its first line: give one that has",
+            about="file",
+            problem="empty",
+            value=path,
+        )
     table = np.array(rows, np.float64)
     alternatives = _alternatives([cells for _, cells in lines])
     found = []
@@ -109,9 +122,13 @@ def _cells(path: Path) -> tuple[list[str], list[tuple[int, _Cells]]]:
         reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
         lines = [(reader.line_num, line) for line in reader if any(map(str.strip, line))]
     except csv.Error as error:
-        raise ExperimentError(f"{path} is no CSV file: {error}") from None
+        raise ExperimentError(
+            f"{path} is no CSV file: {error}", about="file", problem="malformed", value=path
+        ) from None
     if not lines:
-        raise ExperimentError(f"{path} is empty: give a file of answers")
+        raise ExperimentError(
+            f"{path} is empty: give a file of answers", about="file", problem="empty", value=path
+        )
     head = [each.strip() for each in lines[0][1]]
     if len(lines) > 1 and not text.endswith("\n") and len(lines[-1][1]) < len(head):
         lines.pop()
@@ -120,7 +137,11 @@ def _cells(path: Path) -> tuple[list[str], list[tuple[int, _Cells]]]:
         if len(line) < len(head):
             raise ExperimentError(
                 f"{path}, line {number}: {len(line)} cells, not {len(head)} as in the first line; "
-                "mend or delete it"
+                "mend or delete it",
+                about="line",
+                problem="too few",
+                value=len(line),
+                allowed=len(head),
             )
         cells = dict(zip(head, map(str.strip, line), strict=False))
         if delimiter == ";":
@@ -135,7 +156,12 @@ def _number(text: str, where: str, column: str) -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise ExperimentError(f"{where}: {column} is {text!r}, not a number; mend or delete it")
+        raise ExperimentError(
+            f"{where}: {column} is {text!r}, not a number; mend or delete it",
+            about=column,
+            problem="malformed",
+            value=text,
+        )
     return number
 
 
@@ -145,7 +171,11 @@ def _success(text: str, where: str, column: str) -> float:
         return math.nan
     if word not in _YES | _NO:
         raise ExperimentError(
-            f"{where}: {column} is {text!r}, not 1 or 0; name another column with --y"
+            f"{where}: {column} is {text!r}, not 1 or 0; name another column with --y",
+            about=column,
+            problem="malformed",
+            value=text,
+            remedy="--y",
         )
     return float(word in _YES)
 

@@ -40,6 +40,9 @@ class Finding:
         None where there is no function to speak of.
     verdict : str or None
         Why no threshold can be reported, in one sentence; None if one can.
+    reason : str
+        The same for programs: "unanswered", "too few", "one interval", "always", "never",
+        "one comparison", "falling", "flat" or "outside"; empty if one can.
     beyond : int
         1 or -1 where the threshold lies above or below all comparisons, 0 else.
     """
@@ -49,6 +52,7 @@ class Finding:
     how: How
     fit: Fit | None
     verdict: str | None = None
+    reason: str = ""
     beyond: int = 0
 
     @cached_property
@@ -139,39 +143,46 @@ def judge(answers: Answers, model: Model, how: How | None = None) -> Finding:
     """
     how = how or How()
 
-    def none(why: str, beyond: int = 0, found: Fit | None = None) -> Finding:
-        return Finding(answers, model, how, found, why, beyond)
+    def none(reason: str, why: str, beyond: int = 0, found: Fit | None = None) -> Finding:
+        return Finding(answers, model, how, found, why, reason, beyond)
 
     unusable = _unusable(answers)
     if unusable:
-        return none(unusable)
+        return none(*unusable)
     counts = answers.counts()
     low, high = float(counts.stimulus[0]), float(counts.stimulus[-1])
     total, successes = int(counts.n.sum()), int(counts.k.sum())
     said = what_was_said(answers, model)
     if successes == total:
-        return none(f"always {said}, {total} times: a threshold lies below {low:.4g}", -1)
+        return none("always", f"always {said}, {total} times: a threshold lies below {low:.4g}", -1)
     if successes == 0:
-        return none(f"never {said} in {total} answers: a threshold lies above {high:.4g}", 1)
+        return none(
+            "never", f"never {said} in {total} answers: a threshold lies above {high:.4g}", 1
+        )
     if len(counts.stimulus) == 1:
-        return none(f"{said} {successes / total:.0%} of {total} times, but all were at {low:.4g}")
+        return none(
+            "one comparison",
+            f"{said} {successes / total:.0%} of {total} times, but all were at {low:.4g}",
+        )
     found = fit(counts, model)
     if _chance_of_flat(found, _guessing(answers, model)) > FLAT:
         if _trend(counts) < _FALLING:
             return none(
+                "falling",
                 f"the higher the comparison, the more rarely {said}: the keys, or comparison and "
-                "standard, are mixed up"
+                "standard, are mixed up",
             )
         return none(
+            "flat",
             f"answers do not depend on the comparison: {said} {successes / total:.0%} of {total} "
-            f"times, without a clear rise from {low:.4g} to {high:.4g}; more trials may show one"
+            f"times, without a clear rise from {low:.4g} to {high:.4g}; more trials may show one",
         )
     threshold = found.threshold
     if not low <= threshold <= high:
         beyond = 1 if threshold > high else -1
         end = f"above {high:.4g}" if beyond > 0 else f"below {low:.4g}"
         why = f"{model.share:.0%} is not within the range tested: the threshold lies {end}"
-        return none(why, beyond, found)
+        return none("outside", why, beyond, found)
     return Finding(answers, model, how, found)
 
 
@@ -185,17 +196,19 @@ def estimate(answers: Answers) -> Estimate | None:
     return Estimate(value, (high - low) / 3.92, answers.answered)
 
 
-def _unusable(answers: Answers) -> str | None:
-    """Return why answers cannot be fitted at all."""
+def _unusable(answers: Answers) -> tuple[str, str] | None:
+    """Return why answers cannot be fitted at all, in short and in a sentence."""
     answered, presented = answers.answered, answers.presented
     if answered < (1 - MOST_UNANSWERED) * presented:
-        return f"only {answered} of {presented} trials were answered"
+        return "unanswered", f"only {answered} of {presented} trials were answered"
     if answered < FEWEST_ANSWERS:
-        return f"{answered} answers are too few: at least {FEWEST_ANSWERS} are needed"
+        why = f"{answered} answers are too few: at least {FEWEST_ANSWERS} are needed"
+        return "too few", why
     compared, first = answers.compared, answers.chose_first
     if compared >= FEWEST_ANSWERS and max(first, compared - first) > SAME_INTERVAL * compared:
         same, word = max((first, "first"), (compared - first, "second"))
-        return f"the {word} interval was chosen {same} of {compared} times, whatever came in it"
+        why = f"the {word} interval was chosen {same} of {compared} times, whatever came in it"
+        return "one interval", why
     return None
 
 

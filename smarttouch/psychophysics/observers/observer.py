@@ -207,9 +207,13 @@ class SimulatedObserver:
 
     def _judge(self, task: str) -> Callable[[Sequence[Interval]], str | None]:
         if task not in self._judges:
-            known = ", ".join([*self._judges, *self._middles_ma, "which"])
+            known = (*self._judges, *self._middles_ma, "which")
             raise ExperimentError(
-                f"the simulated observer has no answer to {task!r}: it knows {known}"
+                f"the simulated observer has no answer to {task!r}: it knows {', '.join(known)}",
+                about="task",
+                problem="unknown",
+                value=task,
+                allowed=known,
             )
         return self._judges[task]
 
@@ -253,7 +257,11 @@ class SimulatedObserver:
         if missing:
             raise ExperimentError(
                 f"the simulated observer does not know what {missing[0]!r} feels like: give it a "
-                "template of each alternative"
+                "template of each alternative",
+                about="template",
+                problem="missing",
+                value=missing[0],
+                allowed=tuple(self.templates),
             )
         felt = np.max([self._skin.of(each) for each in intervals], axis=0)
         if not felt.any():

@@ -49,7 +49,11 @@ def ratio_pairs(
     ]
     if not pairs:
         raise ExperimentError(
-            f"no standard and comparison is at or below {highest:g}: give lower standards"
+            f"no standard and comparison is at or below {highest:g}: give lower standards",
+            about="--standards",
+            problem="too large",
+            value=tuple(standards),
+            allowed=highest,
         )
     return pairs
 
@@ -88,7 +92,11 @@ class ConstantStimuli:
         if not pairs or repetitions < 1:
             raise ExperimentError(
                 f"{len(pairs)} conditions and {repetitions} repetitions are no experiment: give at "
-                "least one of each"
+                "least one of each",
+                about="repetitions" if pairs else "conditions",
+                problem="too few",
+                value=repetitions if pairs else 0,
+                allowed=1,
             )
         random = np.random.default_rng([seed, len(pairs), repetitions])
         first = _first_intervals(len(pairs), repetitions, random)
@@ -126,7 +134,9 @@ class ConstantStimuli:
             If all trials are done.
         """
         if self.done:
-            raise ExperimentError("all trials are done: there is no next one")
+            raise ExperimentError(
+                "all trials are done: there is no next one", about="trial", problem="gone"
+            )
         return self._plan[len(self._answers)]
 
     def answer(self, success: bool | None) -> None:

@@ -64,10 +64,18 @@ class QuestPlus:
         if not self.lowest < self.highest or (self.model.logarithmic and self.lowest <= 0):
             raise ExperimentError(
                 f"stimuli from {self.lowest:g} to {self.highest:g} are no range: begin "
-                f"{'above 0, and ' if self.model.logarithmic else ''}below its end"
+                f"{'above 0, and ' if self.model.logarithmic else ''}below its end",
+                about="range",
+                problem="empty",
+                value=(self.lowest, self.highest),
             )
         if isinstance(self.model.guess, str) and self.model.guess == "free":
-            raise ExperimentError("QUEST+ needs a known guess rate: 0, 0.5 or one of letters")
+            raise ExperimentError(
+                "QUEST+ needs a known guess rate: 0, 0.5 or one of letters",
+                about="guess",
+                problem="unknown",
+                value=self.model.guess,
+            )
         low, high = (float(self.model.axis(each)) for each in (self.lowest, self.highest))
         self._places = np.linspace(low, high, STIMULI)
         self._thresholds = np.linspace(low, high, THRESHOLDS)
@@ -105,7 +113,9 @@ class QuestPlus:
             If it is done.
         """
         if self.done:
-            raise ExperimentError("all trials are done: there is no next one")
+            raise ExperimentError(
+                "all trials are done: there is no next one", about="trial", problem="gone"
+            )
         if self._shown is None:
             says = _entropy(self._likely @ self._posterior) - self._unsure @ self._posterior
             self._place = int(says.argmax())

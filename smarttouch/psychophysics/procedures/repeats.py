@@ -25,7 +25,13 @@ class Repeats:
 
     def __init__(self, repetitions: int) -> None:
         if repetitions < 1:
-            raise ExperimentError(f"{repetitions} repetitions are no experiment: give at least one")
+            raise ExperimentError(
+                f"{repetitions} repetitions are no experiment: give at least one",
+                about="repetitions",
+                problem="too few",
+                value=repetitions,
+                allowed=1,
+            )
         self._count, self._answers = repetitions, 0
 
     @property
@@ -41,7 +47,9 @@ class Repeats:
     def next(self) -> Condition:
         """Return the same condition, with the next number."""
         if self.done:
-            raise ExperimentError("all trials are done: there is no next one")
+            raise ExperimentError(
+                "all trials are done: there is no next one", about="trial", problem="gone"
+            )
         return Condition(0.0, math.nan, 0, repetition=self._answers, index=0)
 
     def answer(self, success: bool | None) -> None:

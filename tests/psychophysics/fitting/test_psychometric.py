@@ -17,6 +17,7 @@ from smarttouch.psychophysics.fitting.likelihood import bounds_of, log_likelihoo
 from smarttouch.psychophysics.fitting.posterior import credible_interval
 from smarttouch.psychophysics.fitting.psychometric import Model, Parameters, Shape
 
+from ...raising import raises
 from ..simulated import Subject
 
 MODELS = [
@@ -278,20 +279,23 @@ def test_goodness():
 
 
 @pytest.mark.parametrize(
-    "arguments",
+    ("arguments", "about", "value"),
     [
-        {"shape": Shape.WEIBULL, "logarithmic": False},
-        {"guess": 1.0},
-        {"guess": -0.1},
-        {"guess": 0.5, "at": 0.4},
-        {"at": 1.0},
-        {"most_lapses": 0.5},
+        ({"shape": Shape.WEIBULL, "logarithmic": False}, "shape", Shape.WEIBULL),
+        ({"guess": 1.0}, "guess", 1.0),
+        ({"guess": -0.1}, "guess", -0.1),
+        ({"guess": 0.5, "at": 0.4}, "at", 0.4),
+        ({"at": 1.0}, "at", 1.0),
+        ({"most_lapses": 0.5}, "most_lapses", 0.5),
     ],
 )
-def test_contradictions(arguments):
-    with pytest.raises(ExperimentError):
+def test_contradictions(arguments, about, value):
+    with raises(ExperimentError, about=about, value=value):
         replace(Model(), **arguments)
-    with pytest.raises(ExperimentError, match="--linear"):
+
+
+def test_negative_stimuli_need_a_linear_axis():
+    with raises(ExperimentError, about="stimulus", value=-1.0, allowed=0, remedy="--linear"):
         Model().axis([-1.0])
 
 

@@ -8,6 +8,7 @@ import pytest
 from smarttouch.errors import ExperimentError
 from smarttouch.psychophysics.fitting.table import read_table
 
+from ...raising import raises
 from ..test_rows import ROW, written
 
 
@@ -78,28 +79,40 @@ def test_alternatives(tmp_path, responses, alternatives):
     assert answers.alternatives == alternatives
 
 
+def wrong(about, problem, **others):
+    return {"about": about, "problem": problem, **others}
+
+
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "attributes", "line"),
     [
-        ("", "is empty"),
-        ("comparison,success\n", "no trials"),
-        ("a,success\n1,1\n", "no column 'comparison', but a, success: name one with --x"),
-        ("comparison,b\n1,1\n", "name one with --y"),
-        ("comparison,success\n1,1\nx,1\n", "line 3: comparison is 'x', not a number"),
-        ("comparison,success\n1,0.7\n", "line 2: success is '0.7', not 1 or 0"),
-        ("comparison,success\n1\n1,1\n", "line 2: 1 cells, not 2"),
-        ("comparison,success\ninf,1\n", "line 2: comparison is 'inf'"),
-        (b"\xff\xfe", "not a text in UTF-8"),
-        ('comparison,success\n"1,1\n', "is no CSV file"),
+        ("", wrong("file", "empty"), None),
+        ("comparison,success\n", wrong("file", "empty"), None),
+        (
+            "a,success\n1,1\n",
+            wrong("--x", "missing", value="comparison", allowed=("a", "success")),
+            None,
+        ),
+        ("comparison,b\n1,1\n", wrong("--y", "missing", value="success"), None),
+        ("comparison,success\n1,1\nx,1\n", wrong("comparison", "malformed", value="x"), 3),
+        ("comparison,success\n1,0.7\n", wrong("success", "malformed", value="0.7"), 2),
+        ("comparison,success\n1\n1,1\n", wrong("line", "too few", value=1, allowed=2), 2),
+        ("comparison,success\ninf,1\n", wrong("comparison", "malformed", value="inf"), 2),
+        (b"\xff\xfe", wrong("file", "not UTF-8"), None),
+        ('comparison,success\n"1,1\n', wrong("file", "malformed"), None),
     ],
 )
-def test_errors(tmp_path, text, says):
-    with pytest.raises(ExperimentError, match=says):
-        read_table(file(tmp_path, text))
+def test_errors(tmp_path, text, attributes, line):
+    path = file(tmp_path, text)
+    with raises(ExperimentError, **attributes) as caught:
+        read_table(path)
+    assert str(path) in str(caught.value)
+    if line is not None:
+        assert f"line {line}:" in str(caught.value)
 
 
 def test_no_file_and_no_standard(tmp_path):
-    with pytest.raises(ExperimentError, match="no file"):
+    with raises(ExperimentError, about="file", problem="missing", value=tmp_path / "none.csv"):
         read_table(tmp_path / "none.csv")
-    with pytest.raises(ExperimentError, match="name one with --standard"):
+    with raises(ExperimentError, about="--standard", problem="missing", value="base"):
         read_table(file(tmp_path, "comparison,success\n1,1\n"), standard="base")

@@ -1,5 +1,7 @@
 """A threshold where there is one, and a sentence where there is none."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,7 +10,7 @@ from hypothesis import strategies as st
 from smarttouch.psychophysics.fitting.answers import Answers, usual_model
 from smarttouch.psychophysics.fitting.fit import How
 from smarttouch.psychophysics.fitting.psychometric import Model, Shape
-from smarttouch.psychophysics.fitting.verdict import estimate, judge
+from smarttouch.psychophysics.fitting.verdict import POOR, estimate, judge
 from smarttouch.psychophysics.procedures.constant import ConstantStimuli, ratio_pairs
 
 from ..simulated import Subject, answer_all, as_answers, of_counts
@@ -27,9 +29,14 @@ def session(answers, standard=30.0, repetitions=10, seed=0):
     return as_answers(shown, [answers(each, n) for n, each in enumerate(shown)])
 
 
+def numbers(sentence):
+    return [float(each) for each in re.findall(r"\d+(?:\.\d+)?", sentence)]
+
+
 def verdict(answers):
     found = judge(answers, usual_model([answers]), HOW)
-    assert found.verdict is not None
+    assert found.verdict
+    assert found.reason
     assert found.threshold is found.weber is found.middle is found.lower is None
     assert found.notes == []
     return found
@@ -39,7 +46,7 @@ def test_a_good_subject():
     subject = Subject(36.0, 0.25)
     answers = answer_all(ConstantStimuli(ratio_pairs([30.0]), 30), subject.probability, 3)
     found = judge(answers, usual_model([answers]), HOW)
-    assert found.verdict is None
+    assert (found.verdict, found.reason) == (None, "")
     assert found.threshold.low < 36 < found.threshold.high
     assert found.weber.value == pytest.approx(found.threshold.value / 30 - 1)
     assert found.lower_weber.value < 0 < found.weber.value
@@ -52,61 +59,70 @@ def test_a_good_subject():
 def test_at_random(seed):
     random = np.random.default_rng(seed)
     found = verdict(session(lambda each, n: random.random() < 0.5))
-    assert "do not depend on the comparison" in found.verdict
+    assert found.reason == "flat"
     assert found.beyond == 0
 
 
 def test_always_the_same_interval():
     first = verdict(session(lambda each, n: each.comparison_interval == 1))
-    assert "the first interval was chosen 100 of 100 times" in first.verdict
+    assert first.reason == "one interval"
+    assert "first" in first.verdict
+    assert "100 of 100" in first.verdict
     second = verdict(session(lambda each, n: each.comparison_interval == 2 or n == 3))
-    assert "the second interval was chosen" in second.verdict
+    assert second.reason == "one interval"
+    assert "second" in second.verdict
+    assert "99 of 100" in second.verdict
 
 
 def test_in_turn():
     turn = verdict(session(lambda each, n: (n % 2 == 0) == (each.comparison_interval == 1)))
-    assert "do not depend" in turn.verdict
+    assert turn.reason == "flat"
 
 
 def test_always_the_same_answer():
     felt = of_counts([1, 2, 3], [10] * 3, [10] * 3)
-    assert verdict(felt).verdict == "always felt, 30 times: a threshold lies below 1"
-    assert verdict(felt).beyond == -1
+    assert (verdict(felt).reason, verdict(felt).beyond) == ("always", -1)
+    assert numbers(verdict(felt).verdict) == [30, 1]
     never = of_counts([1, 2, 3], [10] * 3, [0] * 3)
-    assert verdict(never).verdict == "never felt in 30 answers: a threshold lies above 3"
-    assert verdict(never).beyond == 1
+    assert (verdict(never).reason, verdict(never).beyond) == ("never", 1)
+    assert numbers(verdict(never).verdict) == [30, 3]
 
 
 def test_hardly_any_answers():
     few = session(lambda each, n: None if n % 5 else each.comparison > 30)
-    assert verdict(few).verdict == "only 20 of 100 trials were answered"
+    assert verdict(few).reason == "unanswered"
+    assert numbers(verdict(few).verdict) == [20, 100]
     none = session(lambda each, n: None)
-    assert verdict(none).verdict == "only 0 of 100 trials were answered"
+    assert verdict(none).reason == "unanswered"
+    assert numbers(verdict(none).verdict) == [0, 100]
 
 
 def test_too_few_trials():
     short = session(lambda each, n: each.comparison > 30, repetitions=1)
-    assert verdict(short).verdict == "10 answers are too few: at least 15 are needed"
+    assert verdict(short).reason == "too few"
+    assert numbers(verdict(short).verdict) == [10, 15]
     one = of_counts([3], [40], [17])
-    assert "42% of 40 times, but all were at 3" in verdict(one).verdict
+    assert verdict(one).reason == "one comparison"
+    assert numbers(verdict(one).verdict) == [42, 40, 3]
 
 
 def test_upside_down():
     subject = Subject(30.0, 0.25, 0.5)
     random = np.random.default_rng(1)
     swapped = session(lambda each, n: random.random() > subject.probability(each.comparison))
-    assert "mixed up" in verdict(swapped).verdict
+    assert verdict(swapped).reason == "falling"
 
 
 def test_beyond_the_range():
     subject = Subject(90.0, 0.8)
     answers = answer_all(ConstantStimuli(ratio_pairs([30.0]), 60), subject.probability, 2)
     found = verdict(answers)
-    assert found.verdict == "75% is not within the range tested: the threshold lies above 60"
+    assert found.reason == "outside"
+    assert numbers(found.verdict) == [75, 60]
     assert found.beyond == 1
     assert found.fit.threshold > 60
     low = of_counts([5, 6, 7, 8, 10], [60] * 5, [40, 44, 50, 55, 60])
-    assert verdict(low).beyond == -1
+    assert (verdict(low).reason, verdict(low).beyond) == ("outside", -1)
 
 
 def test_separated_answers_say_so():
@@ -117,7 +133,8 @@ def test_separated_answers_say_so():
     assert found.threshold.high - found.threshold.low > 0.6 * (high - low)
     # All curves with their middle between the two fit alike.
     assert low < found.fit.at(0.5) < high
-    assert "too suddenly" in found.notes[0]
+    assert found.sureness.sudden
+    assert f"{found.fit.at(0.5):.4g}" in found.notes[0]
 
 
 def test_one_sided_and_of_two_intervals_are_tested_against_guessing():
@@ -126,23 +143,25 @@ def test_one_sided_and_of_two_intervals_are_tested_against_guessing():
     share = of_counts(stimulus, [12] * 5, [8, 9, 9, 9, 10], standard=30.0)
     assert judge(share, usual_model([share]), HOW).verdict is None
     guessed = of_counts(stimulus, [12] * 5, [6, 5, 7, 6, 7], standard=30.0)
-    assert "do not depend" in verdict(guessed).verdict
+    assert verdict(guessed).reason == "flat"
     right = of_counts(stimulus, [12] * 5, [8, 9, 9, 9, 10], alternatives=2)
     assert judge(right, usual_model([right]), HOW).verdict is None
     felt = of_counts(stimulus, [12] * 5, [8, 9, 9, 9, 10])
-    assert "do not depend" in verdict(felt).verdict
+    assert verdict(felt).reason == "flat"
 
 
 def test_an_interval_beyond_the_range_is_told():
     answers = of_counts(30 * RATIO, [10] * 10, [2, 3, 2, 4, 3, 6, 5, 6, 7, 8], standard=30.0)
     found = judge(answers, usual_model([answers]), HOW)
-    assert any("beyond what was tested, 15 to 60" in each for each in found.notes)
+    assert found.threshold.high > 60
+    assert any(numbers(each) == [15, 60] for each in found.notes)
 
 
 def test_a_poor_fit_is_told():
     answers = of_counts(30 * RATIO, [20] * 10, [0, 9, 0, 9, 1, 19, 8, 20, 9, 20], standard=30.0)
     found = judge(answers, usual_model([answers]), HOW)
-    assert any("fits poorly" in each for each in found.notes)
+    assert found.goodness < POOR
+    assert any(f"{found.fit.deviance:.1f}" in each for each in found.notes)
 
 
 @settings(deadline=None)
@@ -165,7 +184,7 @@ def test_nothing_crashes_it(trials, standard, guess):
     if not comparison.any():
         answers = Answers(standard, comparison + 1, success, interval.astype(np.int64))
     found = judge(answers, usual_model([answers], guess=guess), How(samples=20))
-    assert (found.verdict is None) == (found.threshold is not None)
+    assert (found.verdict is None) == (found.threshold is not None) == (not found.reason)
     if found.threshold is not None:
         assert found.threshold.low <= found.threshold.high
         assert found.threshold.high > found.threshold.low or found.notes

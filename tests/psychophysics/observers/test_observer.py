@@ -20,6 +20,8 @@ from smarttouch.psychophysics.observers.observer import (
 )
 from smarttouch.psychophysics.observers.percept import FrequencySense, Recruitment
 
+from ...raising import raises
+
 RA, SAI, PC = Primary
 MIDDLE = 27
 
@@ -271,7 +273,7 @@ class TestTheTasks:
         trial = [points(*shapes["I"])]
         right = share(600, lambda: dull.respond("which", trial, names), "I")
         assert 1 / 3 < right < 0.8
-        with pytest.raises(ExperimentError, match="'X'"):
+        with raises(ExperimentError, about="template", problem="missing", value="X"):
             sharp.respond("which", trial, ["I", "X"])
 
     @pytest.mark.parametrize(
@@ -285,7 +287,13 @@ class TestTheTasks:
         assert first == pytest.approx(0.5, abs=0.08)
 
     def test_an_unknown_task_is_named(self, observer):
-        with pytest.raises(ExperimentError, match=r"'smell'.*faster"):
+        with raises(
+            ExperimentError,
+            about="task",
+            problem="unknown",
+            value="smell",
+            allowed=lambda names: "faster" in names,
+        ):
             observer().respond("smell", [NOTHING], "12")
 
     def test_the_same_seed_gives_the_same_answers(self, observer, train):

@@ -15,6 +15,7 @@ from smarttouch.psychophysics.procedures.constant import (
     ratio_pairs,
 )
 
+from ...raising import raises
 from ..simulated import Subject, answer_all
 
 
@@ -82,16 +83,16 @@ def test_too_high_comparisons_are_not_there():
     pairs = ratio_pairs([100.0], highest=150.0)
     assert max(comparison for _, comparison in pairs) <= 150
     assert len(pairs) == 8
-    with pytest.raises(ExperimentError, match="lower standards"):
+    with raises(ExperimentError, about="--standards", value=(300.0,), allowed=200.0):
         ratio_pairs([300.0], highest=200.0)
 
 
 def test_errors():
-    with pytest.raises(ExperimentError, match="0 conditions"):
+    with raises(ExperimentError, about="conditions", problem="too few", value=0):
         ConstantStimuli([])
     procedure = ConstantStimuli([(1.0, 2.0)], 1)
     procedure.answer(True)
-    with pytest.raises(ExperimentError, match="no next one"):
+    with raises(ExperimentError, about="trial", problem="gone"):
         procedure.next()
 
 

@@ -7,6 +7,7 @@ from smarttouch.errors import ExperimentError
 from smarttouch.psychophysics.fitting.psychometric import Model
 from smarttouch.psychophysics.procedures.quest import QuestPlus
 
+from ...raising import raises
 from ..simulated import Subject, answer_all
 
 
@@ -63,7 +64,7 @@ def test_no_answer_teaches_nothing():
         procedure.answer(None)
     assert procedure.done
     assert procedure.estimate() is None
-    with pytest.raises(ExperimentError, match="no next one"):
+    with raises(ExperimentError, about="trial", problem="gone"):
         procedure.next()
 
 
@@ -74,7 +75,14 @@ def test_a_linear_axis():
     assert not answers.interval.any()
 
 
-@pytest.mark.parametrize("arguments", [(2.0, 1.0), (0.0, 1.0), (1.0, 2.0, Model(guess="free"))])
-def test_errors(arguments):
-    with pytest.raises(ExperimentError):
+@pytest.mark.parametrize(
+    ("arguments", "about", "value"),
+    [
+        ((2.0, 1.0), "range", (2, 1)),
+        ((0.0, 1.0), "range", (0, 1)),
+        ((1.0, 2.0, Model(guess="free")), "guess", "free"),
+    ],
+)
+def test_errors(arguments, about, value):
+    with raises(ExperimentError, about=about, value=value):
         QuestPlus(*arguments)

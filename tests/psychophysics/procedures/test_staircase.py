@@ -12,6 +12,7 @@ from smarttouch.psychophysics.procedures.procedure import Interleaved
 from smarttouch.psychophysics.procedures.quest import QuestPlus
 from smarttouch.psychophysics.procedures.staircase import WeightedStaircase
 
+from ...raising import raises
 from ..simulated import Subject, answer_all
 
 
@@ -96,22 +97,22 @@ def test_ends_where_the_range_does(answer):
         procedure.answer(answer)
     assert procedure.trials < 12
     assert procedure.estimate() is None
-    with pytest.raises(ExperimentError, match="no next trial"):
+    with raises(ExperimentError, about="trial", problem="gone"):
         procedure.next()
 
 
 @pytest.mark.parametrize(
-    "arguments",
+    ("arguments", "about", "value"),
     [
-        (3.0, 1.0, 2.0, 0.1),
-        (1.0, 1.0, 1.0, 0.1),
-        (0.5, 0.0, 2.0, 0.1),
-        (1.5, 1.0, 2.0, 0.0),
-        (1.5, 1.0, 2.0, 0.1, 1.0, 1.0),
+        ((3.0, 1.0, 2.0, 0.1), "start", 3.0),
+        ((1.0, 1.0, 1.0, 0.1), "start", 1.0),
+        ((0.5, 0.0, 2.0, 0.1), "lowest", 0.0),
+        ((1.5, 1.0, 2.0, 0.0), "step", 0.0),
+        ((1.5, 1.0, 2.0, 0.1, 1.0, 1.0), "target", 1.0),
     ],
 )
-def test_errors(arguments):
-    with pytest.raises(ExperimentError):
+def test_errors(arguments, about, value):
+    with raises(ExperimentError, about=about, value=value):
         WeightedStaircase(*arguments)
 
 
@@ -140,7 +141,7 @@ def test_interleaved_mixes_them_all():
     assert procedure.estimate() is None
     assert len(procedure.estimates()) == 3
     assert procedure.total is None
-    with pytest.raises(ExperimentError):
+    with raises(ExperimentError, about="trial", problem="gone"):
         procedure.next()
 
 
@@ -165,7 +166,7 @@ def test_interleaved_of_one_and_of_known_length():
     assert one.total == 3
     answer_all(one, lambda _: 1.0)
     assert one.estimate() == one.estimates()[0]
-    with pytest.raises(ExperimentError, match="no procedure"):
+    with raises(ExperimentError, about="--standards", problem="too few", value=0):
         Interleaved([])
 
 
