@@ -171,9 +171,9 @@ class TestTime:
 
     def test_an_event_before_the_first_step_begins_the_time(self, lsl, profile):
         markers = opened(profile)
-        markers.event(2_000_000_000, "one")
+        markers.event(Note(2_000_000_000, "one"))
         lsl.now_s = 777.0
-        markers.event(3_500_000_000, "two")
+        markers.event(Note(3_500_000_000, "two"))
         assert lsl.pushed["smarttouch-events"] == [(100.0, ["one"]), (101.5, ["two"])]
 
 
@@ -244,7 +244,7 @@ def test_everything_arrives_over_the_real_layer(profile, felt):
     assert described.desc().child_value("profile") == profile.name
     began_s = pylsl.local_clock()
     steps = felt(markers)
-    markers.event(1_000_000_000, "trial 1: “A”, 30 Hz")
+    markers.event(Note(1_000_000_000, "trial 1: “A”, 30 Hz"))
     got = [inlets["pulses"].pull_sample(timeout=5) for _ in steps]
     for step, (pulse, at_s) in zip(steps, got, strict=True):
         assert pulse[:2] == [step.number, step.step.sequence.slots]

@@ -62,7 +62,6 @@ def legibility(
         write_json,
     )
     from smarttouch.cli.progress import bank_progress
-    from smarttouch.cli.sharing import parse_scan
     from smarttouch.kernels.bank import load_bank
     from smarttouch.profile import load_profile
     from smarttouch.reading.braille import Braille, Presentation
@@ -71,6 +70,7 @@ def legibility(
     from smarttouch.reading.shapes import Shapes, Style
     from smarttouch.reading.source import Source
     from smarttouch.reading.window import profile_for_reading
+    from smarttouch.run.config import SCANS, RunConfig
 
     require_folder(json_file)
     chosen = profile_for_reading(load_profile(profile))
@@ -83,7 +83,7 @@ def legibility(
     motion = wanted.motion(chosen, speed)
     with bank_progress(quiet) as progress:
         bank = load_bank(chosen, progress)
-    sharing = parse_scan(scan, chosen)
+    sharing = RunConfig(scan=parse_choice("--scan", scan, SCANS)).sharing(chosen)
     reading = Reading(chosen, bank, wanted.tone, motion, parse_mode(mode), sharing)
     if as_shapes:
         figures = _of_shapes(text, shapes, reading, truth, quiet)

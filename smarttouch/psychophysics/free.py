@@ -128,19 +128,19 @@ class FreeLog:
 
 
 class HandControls(Controls):
-    """The user's wish, whose level a knob may move: away from you is more.
+    """Controls whose level a knob may move: away from you is more.
 
     Parameters
     ----------
-    wish, modes
+    state, modes
         See `Controls`.
     knob : Knob, optional
     """
 
     def __init__(
-        self, wish: ControlState, modes: tuple[Mode, ...] = (), *, knob: Knob | None = None
+        self, state: ControlState, modes: tuple[Mode, ...] = (), *, knob: Knob | None = None
     ) -> None:
-        super().__init__(wish, modes)
+        super().__init__(state, modes)
         self._knob, self._y_mm = knob, 0.0
 
     def state(self, time_ns: int) -> ControlState:

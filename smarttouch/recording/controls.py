@@ -16,8 +16,8 @@ class RecordedControls(Controls):
     Parameters
     ----------
     recording : Recording
-        Whose wishes.
-    wish : ControlState
+        Whose modes and levels.
+    state : ControlState
         Today's user's, to begin with: its level is a part of the recorded one.
     modes : tuple of Mode
         What the board offers.
@@ -28,8 +28,8 @@ class RecordedControls(Controls):
         If the board does not offer a mode of the recording.
     """
 
-    def __init__(self, recording: Recording, wish: ControlState, modes: tuple[Mode, ...]) -> None:
-        super().__init__(wish, modes)
+    def __init__(self, recording: Recording, state: ControlState, modes: tuple[Mode, ...]) -> None:
+        super().__init__(state, modes)
         self._times_ns: list[int] = []
         self._recorded: list[ControlState] = []
         for topic, message in recording.messages():

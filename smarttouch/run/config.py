@@ -1,7 +1,7 @@
 """Run configuration shared by all commands and by programs."""
 
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
 from smarttouch.errors import SmartTouchError
 from smarttouch.imaging.mapping import Tone
@@ -55,7 +55,7 @@ class RunConfig:
     """
 
     mode: Mode | str = Mode.RA
-    scan: Literal["auto", "points", "frame"] | Sharing = "auto"
+    scan: str | Sharing = "auto"
     rate_hz: float | None = None
     seconds: float | None = None
     intensity: float | None = None

@@ -167,8 +167,7 @@ class Runner:
             self._require_force()
             self._warn_of_simulation(profile)
             regulator = make_regulator(board, profile, self.config, self._note_early)
-            # What an open board says of itself.
-            context.settings |= self._settings(profile)
+            context.settings |= self._board_settings()
             for listener in self._listeners:
                 listener.start(context)
             run_loop(
@@ -194,19 +193,25 @@ class Runner:
     def _settings(self, profile: Profile) -> dict[str, Any]:
         """Return all that sequences depend on, and what else one may want to know."""
         source, display = self.source, self.display
-        can, timing = display.board.capabilities, display.board.timing
         return {
             **self.config.settings(profile),
             "vibrated": display.vibrators_url is not None,
-            "recharge": self.config.balance and can.recharges,
-            "timing": asdict(timing),
-            "compliance_v": can.compliance_v,
+            "timing": asdict(display.board.timing),
             "sensor": source.url or source.title,
             "sensor_title": source.title,
             "board": display.url,
             "vibrators": display.vibrators_url,
-            "firmware": can.firmware,
             "force": None if self._force is None else self._force.url or self._force.title,
+        }
+
+    def _board_settings(self) -> dict[str, Any]:
+        """Return those that an open board says of itself."""
+        can = self.display.board.capabilities
+        return {
+            "recharge": self.config.balance and can.recharges,
+            "timing": asdict(self.display.board.timing),
+            "compliance_v": can.compliance_v,
+            "firmware": can.firmware,
         }
 
     def _account(self, report: BoardReport) -> None:

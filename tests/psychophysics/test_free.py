@@ -160,7 +160,7 @@ def test_rows_are_on_disk_at_once(line, tmp_path):
     log = FreeLog(tmp_path / "free.csv")
     sensor = FreeSensor(line, ALL, log, press_n=1.0)
     told = []
-    sensor.tell = lambda time_ns, words: told.append(words)
+    sensor.emit = lambda event: told.append(str(event))
     sensor.keys["m"]()
     sensor.read(1_000_000)
     assert (tmp_path / "free.csv").read_text(encoding="utf-8-sig").splitlines()[-1] == (

@@ -33,7 +33,7 @@ def play(path):
 
 
 def follow(path):
-    RecordedControls(Recording(path), ControlState(Mode.RA, 1.0), tuple(Mode)).wish(10**9)
+    RecordedControls(Recording(path), ControlState(Mode.RA, 1.0), tuple(Mode)).state(10**9)
 
 
 def uses(path):

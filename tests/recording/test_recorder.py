@@ -218,9 +218,7 @@ def recorded_by_told_clock(monkeypatch, path, about, handed, takes_s=0.0):
 def test_nothing_waits_for_the_disk_longer_than_a_second(monkeypatch, tmp_path, about, steps):
     """Twenty steps a second, then a pause, a single one, and the end an hour later."""
     at_s = [0.05 * index for index in range(60)] + [10.0, 3600.0]
-    handed = [
-        (due_s, (sent, 0, 0)) for due_s, sent in zip(at_s, itertools.cycle(steps), strict=False)
-    ]
+    handed = [(due_s, sent) for due_s, sent in zip(at_s, itertools.cycle(steps), strict=False)]
     path = tmp_path / "run.mcap"
     first, *synced = recorded_by_told_clock(monkeypatch, path, about, handed)
     assert first[0] == 0.0, "the settings, before anything is recorded"
@@ -238,7 +236,7 @@ def test_nothing_waits_for_the_disk_longer_than_a_second(monkeypatch, tmp_path, 
 def test_nothing_waits_for_the_system_longer_than_a_moment(monkeypatch, tmp_path, about, steps):
     """What a killed program loses: it is given to the system within `FLUSH_S`."""
     at_s = [0.01 * index for index in range(50)] + [5.0]
-    told, given = ToldQueue([(due_s, (steps[0], 0, 0)) for due_s in at_s]), []
+    told, given = ToldQueue([(due_s, steps[0]) for due_s in at_s]), []
     flush = RecordingWriter._flush
 
     def flush_and_tell(recorder):
@@ -258,7 +256,7 @@ def test_nothing_waits_for_the_system_longer_than_a_moment(monkeypatch, tmp_path
 
 
 def test_a_slow_disk_is_waited_for_once_a_second_at_most(monkeypatch, tmp_path, about, steps):
-    handed = [(0.05 * index, (steps[index % 40], 0, 0)) for index in range(100)]
+    handed = [(0.05 * index, steps[index % 40]) for index in range(100)]
     synced = recorded_by_told_clock(monkeypatch, tmp_path / "run.mcap", about, handed, takes_s=0.4)
     times = [time_s for time_s, _ in synced]
     assert all(after - before >= 1.3 for before, after in itertools.pairwise(times[1:-1]))
@@ -267,7 +265,7 @@ def test_a_slow_disk_is_waited_for_once_a_second_at_most(monkeypatch, tmp_path, 
 
 def test_what_the_disk_had_is_readable_after_a_power_cut(monkeypatch, tmp_path, about, steps):
     """The file cut where it ended when the disk was last waited for: nothing before is lost."""
-    handed = [(0.07 * index, (sent, 0, 0)) for index, sent in enumerate(steps)]
+    handed = [(0.07 * index, sent) for index, sent in enumerate(steps)]
     handed += [(3.0, (5_000_000, "paused"))]
     path = tmp_path / "run.mcap"
     synced = recorded_by_told_clock(monkeypatch, path, about, handed)

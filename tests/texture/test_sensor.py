@@ -180,7 +180,7 @@ def test_it_tells_once_what_is_left_out(mouse):
     told = []
     way = [(2.5 * k, 0) for k in range(100)]
     sensor = MouseSensor(GRATING, Played(way), mouse, fastest_hz=10.0, press_n=1.0)
-    sensor.tell = lambda time_ns, words: told.append((time_ns, words))
+    sensor.emit = lambda event: told.append((event.time_ns, str(event)))
     pulses(sensor)
     assert len(told) == 1
     assert numbers_in(told[0][1]) == [10]

@@ -1,0 +1,31 @@
+"""Commands on boards that a finger may be on."""
+
+import pytest
+
+from smarttouch.boards.board import may_touch_a_finger
+
+
+@pytest.mark.parametrize(
+    ("url", "finger"),
+    [
+        ("link:x", True), ("kajimoto61:x", True), ("etactilekit:x", True), ("vibrators:x", True),
+        ("emulator:", False), ("simulated:", False), ("memory:", False),
+    ],
+)  # fmt: skip
+def test_which_boards_a_finger_may_be_on(url, finger):
+    assert may_touch_a_finger(url) is finger
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("live",), ("mouse",), ("read", "text:a"), ("color", "tone:30Hz,8um+press:0.5N"),
+        ("experiment", "free", "--seconds", "1"), ("board", "test", "--seconds", "1"),
+    ],
+)  # fmt: skip
+def test_no_command_drives_a_real_board_that_nobody_controls(program_here, command):
+    board = ("link:/dev/nowhere",) if command[0] == "board" else ("--board", "link:/dev/nowhere")
+    done = program_here(*command, *board)
+    assert done.returncode == 2
+    assert "there is no keyboard" in done.stderr
+    assert done.stderr.count("\n") == 1

@@ -1,0 +1,55 @@
+"""Run configuration: what is possible, and whose points share slots."""
+
+import pytest
+
+from smarttouch.errors import SmartTouchError
+from smarttouch.primary import Mode, Primary
+from smarttouch.profile import load_profile
+from smarttouch.run.config import SCANS, RunConfig
+from smarttouch.stimulation.frames import NO_SHARING, Sharing
+
+from ..raising import raises
+
+
+def test_which_points_share_slots(profile):
+    assert RunConfig().sharing(profile) == Sharing((Primary.RA,), planned=False)
+    assert RunConfig(hold="charge").sharing(profile) == NO_SHARING
+    for name in ("kajimoto-61", "line-7"):
+        assert RunConfig().sharing(load_profile(name)) == NO_SHARING
+    assert RunConfig(scan="points").sharing(profile) == NO_SHARING
+    assert RunConfig(scan="frame").sharing(profile) == Sharing(tuple(Primary), planned=True)
+
+
+def test_a_recorded_scan_is_used_where_the_board_can(profile):
+    shared = Sharing((Primary.RA,), planned=False)
+    assert RunConfig(scan=shared).sharing(profile) == shared
+    assert RunConfig(scan=shared).sharing(load_profile("kajimoto-61")) == NO_SHARING
+
+
+def test_holding_goes_point_by_point(profile):
+    with raises(SmartTouchError, about="scan", problem="conflict", remedy="scan points"):
+        RunConfig(scan="frame", hold="energy").sharing(profile)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "allowed"),
+    [
+        ("intensity", 1.5, (0, 1)),
+        ("intensity", float("nan"), (0, 1)),
+        ("softness", -0.1, (0, 1)),
+        ("seconds", 0.0, None),
+        ("seconds", float("nan"), None),
+        ("mode", "XY", tuple(each.value for each in Mode)),
+        ("scan", "all", SCANS),
+        ("hold", "voltage", ("charge", "energy")),
+    ],
+)
+def test_impossible_values_are_named(name, value, allowed):
+    same = value if value == value else lambda found: found != found
+    with raises(SmartTouchError, about=name, value=same, allowed=allowed):
+        RunConfig(**{name: value})
+
+
+def test_modes_go_by_their_names():
+    assert RunConfig(mode="sai").mode is Mode.SAI
+    assert RunConfig(mode=Mode.NATURAL).mode is Mode.NATURAL

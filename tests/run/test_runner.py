@@ -1,0 +1,192 @@
+"""The runner: one run put together, and its end at zero whatever happens."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from smarttouch.errors import BoardError, BoardStoppedError, SensorError, SmartTouchError
+from smarttouch.events import IntensityChanged, ModeChanged, Note, RunEnded
+from smarttouch.outputs import FeltPicture, Patterns
+from smarttouch.primary import Mode
+from smarttouch.recording.recorder import Recorder
+from smarttouch.run.config import RunConfig
+from smarttouch.run.display import open_display
+from smarttouch.run.listener import Listener
+from smarttouch.run.runner import Runner
+from smarttouch.sources import open_sensor
+
+from ..raising import raises
+
+
+@pytest.fixture
+def display(profile):
+    with open_display("simulated:", profile) as display:
+        yield display
+
+
+@pytest.fixture
+def source(profile):
+    return open_sensor("text:on", profile, speed_mm_s=400)
+
+
+class Noting(Listener):
+    """Notes in which order it is called, and what it is given."""
+
+    def __init__(self):
+        super().__init__()
+        self.calls, self.events, self.results, self.context = [], [], [], None
+
+    def prepare(self, run):
+        self.calls.append("prepare")
+        self.context = run
+        assert not run.board._opened
+
+    def start(self, run):
+        self.calls.append("start")
+        assert run.board._opened
+
+    def step(self, result):
+        self.calls += ["step"] if "step" not in self.calls else []
+        self.results.append(result)
+
+    def event(self, event):
+        self.events.append(event)
+
+    def finish(self, run):
+        self.calls.append("finish")
+        assert not run.board._opened
+
+    def close(self):
+        self.calls.append("close")
+
+
+def test_a_run_from_its_source_to_its_statistics(source, display, bank):
+    noting = Noting()
+    statistics = Runner(
+        source, display, RunConfig(seed=3), listeners=[noting], load_kernels=lambda _: bank
+    ).run()
+    assert noting.calls == ["prepare", "start", "step", "finish", "close"]
+    assert statistics.frames == len(noting.results) > 10
+    assert statistics.ended == source.ended
+    assert statistics.figures["emulator_violations"] == 0
+    assert statistics.figures["frames_in"] == statistics.seen
+    assert statistics.figures["slots"] == sum(each.sequence.slots for each in noting.results) > 0
+    assert noting.context.settings["seed"] == 3
+    assert noting.context.settings["sensor"] == source.title
+    assert noting.context.bank is bank
+    kinds = [type(event) for event in noting.events]
+    assert kinds[:2] == [IntensityChanged, ModeChanged]
+    assert RunEnded in kinds
+
+
+def test_plain_functions_are_given_each_step(source, display):
+    seen = []
+    statistics = Runner(source, display, RunConfig(), listeners=[seen.append]).run()
+    assert [each.number for each in seen] == list(range(1, statistics.frames + 1))
+    assert seen[-1].tactile.activation.shape == (3, 64)
+
+
+def test_a_display_is_run_many_times(profile, display):
+    for text in ("a", "b"):
+        source = open_sensor(f"text:{text}", profile, speed_mm_s=400)
+        assert Runner(source, display, RunConfig()).run().frames > 0
+
+
+@pytest.mark.parametrize("stage", ["prepare", "start", "step", "event", "finish", "close"])
+def test_an_exception_in_a_listener_ends_at_zero(source, display, stage, monkeypatch):
+    class BrokenError(Exception):
+        pass
+
+    def broken(*_):
+        raise BrokenError
+
+    noting, other = Noting(), Noting()
+    monkeypatch.setattr(noting, stage, broken)
+    with pytest.raises(BrokenError):
+        Runner(source, display, RunConfig(), listeners=[noting, other]).run()
+    assert other.calls[-1] == "close"
+    with raises(BoardError, about="board", problem="closed"):
+        display.board.send(None)
+
+
+def test_a_stop_from_another_thread_ends_it_at_zero(profile):
+    source, stopped = open_sensor("text:a long line of words", profile), []
+    with open_display("simulated:", profile) as display:
+
+        def stop(result):
+            if result.number == 20:
+                thread = threading.Thread(target=display.stop)
+                thread.start()
+                thread.join()
+                stopped.append(result.number)
+
+        statistics = Runner(source, display, RunConfig(), listeners=[stop]).run()
+        assert stopped == [20]
+        assert statistics.frames == 20
+        with pytest.raises(BoardStoppedError):
+            display.board.open()
+
+
+def test_on_a_finger_somebody_says_how_strong(profile, source):
+    display = open_display("link:/dev/nowhere", profile)
+    with raises(SmartTouchError, about="intensity", problem="missing"):
+        Runner(source, display, RunConfig()).run()
+    # Then it is the port that is missing.
+    with raises(BoardError, about="port"):
+        Runner(source, display, RunConfig(intensity=0.3)).run()
+
+
+def test_without_force_there_is_no_run(display, source, monkeypatch):
+    monkeypatch.setattr(type(source), "knows_force", False)
+    with raises(SensorError, about="force", problem="missing"):
+        Runner(source, display, RunConfig()).run()
+
+
+def test_a_simulated_calibration_is_no_finger_s(profile, source, monkeypatch):
+    from smarttouch.profile.device import Calibrated
+
+    note = Calibrated.model_construct(found="simulated: yes or no")
+    monkeypatch.setitem(profile.calibrated, "thresholds", note)
+    notes = []
+    for on_a_finger in (False, True):
+        with open_display("simulated:", profile) as display:
+            monkeypatch.setattr(type(display), "on_a_finger", on_a_finger)
+            noting = Noting()
+            Runner(
+                open_sensor("text:a", profile, speed_mm_s=400), display, RunConfig(intensity=0.5),
+                listeners=[noting],
+            ).run()  # fmt: skip
+            notes.append([each for each in noting.events if isinstance(each, Note)])
+    assert not any("thresholds" in str(each) for each in notes[0])
+    assert any("thresholds" in str(each) for each in notes[1])
+
+
+def test_broken_electrodes_are_planned_around(profile, source, display, monkeypatch):
+    from smarttouch.boards.impedance import judge
+
+    kohm = np.full(64, 0.2)
+    monkeypatch.setattr(
+        display.board, "_measure", lambda: judge(np.where(np.arange(64) == 27, 0, kohm), 1.0, 9.0)
+    )
+    noting = Noting()
+    Runner(source, display, RunConfig(measure=True), listeners=[noting]).run()
+    assert noting.context.profile.output.masked == (27,)
+    assert not any(each.sequence.current_ua[:, 27].any() for each in noting.results)
+
+
+def test_outputs_are_listeners(profile, source, display, tmp_path):
+    paths = [tmp_path / name for name in ("felt.png", "run.gif", "run.mcap")]
+    listeners = [FeltPicture(paths[0]), Patterns(paths[1]), Recorder(paths[2])]
+    Runner(source, display, RunConfig(mode=Mode.RA), listeners=listeners).run()
+    assert all(path.stat().st_size > 1000 for path in paths)
+    with raises(SmartTouchError, about="file", problem="exists", value=paths[2]):
+        Runner(
+            open_sensor("text:a", profile), display, RunConfig(), listeners=[Recorder(paths[2])]
+        ).run()
+
+
+def test_a_picture_of_what_was_felt_needs_every_pulse(profile, source, tmp_path):
+    display = open_display("memory:", profile)
+    with raises(SmartTouchError, about="felt", problem="conflict"):
+        Runner(source, display, RunConfig(), listeners=[FeltPicture(tmp_path / "a.png")]).run()
