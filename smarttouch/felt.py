@@ -15,7 +15,7 @@ from smarttouch.mosaic import Mosaic
 from smarttouch.perception import Perception
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
-from smarttouch.run.step import StepResult
+from smarttouch.running.step import StepResult
 from smarttouch.sources.frame import Pose
 
 FINEST_MM = 0.1

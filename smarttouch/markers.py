@@ -17,8 +17,8 @@ import numpy as np
 from smarttouch.errors import MarkersError
 from smarttouch.events import Event
 from smarttouch.profile import Profile
-from smarttouch.run.listener import Listener, RunContext
-from smarttouch.run.step import StepResult
+from smarttouch.running.listener import Listener, RunContext
+from smarttouch.running.step import StepResult
 
 PULSES = (
     ("number", "count"),

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.errors import SmartTouchError
-from smarttouch.run.listener import Listener, RunContext
-from smarttouch.run.step import StepResult
+from smarttouch.running.listener import Listener, RunContext
+from smarttouch.running.step import StepResult
 
 if TYPE_CHECKING:
     from smarttouch.boards.emulator.simulated import Pulses

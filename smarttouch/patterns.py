@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw
 from smarttouch.errors import SmartTouchError
 from smarttouch.files import write_bytes
 from smarttouch.profile import Profile
-from smarttouch.run.step import StepResult
+from smarttouch.running.step import StepResult
 
 _PITCH_PIXELS = 24
 _SMALLEST_PIXELS = 6

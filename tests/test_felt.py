@@ -10,7 +10,7 @@ from smarttouch.documents.page_image import Page
 from smarttouch.errors import SmartTouchError
 from smarttouch.felt import FeltImage
 from smarttouch.primary import Mode, Primary
-from smarttouch.run.step import Step, StepResult
+from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.sequence import ScanSequence
 

@@ -12,12 +12,12 @@ from smarttouch.errors import MarkersError
 from smarttouch.events import Note
 from smarttouch.markers import FRAMES, PULSES, Markers
 from smarttouch.primary import Mode
-from smarttouch.run.config import RunConfig
-from smarttouch.run.listener import as_listeners
-from smarttouch.run.loop import run_loop
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.statistics import RunStatistics
-from smarttouch.run.step import StepResult
+from smarttouch.running.config import RunConfig
+from smarttouch.running.listener import as_listeners
+from smarttouch.running.loop import run_loop
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.statistics import RunStatistics
+from smarttouch.running.step import StepResult
 from smarttouch.sources.frame import Frame, Pose, Sensor
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest

@@ -11,7 +11,7 @@ from smarttouch.errors import SmartTouchError
 from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.patterns import PatternFile
 from smarttouch.primary import Mode, Primary
-from smarttouch.run.step import Step, StepResult
+from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.sequence import ScanSequence
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from smarttouch.cli import keyboard
-from smarttouch.cli.running import announced, refuse_if_stopped
+from smarttouch.cli.run_registry import announced, refuse_if_stopped
 from smarttouch.cli.terminal import never_waiting
 from smarttouch.errors import BoardError, BoardStoppedError
 from smarttouch.stopping import RunStopped, SignalWatch, StopRequest

@@ -27,7 +27,7 @@ from smarttouch.psychophysics.session import Session
 from smarttouch.psychophysics.subject import Subject, make_observer
 from smarttouch.psychophysics.summary import summarize
 from smarttouch.reading.window import press_n
-from smarttouch.run.config import RunConfig
+from smarttouch.running.config import RunConfig
 from smarttouch.sources.forces.force import ForceSource
 from smarttouch.texture.motion import open_motion
 

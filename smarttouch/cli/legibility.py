@@ -70,7 +70,7 @@ def legibility(
     from smarttouch.reading.shapes import Shapes, Style
     from smarttouch.reading.source import Source
     from smarttouch.reading.window import profile_for_reading
-    from smarttouch.run.config import SCANS, RunConfig
+    from smarttouch.running.config import SCANS, RunConfig
 
     require_folder(json_file)
     chosen = profile_for_reading(load_profile(profile))

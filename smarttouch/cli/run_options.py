@@ -26,8 +26,8 @@ from smarttouch.cli.options import (
 if TYPE_CHECKING:
     from smarttouch.cli.session import Outputs
     from smarttouch.profile import Profile
-    from smarttouch.run.config import RunConfig
-    from smarttouch.run.display import Display
+    from smarttouch.running.config import RunConfig
+    from smarttouch.running.display import Display
     from smarttouch.sources.forces.force import ForceSource
 
 _T = TypeVar("_T")
@@ -108,13 +108,13 @@ class RunOptions:
 
     def display(self, profile: "Profile") -> "Display":
         """Return the display, not opened yet."""
-        from smarttouch.run.display import Display
+        from smarttouch.running.display import Display
 
         return Display(self.board_url, profile, self.vibrators)
 
     def config(self, mode: str, **more: Any) -> "RunConfig":
         """Return the configuration of the run; settings that a command adds go first."""
-        from smarttouch.run.config import RunConfig
+        from smarttouch.running.config import RunConfig
 
         names = (
             "scan", "seconds", "intensity", "softness", "measure", "hold", "balance", "subject",

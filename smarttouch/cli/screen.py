@@ -17,8 +17,8 @@ from rich.text import Text
 from smarttouch import terminal
 from smarttouch.events import Event, Note
 from smarttouch.profile import Profile
-from smarttouch.run.listener import Listener, RunContext
-from smarttouch.run.step import StepResult
+from smarttouch.running.listener import Listener, RunContext
+from smarttouch.running.step import StepResult
 from smarttouch.stimulation.sequence import ScanSequence
 
 _SENSOR_ROWS = 16

@@ -17,11 +17,11 @@ from smarttouch.cli.screen import Screen
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.outputs import output_listeners
 from smarttouch.profile import Profile
-from smarttouch.run.config import RunConfig
-from smarttouch.run.controls import STEP, Controls
-from smarttouch.run.display import Display
-from smarttouch.run.listener import Listener, RunContext
-from smarttouch.run.runner import MakeControls, Runner
+from smarttouch.running.config import RunConfig
+from smarttouch.running.controls import STEP, Controls
+from smarttouch.running.display import Display
+from smarttouch.running.listener import Listener, RunContext
+from smarttouch.running.runner import MakeControls, Runner
 from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.frame import Sensor
 from smarttouch.stopping import ENDS_WITHIN_S, StopRequest

@@ -13,7 +13,7 @@ def stop() -> None:
     import signal
     import time
 
-    from smarttouch.cli.running import leave_mark, running
+    from smarttouch.cli.run_registry import leave_mark, running
     from smarttouch.errors import SmartTouchError
 
     # First the mark: who is not listed yet will find it before it begins.

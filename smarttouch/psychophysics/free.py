@@ -19,9 +19,9 @@ from smarttouch.files import unwritable
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.stimuli import Stimuli, picture, require_site
-from smarttouch.run.controls import Controls, ControlState
-from smarttouch.run.listener import Listener
-from smarttouch.run.step import StepResult
+from smarttouch.running.controls import Controls, ControlState
+from smarttouch.running.listener import Listener
+from smarttouch.running.step import StepResult
 from smarttouch.sources.frame import Frame, Pose, PulseRequest, Sensor
 
 SLOWEST_HZ, FASTEST_HZ = 10.0, 200.0

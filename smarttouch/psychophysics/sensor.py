@@ -15,8 +15,8 @@ from smarttouch.profile import Profile
 from smarttouch.psychophysics.course import Course
 from smarttouch.psychophysics.stimuli import Train, picture
 from smarttouch.psychophysics.trial import Answer, Trial, Trials
-from smarttouch.run.listener import Listener
-from smarttouch.run.step import StepResult
+from smarttouch.running.listener import Listener
+from smarttouch.running.step import StepResult
 from smarttouch.sources.frame import Frame, Pose, PulseRequest, Sensor
 from smarttouch.stimulation.intensity import force_gate
 

@@ -21,8 +21,8 @@ from smarttouch.psychophysics.observers.observer import (
 )
 from smarttouch.psychophysics.sensor import ExperimentSensor
 from smarttouch.psychophysics.trial import Trial
-from smarttouch.run.listener import Listener, RunContext
-from smarttouch.run.step import StepResult
+from smarttouch.running.listener import Listener, RunContext
+from smarttouch.running.step import StepResult
 
 _LOOK_S = 0.25
 """How often an observer makes up its mind while a current rises (our own choice)."""

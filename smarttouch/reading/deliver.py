@@ -20,10 +20,10 @@ from smarttouch.reading.feed import LineFeed
 from smarttouch.reading.sensor import ReadingSensor
 from smarttouch.reading.touch_line import TouchLine
 from smarttouch.reading.window import pixel_of, press_n
-from smarttouch.run.config import RunConfig
-from smarttouch.run.display import Display
-from smarttouch.run.runner import Runner
-from smarttouch.run.step import StepResult
+from smarttouch.running.config import RunConfig
+from smarttouch.running.display import Display
+from smarttouch.running.runner import Runner
+from smarttouch.running.step import StepResult
 from smarttouch.stimulation.frames import NO_SHARING, Sharing
 
 

@@ -12,10 +12,10 @@ from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile
 from smarttouch.recording.decoder import RecordedStep
 from smarttouch.recording.reader import Recording
-from smarttouch.run.config import RunConfig
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.regulator import Regulator
-from smarttouch.run.step import Measured
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.regulator import Regulator
+from smarttouch.running.step import Measured
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.ledger import ChargeLedger
 from smarttouch.stimulation.recharge import RechargeRules

@@ -7,7 +7,7 @@ from smarttouch.errors import RecordingError
 from smarttouch.primary import Mode
 from smarttouch.recording.chunks import parse_message
 from smarttouch.recording.reader import Recording
-from smarttouch.run.controls import Controls, ControlState
+from smarttouch.running.controls import Controls, ControlState
 
 
 class RecordedControls(Controls):

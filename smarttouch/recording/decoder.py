@@ -15,7 +15,7 @@ from smarttouch.primary import Mode, Primary
 from smarttouch.recording.chunks import parse_message
 from smarttouch.recording.encoder import Message, remember
 from smarttouch.recording.schemas import LAST
-from smarttouch.run.step import Measured, Step, StepResult
+from smarttouch.running.step import Measured, Step, StepResult
 from smarttouch.sources.frame import Frame, Pose, PulseRequest
 from smarttouch.stimulation.sequence import Proof, ScanSequence
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from smarttouch.primary import Primary
 from smarttouch.recording.schemas import INFO, LAST
-from smarttouch.run.step import Step, StepResult
+from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.frame import Frame
 from smarttouch.stimulation.sequence import Proof
 

@@ -25,8 +25,8 @@ from smarttouch.files import sync_folder
 from smarttouch.profile import Profile
 from smarttouch.recording.encoder import Message, StepEncoder
 from smarttouch.recording.schemas import FORMAT, METADATA, SCHEMAS, schema
-from smarttouch.run.listener import Listener, RunContext
-from smarttouch.run.step import StepResult
+from smarttouch.running.listener import Listener, RunContext
+from smarttouch.running.step import StepResult
 
 FLUSH_S = 0.04
 """Nothing waits longer than this for the system to have it: what a killed program loses."""

@@ -14,7 +14,7 @@ from smarttouch.kernels.bank import KernelBank
 from smarttouch.perception import Perception
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
-from smarttouch.run.step import StepResult
+from smarttouch.running.step import StepResult
 from smarttouch.texture.texture import Texture
 
 FINEST_MM = 0.1

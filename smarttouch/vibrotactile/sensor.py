@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
-from smarttouch.run.listener import Listener
-from smarttouch.run.step import StepResult
+from smarttouch.running.listener import Listener
+from smarttouch.running.step import StepResult
 from smarttouch.sources.frame import Frame, Pose, PulseRequest, Sensor
 from smarttouch.vibrotactile.mix import Mixture
 from smarttouch.vibrotactile.train import Times

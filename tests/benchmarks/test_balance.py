@@ -10,12 +10,12 @@ from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.clock import SimulatedClock
 from smarttouch.kernels.problem import Problem
 from smarttouch.primary import Mode, Primary
-from smarttouch.run.config import RunConfig
-from smarttouch.run.listener import as_listeners
-from smarttouch.run.loop import run_loop
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.regulator import Regulator
-from smarttouch.run.statistics import RunStatistics
+from smarttouch.running.config import RunConfig
+from smarttouch.running.listener import as_listeners
+from smarttouch.running.loop import run_loop
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.regulator import Regulator
+from smarttouch.running.statistics import RunStatistics
 from smarttouch.sources import open_sensor
 from smarttouch.stimulation.frames import NO_SHARING, Sharing
 from smarttouch.stimulation.ledger import ChargeLedger

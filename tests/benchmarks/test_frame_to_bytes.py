@@ -27,8 +27,8 @@ from smarttouch.physiology.activation import af_matrix
 from smarttouch.physiology.afferents import targets
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
-from smarttouch.run.config import RunConfig
-from smarttouch.run.pipeline import Pipeline
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.frames import NO_SHARING, Sharing
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits

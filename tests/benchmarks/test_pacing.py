@@ -20,12 +20,12 @@ from smarttouch.boards.kajimoto61 import Kajimoto61Board
 from smarttouch.clock import MonotonicClock
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
-from smarttouch.run.config import RunConfig
-from smarttouch.run.controls import Controls, ControlState
-from smarttouch.run.environment import steady_environment
-from smarttouch.run.loop import run_loop
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.statistics import RunStatistics
+from smarttouch.running.config import RunConfig
+from smarttouch.running.controls import Controls, ControlState
+from smarttouch.running.environment import steady_environment
+from smarttouch.running.loop import run_loop
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.statistics import RunStatistics
 from smarttouch.sources.frame import Frame, Pose, Sensor
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest

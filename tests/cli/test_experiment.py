@@ -17,8 +17,8 @@ from smarttouch.files import open_alone
 from smarttouch.primary import Mode
 from smarttouch.psychophysics.rows import read_rows
 from smarttouch.recording.reader import Recording
-from smarttouch.run.controls import Controls, ControlState
-from smarttouch.run.statistics import RunStatistics
+from smarttouch.running.controls import Controls, ControlState
+from smarttouch.running.statistics import RunStatistics
 
 SMALL = ("experiment", "run", "frequency", "--standards", "30", "--train-s", "0.15")
 SIMULATED = (*SMALL, "--simulate", "model")

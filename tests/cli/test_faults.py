@@ -9,7 +9,7 @@ import pytest
 
 from smarttouch import cli
 from smarttouch.boards.emulator.books import read_state
-from smarttouch.run.pipeline import Pipeline
+from smarttouch.running.pipeline import Pipeline
 
 PATIENCE_S = 20
 

@@ -12,9 +12,9 @@ from smarttouch.cli import screen
 from smarttouch.primary import Mode, Primary
 from smarttouch.recording.check import check_recording
 from smarttouch.recording.reader import Recording
-from smarttouch.run.config import RunConfig
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.step import StepResult
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.step import StepResult
 from smarttouch.sources.frame import Frame, Pose, PulseRequest
 from smarttouch.stimulation.frames import Sharing
 

@@ -5,9 +5,9 @@ import pytest
 
 from smarttouch.cli.screen import _beside, _felt_ma
 from smarttouch.primary import Primary
-from smarttouch.run.config import RunConfig
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.step import StepResult
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.step import StepResult
 from smarttouch.stimulation.frames import NO_SHARING, Sharing
 
 

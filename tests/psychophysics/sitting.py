@@ -13,12 +13,12 @@ from smarttouch.psychophysics.sensor import ExperimentSensor
 from smarttouch.psychophysics.session import Session
 from smarttouch.psychophysics.subject import Subject
 from smarttouch.reading.window import press_n
-from smarttouch.run.config import RunConfig
-from smarttouch.run.controls import Controls, ControlState
-from smarttouch.run.listener import OnEvent, as_listeners
-from smarttouch.run.loop import run_loop
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.statistics import RunStatistics
+from smarttouch.running.config import RunConfig
+from smarttouch.running.controls import Controls, ControlState
+from smarttouch.running.listener import OnEvent, as_listeners
+from smarttouch.running.loop import run_loop
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.statistics import RunStatistics
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 

@@ -13,12 +13,12 @@ from smarttouch.kernels.bank import load_bank
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.psychophysics.free import FreeLog, FreeSensor, HandControls, up_to_the_ceiling
-from smarttouch.run.config import RunConfig
-from smarttouch.run.controls import ControlState
-from smarttouch.run.listener import as_listeners
-from smarttouch.run.loop import run_loop
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.statistics import RunStatistics
+from smarttouch.running.config import RunConfig
+from smarttouch.running.controls import ControlState
+from smarttouch.running.listener import as_listeners
+from smarttouch.running.loop import run_loop
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.statistics import RunStatistics
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 

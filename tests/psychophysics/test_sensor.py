@@ -12,7 +12,7 @@ from smarttouch.psychophysics.course import Course
 from smarttouch.psychophysics.observers.observer import SilentObserver
 from smarttouch.psychophysics.rows import read_rows
 from smarttouch.psychophysics.sensor import AGAIN, ExperimentSensor
-from smarttouch.run.controls import Controls, ControlState
+from smarttouch.running.controls import Controls, ControlState
 
 from ..raising import raises
 from .sitting import Perfect, sit
@@ -213,7 +213,7 @@ class Loop:
         self.frames = []
 
     def step(self):
-        from smarttouch.run.step import StepResult
+        from smarttouch.running.step import StepResult
 
         frame = self.sensor.read(self.time_ns)
         if frame is None:
@@ -231,8 +231,8 @@ class Loop:
 
 @pytest.fixture
 def loop(profile, bank):
-    from smarttouch.run.config import RunConfig
-    from smarttouch.run.pipeline import Pipeline
+    from smarttouch.running.config import RunConfig
+    from smarttouch.running.pipeline import Pipeline
 
     trials = OneTrial(profile)
     sensor = ExperimentSensor(trials, profile, Course(answer_s=5.0), press_n=1.0)
@@ -275,8 +275,8 @@ def test_a_trial_is_felt_again_on_request(loop):
 
 
 def test_an_experiment_may_forbid_to_feel_again(profile, bank):
-    from smarttouch.run.config import RunConfig
-    from smarttouch.run.pipeline import Pipeline
+    from smarttouch.running.config import RunConfig
+    from smarttouch.running.pipeline import Pipeline
 
     trials = OneTrial(profile)
     sensor = ExperimentSensor(trials, profile, Course(again=False), press_n=1.0)
@@ -291,8 +291,8 @@ def test_an_experiment_may_forbid_to_feel_again(profile, bank):
 
 
 def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(profile, bank):
-    from smarttouch.run.config import RunConfig
-    from smarttouch.run.pipeline import Pipeline
+    from smarttouch.running.config import RunConfig
+    from smarttouch.running.pipeline import Pipeline
 
     class Clock:
         ns = 0
@@ -312,8 +312,8 @@ def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(profile, bank):
 
 
 def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, bank):
-    from smarttouch.run.config import RunConfig
-    from smarttouch.run.pipeline import Pipeline
+    from smarttouch.running.config import RunConfig
+    from smarttouch.running.pipeline import Pipeline
 
     trials = OneTrial(profile, "discomfort", 2.0)
     sensor = ExperimentSensor(trials, profile, Course(), press_n=1.0)

@@ -17,9 +17,9 @@ from smarttouch.errors import RecordingError
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.recording.recorder import RecordingWriter, about_run
-from smarttouch.run.config import RunConfig
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.step import StepResult
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.step import StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.timing import ScanTiming
 

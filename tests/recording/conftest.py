@@ -9,9 +9,9 @@ import pytest
 
 from smarttouch.recording import recorder as recorder_module
 from smarttouch.recording.recorder import RecordingWriter, about_run
-from smarttouch.run.config import RunConfig
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.step import StepResult
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.step import StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.timing import ScanTiming
 

@@ -23,13 +23,13 @@ from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.recording import recorder as recorder_module
 from smarttouch.recording.recorder import RecordingWriter, about_run
-from smarttouch.run.config import RunConfig
-from smarttouch.run.controls import Controls, ControlState
-from smarttouch.run.listener import OnEvent, OnStep
-from smarttouch.run.loop import run_loop
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.regulator import Regulator
-from smarttouch.run.statistics import RunStatistics
+from smarttouch.running.config import RunConfig
+from smarttouch.running.controls import Controls, ControlState
+from smarttouch.running.listener import OnEvent, OnStep
+from smarttouch.running.loop import run_loop
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.regulator import Regulator
+from smarttouch.running.statistics import RunStatistics
 from smarttouch.sources import open_sensor
 from smarttouch.sources.frame import Frame, PulseRequest, Sensor
 from smarttouch.stimulation.adaptation import Adaptation

@@ -8,7 +8,7 @@ from smarttouch.errors import RecordingError
 from smarttouch.primary import Mode
 from smarttouch.recording.controls import RecordedControls
 from smarttouch.recording.reader import Recording
-from smarttouch.run.controls import ControlState
+from smarttouch.running.controls import ControlState
 
 from ..raising import raises
 

@@ -17,7 +17,7 @@ from smarttouch.recording.export import export
 from smarttouch.recording.reader import Recording
 from smarttouch.recording.repair import is_sound, repair
 from smarttouch.recording.sensor import RecordingSensor
-from smarttouch.run.controls import ControlState
+from smarttouch.running.controls import ControlState
 
 from ..raising import raises
 from .forged import damage, forge, put_together, take_apart

@@ -8,10 +8,10 @@ import pytest
 from smarttouch.recording.check import check_recording
 from smarttouch.recording.export import export
 from smarttouch.recording.reader import Recording
-from smarttouch.run.config import RunConfig
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.regulator import Regulator
-from smarttouch.run.step import StepResult
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.regulator import Regulator
+from smarttouch.running.step import StepResult
 from smarttouch.stimulation.ledger import ChargeLedger
 from smarttouch.stimulation.recharge import RechargeRules
 from smarttouch.stimulation.timing import ScanTiming

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from smarttouch.errors import RecordingError, SensorError
 from smarttouch.recording.sensor import open_recording
-from smarttouch.run.config import RunConfig
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.step import StepResult
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.step import StepResult
 
 from ..raising import raises
 

@@ -15,9 +15,9 @@ from smarttouch.primary import Mode, Primary
 from smarttouch.recording.decoder import StepDecoder
 from smarttouch.recording.encoder import StepEncoder
 from smarttouch.recording.schemas import LAST, SCHEMAS
-from smarttouch.run.config import RunConfig
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.step import Step, StepResult
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.frame import Frame, Pose, PulseRequest
 from smarttouch.stimulation.frames import Sharing
 from smarttouch.stimulation.sequence import Proof, ScanSequence
@@ -182,8 +182,8 @@ def test_an_image_is_written_once(steps):
 
 def test_another_image_of_the_same_number_is_not_lost(make_frame, profile, bank):
     """A sensor that numbers its images wrongly is recorded as it was."""
-    from smarttouch.run.config import RunConfig
-    from smarttouch.run.pipeline import Pipeline
+    from smarttouch.running.config import RunConfig
+    from smarttouch.running.pipeline import Pipeline
 
     pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
     images = [np.full((64, 64), grey, np.uint8) for grey in (10, 10, 200)]

@@ -8,11 +8,11 @@ from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.boards.hybrid import HybridBoard
 from smarttouch.clock import SimulatedClock
 from smarttouch.primary import Primary
-from smarttouch.run.config import RunConfig
-from smarttouch.run.listener import as_listeners
-from smarttouch.run.loop import run_loop
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.statistics import RunStatistics
+from smarttouch.running.config import RunConfig
+from smarttouch.running.listener import as_listeners
+from smarttouch.running.loop import run_loop
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.statistics import RunStatistics
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 from smarttouch.vibrotactile.mix import mix_colors

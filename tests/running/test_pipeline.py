@@ -10,8 +10,8 @@ from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import load_bank
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
-from smarttouch.run.config import RunConfig
-from smarttouch.run.pipeline import Pipeline
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.stimulation.timing import ScanTiming

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 import cv2
 
-from smarttouch.run.pipeline import Pipeline
+from smarttouch.running.pipeline import Pipeline
 
 
 @contextmanager

@@ -7,9 +7,9 @@ import pytest
 
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.primary import Mode
-from smarttouch.run.config import RunConfig
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.regulator import Regulator
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.regulator import Regulator
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.ledger import ChargeLedger
 from smarttouch.stimulation.recharge import RechargeRules

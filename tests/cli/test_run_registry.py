@@ -7,7 +7,13 @@ import time
 import pytest
 
 from smarttouch.cli import running as module
-from smarttouch.cli.running import announced, leave_mark, refuse_if_stopped, running, started_ns
+from smarttouch.cli.run_registry import (
+    announced,
+    leave_mark,
+    refuse_if_stopped,
+    running,
+    started_ns,
+)
 from smarttouch.clock import now_ns
 from smarttouch.errors import SmartTouchError
 from smarttouch.stopping import RunStopped

@@ -15,17 +15,17 @@ from smarttouch.primary import Mode
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2
 from smarttouch.realtime import Pace
-from smarttouch.run.config import RunConfig
-from smarttouch.run.controls import Controls, ControlState
-from smarttouch.run.display import Display
-from smarttouch.run.environment import steady_environment
-from smarttouch.run.listener import Listener, RunContext, as_listeners
-from smarttouch.run.loop import emit_to, run_loop
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.regulation import make_regulator, masked_where_broken
-from smarttouch.run.report import figures_of
-from smarttouch.run.statistics import RunStatistics
-from smarttouch.run.step import StepResult
+from smarttouch.running.config import RunConfig
+from smarttouch.running.controls import Controls, ControlState
+from smarttouch.running.display import Display
+from smarttouch.running.environment import steady_environment
+from smarttouch.running.listener import Listener, RunContext, as_listeners
+from smarttouch.running.loop import emit_to, run_loop
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.regulation import make_regulator, masked_where_broken
+from smarttouch.running.report import figures_of
+from smarttouch.running.statistics import RunStatistics
+from smarttouch.running.step import StepResult
 from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.frame import Sensor
 from smarttouch.stimulation.limits import rms_ma_cm2

@@ -10,10 +10,10 @@ from smarttouch.events import IntensityChanged, ModeChanged, Note, RunEnded
 from smarttouch.outputs import FeltPicture, Patterns
 from smarttouch.primary import Mode
 from smarttouch.recording.recorder import Recorder
-from smarttouch.run.config import RunConfig
-from smarttouch.run.display import open_display
-from smarttouch.run.listener import Listener
-from smarttouch.run.runner import Runner
+from smarttouch.running.config import RunConfig
+from smarttouch.running.display import open_display
+from smarttouch.running.listener import Listener
+from smarttouch.running.runner import Runner
 from smarttouch.sources import open_sensor
 
 from ..raising import raises

@@ -11,8 +11,8 @@ from smarttouch.errors import BoardError, SafetyError, ScheduleError
 from smarttouch.kernels.bank import load_bank
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
-from smarttouch.run.config import RunConfig
-from smarttouch.run.pipeline import Pipeline
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.frame import Frame, Pose, PulseRequest
 from smarttouch.stimulation.points import felt_at
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits

@@ -17,13 +17,13 @@ from smarttouch.errors import (
 )
 from smarttouch.events import BoardRestarted, Emit, Event, Note, RunEnded
 from smarttouch.realtime import Pace, paced
-from smarttouch.run.controls import Controls, ControlState
-from smarttouch.run.inputs import Inputs
-from smarttouch.run.listener import Listener
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.regulator import Regulator
-from smarttouch.run.statistics import RunStatistics
-from smarttouch.run.step import Step, StepResult
+from smarttouch.running.controls import Controls, ControlState
+from smarttouch.running.inputs import Inputs
+from smarttouch.running.listener import Listener
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.regulator import Regulator
+from smarttouch.running.statistics import RunStatistics
+from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.frame import Sensor
 from smarttouch.stopping import StopRequest

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.run.statistics import LatencyHistogram, RunStatistics
+from smarttouch.running.statistics import LatencyHistogram, RunStatistics
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.sequence import Proof
 

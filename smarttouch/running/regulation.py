@@ -5,8 +5,8 @@ from collections.abc import Callable
 from smarttouch.boards.board import Board
 from smarttouch.errors import BoardError
 from smarttouch.profile import Profile
-from smarttouch.run.config import RunConfig
-from smarttouch.run.regulator import Regulator
+from smarttouch.running.config import RunConfig
+from smarttouch.running.regulator import Regulator
 from smarttouch.stimulation.adaptation import Adaptation, Hold
 from smarttouch.stimulation.ledger import ChargeLedger
 from smarttouch.stimulation.recharge import RechargeRules

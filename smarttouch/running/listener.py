@@ -5,15 +5,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from smarttouch.events import Event
-from smarttouch.run.step import StepResult
+from smarttouch.running.step import StepResult
 
 if TYPE_CHECKING:
     from smarttouch.boards.board import Board
     from smarttouch.kernels.bank import KernelBank
     from smarttouch.profile import Profile
-    from smarttouch.run.config import RunConfig
-    from smarttouch.run.controls import Controls
-    from smarttouch.run.statistics import RunStatistics
+    from smarttouch.running.config import RunConfig
+    from smarttouch.running.controls import Controls
+    from smarttouch.running.statistics import RunStatistics
     from smarttouch.sources.frame import Sensor
 
 

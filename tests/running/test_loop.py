@@ -20,13 +20,13 @@ from smarttouch.errors import (
 from smarttouch.events import BoardRestarted
 from smarttouch.primary import Mode
 from smarttouch.realtime import Pace
-from smarttouch.run.config import RunConfig
-from smarttouch.run.controls import Controls, ControlState
-from smarttouch.run.listener import OnEvent, as_listeners
-from smarttouch.run.loop import run_loop
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.regulator import Regulator
-from smarttouch.run.statistics import RunStatistics
+from smarttouch.running.config import RunConfig
+from smarttouch.running.controls import Controls, ControlState
+from smarttouch.running.listener import OnEvent, as_listeners
+from smarttouch.running.loop import run_loop
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.regulator import Regulator
+from smarttouch.running.statistics import RunStatistics
 from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.frame import Frame, Pose, Sensor
 from smarttouch.stimulation.adaptation import Adaptation
@@ -714,7 +714,7 @@ def test_priority_is_for_boards_whose_time_passes(
         yield Pace()
         taken.append("given back")
 
-    monkeypatch.setattr("smarttouch.run.loop.paced", paced)
+    monkeypatch.setattr("smarttouch.running.loop.paced", paced)
     told, tally = [], RunStatistics()
     with board:
         run_loop(

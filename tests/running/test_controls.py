@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.primary import Mode
-from smarttouch.run.controls import STEP, Controls, ControlState
+from smarttouch.running.controls import STEP, Controls, ControlState
 
 
 @given(st.lists(st.floats(-2, 2), max_size=20))

@@ -10,8 +10,8 @@ from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
-from smarttouch.run.config import RunConfig
-from smarttouch.run.step import Step
+from smarttouch.running.config import RunConfig
+from smarttouch.running.step import Step
 from smarttouch.sources.frame import Frame, Pose, PulseRequest
 from smarttouch.stimulation.intensity import SoftStart, force_gate
 from smarttouch.stimulation.schedule import PointScan

@@ -14,9 +14,9 @@ from smarttouch.events import (
     Paused,
     Resumed,
 )
-from smarttouch.run.controls import Controls, ControlState
-from smarttouch.run.pipeline import Pipeline
-from smarttouch.run.statistics import RunStatistics
+from smarttouch.running.controls import Controls, ControlState
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.statistics import RunStatistics
 from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.frame import Frame, Sensor
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from smarttouch.boards.board import Board
-from smarttouch.run.step import Step
+from smarttouch.running.step import Step
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.ledger import ChargeLedger
 from smarttouch.stimulation.recharge import RechargeRules, add_recharge

@@ -5,7 +5,7 @@ import pytest
 from smarttouch.errors import SmartTouchError
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
-from smarttouch.run.config import SCANS, RunConfig
+from smarttouch.running.config import SCANS, RunConfig
 from smarttouch.stimulation.frames import NO_SHARING, Sharing
 
 from ..raising import raises

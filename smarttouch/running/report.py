@@ -3,7 +3,7 @@
 from typing import Any
 
 from smarttouch.boards.board import Board, BoardReport
-from smarttouch.run.statistics import RunStatistics
+from smarttouch.running.statistics import RunStatistics
 from smarttouch.sources.frame import Sensor
 
 
