@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import SensorError, SourceLostError
 from smarttouch.profile import Profile
-from smarttouch.sources.capture import LiveSensor, Shot, Source
+from smarttouch.sources.capture import ImageDevice, LiveSensor, Shot
 
 BUFFERS = 1
 """Images that the driver may keep: older ones are of no use."""
@@ -55,7 +55,7 @@ def open_camera(
     SensorError
         If there is no such camera, or what is asked of it makes no sense.
     """
-    return LiveSensor(CameraSource(rest, size, exposure, fps), profile)
+    return LiveSensor(CameraDevice(rest, size, exposure, fps), profile)
 
 
 OPENCV_LOG = cv2.utils.logging if hasattr(cv2.utils, "logging") else cv2
@@ -89,7 +89,7 @@ QUIET_OPENCV = _Quiet()
 """Keeps OpenCV's own warnings from the terminal: what matters is said in our words."""
 
 
-class CameraSource(Source):
+class CameraDevice(ImageDevice):
     """Images of one camera, in grey.
 
     Parameters

@@ -22,17 +22,17 @@ STALE_S = 0.5
 FIRST_IMAGE_S = 2.0
 """How long the first read waits: devices start slowly."""
 GRAB_S = 0.1
-"""A source is asked for no longer at a time, so that closing is prompt."""
+"""A device is asked for no longer at a time, so that closing is prompt."""
 RETRY_S = 0.25
-"""A lost source is looked for so often."""
+"""A lost device is looked for so often."""
 JOIN_S = 2.0
 """A driver that hangs longer than this is left behind."""
 
 
 class SourceEndedError(Exception):
-    """A source has no more images, as at the end of a file.
+    """A device has no more images, as at the end of a file.
 
-    ``note`` is what a user should know of the end, ``missed`` how many images the source
+    ``note`` is what a user should know of the end, ``missed`` how many images the device
     skipped since its last shot.
     """
 
@@ -48,11 +48,11 @@ class Shot:
     Attributes
     ----------
     image : ndarray, (H, W) uint8
-        Grey; the source does not write to it again.
+        Grey; the device does not write to it again.
     taken_ns : int
         `time.perf_counter_ns` when it was taken or came in.
     missed : int
-        Images of the source that were lost or skipped since the shot before.
+        Images of the device that were lost or skipped since the shot before.
     """
 
     image: NDArray[np.uint8]
@@ -60,7 +60,7 @@ class Shot:
     missed: int = 0
 
 
-class Source(ABC):
+class ImageDevice(ABC):
     """Where a live sensor's images come from; used by one thread at a time."""
 
     title: str
@@ -70,7 +70,7 @@ class Source(ABC):
 
     @cached_property
     def notes(self) -> list[str]:
-        """What a user should know of the source; `LiveSensor` hands it on as its own."""
+        """What a user should know of the device; `LiveSensor` hands it on as its own."""
         return []
 
     @abstractmethod
@@ -111,32 +111,32 @@ class LiveSensor(Sensor):
 
     Parameters
     ----------
-    source : Source
+    device : ImageDevice
         Not open yet. The sensor opens it, at once, and closes it.
     profile : Profile
         Optics: scale of the motion, flat field.
     replug_s : float, s
-        How long a lost source is waited for.
+        How long a lost device is waited for.
     now_ns : callable
         The clock of `Shot.taken_ns`.
 
     Raises
     ------
     SensorError
-        If the source cannot be opened.
+        If the device cannot be opened.
     """
 
     def __init__(
         self,
-        source: Source,
+        device: ImageDevice,
         profile: Profile,
         *,
         replug_s: float = 10.0,
         now_ns: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
-        super().__init__(source.title)
-        self.notes = source.notes
-        self._source = source
+        super().__init__(device.title)
+        self.notes = device.notes
+        self._device = device
         self._replug_s = replug_s
         self._now_ns = now_ns
         self._intake = Intake(profile)
@@ -152,22 +152,22 @@ class LiveSensor(Sensor):
         self._told = False
         self._is_open = True
         self._lost_ns: int | None = None
-        self._gone = Episodes(StandingNotes(self.notes), f"{source.title} was gone")
+        self._gone = Episodes(StandingNotes(self.notes), f"{device.title} was gone")
         try:
-            source.open()
+            device.open()
         except BaseException:
-            source.close()
+            device.close()
             raise
 
     def read(self, time_ns: int) -> Frame | None:
-        """Return the newest frame, without waiting; None at the end of the source.
+        """Return the newest frame, without waiting; None at the end of the device.
 
         The first read waits for the first image. ``force_n`` is not known.
 
         Raises
         ------
         SensorError
-            If no first image came in time, the source is lost, or it failed.
+            If no first image came in time, the device is lost, or it failed.
         """
         with self._changed:
             if self._closed:
@@ -197,11 +197,11 @@ class LiveSensor(Sensor):
             math.nan,
             number=look.number,
             age_ns=age_ns,
-            stale=age_ns > self._source.stale_s * 1e9,
+            stale=age_ns > self._device.stale_s * 1e9,
         )
 
     def close(self) -> None:
-        """Stop the thread, close the source, and count what was never read as dropped."""
+        """Stop the thread, close the device, and count what was never read as dropped."""
         with self._changed:
             if self._closed:
                 return
@@ -212,7 +212,7 @@ class LiveSensor(Sensor):
                 self.notes.append(str(self._failure))
         self._stop.set()
         if self._thread is None:
-            self._source.close()
+            self._device.close()
             return
         self._thread.join(JOIN_S)
         if self._thread.is_alive():
@@ -239,21 +239,21 @@ class LiveSensor(Sensor):
             with self._changed:
                 self._over = True
                 self._changed.notify_all()
-            self._source.close()
+            self._device.close()
 
     def _grab(self) -> Shot | None:
-        """Return the next image; look for the source again where it is lost."""
+        """Return the next image; look for the device again where it is lost."""
         try:
             if not self._is_open:
                 if self._stop.wait(RETRY_S):
                     return None
-                self._source.open()
+                self._device.open()
                 self._is_open = True
-            shot = self._source.grab(GRAB_S)
+            shot = self._device.grab(GRAB_S)
         except SensorError as error:
             if self._is_open and not isinstance(error, SourceLostError):
                 raise
-            self._source.close()
+            self._device.close()
             self._is_open = False
             shot = None
             if self._lost_ns is None:
@@ -263,7 +263,7 @@ class LiveSensor(Sensor):
         return shot
 
     def _await_return(self, lost_ns: int, shot: Shot | None) -> None:
-        """Believe that a source is back when an image comes, not when it can be opened."""
+        """Believe that a device is back when an image comes, not when it can be opened."""
         gone_s = (self._now_ns() - lost_ns) / 1e9
         self._gone.update(shot is None, lost_ns + round(gone_s * 1e9), lost_ns)
         if shot is not None:

@@ -10,7 +10,7 @@ import time
 
 from smarttouch.errors import SensorError
 from smarttouch.profile import Profile
-from smarttouch.sources.capture import LiveSensor, Shot, Source
+from smarttouch.sources.capture import ImageDevice, LiveSensor, Shot
 from smarttouch.sources.line import read_what_came
 from smarttouch.sources.notes import StandingNotes
 from smarttouch.sources.sensor_protocol import ArrayFrame, Info, MessageStream, gap
@@ -53,10 +53,10 @@ def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -
             about="--baud",
             value=baud,
         )
-    return LiveSensor(SerialArraySource(rest, USUAL_BAUD if baud is None else baud), profile)
+    return LiveSensor(SerialArrayDevice(rest, USUAL_BAUD if baud is None else baud), profile)
 
 
-class SerialArraySource(Source):
+class SerialArrayDevice(ImageDevice):
     """Frames from a serial line.
 
     Parameters

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import SensorError
 from smarttouch.profile import Profile
-from smarttouch.sources.capture import STALE_S, LiveSensor, Shot, Source, SourceEndedError
+from smarttouch.sources.capture import STALE_S, ImageDevice, LiveSensor, Shot, SourceEndedError
 from smarttouch.sources.clip import FASTEST_HZ, USUAL_HZ, Clip, ImageFolder, VideoFile
 from smarttouch.sources.frame import Frame, Sensor
 from smarttouch.sources.intake import Intake
@@ -80,7 +80,7 @@ def _open(clip: Clip, profile: Profile, unpaced: bool) -> Sensor:
     return sensor
 
 
-class PacedClip(Source):
+class PacedClip(ImageDevice):
     """Gives each image at its time, as a camera would; the first at the first `grab`.
 
     Parameters

@@ -16,7 +16,7 @@ import pytest
 
 from smarttouch.errors import SensorError, SourceLostError
 from smarttouch.sources import camera, capture, open_sensor
-from smarttouch.sources.camera import OPENCV_LOG, QUIET_OPENCV, SILENT, CameraSource, to_grey
+from smarttouch.sources.camera import OPENCV_LOG, QUIET_OPENCV, SILENT, CameraDevice, to_grey
 
 from ..raising import raises
 from ..said import numbers_in
@@ -142,7 +142,7 @@ def test_what_the_camera_takes_is_set_without_a_word(profile, device):
 
 
 def test_what_the_camera_does_not_take_is_said_once(profile, device):
-    source = CameraSource("0", (800, 600), 9000.0, 120.0)
+    source = CameraDevice("0", (800, 600), 9000.0, 120.0)
     source.open()
     source.open()
     assert [numbers_in(note) for note in source.notes] == [
@@ -151,7 +151,7 @@ def test_what_the_camera_does_not_take_is_said_once(profile, device):
         [0, 5000, 9000],
     ]
     device.exposures = None
-    source = CameraSource("0", exposure=50.0)
+    source = CameraDevice("0", exposure=50.0)
     source.open()
     assert [numbers_in(note) for note in source.notes] == [[0, 50]]
 
@@ -204,7 +204,7 @@ def test_unplugged_and_plugged_in_again(profile, device):
 
 
 def test_gone_is_several_failures_in_a_row(device):
-    source = CameraSource("0")
+    source = CameraDevice("0")
     source.open()
     device.plugged = False
     assert [source.grab(0.0) for _ in range(camera.FAILURES - 1)] == [None] * 4
@@ -217,7 +217,7 @@ def test_gone_is_several_failures_in_a_row(device):
 
 
 def test_failures_now_and_then_are_no_loss(device):
-    source = CameraSource("0")
+    source = CameraDevice("0")
     source.open()
     for _ in range(camera.FAILURES):
         device.plugged = False
@@ -231,7 +231,7 @@ def test_an_odd_failure_is_no_image(device, monkeypatch):
         raise cv2.error("assertion failed")
 
     monkeypatch.setattr(FakeCapture, "read", fail)
-    source = CameraSource("0")
+    source = CameraDevice("0")
     source.open()
     assert source.grab(0.0) is None
 
@@ -239,7 +239,7 @@ def test_an_odd_failure_is_no_image(device, monkeypatch):
 def test_the_driver_may_tell_when_an_image_was_taken(device, monkeypatch):
     now_ns = 7_000_000_000_000
     monkeypatch.setattr(camera.time, "perf_counter_ns", lambda: now_ns)
-    source = CameraSource("0")
+    source = CameraDevice("0")
     source.open()
     for age_ms in (0, 30, 1999):
         device.taken_ms = now_ns / 1e6 - age_ms
@@ -313,5 +313,5 @@ def test_what_is_no_image(image):
 
 def test_the_driver_is_not_waited_for_long(device, monkeypatch):
     monkeypatch.delenv("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", raising=False)
-    CameraSource("0").open()
+    CameraDevice("0").open()
     assert os.environ["OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT"] == "1"

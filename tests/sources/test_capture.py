@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from smarttouch.errors import SensorError, SourceLostError
 from smarttouch.sources import capture
-from smarttouch.sources.capture import LiveSensor, Shot, Source, SourceEndedError
+from smarttouch.sources.capture import ImageDevice, LiveSensor, Shot, SourceEndedError
 from smarttouch.sources.flat_field import FlatField
 
 from ..raising import raises
@@ -24,7 +24,7 @@ SECOND = 1_000_000_000
 ODD = ZeroDivisionError("by zero")
 
 
-class Script(Source):
+class Script(ImageDevice):
     """Does what it is told: shots are given, exceptions raised; at the end, it is over."""
 
     title = "camera 0"
@@ -52,7 +52,7 @@ class Script(Source):
         self.closes += 1
 
 
-class Handed(Source):
+class Handed(ImageDevice):
     """Gives what a test hands over, one image after the other."""
 
     title = "by hand"

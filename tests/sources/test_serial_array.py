@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from smarttouch.errors import SensorError, SourceLostError
 from smarttouch.sources import open_sensor, serial_array
 from smarttouch.sources.sensor_protocol import encode_force, encode_frame, encode_info
-from smarttouch.sources.serial_array import SerialArraySource
+from smarttouch.sources.serial_array import SerialArrayDevice
 from smarttouch.wire.pty_line import PtyLine
 
 from ..raising import raises
@@ -44,7 +44,7 @@ def line():
 @pytest.fixture
 def source(line):
     """Return a source that listens at the line."""
-    source = SerialArraySource(line.name)
+    source = SerialArrayDevice(line.name)
     source.open()
     assert source.grab(0) is None
     yield source
@@ -96,7 +96,7 @@ def test_large_frames_come_in_pieces(line, source):
 
 
 def test_what_came_before_anyone_listened_is_nobodys(line):
-    source = SerialArraySource(line.name)
+    source = SerialArrayDevice(line.name)
     source.open()
     line.send(frame(0) + frame(1)[:9])
     assert source.grab(0.02) is None
@@ -188,7 +188,7 @@ def test_bytes_that_are_no_frames_from_the_start_on(line, source, monkeypatch):
 @given(st.lists(st.one_of(st.none(), st.binary(max_size=40)), max_size=20), st.integers(1, 60))
 @settings(max_examples=60)
 def test_every_frame_that_came_is_counted_whatever_is_between(pieces, size):
-    source = SerialArraySource("nowhere")
+    source = SerialArrayDevice("nowhere")
     sent = 0
     data = b"\0"
     for piece in pieces:
@@ -205,7 +205,7 @@ def test_every_frame_that_came_is_counted_whatever_is_between(pieces, size):
 def test_frames_over_tcp():
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
-        source = SerialArraySource(f"tcp://127.0.0.1:{port}")
+        source = SerialArrayDevice(f"tcp://127.0.0.1:{port}")
         source.open()
         device, _ = listener.accept()
         with device:
