@@ -20,6 +20,8 @@ from smarttouch.sources.frame import Pose
 
 FINEST_MM = 0.1
 """Finest dot of the picture, on the page."""
+_SHEET = (900, 1400)
+"""Pixels that a picture is drawn wide at least, and at most."""
 
 
 class FeltImage:
@@ -37,7 +39,8 @@ class FeltImage:
     primaries : tuple of Primary
         Whose receptors are asked; of several the one that answers most counts.
     page : Page, optional
-        What the finger passed over; put together from the frames if not given.
+        What the finger passed over; put together from the images if not given, bare
+        where there are none.
     """
 
     def __init__(
@@ -50,13 +53,15 @@ class FeltImage:
         self._position_mm = electrodes.position_mm / magnification
         self._cell_mm = tuple(side / magnification for side in electrodes.cell_mm)
         self._poses: dict[int, Pose] = {}
+        self._seen = page is not None
 
     def watch(self, sent: StepResult) -> None:
         """Remember where the finger was for a sequence, if it touched."""
         if sent.number is not None and sent.step.sequence.intensity > 0:
-            self._poses[sent.number] = sent.step.frame.pose
+            self._poses[sent.number] = sent.step.input.pose
             if self._given is None:
-                self._mosaic.add(sent.step.frame)
+                self._mosaic.add(sent.step.input)
+                self._seen |= sent.step.input.image is not None
 
     def deliver(
         self,
@@ -73,14 +78,26 @@ class FeltImage:
 
     def _lay_out(self) -> None:
         """Make room for the touch, beside the page."""
-        self._page, self._corner_mm = (
-            self._mosaic.page() if self._given is None else (self._given, (0.0, 0.0))
-        )
+        if self._given is not None:
+            self._page, self._corner_mm = self._given, (0.0, 0.0)
+        elif self._seen or not self._poses:
+            self._page, self._corner_mm = self._mosaic.page()
+        else:
+            self._page, self._corner_mm = self._bare()
         width_mm, height_mm = self._page.size_mm
         self._pixel_mm = max(FINEST_MM, max(width_mm, height_mm) / 4000)
         shape = (round(height_mm / self._pixel_mm), round(width_mm / self._pixel_mm))
         self._touch = np.zeros(shape, np.float32)
         self._passes = np.zeros(shape, np.float32)
+
+    def _bare(self) -> tuple[Page, tuple[float, float]]:
+        """Return paper as large as what all electrodes touched, and where its corner is."""
+        place_mm = np.array([(each.x_mm, each.y_mm) for each in self._poses.values()])
+        reach_mm = np.hypot(*self._position_mm.T).max() + max(self._cell_mm) / 2
+        corner_mm = place_mm.min(axis=0) - reach_mm
+        columns, rows = np.ceil((np.ptp(place_mm, axis=0) + 2 * reach_mm) / FINEST_MM).astype(int)
+        paper = np.full((rows, columns), 255, np.uint8)
+        return Page(paper, FINEST_MM), (float(corner_mm[0]), float(corner_mm[1]))
 
     def _add(self, pose: Pose, answer: NDArray[np.float32]) -> None:
         cos, sin = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
@@ -109,27 +126,34 @@ class FeltImage:
         SmartTouchError
             If the file cannot be written.
         """
-        touch = self.picture()
-        height, width = touch.shape
-        scale = min(max(1.0, 900 / width), 1400 / width)
-        size = (round(width * scale), round(height * scale))
-        margin, label = 24, 28
-        sheet = Image.new("L", (size[0] + 2 * margin, 2 * (size[1] + label) + 3 * margin), 226)
-        draw = ImageDraw.Draw(sheet)
-        font = ImageFont.load_default(17)
         what = "The page, as it lies under the finger"
         if self._given is None:
             what = "What passed under the finger, put together"
         names = " and ".join(each.name for each in self._primaries)
-        rows = (
-            (self._page.grey, what),
-            (touch, f"What the skin got: {names} pulses where the finger was"),
-        )
-        for index, (image, text) in enumerate(rows):
-            top = margin + index * (size[1] + label + margin)
-            draw.text((margin, top), text, fill=40, font=font)
-            method = Image.Resampling.LANCZOS
-            sheet.paste(Image.fromarray(image).resize(size, method), (margin, top + label))
-        content = BytesIO()
-        sheet.save(content, format="PNG")
-        write_bytes(path, content.getvalue())
+        got = (self.picture(), f"What the skin got: {names} pulses where the finger was")
+        write_sheet(path, (((self._page.grey, what),) if self._seen else ()) + (got,))
+
+
+def write_sheet(path: Path, rows: tuple[tuple[NDArray[np.uint8], str], ...]) -> None:
+    """Write pictures of one size below each other, each under its title, as one PNG.
+
+    Raises
+    ------
+    SmartTouchError
+        If the file cannot be written.
+    """
+    height, width = rows[0][0].shape
+    scale = min(max(1.0, _SHEET[0] / width), _SHEET[1] / width)
+    size = (round(width * scale), round(height * scale))
+    margin, label = 24, 28
+    step = size[1] + label + margin
+    sheet = Image.new("L", (size[0] + 2 * margin, len(rows) * step + margin), 226)
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(17)
+    for index, (image, text) in enumerate(rows):
+        top = margin + index * step
+        draw.text((margin, top), text, fill=40, font=font)
+        resized = Image.fromarray(image).resize(size, Image.Resampling.LANCZOS)
+        sheet.paste(resized, (margin, top + label))
+    content = BytesIO()
+    sheet.save(content, format="PNG")
+    write_bytes(path, content.getvalue())

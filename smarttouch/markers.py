@@ -87,7 +87,7 @@ class Markers(Listener):
         """Send a sample of the sequence and one of the frame."""
         if self._pulses is None:
             return
-        sequence, frame = result.step.sequence, result.step.frame
+        sequence, frame = result.step.sequence, result.step.input
         stamp_s = self._stamp_s(frame.time_ns, result.latency_us / 1e6)
         strongest_ua = int(np.abs(sequence.current_ua).max()) if sequence.slots else 0
         self._push(

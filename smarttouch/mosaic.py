@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from smarttouch.documents.page_image import Page
 from smarttouch.errors import SmartTouchError
 from smarttouch.profile import Optics
-from smarttouch.sources.frame import Frame
+from smarttouch.sources.stimulus import Input
 
 PIXEL_MM = 0.1
 LARGEST_PIXELS = 40_000_000
@@ -36,17 +36,17 @@ class Mosaic:
         """Row and column of the canvas's corner, in pixels of the page."""
         self._number: int | None = None
 
-    def add(self, frame: Frame) -> None:
-        """Add a frame; one that was added before, or is stale, is left out."""
-        if frame.number == self._number or frame.stale:
+    def add(self, given: Input) -> None:
+        """Add an image; one that was added before, or is stale, is left out."""
+        if given.number == self._number or given.stale or given.image is None:
             return
-        self._number = frame.number
-        optics, pose = self._optics, frame.pose
+        self._number = given.number
+        optics, pose = self._optics, given.pose
         # A warp samples points: a frame finer than the page is averaged down first.
         wide, high = (
             round(each / PIXEL_MM) for each in (optics.field_width_mm, optics.field_height_mm)
         )
-        image: NDArray[Any] = frame.image
+        image: NDArray[Any] = given.image
         if image.shape[1] > wide and image.shape[0] > high:
             image = cv2.resize(image, (wide, high), interpolation=cv2.INTER_AREA)
         height, width = image.shape

@@ -12,6 +12,7 @@ from smarttouch.felt import FeltImage
 from smarttouch.primary import Mode, Primary
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.frame import Frame, Pose
+from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stimulation.sequence import ScanSequence
 
 from .raising import raises
@@ -111,6 +112,21 @@ def test_off_the_page_is_left_out(drawing):
     drawing.watch(at(1, -50.0, 900.0))
     deliver(drawing, [1], slot(0))
     assert drawing.picture().min() == 255
+
+
+def test_where_nothing_was_seen_the_touch_is_drawn_alone(profile, make_bank, tmp_path):
+    own, sheets = -np.eye(64, dtype=np.float32), []
+    for image in (None, np.zeros((2, 2), np.uint8)):
+        drawing = FeltImage(profile, make_bank(own, own), (Primary.RA,), None)
+        result = at(1, 12.0, 9.0)
+        stimulus = Stimulus(np.zeros((3, 64), np.float32), 1, 1.0, 20_000, image=image)
+        drawing.watch(replace(result, step=replace(result.step, input=stimulus)))
+        deliver(drawing, [1], slot(0, -2400))
+        assert drawing.picture().min() == 0
+        drawing.save(tmp_path / "felt.png")
+        with Image.open(tmp_path / "felt.png") as sheet:
+            sheets.append(sheet.height / sheet.width)
+    assert sheets[0] < 1.3 < sheets[1]
 
 
 def test_save(drawing, tmp_path):

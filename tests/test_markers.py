@@ -18,14 +18,15 @@ from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.statistics import RunStatistics
 from smarttouch.running.step import StepResult
-from smarttouch.sources.frame import Frame, Pose, Sensor
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.sources.source import OpticalSource
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 
 from .raising import raises
 
 
-class Bars(Sensor):
+class Bars(OpticalSource):
     """A few frames of black bars, each a little farther on the page."""
 
     def __init__(self, most):
@@ -117,7 +118,7 @@ class TestWhatIsTold:
             assert pulse == [
                 step.number, sequence.slots, strongest, sequence.intensity, sequence.period_us,
             ]  # fmt: skip
-            assert frame == [step.step.frame.number, step.step.frame.pose.x_mm, 2.0, 0.5]
+            assert frame == [step.step.input.number, step.step.input.pose.x_mm, 2.0, 0.5]
             assert at_s == seen_s == pytest.approx(100 + sequence.time_ns / 1e9, abs=0.05)
         assert pulses[-1][1][2] > 0
         told = lsl.pushed["smarttouch-events"]
@@ -145,7 +146,7 @@ class TestTime:
         from dataclasses import replace
 
         step = self.first = getattr(self, "first", None) or felt(markers, 1)[0].step
-        return StepResult(replace(step, frame=replace(step.frame, time_ns=time_ns)), 1, 500.0)
+        return StepResult(replace(step, input=replace(step.input, time_ns=time_ns)), 1, 500.0)
 
     def watched(self, lsl, profile, felt, late_s):
         """Return how far stamps are off the schedule, for steps that come so late."""

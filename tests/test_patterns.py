@@ -8,12 +8,12 @@ import pytest
 from PIL import Image
 
 from smarttouch.errors import SmartTouchError
-from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.patterns import PatternFile
 from smarttouch.primary import Mode, Primary
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.tactile_image import TactileImage
 
 from .raising import raises
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import CalibrationError
 from smarttouch.profile import Profile
-from smarttouch.sources.frame import Sensor
+from smarttouch.sources.source import Source
 
 Images = list[NDArray[np.uint8]]
 
@@ -16,7 +16,7 @@ SILENCE_S = 5.0
 _LOOK_S = 0.002
 
 
-def collect_images(sensor: Sensor, count: int) -> Images:
+def collect_images(sensor: Source, count: int) -> Images:
     """Return the next images of a sensor, each once; fewer where it ends before.
 
     Raises
@@ -32,7 +32,7 @@ def collect_images(sensor: Sensor, count: int) -> Images:
         frame = sensor.read(time.perf_counter_ns() - start)
         if frame is None:
             break
-        if frame.number not in seen and not frame.stale:
+        if frame.number not in seen and not frame.stale and frame.image is not None:
             seen.add(frame.number)
             images.append(frame.image.copy())
             last = time.monotonic()

@@ -23,7 +23,7 @@ class BlindScreen(Screen):
         sent = self._latest
         if sent is None:
             return Text("waiting for the first frame")
-        frame = sent.step.frame
+        frame = sent.step.input
         table = Table.grid(padding=(0, 1))
         for name, part in (
             ("amplitude", self._controls.state(frame.time_ns).level),

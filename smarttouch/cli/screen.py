@@ -58,6 +58,7 @@ class Screen(Listener):
         self._source, self._profile, self._controls = run.source, run.profile, run.controls
         self._board, self._statistics = run.board, run.statistics
         self._layout = _ArrayLayout(run.profile)
+        self._full_ma = float(run.profile.full_ma.max())
         if self._quiet or not self._console.is_terminal:
             return
         # Drawing must not hold the loop up for a whole default interval of 5 ms.
@@ -99,21 +100,22 @@ class Screen(Listener):
         sent = self._latest
         if sent is None:
             return Text("waiting for the first frame")
-        sensor = Panel(_grey(sent.step.frame.image), title="sensor sees", expand=False)
+        title = "asked for" if sent.step.input.image is None else "sensor sees"
+        given = Panel(_given(sent, self._layout), title=title, expand=False)
         electrodes = Panel(
-            self._layout.draw(_felt_ma(sent)),
+            self._layout.draw(_felt_ma(sent) / self._full_ma),
             title=f"{sent.step.mode} electrodes",
             expand=False,
         )
         return Group(
             Text(f"{self._source.title}  →  {self._profile.title}  →  {self._url}", style="bold"),
-            Columns([sensor, electrodes, Panel(self._numbers(sent), title="now", expand=False)]),
+            Columns([given, electrodes, Panel(self._numbers(sent), title="now", expand=False)]),
             Text(self._keys if sys.stdin.isatty() else "", style="dim"),
             Text(self._event, style="dim"),
         )
 
     def _numbers(self, sent: StepResult) -> Table:
-        frame, sequence, statistics = sent.step.frame, sent.step.sequence, self._statistics
+        frame, sequence, statistics = sent.step.input, sent.step.sequence, self._statistics
         limits, force = self._profile.limits, self._profile.force
         peak_ma = float(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0)) / 1000
         charge_uc = peak_ma * float(sequence.width_us.max(initial=0)) / 1000
@@ -238,6 +240,14 @@ def bar(part: float, width: int = 10) -> str:
     return "█" * filled + "░" * (width - filled)
 
 
+def _given(sent: StepResult, layout: "_ArrayLayout") -> Text:
+    """Draw the image that was read; where there is none, what each electrode is to do."""
+    image = sent.step.input.image
+    if image is not None:
+        return _grey(image)
+    return layout.draw(sent.step.tactile.activation.max(axis=0))
+
+
 def _grey(image: NDArray[np.uint8]) -> Text:
     """Draw an image in half blocks, two rows of pixels to a line."""
     height, width = image.shape
@@ -262,17 +272,16 @@ class _ArrayLayout:
         self._column = np.rint((position[:, 0] - position[:, 0].min()) / step_x).astype(int)
         self._row = np.rint((position[:, 1] - position[:, 1].min()) / step_y).astype(int)
         self._width = 3 if step_x >= step_y else 2
-        self._full_ma = float(profile.full_ma.max())
 
-    def draw(self, current_ma: NDArray[np.float32]) -> Text:
+    def draw(self, parts: NDArray[np.float32]) -> Text:
+        """Draw electrodes by the part that each has of the strongest, (E,)."""
         cells = [
             [(" " * self._width, "")] * (int(self._column.max()) + 1)
             for _ in range(int(self._row.max()) + 1)
         ]
-        for row, column, current in zip(
-            self._row.tolist(), self._column.tolist(), current_ma.tolist(), strict=True
+        for row, column, part in zip(
+            self._row.tolist(), self._column.tolist(), parts.clip(0, 1).tolist(), strict=True
         ):
-            part = min(1.0, current / self._full_ma)
             mark = "·" if part == 0 else "○◔◑◕●"[min(4, int(part * 5))]
             glow = round(90 + 165 * part)
             style = "grey42" if part == 0 else f"rgb({glow},{round(glow * 0.75)},40)"

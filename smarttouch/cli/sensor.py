@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from smarttouch.profile import Profile
-    from smarttouch.sources.frame import Frame
+    from smarttouch.sources.stimulus import Input
 
 sensor = typer.Typer(help="Look at one sensor or load cell, or play one.", no_args_is_help=True)
 
@@ -159,7 +159,7 @@ def _show_frames(
 
     forces: list[float] = []
     ages_ms: list[float] = []
-    last: Frame | None = None
+    last: Input | None = None
     source = open_sensor(url, profile, **options)
     with source:
         for time_ns in _ticks(seconds):
@@ -177,16 +177,17 @@ def _show_frames(
         ("passed over", str(source.dropped_frames)),
     ]
     if last is not None:
-        height, width = last.image.shape
-        grey = f"grey {last.image.min()} to {last.image.max()}, mean {last.image.mean():.0f}"
-        rows.append(("size", f"{width} x {height}, {grey}"))
+        if last.image is not None:
+            height, width = last.image.shape
+            grey = f"grey {last.image.min()} to {last.image.max()}, mean {last.image.mean():.0f}"
+            rows.append(("size", f"{width} x {height}, {grey}"))
         rows.append(("age", f"{np.median(ages_ms):.1f} ms, at most {max(ages_ms):.1f}"))
         moved = f"x {last.pose.x_mm:.2f} mm, y {last.pose.y_mm:.2f} mm"
         rows.append(("at", moved + (", stale" if last.stale else "")))
     rows.append(("force", _range(np.array(forces))))
     _print_table(rows, source.notes)
-    if save is not None and last is not None:
-        _save(save, last)
+    if save is not None and last is not None and last.image is not None:
+        _save(save, last.image)
 
 
 def _show_force(url: str, profile: "Profile", seconds: float) -> None:
@@ -235,12 +236,12 @@ def _print_table(rows: list[tuple[str, str]], notes: list[str]) -> None:
     terminal.console().print(table)
 
 
-def _save(path: Path, frame: "Frame") -> None:
+def _save(path: Path, image: "NDArray[np.uint8]") -> None:
     from PIL import Image
 
     from smarttouch.files import write_bytes
 
     content = BytesIO()
-    Image.fromarray(frame.image).save(content, format="PNG")
+    Image.fromarray(image).save(content, format="PNG")
     write_bytes(path, content.getvalue())
     typer.echo(f"The last frame is in {path}.")

@@ -23,7 +23,7 @@ from smarttouch.running.display import Display
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.runner import MakeControls, Runner
 from smarttouch.sources.forces.force import ForceSource
-from smarttouch.sources.frame import Sensor
+from smarttouch.sources.source import Source
 from smarttouch.stopping import ENDS_WITHIN_S, StopRequest
 
 DRAWN_WITHIN_S = 30.0
@@ -70,7 +70,7 @@ class Outputs:
 
 
 def run_in_terminal(
-    source: Sensor,
+    source: Source,
     display: Display,
     config: RunConfig,
     outputs: Outputs,

@@ -7,13 +7,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.errors import ScheduleError
 from smarttouch.imaging.binarize import Binarizer
 from smarttouch.imaging.natural import NaturalDrive
 from smarttouch.imaging.registration import Registration
-from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
 from smarttouch.sources.frame import Frame
+from smarttouch.tactile_image import TactileImage
 
 FAINTEST_INK = 0.15
 """Part of a cell that must be ink before it is felt at all."""
@@ -94,7 +95,20 @@ class TactileMapper:
         Activation rises with the part of the electrode's cell that is ink, as
         the tone has it: graded edges carry more of a letter's shape than cells
         that are on or off.
+
+        Raises
+        ------
+        ScheduleError
+            If the mode is color, in which stimuli alone say what each class gets.
         """
+        if mode is Mode.COLOR:
+            raise ScheduleError(
+                "mode color is for stimuli, and this source gives images: choose RA",
+                about="mode",
+                problem="impossible",
+                value="color",
+                allowed="RA",
+            )
         if frame.image.shape != self._registration.frame_shape:
             self._prepare((frame.image.shape[0], frame.image.shape[1]))
         touching = frame.force_n >= self._profile.force.contact_n

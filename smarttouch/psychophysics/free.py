@@ -18,11 +18,12 @@ from smarttouch.events import Note
 from smarttouch.files import unwritable
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
-from smarttouch.psychophysics.stimuli import Stimuli, picture, require_site
+from smarttouch.psychophysics.stimuli import Stimuli, require_site
 from smarttouch.running.controls import Controls, ControlState
 from smarttouch.running.listener import Listener
 from smarttouch.running.step import StepResult
-from smarttouch.sources.frame import Frame, Pose, PulseRequest, Sensor
+from smarttouch.sources.source import StimulusSource
+from smarttouch.sources.stimulus import Stimulus
 
 SLOWEST_HZ, FASTEST_HZ = 10.0, 200.0
 """Of pulses (paper, Section III-B.1)."""
@@ -153,8 +154,8 @@ class HandControls(Controls):
         return super().state(time_ns)
 
 
-class FreeSensor(Sensor, Listener):
-    """Asks for one train that never ends, as the user turns it.
+class FreeSensor(StimulusSource, Listener):
+    """Gives one train that never ends, as the user turns it.
 
     Another class or site begins at zero intensity.
 
@@ -178,8 +179,6 @@ class FreeSensor(Sensor, Listener):
     ExperimentError
         If that class, site or rate is not offered.
     """
-
-    asks = True
 
     def __init__(
         self,
@@ -224,7 +223,6 @@ class FreeSensor(Sensor, Listener):
         self._level: float | None = None
         self._current_ma = 0.0
         self._from_zero = False
-        self._redraw()
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
@@ -244,21 +242,23 @@ class FreeSensor(Sensor, Listener):
         """What the user asks for: of the strongest electrode, mA."""
         return float(self._full_ma[self.site]) * (self._level or 0.0)
 
-    def read(self, time_ns: int) -> Frame | None:
+    def read(self, time_ns: int) -> Stimulus | None:
         """Return the next pulse."""
         self._now_ns = time_ns
         while self._asked:
             self._asked.popleft()()
         level, self._from_zero = (0.0 if self._from_zero else 1.0), False
-        request = PulseRequest(self._activation, round(1e6 / self.rate_hz), level)
-        number = self.frames - 1
-        return Frame(self._image, time_ns, Pose(0.0, 0.0), self._press_n, number, request=request)
+        activation = np.zeros((len(Primary), len(self._profile.electrodes)), np.float32)
+        activation[self.primary, self.site] = 1
+        self.frames += 1
+        period_us, number = round(1e6 / self.rate_hz), self.frames - 1
+        return Stimulus(activation, time_ns, self._press_n, period_us, level, number=number)
 
     def step(self, result: StepResult) -> None:
         """Take note of what flowed, and of the user's hand on the amplitude."""
         current_ua = result.step.sequence.current_ua
         self._current_ma = float(np.abs(current_ua).max(initial=0)) / 1000
-        self._force_n = result.step.frame.force_n
+        self._force_n = result.step.input.force_n
         if result.step.level != self._level:
             self._level = result.step.level
             self._changed("amplitude", round(self.amplitude_ma, 3))
@@ -274,21 +274,13 @@ class FreeSensor(Sensor, Listener):
     def _turn_site(self, by: int) -> None:
         self.site = self._sites[(self._sites.index(self.site) + by) % len(self._sites)]
         self._from_zero = True
-        self._redraw()
         self._changed("site", self.site)
 
     def _next_mode(self) -> None:
         place = self._offered.index(self.primary)
         self.primary = self._offered[(place + 1) % len(self._offered)]
         self._from_zero = True
-        self._redraw()
         self._changed("mode", self.primary.name)
-
-    def _redraw(self) -> None:
-        activation = np.zeros((len(Primary), len(self._profile.electrodes)), np.float32)
-        activation[self.primary, self.site] = 1
-        self._activation, self._image = activation, picture(self._profile, activation)
-        self.frames += 1
 
     def _changed(self, what: str, value: object) -> None:
         self.emit(Note(self._now_ns, f"{what} {value}"))

@@ -1,4 +1,4 @@
-"""An experiment as a source of frames: it asks for the pulses of its trials, and for answers."""
+"""An experiment as a source of stimuli: the pulses of its trials, and questions in between."""
 
 from collections import deque
 from collections.abc import Callable, Generator, Mapping
@@ -13,11 +13,12 @@ from smarttouch.events import TrialEvent
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.course import Course
-from smarttouch.psychophysics.stimuli import Train, picture
+from smarttouch.psychophysics.stimuli import Train
 from smarttouch.psychophysics.trial import Answer, Trial, Trials
 from smarttouch.running.listener import Listener
 from smarttouch.running.step import StepResult
-from smarttouch.sources.frame import Frame, Pose, PulseRequest, Sensor
+from smarttouch.sources.source import StimulusSource
+from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stimulation.intensity import force_gate
 
 SILENT_US = 20_000
@@ -33,10 +34,10 @@ AGAIN = "r"
 """Key to feel a trial once more."""
 _NUMBERS = ("first", "second")
 
-Requests = Generator[PulseRequest, None, None]
+Pulses = Generator[Stimulus, None, None]
 
 
-class ExperimentSensor(Sensor, Listener):
+class ExperimentSensor(StimulusSource, Listener):
     """Presents trial after trial.
 
     Each begins when the intensity is there that the user has chosen; one whose current is lost
@@ -53,7 +54,7 @@ class ExperimentSensor(Sensor, Listener):
     press_n : float, N, optional
         How hard the finger presses, where there is none: nobody else is asked then.
     clock : Clock, optional
-        Tells when a key was pressed between two frames; the time of the last frame counts if
+        Tells when a key was pressed between two stimuli; the time of the last one counts if
         not given.
 
     Attributes
@@ -61,12 +62,11 @@ class ExperimentSensor(Sensor, Listener):
     asking : Trial or None
         The one whose answer is waited for.
     playing : tuple of int or None
-        Which presentation and which of its intervals the last frame belongs to.
+        Which presentation and which of its intervals the last stimulus belongs to.
     repeats, spoiled : int
         Trials felt again because the participant wished so, or presented anew.
     """
 
-    asks = True
     ended = "the experiment is over"
 
     def __init__(
@@ -95,10 +95,7 @@ class ExperimentSensor(Sensor, Listener):
         self._level, self._current_ma = 0.0, 0.0
         self._silence = np.zeros((len(Primary), len(profile.electrodes)), np.float32)
         self._silent_us = max(SILENT_US, self._least_us)
-        self._blank = picture(profile, self._silence)
-        self._image = self._blank
-        self._given: NDArray[np.uint8] | None = None
-        self._requests = self._present_all()
+        self._stimuli = self._present_all()
 
     @property
     def _least_us(self) -> int:
@@ -116,33 +113,19 @@ class ExperimentSensor(Sensor, Listener):
         since_ns = 0 if self._clock is None else self._clock.now_ns() - clock_ns
         self._pressed.append((key, time_ns + since_ns))
 
-    def read(self, time_ns: int) -> Frame | None:
-        """Return the next request of the trial that is on; None after the last trial."""
+    def read(self, time_ns: int) -> Stimulus | None:
+        """Return the next stimulus of the trial that is on; None after the last trial."""
         self._now_ns = time_ns
         self._looked = (time_ns, 0 if self._clock is None else self._clock.now_ns())
-        request = next(self._requests, None)
-        if request is None:
-            return None
-        # The same number is the same image.
-        self.frames += self._image is not self._given
-        self._given = self._image
-        return Frame(
-            self._image,
-            time_ns,
-            Pose(0.0, 0.0),
-            self._press_n,
-            number=self.frames - 1,
-            request=request,
-        )
+        return next(self._stimuli, None)
 
     def step(self, result: StepResult) -> None:
-        """Take note of how the last request went out."""
+        """Take note of how the last stimulus went out."""
         step, sequence = result.step, result.step.sequence
-        request = step.frame.request
-        assert request is not None
-        gate = force_gate(step.frame.force_n, self._profile.force)
+        given = step.tactile
+        gate = force_gate(step.input.force_n, self._profile.force)
         exact = self._trial is not None and self._trial.exact
-        asked = request.level if exact else request.level * gate * step.level
+        asked = given.level if exact else given.level * gate * step.level
         self._level = step.level
         self._steady = 0 < _STEADY * asked <= sequence.intensity and result.number is not None
         if gate == 0:
@@ -155,16 +138,16 @@ class ExperimentSensor(Sensor, Listener):
             least = _STEADY if exact else _SPOILED
             lost = result.number is None or step.restarted or asked == 0
             self._lost |= lost or sequence.intensity < least * asked
-            if sequence.period_us != request.period_us and not self.notes:
+            if sequence.period_us != step.asked_us and not self.notes:
                 self.notes.append(
-                    f"pulses were asked for at {1e6 / request.period_us:.4g} Hz and went out at "
+                    f"pulses were asked for at {1e6 / step.asked_us:.4g} Hz and went out at "
                     f"{sequence.rate_hz:.4g} Hz: this board or so many sites cannot do all "
                     "frequencies"
                 )
             if sequence.slots:
                 self._current_ma = float(np.abs(sequence.current_ua).max()) / 1000
 
-    def _present_all(self) -> Requests:
+    def _present_all(self) -> Pulses:
         while (trial := self._trials.next()) is not None:
             self._trial = trial
             self.emit(TrialEvent(self._now_ns, f"trial {self._trials.done + 1}: {trial.words}"))
@@ -179,7 +162,7 @@ class ExperimentSensor(Sensor, Listener):
         self._trial = None
         self.title = f"{self._trials.title}: over"
 
-    def _prepare(self, trial: Trial) -> Requests:
+    def _prepare(self, trial: Trial) -> Pulses:
         """Be silent until intensity is there."""
         level = trial.intervals[0].level
         self._say("")
@@ -198,7 +181,7 @@ class ExperimentSensor(Sensor, Listener):
                 )
             yield self._quiet(self._silent_us, level)
 
-    def _attempt(self, trial: Trial) -> Generator[PulseRequest, None, Answer | None]:
+    def _attempt(self, trial: Trial) -> Generator[Stimulus, None, Answer | None]:
         """Present a trial and ask; return None if it is to be presented anew."""
         self._presentation += 1
         self._lost = False
@@ -207,7 +190,6 @@ class ExperimentSensor(Sensor, Listener):
                 yield from self._be_silent(self._course.gap_s, train.level)
             self._say("feel" if len(trial.intervals) == 1 else _NUMBERS[index])
             answer = yield from self._play(trial, index, train)
-            self._image = self._blank
             self.playing = None
             if self._lost:
                 self.spoiled += 1
@@ -226,9 +208,8 @@ class ExperimentSensor(Sensor, Listener):
 
     def _play(
         self, trial: Trial, index: int, train: Train
-    ) -> Generator[PulseRequest, None, Answer | None]:
+    ) -> Generator[Stimulus, None, Answer | None]:
         """Play an interval; an answer ends one that rises."""
-        self._image = picture(self._profile, train.activation)
         self.rising = trial if train.rises else None
         self._pressed.clear()
         for pulse in range(train.pulses):
@@ -240,12 +221,12 @@ class ExperimentSensor(Sensor, Listener):
             elif (key := self._key(trial)) is not None:
                 return self._answer(trial.answers[key[0]], None, self._current_ma)
             self.playing = (self._presentation, index)
-            yield PulseRequest(train.activation, train.period_us, train.level_at(pulse))
+            yield self._stimulus(train.activation, train.period_us, train.level_at(pulse))
         if train.rises and (key := self._key(trial)) is not None:
             return self._answer(trial.answers[key[0]], None, self._current_ma)
         return None
 
-    def _ask(self, trial: Trial) -> Generator[PulseRequest, None, Answer | None]:
+    def _ask(self, trial: Trial) -> Generator[Stimulus, None, Answer | None]:
         self._say(trial.question + (f", {AGAIN} again" if self._course.again else ""))
         asked_ns, waits_s = self._now_ns, self._course.answer_s
         level = trial.intervals[0].level
@@ -279,14 +260,18 @@ class ExperimentSensor(Sensor, Listener):
                 return key
         return None
 
-    def _be_silent(self, seconds: float, level: float) -> Requests:
+    def _be_silent(self, seconds: float, level: float) -> Pulses:
         end_ns = self._now_ns + round(seconds * 1e9)
         while (left_us := (end_ns - self._now_ns) // 1000) >= self._least_us:
             last = left_us <= self._silent_us + self._least_us
             yield self._quiet(left_us if last else self._silent_us, level)
 
-    def _quiet(self, period_us: int, level: float) -> PulseRequest:
-        return PulseRequest(self._silence, period_us, level)
+    def _quiet(self, period_us: int, level: float) -> Stimulus:
+        return self._stimulus(self._silence, period_us, level)
+
+    def _stimulus(self, activation: NDArray[np.float32], period_us: int, level: float) -> Stimulus:
+        number, self.frames = self.frames, self.frames + 1
+        return Stimulus(activation, self._now_ns, self._press_n, period_us, level, number=number)
 
     def _say(self, words: str) -> None:
         total = "" if self._trials.total is None else f" of {self._trials.total}"

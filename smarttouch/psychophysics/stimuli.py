@@ -13,8 +13,6 @@ from smarttouch.profile import Profile
 FEWEST_PULSES = 2
 """Fewer have no frequency."""
 LONGEST_S = 60.0
-_PIXELS = 4
-"""Of the picture of an array, across the cell of an electrode."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,29 +158,3 @@ def require_site(site: int | None, profile: Profile) -> None:
             value=site,
             allowed=tuple(profile.driven.tolist()),
         )
-
-
-def picture(profile: Profile, activation: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return what is felt as an image: dark where a site is active, whatever its class.
-
-    Parameters
-    ----------
-    profile : Profile
-    activation : ndarray, (3, E) float32, in [0, 1]
-
-    Returns
-    -------
-    ndarray, (H, W) uint8
-    """
-    electrodes = profile.electrodes
-    width_mm, height_mm = electrodes.extent_mm
-    per_mm = _PIXELS / min(electrodes.cell_mm)
-    shape = (round(height_mm * per_mm), round(width_mm * per_mm))
-    image = np.full(shape, 255, np.uint8)
-    corner_mm = electrodes.position_mm - electrodes.position_mm.min(axis=0)
-    size = np.rint(np.array(electrodes.cell_mm) * per_mm).astype(int)
-    strongest = activation.max(axis=0)
-    for site in np.flatnonzero(strongest):
-        left, top = np.rint(corner_mm[site] * per_mm).astype(int)
-        image[top : top + size[1], left : left + size[0]] = round(255 * (1 - strongest[site]))
-    return image

@@ -9,7 +9,7 @@ from typing import Protocol
 from smarttouch.errors import ReadingError
 from smarttouch.reading.feed import LineFeed
 from smarttouch.reading.touch_line import Place, TouchLine
-from smarttouch.sources.frame import Sensor
+from smarttouch.sources.source import Source
 
 LAND_S = 0.15
 """A finger lands on a line, and intensity begins to rise."""
@@ -193,11 +193,11 @@ class FollowingCursor:
     ----------
     feed : LineFeed
         What is read; its lines know their places.
-    sensor : Sensor
+    sensor : Source
         An open one: its pose counts, from the beginning of the first line.
     """
 
-    def __init__(self, feed: LineFeed, sensor: Sensor) -> None:
+    def __init__(self, feed: LineFeed, sensor: Source) -> None:
         self._feed, self._sensor = feed, sensor
         self._origin: Place | None = None
         self.knows_force = sensor.knows_force

@@ -72,7 +72,7 @@ def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
 
     def note_place(result: StepResult) -> None:
         if result.number is not None and result.sequence.intensity > 0:
-            places[result.number] = result.frame.pose.x_mm
+            places[result.number] = result.input.pose.x_mm
 
     config = RunConfig(mode=reading.mode, tone=reading.tone, scan=reading.sharing)
     with Display("simulated:", profile) as display:

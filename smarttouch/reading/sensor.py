@@ -9,13 +9,14 @@ from smarttouch.profile import Profile
 from smarttouch.reading.cursor import Cursor
 from smarttouch.reading.feed import LineFeed
 from smarttouch.reading.window import pixel_of
-from smarttouch.sources.frame import Frame, Pose, Sensor
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.sources.source import OpticalSource
 
 LINE_GAP_MM = 4.0
 """Between two lines where their poses are put on one sheet, one below the other."""
 
 
-class ReadingSensor(Sensor):
+class ReadingSensor(OpticalSource):
     """Frames of lines that pass under the finger.
 
     The pose of a frame is on a sheet on which all lines lie below each other,

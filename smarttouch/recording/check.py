@@ -1,4 +1,4 @@
-"""The offline test: recorded frames through today's pipeline, slot by slot, to the bit."""
+"""The offline test: recorded inputs through today's pipeline, slot by slot, to the bit."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -38,7 +38,7 @@ class Difference:
     Attributes
     ----------
     frame : int
-        Number of the image at its source.
+        Number of the frame or stimulus at its source.
     step : int
         Of the recording, from 0.
     time_ns : int
@@ -113,7 +113,7 @@ class CheckReport:
 def check_recording(
     path: Path | str, *, bank: KernelBank | None = None, profile: Profile | None = None
 ) -> CheckReport:
-    """Run the recorded frames through today's pipeline and compare the sequences.
+    """Run the recorded frames and stimuli through today's pipeline and compare the sequences.
 
     Parameters
     ----------
@@ -136,11 +136,11 @@ def check_recording(
     for recorded in recording.steps():
         if recorded.index != report.sequences:
             # Whatever is missing would have changed what comes after it.
-            report.left_out = f"all after {recorded.step.frame.time_ns / 1e9:.1f} s follows a gap"
+            report.left_out = f"all after {recorded.step.input.time_ns / 1e9:.1f} s follows a gap"
             break
         was, now = recorded.step.sequence, _again(recorded, pipeline, regulator)
-        report.frames += recorded.step.frame.image is not image
-        image = recorded.step.frame.image
+        before, image = image, recorded.step.input.image
+        report.frames += image is not None and image is not before
         report.sequences += 1
         report.slots += was.slots
         for difference in _differences(recorded, was, now):
@@ -226,13 +226,13 @@ def _again(recorded: RecordedStep, pipeline: Pipeline, regulator: Regulator) -> 
     if step.restarted:
         pipeline.restart_softly()
     told: Any = _Told(step.observed)
-    return regulator.regulate(pipeline.process(step.frame, step.level), told).sequence
+    return regulator.regulate(pipeline.process(step.input, step.level), told).sequence
 
 
 def _differences(
     recorded: RecordedStep, was: ScanSequence, now: ScanSequence
 ) -> Iterator[Difference]:
-    frame, step = recorded.step.frame, recorded.index
+    frame, step = recorded.step.input, recorded.index
 
     def difference(what: str, unit: str, *values: Any, **where: int) -> Difference:
         old, new = (float(v) if isinstance(v, float) else int(v) for v in values)

@@ -4,20 +4,21 @@ import base64
 import math
 import struct
 from collections import OrderedDict
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.primary import Mode, Primary
 from smarttouch.recording.chunks import parse_message
 from smarttouch.recording.encoder import Message, remember
 from smarttouch.recording.schemas import LAST
 from smarttouch.running.step import Measured, Step, StepResult
-from smarttouch.sources.frame import Frame, Pose, PulseRequest
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.sources.stimulus import Input, Stimulus
 from smarttouch.stimulation.sequence import Proof, ScanSequence
+from smarttouch.tactile_image import TactileImage
 
 _IMPOSSIBLE = (
     ValueError, TypeError, LookupError, AttributeError, OverflowError, struct.error,
@@ -31,7 +32,7 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 """How a PNG begins; width and height follow."""
 MOST_PIXELS = 100_000_000
 _LONGEST_US = 10_000_000
-"""Between pulses that a source asks for: the period of the slowest rate."""
+"""Between two stimuli: the period of the slowest rate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +44,7 @@ class RecordedStep:
     index : int
         From 0; one that is missing in a file is missing in what it yields.
     sent : StepResult
-        Frame, tactile image (to four digits), sequence, and how it went out.
+        Frame or stimulus, tactile image (of frames to four digits), sequence, and how it went out.
     acknowledged, refused : int
         Sequences of the run, as far as the board had told when this one was sent.
     """
@@ -97,27 +98,31 @@ class StepDecoder:
     def _step(self) -> RecordedStep:
         parts = {topic: messages[0] for topic, messages in self._parts.items()}
         finger, board = parts["/finger"], parts[LAST]
-        if "/frame" in parts:
-            self._image, self._image_number = _decoded(parts["/frame"]), finger["number"]
-        if self._image is None or self._image_number != finger["number"]:
-            raise ValueError("the image of this step is missing")
         sequence = _sequence_of(parts["/sequence"], self.electrodes)
         remember(self._sequences, sequence.time_ns, sequence)
-        frame = Frame(
-            self._image,
-            int(finger["time_ns"]),
-            Pose(*(_number(finger[key]) for key in ("x_mm", "y_mm", "angle_rad"))),
-            _number(finger["force_n"]),
-            int(finger["number"]),
-            round(finger["age_ms"] * 1e6),
-            bool(finger["stale"]),
-        )
-        told = parts["/sequence"]
-        tactile = _tactile_of(parts["/tactile"], self.electrodes, frame)
+        image = self._image_of(parts)
+        activation = _activation_of(parts["/tactile"], self.electrodes)
+        time_ns, force_n = int(finger["time_ns"]), _number(finger["force_n"])
+        tactile = TactileImage(activation, time_ns, force_n)
+        where = {
+            "pose": Pose(*(_number(finger[key]) for key in ("x_mm", "y_mm", "angle_rad"))),
+            "number": int(finger["number"]),
+            "age_ns": round(finger["age_ms"] * 1e6),
+            "stale": bool(finger["stale"]),
+        }
+        given: Input
         if "/request" in parts:
-            frame = replace(frame, request=_request_of(parts["/request"], tactile))
+            period_us, level = _asked(parts["/request"])
+            given = tactile = Stimulus(
+                activation, time_ns, force_n, period_us, level, image=image, **where
+            )
+        elif image is not None:
+            given = Frame(image, time_ns, force_n=force_n, **where)
+        else:
+            raise ValueError("a step without an image has no stimulus")
+        told = parts["/sequence"]
         step = Step(
-            frame=frame,
+            input=given,
             tactile=tactile,
             sequence=sequence,
             mode=Mode(told["mode"]),
@@ -129,6 +134,18 @@ class StepDecoder:
         number = None if board["sent"] is None else int(board["sent"])
         sent = StepResult(step, number, float(board["latency_us"]), float(board["work_us"]))
         return RecordedStep(self._index, sent, int(board["acknowledged"]), int(board["refused"]))
+
+    def _image_of(self, parts: dict[str, Message]) -> NDArray[np.uint8] | None:
+        """Return the image of a step, or None where a stimulus has none."""
+        number = parts["/finger"]["number"]
+        if "/frame" in parts:
+            self._image, self._image_number = _decoded(parts["/frame"]), number
+        # Older recordings have an image for all.
+        elif "/request" in parts and not parts["/request"].get("image", True):
+            return None
+        if self._image is None or self._image_number != number:
+            raise ValueError("the image of this step is missing")
+        return self._image
 
     def _measured(self, message: Message) -> Measured:
         sequence = self._sequences[message["time_ns"]]
@@ -186,14 +203,15 @@ def _proof_of(message: Message, slots: int) -> Proof | None:
     return Proof(points, other, spill)
 
 
-def _request_of(message: Message, tactile: TactileImage) -> PulseRequest:
+def _asked(message: Message) -> tuple[int, float]:
+    """Return period, µs, and level of a stimulus."""
     period_us, level = int(message["period_us"]), float(message["level"])
     if not (0 <= period_us <= _LONGEST_US and 0 <= level <= 1):
-        raise ValueError(f"not a request: {period_us} µs at a level of {level}")
-    return PulseRequest(tactile.activation, period_us, level)
+        raise ValueError(f"not a stimulus: {period_us} µs at a level of {level}")
+    return period_us, level
 
 
-def _tactile_of(message: Message, electrodes: int, frame: Frame) -> TactileImage:
+def _activation_of(message: Message, electrodes: int) -> NDArray[np.float32]:
     activation = np.zeros((len(Primary), electrodes), np.float32)
     for each in Primary:
         row = np.asarray(message[each.name], np.float64)
@@ -202,7 +220,7 @@ def _tactile_of(message: Message, electrodes: int, frame: Frame) -> TactileImage
         if row.shape != (electrodes,) or not ((row >= 0) & (row <= 1)).all():
             raise ValueError(f"not the activation of {electrodes} electrodes")
         activation[each] = row
-    return TactileImage(activation, frame.time_ns, frame.force_n)
+    return activation
 
 
 def _decoded(message: Message) -> NDArray[np.uint8]:

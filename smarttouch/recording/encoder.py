@@ -9,11 +9,12 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from smarttouch.primary import Primary
 from smarttouch.recording.schemas import INFO, LAST
 from smarttouch.running.step import Step, StepResult
-from smarttouch.sources.frame import Frame
+from smarttouch.sources.stimulus import Input, Stimulus
 from smarttouch.stimulation.sequence import Proof
 
 REMEMBERED = 512
@@ -38,19 +39,25 @@ class StepEncoder:
 
     def __init__(self, started_unix_ns: int) -> None:
         self._started_unix_ns = started_unix_ns
-        self._frame: Frame | None = None
+        self._before: tuple[NDArray[np.uint8], int] | None = None
         self._numbers: OrderedDict[int, int | None] = OrderedDict()
 
     def messages(self, result: StepResult) -> Iterator[tuple[str, Message]]:
         """Yield topics and messages of a step; its image only if it is a new one."""
-        step, frame = result.step, result.step.frame
-        if self._is_new(frame):
-            yield "/frame", self._image(frame)
-        yield "/finger", _finger(frame)
+        step, given = result.step, result.step.input
+        if given.image is not None and self._is_new(given.image, given.number):
+            yield "/frame", self._image(given.image, given.time_ns)
+        yield "/finger", _finger(given)
         yield "/tactile", _tactile(step)
-        if frame.request is not None:
-            request = frame.request
-            yield "/request", {"period_us": request.period_us, "level": float(request.level)}
+        if isinstance(given, Stimulus):
+            yield (
+                "/request",
+                {
+                    "period_us": given.period_us,
+                    "level": float(given.level),
+                    "image": given.image is not None,
+                },
+            )
         yield "/sequence", _sequence(result)
         remember(self._numbers, step.sequence.time_ns, result.number)
         for sequence, volts in step.observed:
@@ -86,19 +93,19 @@ class StepEncoder:
             "line": 0,
         }
 
-    def _is_new(self, frame: Frame) -> bool:
-        """Tell whether an image was not there before, whatever its sensor says of it."""
-        before, self._frame = self._frame, frame
+    def _is_new(self, image: NDArray[np.uint8], number: int) -> bool:
+        """Tell whether an image was not there before, whatever its source says of it."""
+        before, self._before = self._before, (image, number)
         return (
             before is None
-            or frame.number != before.number
-            or not (frame.image is before.image or np.array_equal(frame.image, before.image))
+            or number != before[1]
+            or not (image is before[0] or np.array_equal(image, before[0]))
         )
 
-    def _image(self, frame: Frame) -> Message:
-        _, png = cv2.imencode(".png", frame.image, _PNG)
+    def _image(self, image: NDArray[np.uint8], time_ns: int) -> Message:
+        _, png = cv2.imencode(".png", image, _PNG)
         return {
-            "timestamp": self._timestamp(frame.time_ns),
+            "timestamp": self._timestamp(time_ns),
             "frame_id": "sensor",
             "data": _base64(png.tobytes()),
             "format": "png",
@@ -116,26 +123,27 @@ def remember(kept: OrderedDict[int, Any], key: int, value: Any) -> None:
         kept.popitem(last=False)
 
 
-def _finger(frame: Frame) -> Message:
-    pose = frame.pose
+def _finger(given: Input) -> Message:
+    pose = given.pose
     return {
-        "time_ns": frame.time_ns,
+        "time_ns": given.time_ns,
         "x_mm": _finite(pose.x_mm),
         "y_mm": _finite(pose.y_mm),
         "angle_rad": _finite(pose.angle_rad),
-        "force_n": _finite(frame.force_n),
-        "number": frame.number,
-        "age_ms": frame.age_ns / 1e6,
-        "stale": frame.stale,
+        "force_n": _finite(given.force_n),
+        "number": given.number,
+        "age_ms": given.age_ns / 1e6,
+        "stale": given.stale,
     }
 
 
 def _tactile(step: Step) -> Message:
     rounded = step.tactile.activation.astype(np.float64)
-    if step.frame.request is None:
+    imaged = not isinstance(step.input, Stimulus)
+    if imaged:
         rounded = np.round(rounded, _DIGITS)
-    # What was asked for cannot be computed again: it is kept to the bit, and as short as it is.
-    driven = step.mode.primaries if step.frame.request is None else ()
+    # A stimulus cannot be computed again: it is kept to the bit, and as short as it is.
+    driven = step.mode.primaries if imaged else ()
     return {
         each.name: rounded[each].tolist() if each in driven or rounded[each].any() else []
         for each in Primary
@@ -146,7 +154,7 @@ def _sequence(result: StepResult) -> Message:
     step, sequence = result.step, result.step.sequence
     return {
         "time_ns": sequence.time_ns,
-        "frame": step.frame.number,
+        "frame": step.input.number,
         "number": result.number,
         "mode": step.mode.value,
         "level": float(step.level),

@@ -28,9 +28,9 @@ def export(path: Path, folder: Path) -> list[Path]:
     """Write a recording into an empty or new folder.
 
     ``frames/`` gets one PNG for each different image; ``finger.csv`` says at
-    which steps it was there. ``run.npz`` holds ``time_ns`` (N,), ``activation``
-    (N, 3, E), and of all slots one after another ``current_ua`` (S, E),
-    ``width_us``, ``discharge_us`` and ``site`` (S,); those of step n are
+    which steps it was there, and nothing where there was none. ``run.npz`` holds
+    ``time_ns`` (N,), ``activation`` (N, 3, E), and of all slots one after another
+    ``current_ua`` (S, E), ``width_us``, ``discharge_us`` and ``site`` (S,); those of step n are
     ``first_slot[n]`` to ``first_slot[n + 1]``. Recharge phases are ``recharge_us`` (N,) and
     ``recharge_ua`` (N, E), zero where there is none. Measured voltages are ``volts``,
     one for each slot of the steps in ``volts_step``.
@@ -75,9 +75,9 @@ def _export(recording: Recording, folder: Path) -> list[Path]:
             tables[name] = csv.writer(file)
             tables[name].writerow(columns)
         for recorded in recording.steps():
-            name = images.save(recorded.step.frame.image)
+            name = images.save(recorded.step.input.image)
             for table, row in _rows(recorded, name).items():
-                tables[table].writerow((recorded.index, recorded.step.frame.time_ns, *row))
+                tables[table].writerow((recorded.index, recorded.step.input.time_ns, *row))
             arrays.add(recorded)
     with (folder / "events.csv").open("x", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -90,11 +90,11 @@ def _export(recording: Recording, folder: Path) -> list[Path]:
 
 def _rows(recorded: RecordedStep, image: str) -> dict[str, Sequence[Any]]:
     step, sent = recorded.step, recorded.sent
-    frame, sequence, pose = step.frame, step.sequence, step.frame.pose
+    given, sequence, pose = step.input, step.sequence, step.input.pose
     strongest_ua = int(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0))
     return {
         "finger": (
-            image, pose.x_mm, pose.y_mm, pose.angle_rad, frame.force_n, frame.age_ns, frame.stale,
+            image, pose.x_mm, pose.y_mm, pose.angle_rad, given.force_n, given.age_ns, given.stale,
         ),
         "sequence": (
             sent.number, step.mode.value, step.level, step.restarted, sequence.intensity,
@@ -115,8 +115,10 @@ class _Images:
         self._last: NDArray[np.uint8] | None = None
         folder.mkdir()
 
-    def save(self, image: NDArray[np.uint8]) -> str:
-        """Return the name of an image's file."""
+    def save(self, image: NDArray[np.uint8] | None) -> str:
+        """Return the name of an image's file; empty if there is no image."""
+        if image is None:
+            return ""
         if image is not self._last:
             self._last = image
             self._count += 1
@@ -144,7 +146,7 @@ class _Arrays:
     def add(self, recorded: RecordedStep) -> None:
         sequence, columns = recorded.step.sequence, self._columns
         columns["step"].append(recorded.index)
-        columns["time_ns"].append(recorded.step.frame.time_ns)
+        columns["time_ns"].append(recorded.step.input.time_ns)
         columns["activation"].append(recorded.step.tactile.activation)
         columns["slots"].append(sequence.slots)
         for name in ("current_ua", "width_us", "discharge_us", "site"):

@@ -207,7 +207,7 @@ class RecordingWriter:
             time_ns, words = item
             self._add("/event", self._encoder.event(time_ns, words), time_ns, 0)
             return
-        time_ns = item.step.frame.time_ns
+        time_ns = item.step.input.time_ns
         for topic, message in self._encoder.messages(item):
             self._add(topic, message, time_ns, self._index)
         self._index += 1

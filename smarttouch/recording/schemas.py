@@ -70,6 +70,7 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
         {
             "period_us": {**_INTEGER, "description": "until the source is asked again"},
             "level": {**_NUMBER, "description": "of the strongest, in [0, 1]"},
+            "image": {"type": "boolean", "description": "whether there was one to see"},
         },
     ),
     "/sequence": (

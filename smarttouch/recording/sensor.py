@@ -1,4 +1,4 @@
-"""A recording as a sensor: what was seen and how hard the finger pressed, once more."""
+"""A recording as a source: what was seen or given, and how hard the finger pressed, once more."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,7 +7,8 @@ from smarttouch.errors import SensorError
 from smarttouch.profile import Profile
 from smarttouch.recording.decoder import RecordedStep
 from smarttouch.recording.reader import Recording
-from smarttouch.sources.frame import Frame, Sensor
+from smarttouch.sources.source import Source
+from smarttouch.sources.stimulus import Input
 
 
 def open_recording(rest: str, profile: Profile, *, unpaced: bool = False) -> "RecordingSensor":
@@ -30,16 +31,15 @@ def open_recording(rest: str, profile: Profile, *, unpaced: bool = False) -> "Re
     return RecordingSensor(Recording(Path(rest)), unpaced)
 
 
-class RecordingSensor(Sensor):
-    """Frames of a recording with pose and force, at the times at which they were felt.
+class RecordingSensor(Source):
+    """Frames or stimuli of a recording with pose and force, at the times at which they were felt.
 
-    An image that was felt for several sequences counts once. An image that was
-    stale stays so.
+    One that was felt for several sequences counts once. One that was stale stays so.
 
     Parameters
     ----------
     recording : Recording
-        Whose frames.
+        Of frames or stimuli.
     unpaced : bool
         Give the next step at each look, however long that takes.
     """
@@ -56,7 +56,7 @@ class RecordingSensor(Sensor):
         self._seen = True
         if self._ahead is None:
             raise SensorError(
-                f"{recording.path} holds no frames: nothing can be played from it",
+                f"{recording.path} holds no steps: nothing can be played from it",
                 about="file",
                 problem="empty",
                 value=recording.path,
@@ -64,8 +64,8 @@ class RecordingSensor(Sensor):
         if not recording.whole:
             self.notes.append(f"{recording.path} is cut: it is played as far as it goes")
 
-    def read(self, time_ns: int) -> Frame | None:
-        """Return the newest recorded frame that is not later than a time; None after the last."""
+    def read(self, time_ns: int) -> Input | None:
+        """Return the newest recorded input that is not later than a time; None after the last."""
         if self._unpaced:
             if self._ahead is None:
                 return None
@@ -77,24 +77,24 @@ class RecordingSensor(Sensor):
                 return None
         assert self._now is not None
         self._seen = True
-        frame = self._now.step.frame
-        age_ns = 0 if self._unpaced else max(0, time_ns - frame.time_ns)
+        given = self._now.step.input
+        age_ns = 0 if self._unpaced else max(0, time_ns - given.time_ns)
         number = self.frames - 1
-        return replace(frame, time_ns=time_ns, number=number, age_ns=age_ns)
+        return replace(given, time_ns=time_ns, number=number, age_ns=age_ns)
 
     def close(self) -> None:
-        """Let go of the file; an image that was passed and not read is dropped."""
+        """Let go of the file; what was passed and not read is dropped."""
         self._steps.close()
         self._drop()
 
     def _is_due(self, ahead: RecordedStep, time_ns: int) -> bool:
-        return self._now is None or ahead.step.frame.time_ns <= time_ns
+        return self._now is None or ahead.step.input.time_ns <= time_ns
 
     def _advance(self) -> None:
-        """Go to the next step; its image may be the same."""
+        """Go to the next step; its input may be the same."""
         before, self._now = self._now, self._ahead
         assert self._now is not None
-        if before is None or self._now.step.frame.image is not before.step.frame.image:
+        if before is None or _is_other(self._now.step.input, before.step.input):
             self._drop()
             self.frames += 1
             self._seen = False
@@ -105,5 +105,10 @@ class RecordingSensor(Sensor):
         self._seen = True
 
 
+def _is_other(given: Input, before: Input) -> bool:
+    """Tell whether an input is not that of the step before, by its number or image."""
+    return given.number != before.number or given.image is not before.image
+
+
 def _end_ns(recorded: RecordedStep) -> int:
-    return recorded.step.frame.time_ns + 1000 * recorded.step.sequence.period_us
+    return recorded.step.input.time_ns + 1000 * recorded.step.sequence.period_us

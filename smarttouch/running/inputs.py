@@ -18,7 +18,8 @@ from smarttouch.running.controls import Controls, ControlState
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.statistics import RunStatistics
 from smarttouch.sources.forces.force import ForceSource
-from smarttouch.sources.frame import Frame, Sensor
+from smarttouch.sources.source import Source
+from smarttouch.sources.stimulus import Input
 
 LIFT_NS = 300_000_000
 """After a lifted finger: so long there is no current, then it rises from zero again."""
@@ -30,7 +31,7 @@ class Inputs:
 
     Parameters
     ----------
-    source : Sensor
+    source : Source
     force : ForceSource or None
         Asked in place of the source.
     board : Board
@@ -42,7 +43,7 @@ class Inputs:
         Given each event.
     """
 
-    source: Sensor
+    source: Source
     force: ForceSource | None
     board: Board
     pipeline: Pipeline
@@ -53,29 +54,29 @@ class Inputs:
     _blind: bool = False
     _lifted_until_ns: int = 0
 
-    def read(self, time_ns: int) -> Frame | None:
-        """Return the frame with the force that counts: zero where it or the image is unknown."""
-        frame = self.source.read(time_ns)
-        if frame is None:
+    def read(self, time_ns: int) -> Input | None:
+        """Return what the source gives with the force that counts: zero where nothing is known."""
+        given = self.source.read(time_ns)
+        if given is None:
             return None
-        self.statistics.see(frame)
-        force_n = self._force_n(frame, time_ns)
-        blind = frame.stale or math.isnan(force_n)
+        self.statistics.see(given)
+        force_n = self._force_n(given, time_ns)
+        blind = given.stale or math.isnan(force_n)
         self.statistics.blind += blind
         if blind is not self._blind:
-            lost = InputLost(time_ns, image=frame.stale)
+            lost = InputLost(time_ns, image=given.stale)
             self.emit(lost if blind else InputRestored(time_ns))
             self._blind = blind
         counts_n = 0.0 if blind else force_n
-        return frame if counts_n == frame.force_n else replace(frame, force_n=counts_n)
+        return given if counts_n == given.force_n else replace(given, force_n=counts_n)
 
-    def _force_n(self, frame: Frame, time_ns: int) -> float:
+    def _force_n(self, given: Input, time_ns: int) -> float:
         """Return the force of whoever was asked, NaN if unknown; the board may lower it."""
         on_board = self.board.force_n
         if self.force is not None:
             force_n = self.force.read(time_ns)
         elif self.source.knows_force or on_board is None:
-            force_n = frame.force_n
+            force_n = given.force_n
         else:
             force_n = on_board
         if on_board is None or math.isnan(force_n):

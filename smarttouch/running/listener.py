@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from smarttouch.running.config import RunConfig
     from smarttouch.running.controls import Controls
     from smarttouch.running.statistics import RunStatistics
-    from smarttouch.sources.frame import Sensor
+    from smarttouch.sources.source import Source
 
 
 @dataclass
@@ -23,7 +23,7 @@ class RunContext:
 
     Attributes
     ----------
-    source : Sensor
+    source : Source
     board : Board
     profile : Profile
         Of the finger, without the electrodes that were found broken.
@@ -35,7 +35,7 @@ class RunContext:
         All that sequences depend on, and where they came from; for JSON.
     """
 
-    source: "Sensor"
+    source: "Source"
     board: "Board"
     profile: "Profile"
     bank: "KernelBank"

@@ -25,7 +25,7 @@ from smarttouch.running.regulator import Regulator
 from smarttouch.running.statistics import RunStatistics
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.forces.force import ForceSource
-from smarttouch.sources.frame import Sensor
+from smarttouch.sources.source import Source
 from smarttouch.stopping import StopRequest
 
 HELD_UP_NS = 1_000_000
@@ -43,7 +43,7 @@ def emit_to(listeners: Sequence[Listener]) -> Emit:
 
 
 def run_loop(
-    source: Sensor,
+    source: Source,
     pipeline: Pipeline,
     board: Board,
     *,
@@ -58,8 +58,8 @@ def run_loop(
 ) -> None:
     """Deliver what a source gives to an open board until it ends.
 
-    The source is asked for a frame at each deadline; the next deadline is one
-    sequence later, so a frame that needs longer to scan lowers the rate and
+    The source is read at each deadline; the next deadline is one
+    sequence later, so an input that needs longer to scan lowers the rate and
     nothing queues. A late loop moves its schedule and never hurries.
 
     Parameters
@@ -147,7 +147,7 @@ class _Loop:
         statistics.seconds = (clock.now_ns() - start_ns) / 1e9
 
     def _step(self, now_ns: int, late_ns: int, board_ns: int) -> bool:
-        """Deliver one frame; return False at the end of the source."""
+        """Deliver one input; return False at the end of the source."""
         # The skin waits since the sequence before was over, whatever the plan says.
         waits_ns = max(0, late_ns, now_ns - self._over_ns if self._over_ns else 0)
         stalled = waits_ns > LATE_NS
@@ -158,13 +158,13 @@ class _Loop:
         if stalled:
             # The board may have fallen silent.
             pipeline.restart_softly()
-        frame = inputs.read(elapsed_ns)
-        if frame is None:
+        given = inputs.read(elapsed_ns)
+        if given is None:
             return False
         state = inputs.control(elapsed_ns)
         inputs.handle_lifts(elapsed_ns, now_ns)
         in_hand_ns, worked_ns = clock.now_ns(), time.thread_time_ns()
-        step = self.regulator.regulate(pipeline.process(frame, state.current_level), inputs.board)
+        step = self.regulator.regulate(pipeline.process(given, state.current_level), inputs.board)
         sending_ns = clock.now_ns()
         try:
             number = self._send(step, due_ns)
@@ -216,7 +216,7 @@ class _Loop:
 
     def _count(self, result: StepResult, now_ns: int) -> None:
         statistics, sequence = self.inputs.statistics, result.step.sequence
-        statistics.feel(result.step.frame)
+        statistics.feel(result.step.input)
         statistics.slots += sequence.slots
         statistics.weigh(sequence.proof)
         statistics.slowed += sequence.period_us > result.step.asked_us
@@ -224,7 +224,7 @@ class _Loop:
         statistics.lowest_rate_hz = min(statistics.lowest_rate_hz, sequence.rate_hz)
         statistics.scan_us += sequence.period_us
         statistics.latency.add(result.latency_us)
-        statistics.motion_to_bytes.add(result.latency_us + result.step.frame.age_ns / 1000)
+        statistics.motion_to_bytes.add(result.latency_us + result.step.input.age_ns / 1000)
         statistics.work.add(result.work_us)
         activation = result.step.tactile.activation
         statistics.active += np.count_nonzero(activation.any(axis=0)) / activation.shape[1]

@@ -1,25 +1,25 @@
-"""Frame in, scan sequence out: pure, without I/O and without a clock."""
+"""Input in, scan sequence out: pure, without I/O and without a clock."""
 
 import contextlib
 
 import numpy as np
 
-from smarttouch.errors import ScheduleError, SmartTouchError
+from smarttouch.errors import SmartTouchError
 from smarttouch.imaging.mapping import TactileMapper
-from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.step import Step
-from smarttouch.sources.frame import Frame, Pose, PulseRequest
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.sources.stimulus import Input, Stimulus
 from smarttouch.stimulation.intensity import SoftStart, force_gate
 from smarttouch.stimulation.schedule import PointScan
 from smarttouch.stimulation.timing import ScanTiming
 
 
 class Pipeline:
-    """Turns frames into scan sequences. Time comes in with each frame.
+    """Turns frames and stimuli into scan sequences. Time comes in with each.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class Pipeline:
         self.change_mode(Mode(config.mode))
 
     def change_mode(self, mode: Mode) -> None:
-        """Drive other afferents from the next frame on; intensity begins at zero.
+        """Drive other afferents from the next input on; intensity begins at zero.
 
         Raises
         ------
@@ -70,7 +70,7 @@ class Pipeline:
     def offered(self) -> tuple[Mode, ...]:
         """Return the modes that the board, the profile and its kernels offer.
 
-        Where each frame asks for its pulses, that is the one it asks in.
+        Color is for stimuli alone, and the other modes are no choice for these.
         """
         if self.mode is Mode.COLOR:
             return (self.mode,)
@@ -105,38 +105,29 @@ class Pipeline:
             )
         return self._scans[mode]
 
-    def process(self, frame: Frame, level: float = 1.0) -> Step:
-        """Return the tactile image and the scan sequence of a frame.
-
-        A frame that asks for its pulses gets just those.
+    def process(self, given: Input, level: float = 1.0) -> Step:
+        """Return the tactile image and the scan sequence of a frame or stimulus.
 
         Parameters
         ----------
-        frame : Frame
-            Its force gates intensity; one that is not a number is no contact.
+        given : Frame or Stimulus
+            A frame is imaged, a stimulus is a tactile image. Its force gates intensity; one that
+            is not a number is no contact.
         level : float, in [0, 1]
             What the user asked for, of the strongest.
+
+        Raises
+        ------
+        ScheduleError
+            If the mode is not for frames, or the tactile image cannot be scheduled.
         """
-        request, wanted, period_us = frame.request, level, None
-        if request is not None:
-            tactile = TactileImage(request.activation, frame.time_ns, frame.force_n)
-            wanted, period_us = level * request.level, request.period_us
-        elif self.mode is Mode.COLOR:
-            raise ScheduleError(
-                "mode color is for sources that ask for their pulses: choose RA",
-                about="mode",
-                problem="impossible",
-                value="color",
-                allowed="RA",
-            )
-        else:
-            tactile = self._mapper.map(frame, self.mode)
-        pressure = force_gate(frame.force_n, self._profile.force)
-        intensity = self._soft_start.follow(pressure * wanted, frame.time_ns)
+        tactile = given if isinstance(given, Stimulus) else self._mapper.map(given, self.mode)
+        pressure = force_gate(given.force_n, self._profile.force)
+        intensity = self._soft_start.follow(pressure * (level * tactile.level), given.time_ns)
         scan = self._scans[self.mode]
-        sequence = scan.schedule(tactile, intensity, pressure, period_us)
+        sequence = scan.schedule(tactile, intensity, pressure)
         restarted, self._restarted = self._restarted, False
-        return Step(frame, tactile, sequence, self.mode, level, restarted, scan.asked_us)
+        return Step(given, tactile, sequence, self.mode, level, restarted, scan.asked_us)
 
     def restart_softly(self) -> None:
         """Let intensity rise from zero again, after the skin has felt nothing for a while."""
@@ -146,20 +137,21 @@ class Pipeline:
         self._restarted = True
 
     def warm_up(self) -> None:
-        """Run a printed frame through a twin of this pipeline, which is then thrown away.
+        """Run an input through a twin of this pipeline, which is then thrown away.
 
         First calls import and allocate; in the loop that would cost a pulse.
         """
         twin = Pipeline(
             self._profile, self._bank, self._config, self._timing, vibrated=self._vibrated
         )
-        optics, force = self._profile.optics, self._profile.force
-        image = np.full((optics.sensor_rows, optics.sensor_columns), 230, np.uint8)
-        image[::2, : optics.sensor_columns // 2] = 20
-        request = None
-        if self.mode is Mode.COLOR:
-            active = np.ones((len(Primary), len(self._profile.electrodes)), np.float32)
-            active[[each for each in Primary if each not in self._bank.weights]] = 0
-            request = PulseRequest(active, 20_000)
+        profile, force_n = self._profile, self._profile.force.full_n
+        image = np.full((profile.optics.sensor_rows, profile.optics.sensor_columns), 230, np.uint8)
+        image[::2, : profile.optics.sensor_columns // 2] = 20
+        active = np.ones((len(Primary), len(profile.electrodes)), np.float32)
+        active[[each for each in Primary if each not in self._bank.weights]] = 0
         for time_ns in (0, 10**9):
-            twin.process(Frame(image, time_ns, Pose(0, 0), force.full_n, request=request))
+            twin.process(
+                Stimulus(active, time_ns, force_n, 20_000)
+                if self.mode is Mode.COLOR
+                else Frame(image, time_ns, Pose(0, 0), force_n)
+            )

@@ -4,12 +4,12 @@ from typing import Any
 
 from smarttouch.boards.board import Board, BoardReport
 from smarttouch.running.statistics import RunStatistics
-from smarttouch.sources.frame import Sensor
+from smarttouch.sources.source import Source
 
 
 def figures_of(
     statistics: RunStatistics,
-    source: Sensor,
+    source: Source,
     board: Board,
     report: BoardReport | None,
     ended: str,

@@ -27,7 +27,7 @@ from smarttouch.running.report import figures_of
 from smarttouch.running.statistics import RunStatistics
 from smarttouch.running.step import StepResult
 from smarttouch.sources.forces.force import ForceSource
-from smarttouch.sources.frame import Sensor
+from smarttouch.sources.source import Source, StimulusSource
 from smarttouch.stimulation.limits import rms_ma_cm2
 from smarttouch.stopping import StopRequest
 
@@ -40,7 +40,7 @@ class Runner:
 
     Parameters
     ----------
-    source : Sensor
+    source : Source
         Closed at the end.
     display : Display
     config : RunConfig
@@ -72,7 +72,7 @@ class Runner:
 
     def __init__(
         self,
-        source: Sensor,
+        source: Source,
         display: Display,
         config: RunConfig,
         *,
@@ -150,7 +150,8 @@ class Runner:
         vibrated = self.display.vibrators_url is not None
         pipeline = Pipeline(profile, bank, config, board.timing, vibrated=vibrated)
         state = ControlState(pipeline.mode, self._first)
-        controls = self._controls(state, (state.mode,) if source.asks else pipeline.offered())
+        chosen = isinstance(source, StimulusSource)
+        controls = self._controls(state, (state.mode,) if chosen else pipeline.offered())
         controls.most = self._most
         context = RunContext(
             source, board, profile, bank, config, controls, self.statistics, self._settings(profile)

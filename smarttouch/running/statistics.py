@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from smarttouch.sources.frame import Frame
+from smarttouch.sources.stimulus import Input
 from smarttouch.stimulation.sequence import Proof
 
 _PER_E = 100
@@ -49,11 +49,11 @@ class RunStatistics:
     """Statistics of a run, kept as it goes."""
 
     frames: int = 0
-    """Sequences sent; each from one look of the sensor."""
+    """Sequences sent; each from one input."""
     seen: int = 0
-    """Different frames read from the sensor."""
+    """Different frames or stimuli that were read."""
     felt: int = 0
-    """Different frames of which a sequence was sent."""
+    """Different frames or stimuli of which a sequence was sent."""
     real_time: bool = False
     """Whether the loop's thread had real-time priority."""
     slots: int = 0
@@ -79,7 +79,7 @@ class RunStatistics:
     asked_us: int = 0
     """Sum of the periods they would have had if their slots had fit."""
     latency: LatencyHistogram = field(default_factory=LatencyHistogram)
-    """From the frame in hand to the last byte written."""
+    """From the input in hand to the last byte written."""
     motion_to_bytes: LatencyHistogram = field(default_factory=LatencyHistogram)
     """From the taking of the image to the last byte written."""
     work: LatencyHistogram = field(default_factory=LatencyHistogram)
@@ -93,16 +93,16 @@ class RunStatistics:
     _last_seen: int | None = None
     _last_felt: int | None = None
 
-    def see(self, frame: Frame) -> None:
-        """Count a frame that was read."""
-        self.seen += frame.number != self._last_seen
-        self._last_seen = frame.number
+    def see(self, given: Input) -> None:
+        """Count a frame or stimulus that was read."""
+        self.seen += given.number != self._last_seen
+        self._last_seen = given.number
 
-    def feel(self, frame: Frame) -> None:
-        """Count a frame that was sent."""
+    def feel(self, given: Input) -> None:
+        """Count a frame or stimulus that was sent."""
         self.frames += 1
-        self.felt += frame.number != self._last_felt
-        self._last_felt = frame.number
+        self.felt += given.number != self._last_felt
+        self._last_felt = given.number
 
     def weigh(self, proof: Proof | None) -> None:
         """Keep the worst of what points that share slots do."""

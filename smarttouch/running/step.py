@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.primary import Mode
-from smarttouch.sources.frame import Frame
+from smarttouch.sources.stimulus import Input
 from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.tactile_image import TactileImage
 
 Measured = tuple[ScanSequence, NDArray[np.float32]]
 """A sequence that was delivered, and what its source needed in each slot, (S,) V."""
@@ -16,12 +16,12 @@ Measured = tuple[ScanSequence, NDArray[np.float32]]
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One frame's way to a sequence, and all that it depended on.
+    """One input's way to a sequence, and all that it depended on.
 
     Attributes
     ----------
-    frame : Frame
-        With the force that counted.
+    input : Frame or Stimulus
+        That was read, with the force that counted.
     tactile : TactileImage
     sequence : ScanSequence
         As it is sent.
@@ -36,7 +36,7 @@ class Step:
         What the board had measured until then, where sequences depend on it.
     """
 
-    frame: Frame
+    input: Input
     tactile: TactileImage
     sequence: ScanSequence
     mode: Mode
@@ -56,7 +56,7 @@ class StepResult:
     number : int or None
         The board's number of its sequence; None if the board was lost with it.
     latency_us : float
-        From the frame in hand to the last byte written.
+        From the input in hand to the last byte written.
     work_us : float
         Processor time that it took the loop.
     acknowledged, refused : int
@@ -71,9 +71,9 @@ class StepResult:
     refused: int = 0
 
     @property
-    def frame(self) -> Frame:
-        """Frame that the step began with."""
-        return self.step.frame
+    def input(self) -> Input:
+        """Frame or stimulus that the step began with."""
+        return self.step.input
 
     @property
     def tactile(self) -> TactileImage:

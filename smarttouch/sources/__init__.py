@@ -6,12 +6,12 @@ from typing import Any
 from smarttouch.errors import SensorError
 from smarttouch.profile import Profile
 from smarttouch.registry import find_opener
-from smarttouch.sources.frame import Sensor
+from smarttouch.sources.source import Source
 
 
 def open_sensor(
     url: str, profile: Profile, *, light_on_dark: bool = False, **options: Any
-) -> Sensor:
+) -> Source:
     """Open a sensor by its URL, for example ``page:FILE`` or ``camera:0``.
 
     Parameters
@@ -46,5 +46,5 @@ def open_sensor(
             )
     if light_on_dark and "light_on_dark" in taken:
         given["light_on_dark"] = True
-    sensor: Sensor = opener(rest, profile, **given)
+    sensor: Source = opener(rest, profile, **given)
     return sensor

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import SensorError, SourceLostError
 from smarttouch.profile import Profile
-from smarttouch.sources.frame import Frame, Pose, Sensor
+from smarttouch.sources.frame import Frame, Pose
 from smarttouch.sources.intake import Intake
 from smarttouch.sources.notes import Episodes, StandingNotes
+from smarttouch.sources.source import OpticalSource
 
 STALE_S = 0.5
 """What an image shows may be gone after so long without another."""
@@ -102,7 +103,7 @@ class _Look:
     number: int
 
 
-class LiveSensor(Sensor):
+class LiveSensor(OpticalSource):
     """Newest frame wins: a thread grabs, `read` takes what is newest.
 
     The thread begins with the first `read`; images from before a run are nobody's.

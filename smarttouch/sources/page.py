@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from smarttouch.documents.page_image import Page, load_page
 from smarttouch.documents.printed_text import print_text
 from smarttouch.profile import Profile
-from smarttouch.sources.frame import Frame, Sensor
+from smarttouch.sources.frame import Frame
 from smarttouch.sources.reading_path import Path2D, ReadingPath, RecordedPath
+from smarttouch.sources.source import OpticalSource
 
 OVERSAMPLING = 2
 """Samples per pixel and axis; their mean is the pixel's aperture."""
@@ -59,7 +60,7 @@ def open_text(
     return PageSensor(page, profile, "printed text", seed, speed_mm_s, path, light_on_dark)
 
 
-class PageSensor(Sensor):
+class PageSensor(OpticalSource):
     """Frames of a finger that moves over a page.
 
     Parameters

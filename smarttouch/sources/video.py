@@ -12,14 +12,15 @@ from smarttouch.errors import SensorError
 from smarttouch.profile import Profile
 from smarttouch.sources.capture import STALE_S, ImageDevice, LiveSensor, Shot, SourceEndedError
 from smarttouch.sources.clip import FASTEST_HZ, USUAL_HZ, Clip, ImageFolder, VideoFile
-from smarttouch.sources.frame import Frame, Sensor
+from smarttouch.sources.frame import Frame
 from smarttouch.sources.intake import Intake
+from smarttouch.sources.source import OpticalSource
 
 HOPELESS_NS = 250_000_000
 """Frames later than this are skipped without a look, until the next is due again."""
 
 
-def open_video(rest: str, profile: Profile, *, unpaced: bool = False) -> Sensor:
+def open_video(rest: str, profile: Profile, *, unpaced: bool = False) -> OpticalSource:
     """Open ``video:FILE``, whatever kind of video OpenCV reads.
 
     Parameters
@@ -41,7 +42,7 @@ def open_video(rest: str, profile: Profile, *, unpaced: bool = False) -> Sensor:
 
 def open_frames(
     rest: str, profile: Profile, *, fps: float | None = None, unpaced: bool = False
-) -> Sensor:
+) -> OpticalSource:
     """Open ``frames:DIR``, a folder of images of one size, in natural order of their names.
 
     Parameters
@@ -71,7 +72,7 @@ def open_frames(
     return _open(ImageFolder(Path(rest), rate_hz), profile, unpaced)
 
 
-def _open(clip: Clip, profile: Profile, unpaced: bool) -> Sensor:
+def _open(clip: Clip, profile: Profile, unpaced: bool) -> OpticalSource:
     if unpaced:
         return UnpacedClip(clip, profile)
     sensor = LiveSensor(PacedClip(clip), profile)
@@ -152,7 +153,7 @@ class PacedClip(ImageDevice):
         self._clip.close()
 
 
-class UnpacedClip(Sensor):
+class UnpacedClip(OpticalSource):
     """Each read gives the next image; none is dropped, however long the reader takes.
 
     Parameters

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import ScheduleError
-from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
@@ -18,6 +17,7 @@ from smarttouch.stimulation.rates import PulseRates, rate_share
 from smarttouch.stimulation.sequence import Proof, ScanSequence
 from smarttouch.stimulation.sums import SlotAdder, common_us
 from smarttouch.stimulation.timing import ScanTiming
+from smarttouch.tactile_image import TactileImage
 
 _SLOWEST_HZ = 0.1
 _BOTH = (Primary.RA, Primary.SAI)
@@ -150,7 +150,6 @@ class PointScan:
         image: TactileImage,
         intensity: float,
         pressure: float = 1.0,
-        period_us: int | None = None,
     ) -> ScanSequence:
         """Return the sequence for one tactile image.
 
@@ -160,13 +159,12 @@ class PointScan:
         Parameters
         ----------
         image : TactileImage
-            What to feel.
+            What to feel; with a period, every active class pulses now, and not again before it
+            has passed.
         intensity : float, in [0, 1]
             What all currents are scaled with.
         pressure : float, in [0, 1]
             What the finger's force asks for: the rate of SAI pulses follows it.
-        period_us : int, µs, optional
-            Given, every active class pulses now, and not again before this has passed.
 
         Raises
         ------
@@ -174,10 +172,10 @@ class PointScan:
             If a period is given that the profile's limits forbid, or a class is active that
             cannot be driven.
         """
-        if period_us is None:
+        if image.period_us is None:
             due, self.asked_us = self._due(image.time_ns, pressure)
         else:
-            due, self.asked_us = self._active(image.activation, period_us), period_us
+            due, self.asked_us = self._active(image.activation, image.period_us), image.period_us
         # None is due where the rate has fallen since this time was set.
         parts = self._parts(due or (self._first,), image, intensity if due else 0.0)
         site, current_ua, width_us, proof = parts[0] if len(parts) == 1 else _joined(parts)

@@ -1,15 +1,13 @@
 """What the skin felt, drawn in the world: delivered pulses where the electrodes were."""
 
-from io import BytesIO
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
 
 from smarttouch.errors import SmartTouchError
-from smarttouch.files import write_bytes
+from smarttouch.felt import write_sheet
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.perception import Perception
 from smarttouch.primary import Primary
@@ -20,8 +18,6 @@ from smarttouch.texture.texture import Texture
 FINEST_MM = 0.1
 """Finest dot of the picture."""
 _LONGEST_SIDE = 3000
-_SHEET = (900, 1400)
-"""Pixels that the picture is drawn wide at least, and at most."""
 
 
 class FeltMap:
@@ -66,7 +62,7 @@ class FeltMap:
 
     def watch(self, sent: StepResult) -> None:
         """Remember where the hand was when something was felt, and how far it came."""
-        pose = sent.step.frame.pose
+        pose = sent.step.input.pose
         place = (pose.x_mm, pose.y_mm)
         self._least = np.minimum(self._least, place)
         self._most = np.maximum(self._most, place)
@@ -142,22 +138,4 @@ class FeltMap:
                 f"What the skin got: {names} pulses where their electrodes were",
             ),
         )
-        content = BytesIO()
-        _sheet(rows).save(content, format="PNG")
-        write_bytes(path, content.getvalue())
-
-
-def _sheet(rows: tuple[tuple[NDArray[np.uint8], str], ...]) -> Image.Image:
-    """Return pictures of one size below each other, each under its title."""
-    height, width = rows[0][0].shape
-    scale = min(max(1.0, _SHEET[0] / width), _SHEET[1] / width)
-    size = (round(width * scale), round(height * scale))
-    margin, label = 24, 28
-    sheet = Image.new("L", (size[0] + 2 * margin, 2 * (size[1] + label) + 3 * margin), 226)
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(17)
-    for index, (image, text) in enumerate(rows):
-        top = margin + index * (size[1] + label + margin)
-        draw.text((margin, top), text, fill=40, font=font)
-        resized = Image.fromarray(image).resize(size, Image.Resampling.LANCZOS)
-        sheet.paste(resized, (margin, top + label))
-    return sheet
+        write_sheet(path, rows)

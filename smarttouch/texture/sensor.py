@@ -1,4 +1,4 @@
-"""The electric mouse as a source of frames, which asks for its pulses itself."""
+"""The electric mouse as a source of stimuli: pulses where a texture passes."""
 
 import math
 
@@ -11,8 +11,10 @@ from smarttouch.kernels.bank import KernelBank
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
 from smarttouch.reading.window import pixel_of
-from smarttouch.sources.frame import Frame, Pose, PulseRequest, Sensor
+from smarttouch.sources.frame import Pose
 from smarttouch.sources.notes import StandingNotes
+from smarttouch.sources.source import StimulusSource
+from smarttouch.sources.stimulus import Stimulus
 from smarttouch.texture.felt import FeltMap
 from smarttouch.texture.motion import Motion
 from smarttouch.texture.steady import Steady
@@ -57,13 +59,13 @@ class PulseLimit:
         return wanted * due
 
 
-class MouseSensor(Sensor):
-    """Asks for a pulse at each electrode under which a ridge of the texture passes.
+class MouseSensor(StimulusSource):
+    """Gives a pulse at each electrode under which a ridge of the texture passes.
 
     So each electrode pulses spatial frequency times speed times a second, the
     pattern stays where it is in the world, and a hand at rest feels nothing
-    (paper, Section IV-C). The pose of a frame is the middle of the array on the
-    texture.
+    (paper, Section IV-C). The pose of a stimulus is the middle of the array on the
+    texture, its image what lies under the array.
 
     Parameters
     ----------
@@ -91,7 +93,6 @@ class MouseSensor(Sensor):
         If a rate or the scale is impossible, or the mode is not one class.
     """
 
-    asks = True
     ended = "the hand has stopped"
 
     def __init__(
@@ -134,7 +135,7 @@ class MouseSensor(Sensor):
         self._said = StandingNotes(self.notes)
         self._told = False
 
-    def read(self, time_ns: int) -> Frame | None:
+    def read(self, time_ns: int) -> Stimulus | None:
         """Return what passes under the array at a time; None at the end of the motion."""
         moved = self.motion.read(time_ns)
         if moved is None:
@@ -149,13 +150,14 @@ class MouseSensor(Sensor):
             activation[self._primary] = self._feel(place, time_ns)
             self._look(place)
         force_n = self.motion.force_n if self.motion.knows_force else self._press_n
-        return Frame(
-            self._image,
+        return Stimulus(
+            activation,
             time_ns,
-            Pose(*place),
             math.nan if force_n is None else force_n,
+            self._period_us,
+            pose=Pose(*place),
             number=self.frames - 1,
-            request=PulseRequest(activation, self._period_us),
+            image=self._image,
         )
 
     def drawing(self, profile: Profile, bank: KernelBank) -> FeltMap:

@@ -4,7 +4,8 @@ import math
 
 from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile
 from smarttouch.sources import open_sensor
-from smarttouch.sources.frame import Pose, Sensor
+from smarttouch.sources.frame import Pose
+from smarttouch.sources.source import Source
 from smarttouch.texture.motion import Motion
 
 RESOLUTION_MM = 0.02
@@ -29,13 +30,13 @@ class SensorMotion(Motion):
 
     Parameters
     ----------
-    sensor : Sensor
+    sensor : Source
         An open one, which is closed with this.
     """
 
     resolution_mm = RESOLUTION_MM
 
-    def __init__(self, sensor: Sensor) -> None:
+    def __init__(self, sensor: Source) -> None:
         super().__init__(f"the motion of {sensor.title}")
         self._sensor = sensor
         self.notes = sensor.notes

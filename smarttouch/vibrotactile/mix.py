@@ -1,4 +1,4 @@
-"""What three classes answer, mixed into one train of requests for pulses.
+"""What three classes answer, mixed into one train of stimuli.
 
 Each class keeps its own pulses: RA and PC locked to the phase of the vibration, at every
 cycle or, where cycles come faster than the board can follow, at every second, third ...;
@@ -17,7 +17,7 @@ from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
-from smarttouch.sources.frame import PulseRequest
+from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.vibrotactile.sites import chosen, disc, stimulated
 from smarttouch.vibrotactile.split import Answer, split
@@ -33,7 +33,7 @@ VIBRATION_US = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """A train of requests.
+    """A train of stimuli.
 
     Attributes
     ----------
@@ -52,11 +52,11 @@ class Mixture:
     ideal_us : dict of Primary to ndarray, (K,) int64, µs
         When each pulse of a class should be.
     carried : dict of Primary to ndarray, (K,)
-        Which request carries it.
+        Which stimulus carries it.
     left_out : tuple of Primary
         Classes that answer, but the board cannot drive.
     vibrated : bool
-        Whether the row of PC is for vibrators, held until the next request.
+        Whether the row of PC is for vibrators, held until the next stimulus.
     """
 
     time_us: Times
@@ -72,25 +72,25 @@ class Mixture:
 
     @property
     def mode(self) -> Mode:
-        """In which its requests are to be processed: of one class alone, where it is one."""
+        """In which its stimuli are to be processed: of one class alone, where it is one."""
         if len(self.ideal_us) == 1 and not self.vibrated:
             return Mode[next(iter(self.ideal_us)).name]
         return Mode.COLOR
 
     @property
-    def requests(self) -> list[tuple[int, PulseRequest]]:
-        """All of them, each with its time in µs; each lasts until the next one."""
+    def stimuli(self) -> list[Stimulus]:
+        """All of them, of unknown force; each lasts until the next one."""
         periods = np.diff(self.time_us, append=self.end_us)
         return [
-            (int(time), self.request(drive, int(period)))
+            Stimulus(self.at_sites(drive), 1000 * int(time), math.nan, int(period))
             for time, drive, period in zip(self.time_us, self.drive, periods, strict=True)
         ]
 
-    def request(self, drive: NDArray[np.float32], period_us: int) -> PulseRequest:
-        """Return a request for each class's drive, (3,), at all sites."""
+    def at_sites(self, drive: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the activation of each class's drive, (3,), at all sites, (3, E)."""
         activation = np.zeros((len(Primary), self.electrodes), np.float32)
         activation[:, self.sites] = drive[:, None]
-        return PulseRequest(activation, period_us)
+        return activation
 
     def error_us(self, primary: Primary) -> Times:
         """Return how much later than it should each pulse of a class is, (K,) µs."""
@@ -148,8 +148,7 @@ def mix_colors(
     >>> mixture = mix_colors(trace, profile, load_bank(profile))
     >>> [mixture.pulses(each) for each in Primary]  # RA, SAI, PC
     [29, 24, 0]
-    >>> time_us, request = mixture.requests[0]
-    >>> request.activation.shape
+    >>> mixture.stimuli[0].activation.shape
     (3, 64)
     """
     answers = split(trace, sai_full_n=profile.force.full_n, sai_rate_hz=profile.pulse.sai_rate_hz)

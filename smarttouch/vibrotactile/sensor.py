@@ -1,4 +1,4 @@
-"""A mixture as a source of frames, and what went out of it."""
+"""A mixture as a source of stimuli, and what went out of it."""
 
 import math
 from collections import Counter
@@ -10,19 +10,20 @@ from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.running.listener import Listener
 from smarttouch.running.step import StepResult
-from smarttouch.sources.frame import Frame, Pose, PulseRequest, Sensor
+from smarttouch.sources.source import StimulusSource
+from smarttouch.sources.stimulus import Stimulus
 from smarttouch.vibrotactile.mix import Mixture
 from smarttouch.vibrotactile.train import Times
 
 LONGEST_US = 20_000
-"""So often frames come where no pulse is due: a finger that is lifted is not overlooked."""
+"""So often stimuli come where no pulse is due: a finger that is lifted is not overlooked."""
 
 
-class ColorSensor(Sensor, Listener):
-    """Asks for the pulses of a mixture as time goes.
+class ColorSensor(StimulusSource, Listener):
+    """Gives the pulses of a mixture as time goes.
 
     If sequences take longer than was foreseen, pulses wait, and those of several
-    requests go out together.
+    stimuli go out together.
 
     Parameters
     ----------
@@ -35,7 +36,6 @@ class ColorSensor(Sensor, Listener):
         How hard a virtual finger presses; NaN if others know.
     """
 
-    asks = True
     ended = "the end of the trace"
 
     def __init__(
@@ -45,23 +45,16 @@ class ColorSensor(Sensor, Listener):
         self.knows_force = not math.isnan(force_n)
         self.duration_s = mixture.end_us / 1e6
         self._mixture, self._force_n = mixture, force_n
-        optics = profile.optics
-        self._blank = np.full((optics.sensor_rows, optics.sensor_columns), 255, np.uint8)
         self._next = 0
         self._given_us = np.full(len(mixture.time_us), -1, np.int64)
         self._count = Counter[Primary]()
 
-    def read(self, time_ns: int) -> Frame | None:
-        """Return the request that is due; None after the last one."""
+    def read(self, time_ns: int) -> Stimulus | None:
+        """Return the stimulus that is due; None after the last one."""
         now_us = time_ns // 1000
         if now_us >= self._mixture.end_us:
             return None
         self.frames += 1
-        request = self._request(now_us)
-        pose = Pose(0.0, 0.0)
-        return Frame(self._blank, time_ns, pose, self._force_n, self.frames - 1, request=request)
-
-    def _request(self, now_us: int) -> PulseRequest:
         mixture, first = self._mixture, self._next
         due_us = now_us + mixture.least_us // 2
         self._next += int(np.searchsorted(mixture.time_us[first:], due_us, side="right"))
@@ -73,7 +66,9 @@ class ColorSensor(Sensor, Listener):
         more = self._next < len(mixture.time_us)
         wait_us = int(mixture.time_us[self._next] if more else mixture.end_us) - now_us
         parts = max(1, min(-(-wait_us // LONGEST_US), wait_us // mixture.least_us))
-        return mixture.request(drive, max(mixture.least_us, wait_us // parts))
+        period_us = max(mixture.least_us, wait_us // parts)
+        activation, number = mixture.at_sites(drive), self.frames - 1
+        return Stimulus(activation, time_ns, self._force_n, period_us, number=number)
 
     def step(self, result: StepResult) -> None:
         """Count the pulses that went out with a step."""

@@ -26,7 +26,8 @@ from smarttouch.running.environment import steady_environment
 from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.statistics import RunStatistics
-from smarttouch.sources.frame import Frame, Pose, Sensor
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.sources.source import OpticalSource
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 
@@ -58,7 +59,7 @@ class NotingPort:
     def close(self): ...
 
 
-class Dot(Sensor):
+class Dot(OpticalSource):
     """A black dot under the middle of the array."""
 
     def __init__(self):

@@ -10,7 +10,6 @@ import pytest
 
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.imaging.mapping import TactileMapper
-from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.kernels.frames.figures import FrameBounds
 from smarttouch.kernels.frames.operator import FrameOperator
@@ -21,6 +20,7 @@ from smarttouch.sources import open_sensor
 from smarttouch.stimulation.frames import Sharing
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.schedule import PointScan
+from smarttouch.tactile_image import TactileImage
 
 from .frame_sets import LETTERS, drawn, judge_of, scattered
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from smarttouch.boards.emulator.simulated import SimulatedBoard
-from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.kernels.problem import Problem
 from smarttouch.primary import Primary
 from smarttouch.stimulation.frames import Sharing
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.schedule import PointScan
+from smarttouch.tactile_image import TactileImage
 
 
 @pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])

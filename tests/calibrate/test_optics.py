@@ -7,7 +7,8 @@ from smarttouch.calibrate.frames import collect_images, uncorrected
 from smarttouch.calibrate.optics import MOST_UNEVEN, measure_optics
 from smarttouch.calibrate.simulated import SimulatedPatch
 from smarttouch.errors import CalibrationError
-from smarttouch.sources.frame import Frame, Pose, Sensor
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.sources.source import OpticalSource
 
 from ..raising import raises
 
@@ -55,7 +56,7 @@ def test_paper_that_moved_is_refused():
         measure_optics(patch.images(16, light=False), alternating)
 
 
-class Listed(Sensor):
+class Listed(OpticalSource):
     """Each image twice, the third one stale, and then the end."""
 
     def __init__(self, images, end=True):

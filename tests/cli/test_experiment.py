@@ -227,7 +227,7 @@ def test_a_participant_s_screen_does_not_tell_the_answer(profile, make_frame):
     screen = BlindScreen(source, profile, controls, "emulator:", None, RunStatistics(), quiet=True)
     frame = make_frame([[0]], force_n=0.45)
     sequence = SimpleNamespace(rate_hz=45.0, current_ua=None)
-    screen.show(SimpleNamespace(step=SimpleNamespace(frame=frame, sequence=sequence)))
+    screen.show(SimpleNamespace(step=SimpleNamespace(input=frame, sequence=sequence)))
     screen.tell(1_000_000_000, "trial 3: standard 30 Hz, comparison 45 Hz second")
     console = Console(width=100, file=io.StringIO())
     console.print(screen._render())

@@ -15,7 +15,7 @@ from smarttouch.recording.reader import Recording
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.step import StepResult
-from smarttouch.sources.frame import Frame, Pose, PulseRequest
+from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stimulation.frames import Sharing
 
 from ..test_markers import FakeLsl
@@ -77,9 +77,7 @@ def test_the_screen_shows_every_point_of_a_slot(profile, bank):
     activation = np.zeros((3, 64), np.float32)
     activation[Primary.RA, [9, 11, 13, 27, 29]] = 1
     for time_ns in (0, 10**9, 2 * 10**9):
-        asked = PulseRequest(activation, 20_000)
-        blank = np.full((64, 64), 255, np.uint8)
-        step = pipeline.process(Frame(blank, time_ns, Pose(0, 0), 0.9, request=asked))
+        step = pipeline.process(Stimulus(activation, time_ns, 0.9, 20_000))
     assert 0 < step.sequence.slots < 5
     shown = screen._felt_ma(StepResult(step, 1, 0.0))
     assert np.flatnonzero(shown).tolist() == [9, 11, 13, 27, 29]

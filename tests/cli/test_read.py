@@ -233,7 +233,7 @@ def test_a_photograph_of_braille(program_here, tmp_path):
 def lines_of(path):
     """Return which line was under the finger in each step of a recording, also unfinished."""
     try:
-        heights = [recorded.step.frame.pose.y_mm for recorded in Recording(path).steps()]
+        heights = [recorded.step.input.pose.y_mm for recorded in Recording(path).steps()]
     except SmartTouchError:
         return []
     return [round(each / 20) for each in heights]

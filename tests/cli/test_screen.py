@@ -1,13 +1,16 @@
 """What the screen says of shared slots."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from smarttouch.cli.screen import _beside, _felt_ma
+from smarttouch.cli.screen import _ArrayLayout, _beside, _felt_ma, _given
 from smarttouch.primary import Primary
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.step import StepResult
+from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stimulation.frames import NO_SHARING, Sharing
 
 
@@ -38,3 +41,14 @@ def test_what_shared_slots_do_is_told(sent):
     assert sequence.slots < sequence.points
     other, spill = sequence.proof.shared
     assert _beside(sequence) == f"other classes {other:.2f}, elsewhere {spill:.2f} of the points"
+
+
+def test_where_there_is_no_image_the_activation_is_drawn(profile, bank):
+    activation = np.zeros((3, 64), np.float32)
+    activation[Primary.RA, [9, 27]] = 1, 0.5
+    pipeline = Pipeline(profile, bank, RunConfig())
+    step = pipeline.process(Stimulus(activation, 0, 1.0, 20_000))
+    shown = str(_given(StepResult(step, 1, 0.0), _ArrayLayout(profile)))
+    assert shown.count("·") == 62
+    with_image = replace(step, input=replace(step.input, image=np.zeros((8, 8), np.uint8)))
+    assert "▀" in str(_given(StepResult(with_image, 1, 0.0), _ArrayLayout(profile)))

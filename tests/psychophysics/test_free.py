@@ -44,7 +44,7 @@ def play(line, tmp_path):
 
         def watch(sent):
             steps.append(sent.step)
-            while waiting and sent.step.frame.time_ns >= waiting[0][0] * 1e9:
+            while waiting and sent.step.input.time_ns >= waiting[0][0] * 1e9:
                 _, act = waiting.pop(0)
                 if isinstance(act, str):
                     sensor.keys[act]()
@@ -90,7 +90,7 @@ def test_the_amplitude_follows_the_hand_in_milliamperes(play):
     strongest = {
         time_s: max(
             np.abs(step.sequence.current_ua).max(initial=0) / 1000
-            for step in steps if time_s - 0.1 < step.frame.time_ns / 1e9 <= time_s
+            for step in steps if time_s - 0.1 < step.input.time_ns / 1e9 <= time_s
         )
         for time_s in (0.9, 1.9, 3.9)
     }  # fmt: skip
@@ -104,7 +104,7 @@ def test_the_amplitude_follows_the_hand_in_milliamperes(play):
 
 def test_a_mode_begins_at_zero(play):
     steps, rows, report, _ = play(4, {1: 0.5, 2: "m"})
-    rows_used = [np.flatnonzero(step.frame.request.activation.any(axis=1)).item() for step in steps]
+    rows_used = [np.flatnonzero(step.input.activation.any(axis=1)).item() for step in steps]
     turn = rows_used.index(int(Primary.SAI))
     assert steps[turn].sequence.slots == 0
     assert steps[turn].sequence.intensity == 0
@@ -149,10 +149,10 @@ def test_rates_stay_within_the_paper_s_range(line, tmp_path):
     sensor = FreeSensor(line, ALL, log, rate_hz=195, press_n=1.0)
     for _ in range(3):
         sensor.keys["right"]()
-    assert sensor.read(0).request.period_us == 5000
+    assert sensor.read(0).period_us == 5000
     for _ in range(60):
         sensor.keys["left"]()
-    assert sensor.read(1).request.period_us == 100_000
+    assert sensor.read(1).period_us == 100_000
     log.close()
 
 

@@ -263,11 +263,11 @@ def test_keys_before_the_question_do_not_count(loop):
 def test_a_trial_is_felt_again_on_request(loop):
     loop, trials = loop
     loop.until(lambda: loop.sensor.asking)
-    pulses = sum(bool(each.request.activation.any()) for each in loop.frames)
+    pulses = sum(bool(each.activation.any()) for each in loop.frames)
     loop.sensor.keys["r"]()
     loop.step()
     loop.until(lambda: loop.sensor.asking)
-    assert sum(bool(each.request.activation.any()) for each in loop.frames) == 2 * pulses
+    assert sum(bool(each.activation.any()) for each in loop.frames) == 2 * pulses
     assert loop.sensor.repeats == 1
     loop.sensor.keys["1"]()
     loop.until(lambda: trials.answers)
@@ -321,7 +321,7 @@ def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, bank)
     loop.until(lambda: sensor.playing)
     for _ in range(20):
         loop.step()
-    level = loop.frames[-1].request.level
+    level = loop.frames[-1].level
     assert 0 < level < 1
     sensor.keys["\n"]()
     loop.step()
@@ -341,14 +341,12 @@ def test_a_current_that_is_never_enough_stops_at_the_ceiling(profile, bank, tmp_
     assert sat.report.max_current_ma == pytest.approx(full_ma, abs=0.01)
 
 
-def test_every_frame_is_read_and_the_same_number_is_the_same_image(loop):
+def test_every_stimulus_is_numbered_and_none_has_an_image(loop):
     loop, _ = loop
     loop.until(lambda: loop.sensor.asking)
-    images = {}
-    for frame in loop.frames:
-        assert images.setdefault(frame.number, frame.image) is frame.image
-    assert sorted(images) == list(range(loop.sensor.frames))
-    assert len({image.tobytes() for image in images.values()}) == 2
+    assert [each.number for each in loop.frames] == list(range(loop.sensor.frames))
+    assert {each.image for each in loop.frames} == {None}
+    assert len({each.activation.tobytes() for each in loop.frames}) == 2
 
 
 @pytest.mark.parametrize(

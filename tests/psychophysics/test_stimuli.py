@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from smarttouch.errors import ExperimentError
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
-from smarttouch.psychophysics.stimuli import Stimuli, picture
+from smarttouch.psychophysics.stimuli import Stimuli
 
 from ..raising import raises
 
@@ -95,14 +95,3 @@ def test_beside_is_to_the_right_and_on_the_same_row(profile, stimuli):
     place_mm = profile.electrodes.position_mm
     for right_mm, other in stimuli.beside(27).items():
         assert place_mm[other] - place_mm[27] == pytest.approx((right_mm, 0))
-
-
-def test_a_picture_is_dark_where_a_site_is_active(profile):
-    activation = np.zeros((3, 64), np.float32)
-    activation[Primary.SAI, 8 * 2 + 5] = 1
-    activation[Primary.RA, 0] = 0.5
-    image = picture(profile, activation)
-    assert image.shape == (32, 32)
-    assert (image[8:12, 20:24] == 0).all()
-    assert (image[:4, :4] == 128).all()
-    assert (image < 255).sum() == 32

@@ -19,7 +19,8 @@ from smarttouch.reading.cursor import (
 )
 from smarttouch.reading.feed import LineFeed
 from smarttouch.reading.touch_line import Place, TouchLine
-from smarttouch.sources.frame import Frame, Pose, Sensor
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.sources.source import OpticalSource
 
 from ..raising import raises
 
@@ -163,7 +164,7 @@ def test_impossible_pauses_are_named(pause, feed_of, make_line):
         SweepingCursor(feed_of(make_line()), Motion(25.0), 1.0, pause)
 
 
-class Follows(Sensor):
+class Follows(OpticalSource):
     """A sensor that is where it is told to be."""
 
     def __init__(self, *poses, stale=False):

@@ -31,7 +31,9 @@ from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulator import Regulator
 from smarttouch.running.statistics import RunStatistics
 from smarttouch.sources import open_sensor
-from smarttouch.sources.frame import Frame, PulseRequest, Sensor
+from smarttouch.sources.frame import Frame
+from smarttouch.sources.source import Source
+from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.frames import NO_SHARING, Sharing
 from smarttouch.stimulation.ledger import ChargeLedger
@@ -101,7 +103,7 @@ GOLDENS = (
 )  # fmt: skip
 
 
-class Held(Sensor):
+class Held(Source):
     """A sensor whose images stay for a few looks."""
 
     knows_force = True
@@ -119,15 +121,20 @@ class Held(Sensor):
         if number != self._number:
             self._number = number
             self._image = 255 - found.image if self._golden.light_on_dark else found.image
-        request = self._request(time_ns) if self._golden.asks else None
-        return Frame(self._image, time_ns, found.pose, found.force_n, self._number, request=request)
+        if not self._golden.asks:
+            return Frame(self._image, time_ns, found.pose, found.force_n, self._number)
+        activation, period_us = self._asked(time_ns)
+        return Stimulus(
+            activation, time_ns, found.force_n, period_us, 0.8,
+            pose=found.pose, number=self._number, image=self._image,
+        )  # fmt: skip
 
-    def _request(self, time_ns):
-        """Ask for all three classes here and there, each time after another while."""
+    def _asked(self, time_ns):
+        """Return all three classes here and there, each time for another while."""
         random = np.random.default_rng(time_ns)
         activation = random.random((len(Primary), 64), np.float32)
         activation[random.random(activation.shape) > 0.04] = 0
-        return PulseRequest(activation, int(random.integers(20_000, 40_000)), 0.8)
+        return activation, int(random.integers(20_000, 40_000))
 
 
 class Script(Controls):

@@ -25,19 +25,19 @@ def test_every_wish_comes_at_its_time(recording):
     steps = [recorded.step for recorded in recording.steps()]
     assert len({(step.mode, step.level) for step in steps}) > 1
     for step in steps:
-        wish = controls.state(step.frame.time_ns)
+        wish = controls.state(step.input.time_ns)
         assert (wish.mode, wish.current_level) == (step.mode, step.level)
 
 
 def test_today_s_user_lowers_and_pauses(recording):
     controls = RecordedControls(recording, ControlState(Mode.RA, 0.5), tuple(Mode))
     step = next(each.step for each in recording.steps() if each.step.level > 0)
-    assert controls.state(step.frame.time_ns).current_level == 0.5 * step.level
+    assert controls.state(step.input.time_ns).current_level == 0.5 * step.level
     controls.toggle_pause()
-    assert controls.state(step.frame.time_ns).current_level == 0
+    assert controls.state(step.input.time_ns).current_level == 0
     controls.toggle_pause()
     controls.next_mode()
-    assert controls.state(step.frame.time_ns).mode is step.mode
+    assert controls.state(step.input.time_ns).mode is step.mode
 
 
 def test_a_board_without_the_recorded_mode_is_refused():

@@ -29,9 +29,9 @@ def test_all_is_written(tmp_path, goldens):
     )
     assert len(finger) == len(sequence) == len(board) == len(steps)
     for row, recorded in zip(finger, steps, strict=True):
-        assert float(row["force_n"]) == recorded.step.frame.force_n
+        assert float(row["force_n"]) == recorded.step.input.force_n
         image = cv2.imread(str(folder / row["image"]), cv2.IMREAD_UNCHANGED)
-        assert np.array_equal(image, recorded.step.frame.image)
+        assert np.array_equal(image, recorded.step.input.image)
     assert len(list((folder / "frames").iterdir())) == len({row["image"] for row in finger})
     assert [row["sent"] for row in board].count("") == 1
     words = [words for _, words in Recording(golden).events()]

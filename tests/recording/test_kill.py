@@ -46,7 +46,7 @@ def test_a_killed_program_loses_little(tmp_path, seed):
         told += [[int(each) for each in line.split()] for line in process.stdout]
     last_ns, given = (max(each) for each in zip(*told, strict=True))
     kept = list(Recording(path).steps())
-    lost_ms = (last_ns - kept[-1].step.frame.time_ns) / 1e6
+    lost_ms = (last_ns - kept[-1].step.input.time_ns) / 1e6
     print(f"killed at {last_ns / 1e6:.0f} ms: {lost_ms:.1f} ms lost")
     assert [each.index for each in kept] == list(range(len(kept)))
     # What the system was given is kept; how soon it is given is asked of a clock that is told.

@@ -24,7 +24,7 @@ def balanced(profile, bank, make_steps):
     regulator = Regulator(None, ChargeLedger(64), RechargeRules.of(profile, ScanTiming()))
     made = []
     for sent in make_steps(40):
-        step = pipeline.process(sent.step.frame)
+        step = pipeline.process(sent.step.input)
         made.append(StepResult(regulator.regulate(step, _Mute()), sent.number, 99.5, 12.25))
     return made
 

@@ -20,7 +20,7 @@ def test_at_the_recorded_times_all_comes_again(recording, steps, profile, bank):
         assert sensor.knows_force
         assert sensor.duration_s == pytest.approx(0.78)
         for sent in steps:
-            was = sent.step.frame
+            was = sent.step.input
             frame = sensor.read(was.time_ns)
             assert np.array_equal(frame.image, was.image)
             assert (frame.time_ns, frame.pose, frame.force_n) == (
@@ -65,7 +65,7 @@ def test_what_was_stale_stays_stale(tmp_path, record, steps, profile, make_frame
     from dataclasses import replace
 
     step = steps[0].step
-    stale = replace(step, frame=replace(step.frame, stale=True, force_n=0.0))
+    stale = replace(step, input=replace(step.input, stale=True, force_n=0.0))
     with open_recording(
         str(record(tmp_path / "a.mcap", [StepResult(stale, 1, 0.0)])), profile
     ) as sensor:

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.primary import Mode, Primary
 from smarttouch.recording.decoder import StepDecoder
 from smarttouch.recording.encoder import StepEncoder
@@ -18,9 +17,11 @@ from smarttouch.recording.schemas import LAST, SCHEMAS
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.step import Step, StepResult
-from smarttouch.sources.frame import Frame, Pose, PulseRequest
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stimulation.frames import Sharing
 from smarttouch.stimulation.sequence import Proof, ScanSequence
+from smarttouch.tactile_image import TactileImage
 
 numbers = st.floats(allow_infinity=False)
 whole_us = st.integers(0, 65535)
@@ -73,24 +74,24 @@ def runs(draw):
             arrays.arrays(np.float32, (3, electrodes), elements=st.floats(0, 1, width=32))
         )
         force_n = draw(numbers)
-        frame = Frame(
-            image,
-            time_ns,
-            Pose(*(draw(numbers) for _ in range(3))),
-            force_n,
-            number,
-            draw(st.integers(0, 10**9)),
-            draw(st.booleans()),
-            draw(
-                st.none()
-                | st.builds(
-                    PulseRequest, st.just(activation), st.integers(0, 10**6), st.floats(0, 1)
-                )
-            ),
-        )
+        rest = {
+            "pose": Pose(*(draw(numbers) for _ in range(3))),
+            "number": number,
+            "age_ns": draw(st.integers(0, 10**9)),
+            "stale": draw(st.booleans()),
+        }
+        if draw(st.booleans()):
+            period_us, level = draw(st.integers(0, 10**6)), draw(st.floats(0, 1))
+            seen = draw(st.sampled_from([None, image]))
+            given = tactile = Stimulus(
+                activation, time_ns, force_n, period_us, level, image=seen, **rest
+            )
+        else:
+            given = Frame(image, time_ns, force_n=force_n, **rest)
+            tactile = TactileImage(activation, time_ns, force_n)
         step = Step(
-            frame=frame,
-            tactile=TactileImage(activation, time_ns, force_n),
+            input=given,
+            tactile=tactile,
             sequence=draw(sequences(time_ns, electrodes)),
             mode=draw(st.sampled_from(Mode)),
             level=draw(st.floats(0, 1)),
@@ -137,12 +138,11 @@ def test_a_step_comes_back_to_the_bit(steps):
     for index, (was, now) in enumerate(zip(steps, found, strict=True)):
         assert (now.index, now.acknowledged, now.refused) == (index, index, 0)
         one, other = asdict(was), asdict(now.sent)
+        assert type(was.step.input) is type(now.step.input)
         tactile = [each["step"]["tactile"].pop("activation") for each in (one, other)]
         assert same(one, other)
         # What was asked for cannot be computed again: it has to come back exactly.
-        np.testing.assert_allclose(
-            *tactile, atol=5.1e-5 * (one["step"]["frame"]["request"] is None)
-        )
+        np.testing.assert_allclose(*tactile, atol=5.1e-5 * isinstance(was.step.input, Frame))
 
 
 def test_a_proof_of_other_slots_breaks_the_step(make_frame, profile, bank):
@@ -190,17 +190,17 @@ def test_another_image_of_the_same_number_is_not_lost(make_frame, profile, bank)
     steps = [
         StepResult(pipeline.process(make_frame(image, k)), k, 0.0) for k, image in enumerate(images)
     ]
-    assert [each.step.frame.image[0, 0] for each in through(steps)] == [10, 10, 200]
+    assert [each.step.input.image[0, 0] for each in through(steps)] == [10, 10, 200]
 
 
 @pytest.mark.parametrize("force", [math.inf, -math.inf])
 def test_an_endless_force_is_the_largest_there_is(steps, force):
     step = steps[0].step
-    frame = Frame(step.frame.image, 0, step.frame.pose, force)
+    frame = Frame(step.input.image, 0, step.input.pose, force)
     endless = Step(frame, step.tactile, step.sequence, step.mode)
     (found,) = through([StepResult(endless, 1, 0.0)])
-    assert math.isfinite(found.step.frame.force_n)
-    assert math.copysign(1e308, force) / found.step.frame.force_n > 0.5
+    assert math.isfinite(found.step.input.force_n)
+    assert math.copysign(1e308, force) / found.step.input.force_n > 0.5
 
 
 def test_messages_are_as_their_schemas_say(steps, with_volts):
@@ -208,9 +208,8 @@ def test_messages_are_as_their_schemas_say(steps, with_volts):
              "object": dict, "null": type(None)}  # fmt: skip
     encoder = StepEncoder(123)
     sent = with_volts(steps[30], (steps[30].step.sequence, np.ones(9)))
-    request = PulseRequest(sent.step.tactile.activation, 20_000)
-    asking = replace(sent.step.frame, request=request)
-    messages = dict(encoder.messages(replace(sent, step=replace(sent.step, frame=asking))))
+    stimulus = Stimulus(sent.step.tactile.activation, 0, 1.0, 20_000, image=sent.step.input.image)
+    messages = dict(encoder.messages(replace(sent, step=replace(sent.step, input=stimulus))))
     messages["/event"] = encoder.event(5, "paused")
     assert set(messages) == set(SCHEMAS)
     for topic, message in messages.items():

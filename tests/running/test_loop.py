@@ -28,7 +28,8 @@ from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulator import Regulator
 from smarttouch.running.statistics import RunStatistics
 from smarttouch.sources.forces.force import ForceSource
-from smarttouch.sources.frame import Frame, Pose, Sensor
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.sources.source import OpticalSource
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.ledger import ChargeLedger
 from smarttouch.stimulation.safety import SafetyLimits
@@ -58,7 +59,7 @@ class BrokenStageError(Exception):
     pass
 
 
-class Bars(Sensor):
+class Bars(OpticalSource):
     """A sensor over black bars."""
 
     def __init__(self, most=100, fails_at=None, **frame):

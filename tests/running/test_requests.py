@@ -13,7 +13,8 @@ from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.sources.frame import Frame, Pose, PulseRequest
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stimulation.points import felt_at
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 
@@ -27,7 +28,7 @@ def asking(activation, period_us=20_000, time_ns=0, level=1.0, force_n=FULL_N):
     rows = np.zeros((3, 64), np.float32)
     for primary, sites in activation.items():
         rows[primary, list(sites)] = 1
-    return Frame(BLANK, time_ns, Pose(0, 0), force_n, request=PulseRequest(rows, period_us, level))
+    return Stimulus(rows, time_ns, force_n, period_us, level)
 
 
 def settled(profile, bank, mode, **options):
@@ -97,7 +98,7 @@ def test_a_class_that_cannot_be_driven_is_refused(profile, bank):
     pipeline.warm_up()
     rows = np.zeros((3, 61), np.float32)
     rows[Primary.PC, 5] = 1
-    frame = replace(asking({}), request=PulseRequest(rows, 20_000))
+    frame = replace(asking({}), activation=rows)
     with raises(ScheduleError, about="mode", value="PC"):
         pipeline.process(frame)
 

@@ -8,13 +8,15 @@ import pytest
 from smarttouch.errors import BoardError, BoardStoppedError, SensorError, SmartTouchError
 from smarttouch.events import IntensityChanged, ModeChanged, Note, RunEnded
 from smarttouch.outputs import FeltPicture, Patterns
-from smarttouch.primary import Mode
+from smarttouch.primary import Mode, Primary
 from smarttouch.recording.recorder import Recorder
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import open_display
 from smarttouch.running.listener import Listener
 from smarttouch.running.runner import Runner
 from smarttouch.sources import open_sensor
+from smarttouch.sources.source import StimulusSource
+from smarttouch.sources.stimulus import Stimulus
 
 from ..raising import raises
 
@@ -85,6 +87,26 @@ def test_plain_functions_are_given_each_step(source, display):
     statistics = Runner(source, display, RunConfig(), listeners=[seen.append]).run()
     assert [each.number for each in seen] == list(range(1, statistics.frames + 1))
     assert seen[-1].tactile.activation.shape == (3, 64)
+
+
+def test_a_stimulus_source_chooses_the_classes(profile, display):
+    class Taps(StimulusSource):
+        knows_force = True
+
+        def read(self, time_ns):
+            if time_ns > 0.3e9:
+                return None
+            activation = np.zeros((3, 64), np.float32)
+            activation[Primary.RA, 27] = 1
+            return Stimulus(activation, time_ns, profile.force.full_n, 25_000, 0.5)
+
+    noting = Noting()
+    Runner(Taps("taps"), display, RunConfig(), listeners=[noting]).run()
+    controls = noting.context.controls
+    controls.next_mode()
+    assert controls.state(0).mode is Mode.RA
+    assert {each.sequence.period_us for each in noting.results} == {25_000}
+    assert noting.results[-1].input is noting.results[-1].tactile
 
 
 def test_a_display_is_run_many_times(profile, display):

@@ -8,8 +8,8 @@ from smarttouch.documents.page_image import Page
 from smarttouch.errors import SensorError
 from smarttouch.resources import data_folder
 from smarttouch.sources import open_sensor
-from smarttouch.sources.frame import Sensor
 from smarttouch.sources.page import PageSensor
+from smarttouch.sources.source import Source
 
 from ..raising import raises
 
@@ -104,7 +104,7 @@ def test_frames_do_not_share_memory(profile):
 
 def test_the_end(profile):
     with opened(profile, 0) as sensor:
-        assert isinstance(sensor, Sensor)
+        assert isinstance(sensor, Source)
         assert sensor.read(int(sensor.duration_s * 1e9) - 1) is not None
         assert sensor.read(int(sensor.duration_s * 1e9) + 1_000) is None
 

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.errors import ScheduleError
-from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.kernels.bank import load_bank
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile, load_profile
@@ -17,6 +16,7 @@ from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.stimulation.schedule import PointScan
 from smarttouch.stimulation.sequence import Proof, ScanSequence
 from smarttouch.stimulation.timing import ScanTiming
+from smarttouch.tactile_image import TactileImage
 
 from ..raising import raises
 

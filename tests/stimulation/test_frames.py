@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.errors import ScheduleError
-from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.kernels.bank import load_bank
 from smarttouch.kernels.frames.slots import plan_slots
 from smarttouch.kernels.problem import Problem
@@ -18,6 +17,7 @@ from smarttouch.stimulation.points import PointSlots
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.stimulation.schedule import PointScan
 from smarttouch.stimulation.timing import ScanTiming
+from smarttouch.tactile_image import TactileImage
 
 from ..raising import raises
 

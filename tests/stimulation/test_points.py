@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.errors import SafetyError, ScheduleError
-from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.kernels.bank import load_bank
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
@@ -21,6 +20,7 @@ from smarttouch.stimulation.sequence import frozen
 from smarttouch.stimulation.sequence_limits import prove_slots
 from smarttouch.stimulation.sums import SlotAdder
 from smarttouch.stimulation.timing import ScanTiming
+from smarttouch.tactile_image import TactileImage
 
 from ..raising import raises
 

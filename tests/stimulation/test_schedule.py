@@ -1,6 +1,7 @@
 """One slot for each active point, balanced, spread, and within the period."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.errors import ScheduleError
-from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.kernels.bank import design_bank, load_bank
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile, profile_names
@@ -17,6 +17,7 @@ from smarttouch.stimulation.points import felt_at, spread_order
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.stimulation.schedule import PointScan
 from smarttouch.stimulation.timing import ScanTiming
+from smarttouch.tactile_image import TactileImage
 
 from ..raising import raises
 
@@ -229,17 +230,16 @@ def test_proofs_stay_with_their_slots_where_classes_are_joined(profile, bank, sh
 def test_three_classes_are_joined_as_two_are(profile, bank):
     rows = natural_image().activation.copy()
     rows[Primary.PC, 2::11] = 0.5
-    image = TactileImage(rows, 10**9, 1.0)
+    image = TactileImage(rows, 10**9, 1.0, 200_000)
     for sharing in (NO_SHARING, Sharing(tuple(Primary), planned=True)):
         scan = PointScan(profile, bank, tuple(Primary), sharing=sharing)
-        joined = scan.schedule(image, 0.7, period_us=200_000)
+        joined = scan.schedule(image, 0.7)
         together = (Primary.RA, Primary.SAI)
         groups = [together, (Primary.PC,)] if sharing.primaries else [(each,) for each in Primary]
         parts = [
             PointScan(profile, bank, group, sharing=sharing).schedule(
-                TactileImage(np.where(np.isin(range(3), group)[:, None], rows, 0), 10**9, 1.0),
+                replace(image, activation=np.where(np.isin(range(3), group)[:, None], rows, 0)),
                 0.7,
-                period_us=200_000,
             )
             for group in groups
         ]

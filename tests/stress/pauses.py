@@ -25,7 +25,8 @@ from smarttouch.running.listener import as_listeners
 from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.statistics import RunStatistics
-from smarttouch.sources.frame import Frame, Pose, Sensor
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.sources.source import OpticalSource
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 
@@ -38,7 +39,7 @@ RECORD = struct.Struct("<qi")
 STEP_UA = 50
 
 
-class Bars(Sensor):
+class Bars(OpticalSource):
     """A finger that lies on the same bars for ever."""
 
     knows_force = True

@@ -71,7 +71,7 @@ def feel(
     def watch(sent: StepResult) -> None:
         felt.watch(sent)
         if sent.number is not None:
-            frame = sent.step.frame
+            frame = sent.step.input
             times_ns[sent.number] = frame.time_ns
             poses_mm[sent.number] = (frame.pose.x_mm, frame.pose.y_mm)
 

@@ -39,7 +39,7 @@ def pulses(sensor, step_us=10_000):
     """Read a sensor to its end; return what it asked of its class, (frames, E)."""
     asked, time_ns = [], 0
     while (frame := sensor.read(time_ns)) is not None:
-        asked.append(frame.request.activation[sensor.mode.primaries[0]])
+        asked.append(frame.activation[sensor.mode.primaries[0]])
         time_ns += 1000 * step_us
     return np.array(asked)
 
@@ -194,8 +194,8 @@ def test_what_a_frame_says(mouse):
     assert [each.number for each in frames] == [0, 1, 1]
     assert frames[2].image is frames[1].image
     assert (sensor.frames, sensor.knows_force, frames[1].force_n) == (2, True, 0.4)
-    assert frames[1].request.period_us == 20_000
-    rows = frames[1].request.activation.any(axis=1)
+    assert frames[1].period_us == 20_000
+    rows = frames[1].activation.any(axis=1)
     assert rows.tolist() == [each is Primary.SAI for each in Primary]
     shape = (mouse.optics.sensor_rows, mouse.optics.sensor_columns)
     np.testing.assert_array_equal(frames[1].image, GRATING.draw(-2.0, -6.0, shape, 0.25))

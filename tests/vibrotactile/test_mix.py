@@ -54,17 +54,17 @@ def test_a_train_that_is_too_fast_gets_every_other_pulse():
     assert (np.diff(thinned(train, 4500)) >= 4499).all()
 
 
-def test_requests_are_within_limits_and_at_the_right_sites(profile, bank):
+def test_stimuli_are_within_limits_and_at_the_right_sites(profile, bank):
     mixture = mix_colors(open_trace(ALL, 1.0), profile, bank, sites=[27, 36])
-    times = np.array([time for time, _ in mixture.requests])
-    np.testing.assert_array_equal(times, mixture.time_us)
-    for (time_us, request), after in zip(mixture.requests, [*times[1:], None], strict=True):
-        assert request.period_us >= 1e6 / profile.limits.rate_hz
-        assert after is None or time_us + request.period_us == after
-        active = request.activation.any(axis=0)
+    times_us = [each.time_ns // 1000 for each in mixture.stimuli]
+    np.testing.assert_array_equal(times_us, mixture.time_us)
+    for each, after_us in zip(mixture.stimuli, [*times_us[1:], None], strict=True):
+        assert each.period_us >= 1e6 / profile.limits.rate_hz
+        assert after_us is None or each.time_ns // 1000 + each.period_us == after_us
+        active = each.activation.any(axis=0)
         assert set(np.flatnonzero(active)) == {27, 36}
-        assert request.activation.dtype == np.float32
-        assert 0 <= request.activation.min() <= request.activation.max() <= 1
+        assert each.activation.dtype == np.float32
+        assert 0 <= each.activation.min() <= each.activation.max() <= 1
     assert mixture.mode is Mode.COLOR
 
 
@@ -117,9 +117,9 @@ def test_a_board_with_one_rate_takes_one_class(profile, bank):
         mix_colors(open_trace("tone:30Hz,6um+press:1N"), profile, bank, timing=timing)
 
 
-def test_nothing_to_answer_is_no_request(profile, bank):
+def test_nothing_to_answer_is_no_stimulus(profile, bank):
     mixture = mix_colors(open_trace("press:0N", 1.0), profile, bank)
-    assert (mixture.requests, mixture.end_us) == ([], 1_000_000)
+    assert (mixture.stimuli, mixture.end_us) == ([], 1_000_000)
 
 
 def test_many_sites_make_sequences_longer(profile):

@@ -29,8 +29,8 @@ def asked(sensor, stretch=1.0):
     """Return time and request of every frame, each sequence as much longer than asked."""
     frames, now_us = [], 0
     while (frame := sensor.read(now_us * 1000)) is not None:
-        frames.append((now_us, frame.request))
-        now_us += int(frame.request.period_us * stretch)
+        frames.append((now_us, frame))
+        now_us += int(frame.period_us * stretch)
     return frames
 
 

@@ -12,6 +12,7 @@ from smarttouch.profile import Profile
 from smarttouch.sources import open_sensor
 from smarttouch.sources.emulator.faults import Kind
 from smarttouch.sources.forces.force import open_recorded
+from smarttouch.sources.frame import Frame
 from smarttouch.sources.sensor_protocol import encode_force, encode_frame, encode_info
 
 GRAVITY_N_PER_G = 9.80665e-3
@@ -163,7 +164,7 @@ def look_at_page(url: str, profile: Profile, rows: int, columns: int) -> Look:
 
     def look(time_s: float) -> NDArray[np.uint8]:
         frame = sensor.read(round(time_s * 1e9) % lasts_ns)
-        assert frame is not None
+        assert isinstance(frame, Frame)
         return frame.image
 
     return look

@@ -8,18 +8,25 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class TactileImage:
-    """What each electrode should let the finger feel.
+    """Activation of each afferent class at each electrode.
 
     Attributes
     ----------
     activation : ndarray, (3, E) float32, in [0, 1]
         One row for each `Primary`: RA, SAI, PC.
     time_ns : int
-        Time of the frame it came from.
+        Time of what it came from.
     force_n : float, N
         Finger force at that time.
+    period_us : int, µs, optional
+        Given, every active class pulses once, now, and the next image comes after this time;
+        else the profile's rates say when each class pulses.
+    level : float, in [0, 1]
+        Of the strongest comfortable current, on top of what the user wishes.
     """
 
     activation: NDArray[np.float32]
     time_ns: int
     force_n: float
+    period_us: int | None = None
+    level: float = 1.0

@@ -1,0 +1,50 @@
+"""Contract of a source: optical ones give frames, stimulus sources give stimuli."""
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+from smarttouch.events import Emit, emit_nowhere
+from smarttouch.sources.device import Device
+from smarttouch.sources.frame import Frame
+from smarttouch.sources.stimulus import Input, Stimulus
+
+
+class Source(Device, ABC):
+    """Base of all sources.
+
+    Everything that a source delivers is either read or dropped: at the end ``frames``
+    is the number of distinct inputs read plus ``dropped_frames``.
+    """
+
+    duration_s: float | None = None
+    """How long it lasts; None if it never ends by itself."""
+    ended: ClassVar[str] = "the sensor has ended"
+    """What its end is called."""
+    emit: Emit = staticmethod(emit_nowhere)
+    """Hands on events of the source; set by the run."""
+    knows_force: bool = False
+    """Whether its inputs tell how hard the finger presses."""
+    frames: int = 0
+    """Distinct frames or stimuli that it delivered."""
+    dropped_frames: int = 0
+    """Those that came but were never read."""
+
+    @abstractmethod
+    def read(self, time_ns: int) -> Input | None:
+        """Return what is felt at ``time_ns`` since the start; None at the end."""
+
+
+class OpticalSource(Source):
+    """Source of frames, which are imaged before they are felt."""
+
+    @abstractmethod
+    def read(self, time_ns: int) -> Frame | None:
+        """Return the frame at ``time_ns`` since the start; None at the end."""
+
+
+class StimulusSource(Source):
+    """Source of stimuli, which also chooses the classes that they drive."""
+
+    @abstractmethod
+    def read(self, time_ns: int) -> Stimulus | None:
+        """Return the stimulus at ``time_ns`` since the start; None at the end."""
