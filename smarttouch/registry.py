@@ -1,10 +1,20 @@
-"""Sensors and boards by URL: a name before the first colon picks the opener."""
+"""Sources and boards by URL: a name before the first colon picks the opener."""
 
+import warnings
 from collections.abc import Callable
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from smarttouch.errors import SmartTouchError
+
+_FORMER = {"smarttouch.sources": "smarttouch.sensors"}
+"""Former names of entry-point groups: packages of others may still be in them."""
+
+
+def known_openers(group: str) -> dict[str, EntryPoint]:
+    """Return the entry points of a group by name, also those in the group of its former name."""
+    former = {point.name: point for point in entry_points(group=_FORMER.get(group, group))}
+    return former | {point.name: point for point in entry_points(group=group)}
 
 
 def find_opener(
@@ -15,15 +25,20 @@ def find_opener(
     Parameters
     ----------
     group : str
-        Entry-point group, ``smarttouch.sensors`` or ``smarttouch.boards``. The
+        Entry-point group, ``smarttouch.sources`` or ``smarttouch.boards``. The
         package's own kinds stand in the same group as anyone else's.
     url : str
         ``name:rest``, for example ``page:letter.png`` or ``link:/dev/ttyACM0``.
     error : type
         What to raise if no such name is known.
+
+    Warns
+    -----
+    DeprecationWarning
+        If the package that offers the name has it in a group of a former name.
     """
     name, colon, rest = url.partition(":")
-    known = {point.name: point for point in entry_points(group=group)}
+    known = known_openers(group)
     if not colon or name not in known:
         kind = group.rpartition(".")[2].removesuffix("s")
         names = ", ".join(f"{each}:" for each in sorted(known))
@@ -34,5 +49,14 @@ def find_opener(
             value=url,
             allowed=tuple(sorted(known)),
         )
-    opener: Callable[..., Any] = known[name].load()
+    point = known[name]
+    if point.group != group:
+        package = point.dist.name if point.dist is not None else point.module
+        warnings.warn(
+            f"{package} offers {name}: in the entry-point group {point.group}, which is now "
+            f"{group}: rename it in the pyproject.toml of {package}",
+            DeprecationWarning,
+            stacklevel=3,
+        )
+    opener: Callable[..., Any] = point.load()
     return opener, rest

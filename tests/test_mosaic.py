@@ -9,7 +9,7 @@ from smarttouch.documents.printed_text import print_text
 from smarttouch.errors import SmartTouchError
 from smarttouch.mosaic import Mosaic
 from smarttouch.sources.frame import Frame, Pose
-from smarttouch.sources.page import PageSensor
+from smarttouch.sources.page import PageSource
 
 from .raising import raises
 
@@ -24,7 +24,7 @@ class Still:
 
 
 def passed_over(profile, poses, page):
-    sensor, mosaic = PageSensor(page, profile, "a page"), Mosaic(profile.optics)
+    sensor, mosaic = PageSource(page, profile, "a page"), Mosaic(profile.optics)
     sensor.path = Still()
     for number, pose in enumerate(poses):
         sensor.path.pose = pose

@@ -32,12 +32,12 @@ def ask(what: str, yes: bool) -> None:
 def images_of(url: str, profile: Profile, count: int, *, corrected: bool) -> Images:
     """Return the next images of a sensor; with the profile's flat field, or without."""
     from smarttouch.calibrate.frames import collect_images, uncorrected
-    from smarttouch.sources import open_sensor
+    from smarttouch.sources import open_source
 
     # What lies in files need not be waited for.
     unpaced = True if url.startswith(("frames:", "video:")) else None
     seen_by = profile if corrected else uncorrected(profile)
-    with open_sensor(url, seen_by, unpaced=unpaced) as source:
+    with open_source(url, seen_by, unpaced=unpaced) as source:
         return collect_images(source, count)
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from smarttouch.primary import Primary
     from smarttouch.profile import Profile
     from smarttouch.vibrotactile.mix import Mixture
-    from smarttouch.vibrotactile.sensor import ColorSensor
+    from smarttouch.vibrotactile.source import ColorSource
     from smarttouch.vibrotactile.split import Answer
     from smarttouch.vibrotactile.trace import Trace
 
@@ -73,7 +73,7 @@ def color(
     from smarttouch.vibrotactile.mix import mix
     from smarttouch.vibrotactile.price import pacinian_price
     from smarttouch.vibrotactile.report import as_figures, notes
-    from smarttouch.vibrotactile.sensor import ColorSensor
+    from smarttouch.vibrotactile.source import ColorSource
     from smarttouch.vibrotactile.spec import is_spec, open_trace
     from smarttouch.vibrotactile.split import split
 
@@ -103,7 +103,7 @@ def color(
     mixture = mix(answers, trace.duration_s, chosen, bank, places, timing, shaken)
     seconds = None if is_spec(source) else run.seconds
     config = run.config(mixture.mode, seconds=seconds, seed=seed)
-    sensor = ColorSensor(source, chosen, mixture, press_n(chosen) if run.pressed else math.nan)
+    sensor = ColorSource(source, chosen, mixture, press_n(chosen) if run.pressed else math.nan)
     sensor.url = source
     sensor.notes += notes(mixture, answers)
     price = None
@@ -199,7 +199,7 @@ def _print_answers(source: str, answers: "Answers") -> None:
 
 
 def _print_mixture(
-    source: str, answers: "Answers", mixture: "Mixture", sensor: "ColorSensor"
+    source: str, answers: "Answers", mixture: "Mixture", sensor: "ColorSource"
 ) -> None:
     from smarttouch.vibrotactile.report import answered, sent_out
 

@@ -21,9 +21,9 @@ from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.catalog import Design
 from smarttouch.psychophysics.course import Course
-from smarttouch.psychophysics.free import FreeLog, FreeSensor, HandControls, up_to_the_ceiling
-from smarttouch.psychophysics.sensor import ExperimentSensor
+from smarttouch.psychophysics.free import FreeLog, FreeSource, HandControls, up_to_the_ceiling
 from smarttouch.psychophysics.session import Session
+from smarttouch.psychophysics.source import ExperimentSource
 from smarttouch.psychophysics.subject import Subject, make_observer
 from smarttouch.psychophysics.summary import summarize
 from smarttouch.reading.window import press_n
@@ -60,7 +60,7 @@ def sit(
         if not options.quiet:
             _say_after(sitting, path)
         return
-    sensor = ExperimentSensor(
+    sensor = ExperimentSource(
         session,
         profile,
         sitting.course,
@@ -112,7 +112,7 @@ def free_run(
             offered = tuple(sorted(load_bank(raised, progress).weights))
         log = stack.enter_context(FreeLog(output or numbered(Path("free.csv"))))
         pressed_n = press_n(raised) if options.pressed else None
-        sensor = FreeSensor(raised, offered, log, primary, site, rate_hz, pressed_n)
+        sensor = FreeSource(raised, offered, log, primary, site, rate_hz, pressed_n)
         sensor.url = "experiment:free"
         run_in_terminal(
             sensor,

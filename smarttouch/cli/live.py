@@ -60,13 +60,13 @@ def live(
     from smarttouch.cli.files import parse_mode, parse_size
     from smarttouch.cli.session import run_in_terminal
     from smarttouch.resources import data_folder
-    from smarttouch.sources import open_sensor
+    from smarttouch.sources import open_source
 
     chosen, outputs = run.load_profile(), run.outputs()
     config = run.config(parse_mode(mode), rate_hz=rate, light_on_dark=light_on_dark, seed=seed or 0)
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(
-            open_sensor(
+            open_source(
                 sensor or f"page:{data_folder('sample_images') / 'page.png'}",
                 chosen,
                 light_on_dark=light_on_dark,

@@ -78,7 +78,7 @@ def mouse(
     from smarttouch.cli.session import run_in_terminal
     from smarttouch.reading.window import press_n, profile_for_reading
     from smarttouch.texture.motion import open_motion
-    from smarttouch.texture.sensor import MouseSensor
+    from smarttouch.texture.source import MouseSource
     from smarttouch.texture.sweep_motion import strokes_over
     from smarttouch.texture.textures import open_texture
 
@@ -105,7 +105,7 @@ def mouse(
         moves = stack.enter_context(
             open_motion(motion, speed_mm_s=speed, seed=seed, cpi=cpi, grab=grab or None, **more)
         )
-        sensor = MouseSensor(
+        sensor = MouseSource(
             surface,
             moves,
             chosen,

@@ -93,12 +93,12 @@ def read(
     from smarttouch.reading.braille import Braille, Presentation
     from smarttouch.reading.cursor import Cursor, FollowingCursor, SweepingCursor
     from smarttouch.reading.feed import LineFeed
+    from smarttouch.reading.line_source import ReadingSource
     from smarttouch.reading.printed import HowToLook
-    from smarttouch.reading.sensor import ReadingSensor
     from smarttouch.reading.shapes import Shapes, Style
     from smarttouch.reading.source import Source
     from smarttouch.reading.window import press_n, profile_for_reading
-    from smarttouch.sources import open_sensor
+    from smarttouch.sources import open_source
 
     run = replace(run, board=board or (None if run.frames is None else "simulated:"))
     own = run.load_profile()
@@ -124,8 +124,8 @@ def read(
         if follow is None:
             cursor = SweepingCursor(feed, motion, press_n(chosen), pause, wait)
         else:
-            cursor = FollowingCursor(feed, stack.enter_context(open_sensor(follow, own)))
-        sensor = ReadingSensor(text.title, chosen, feed, cursor)
+            cursor = FollowingCursor(feed, stack.enter_context(open_source(follow, own)))
+        sensor = ReadingSource(text.title, chosen, feed, cursor)
         sensor.url, sensor.notes = source, notes
         force = run.open_force(chosen, stack)
         run_in_terminal(

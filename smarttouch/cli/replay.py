@@ -51,7 +51,7 @@ def replay(
 
     from smarttouch.cli.session import run_in_terminal
     from smarttouch.recording.controls import RecordedControls
-    from smarttouch.recording.sensor import RecordingSensor
+    from smarttouch.recording.source import RecordingSource
 
     run, outputs = replace(run, board=board, force=force, intensity=intensity), run.outputs()
     recording = Recording(file)
@@ -66,7 +66,7 @@ def replay(
         tone=was.tone,
     )
     with contextlib.ExitStack() as stack:
-        source = stack.enter_context(RecordingSensor(recording))
+        source = stack.enter_context(RecordingSource(recording))
         source.url = f"recording:{file}"
         pressing = run.open_force(chosen, stack)
         run_in_terminal(

@@ -155,12 +155,12 @@ def _show_frames(
 ) -> None:
     import numpy as np
 
-    from smarttouch.sources import open_sensor
+    from smarttouch.sources import open_source
 
     forces: list[float] = []
     ages_ms: list[float] = []
     last: Input | None = None
-    source = open_sensor(url, profile, **options)
+    source = open_source(url, profile, **options)
     with source:
         for time_ns in _ticks(seconds):
             frame = source.read(time_ns)

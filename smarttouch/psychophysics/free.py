@@ -154,7 +154,7 @@ class HandControls(Controls):
         return super().state(time_ns)
 
 
-class FreeSensor(StimulusSource, Listener):
+class FreeSource(StimulusSource, Listener):
     """Gives one train that never ends, as the user turns it.
 
     Another class or site begins at zero intensity.

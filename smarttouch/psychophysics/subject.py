@@ -19,7 +19,7 @@ from smarttouch.psychophysics.observers.observer import (
     SilentObserver,
     SimulatedObserver,
 )
-from smarttouch.psychophysics.sensor import ExperimentSensor
+from smarttouch.psychophysics.source import ExperimentSource
 from smarttouch.psychophysics.trial import Trial
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
@@ -33,15 +33,15 @@ class Subject(Listener):
 
     Parameters
     ----------
-    sensor : ExperimentSensor
+    source : ExperimentSource
         Whose questions are answered, by its keys.
     observer : Observer
         Who answers.
     """
 
-    def __init__(self, sensor: ExperimentSensor, observer: Observer) -> None:
+    def __init__(self, source: ExperimentSource, observer: Observer) -> None:
         super().__init__()
-        self._sensor, self._observer = sensor, observer
+        self._source, self._observer = source, observer
         self._board: SimulatedBoard | None = None
         self._starts: dict[tuple[int, int], dict[int, tuple[int, int]]] = {}
         """By presentation and interval: time and discharge of each sequence, by number."""
@@ -71,7 +71,7 @@ class Subject(Listener):
 
     def step(self, result: StepResult) -> None:
         """Follow a step; answer if there is a question."""
-        playing, asking = self._sensor.playing, self._sensor.asking
+        playing, asking = self._source.playing, self._source.asking
         sequence = result.step.sequence
         if playing is not None and result.number is not None:
             if self._starts and next(iter(self._starts))[0] != playing[0]:
@@ -79,8 +79,8 @@ class Subject(Listener):
             discharge_us = int(sequence.discharge_us[0]) if sequence.slots else 0
             starts = self._starts.setdefault(playing, {})
             starts[result.number] = (sequence.time_ns, discharge_us)
-            if self._sensor.rising is not None:
-                self._look(self._sensor.rising, sequence.time_ns, starts)
+            if self._source.rising is not None:
+                self._look(self._source.rising, sequence.time_ns, starts)
         elif asking is not None and asking is not self._asked:
             self._respond(asking, list(self._starts.values()))
             self._starts.clear()
@@ -102,7 +102,7 @@ class Subject(Listener):
         response = self._observer.respond(trial.task, felt, alternatives)
         # That it is not enough yet is no key.
         for key in [key for key, says in trial.answers.items() if says == response][:1]:
-            self._sensor.press(key)
+            self._source.press(key)
 
 
 def interval_of(pulses: Pulses, starts: dict[int, tuple[int, int]]) -> Interval:

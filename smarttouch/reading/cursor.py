@@ -193,14 +193,14 @@ class FollowingCursor:
     ----------
     feed : LineFeed
         What is read; its lines know their places.
-    sensor : Source
+    source : Source
         An open one: its pose counts, from the beginning of the first line.
     """
 
-    def __init__(self, feed: LineFeed, sensor: Source) -> None:
-        self._feed, self._sensor = feed, sensor
+    def __init__(self, feed: LineFeed, source: Source) -> None:
+        self._feed, self._source = feed, source
         self._origin: Place | None = None
-        self.knows_force = sensor.knows_force
+        self.knows_force = source.knows_force
 
     @property
     def keys(self) -> dict[str, Callable[[], None]]:
@@ -209,7 +209,7 @@ class FollowingCursor:
 
     def at(self, time_ns: int) -> Spot | None:
         """Return what lies under the finger, on the line nearest to it."""
-        frame = self._sensor.read(time_ns)
+        frame = self._source.read(time_ns)
         if frame is None:
             return None
         if self._origin is None:

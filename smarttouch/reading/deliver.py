@@ -17,7 +17,7 @@ from smarttouch.profile import Profile
 from smarttouch.reading.cursor import Motion, SweepingCursor
 from smarttouch.reading.delivered import LinePicture
 from smarttouch.reading.feed import LineFeed
-from smarttouch.reading.sensor import ReadingSensor
+from smarttouch.reading.line_source import ReadingSource
 from smarttouch.reading.touch_line import TouchLine
 from smarttouch.reading.window import pixel_of, press_n
 from smarttouch.running.config import RunConfig
@@ -66,7 +66,7 @@ def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
     profile = reading.profile
     feed = LineFeed(iter([line])).start()
     cursor = SweepingCursor(feed, reading.motion, press_n(profile))
-    sensor = ReadingSensor("a line", profile, feed, cursor)
+    source = ReadingSource("a line", profile, feed, cursor)
     feed.wait_for_end()
     places: dict[int, float] = {}
 
@@ -77,7 +77,7 @@ def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
     config = RunConfig(mode=reading.mode, tone=reading.tone, scan=reading.sharing)
     with Display("simulated:", profile) as display:
         Runner(
-            sensor,
+            source,
             display,
             config,
             listeners=[note_place],

@@ -1,4 +1,4 @@
-"""Where frames and finger force come from: pages, cameras, files, serial arrays, load cells."""
+"""Sources of what is felt: pages, cameras, files, serial arrays; and of finger force."""
 
 import inspect
 from typing import Any
@@ -9,28 +9,28 @@ from smarttouch.registry import find_opener
 from smarttouch.sources.source import Source
 
 
-def open_sensor(
+def open_source(
     url: str, profile: Profile, *, light_on_dark: bool = False, **options: Any
 ) -> Source:
-    """Open a sensor by its URL, for example ``page:FILE`` or ``camera:0``.
+    """Open a source by its URL, for example ``page:FILE`` or ``camera:0``.
 
     Parameters
     ----------
     url : str
-        Kind and place of the sensor.
+        Kind and place of the source.
     profile : Profile
         Its optics and the finger's force.
     light_on_dark : bool
-        For sensors that look for the print by themselves: it is lighter than the paper.
+        For sources that look for the print by themselves: it is lighter than the paper.
     **options
-        What the kind of sensor takes, see its module; those that are None were not given.
+        What the kind of source takes, see its module; those that are None were not given.
 
     Raises
     ------
     SensorError
         If there is no such kind, it does not take an option, or cannot be opened.
     """
-    opener, rest = find_opener("smarttouch.sensors", url, SensorError)
+    opener, rest = find_opener("smarttouch.sources", url, SensorError)
     given = {name: value for name, value in options.items() if value is not None}
     taken = list(inspect.signature(opener).parameters)[2:]
     for name in given:
@@ -46,5 +46,5 @@ def open_sensor(
             )
     if light_on_dark and "light_on_dark" in taken:
         given["light_on_dark"] = True
-    sensor: Source = opener(rest, profile, **given)
-    return sensor
+    source: Source = opener(rest, profile, **given)
+    return source

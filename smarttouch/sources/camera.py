@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import SensorError, SourceLostError
 from smarttouch.profile import Profile
-from smarttouch.sources.capture import ImageDevice, LiveSensor, Shot
+from smarttouch.sources.capture import ImageDevice, LiveSource, Shot
 
 BUFFERS = 1
 """Images that the driver may keep: older ones are of no use."""
@@ -34,7 +34,7 @@ def open_camera(
     size: tuple[int, int] | None = None,
     exposure: float | None = None,
     fps: float | None = None,
-) -> LiveSensor:
+) -> LiveSource:
     """Open ``camera:N``, or a camera by its device, as in ``camera:/dev/video2``.
 
     Parameters
@@ -55,7 +55,7 @@ def open_camera(
     SensorError
         If there is no such camera, or what is asked of it makes no sense.
     """
-    return LiveSensor(CameraDevice(rest, size, exposure, fps), profile)
+    return LiveSource(CameraDevice(rest, size, exposure, fps), profile)
 
 
 OPENCV_LOG = cv2.utils.logging if hasattr(cv2.utils, "logging") else cv2

@@ -71,7 +71,7 @@ class ImageDevice(ABC):
 
     @cached_property
     def notes(self) -> list[str]:
-        """What a user should know of the device; `LiveSensor` hands it on as its own."""
+        """What a user should know of the device; `LiveSource` hands it on as its own."""
         return []
 
     @abstractmethod
@@ -103,7 +103,7 @@ class _Look:
     number: int
 
 
-class LiveSensor(OpticalSource):
+class LiveSource(OpticalSource):
     """Newest frame wins: a thread grabs, `read` takes what is newest.
 
     The thread begins with the first `read`; images from before a run are nobody's.

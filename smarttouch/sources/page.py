@@ -39,11 +39,11 @@ def open_page(
     speed_mm_s: float = USUAL_MM_S,
     path: Path | None = None,
     light_on_dark: bool = False,
-) -> "PageSensor":
-    """Open ``page:FILE``; options are those of `PageSensor`, and its scale."""
+) -> "PageSource":
+    """Open ``page:FILE``; options are those of `PageSource`, and its scale."""
     page = load_page(Path(rest), dpi=dpi, page_width_mm=page_width_mm)
     title = Path(rest).name
-    return PageSensor(page, profile, title, seed, speed_mm_s, path, light_on_dark)
+    return PageSource(page, profile, title, seed, speed_mm_s, path, light_on_dark)
 
 
 def open_text(
@@ -54,13 +54,13 @@ def open_text(
     speed_mm_s: float = USUAL_MM_S,
     path: Path | None = None,
     light_on_dark: bool = False,
-) -> "PageSensor":
+) -> "PageSource":
     """Open ``text:STRING``, a page printed on the spot."""
     page = print_text(rest)
-    return PageSensor(page, profile, "printed text", seed, speed_mm_s, path, light_on_dark)
+    return PageSource(page, profile, "printed text", seed, speed_mm_s, path, light_on_dark)
 
 
-class PageSensor(OpticalSource):
+class PageSource(OpticalSource):
     """Frames of a finger that moves over a page.
 
     Parameters

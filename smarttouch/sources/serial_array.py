@@ -10,7 +10,7 @@ import time
 
 from smarttouch.errors import SensorError
 from smarttouch.profile import Profile
-from smarttouch.sources.capture import ImageDevice, LiveSensor, Shot
+from smarttouch.sources.capture import ImageDevice, LiveSource, Shot
 from smarttouch.sources.line import read_what_came
 from smarttouch.sources.notes import StandingNotes
 from smarttouch.sources.sensor_protocol import ArrayFrame, Info, MessageStream, gap
@@ -24,7 +24,7 @@ _UNREADABLE_S = 1.5
 """Bytes that are no frames for so long, from the start on, are something else."""
 
 
-def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -> LiveSensor:
+def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -> LiveSource:
     """Open ``serial-array:PORT``.
 
     Parameters
@@ -53,7 +53,7 @@ def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -
             about="--baud",
             value=baud,
         )
-    return LiveSensor(SerialArrayDevice(rest, USUAL_BAUD if baud is None else baud), profile)
+    return LiveSource(SerialArrayDevice(rest, USUAL_BAUD if baud is None else baud), profile)
 
 
 class SerialArrayDevice(ImageDevice):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import SensorError
 from smarttouch.profile import Profile
-from smarttouch.sources.capture import STALE_S, ImageDevice, LiveSensor, Shot, SourceEndedError
+from smarttouch.sources.capture import STALE_S, ImageDevice, LiveSource, Shot, SourceEndedError
 from smarttouch.sources.clip import FASTEST_HZ, USUAL_HZ, Clip, ImageFolder, VideoFile
 from smarttouch.sources.frame import Frame
 from smarttouch.sources.intake import Intake
@@ -75,7 +75,7 @@ def open_frames(
 def _open(clip: Clip, profile: Profile, unpaced: bool) -> OpticalSource:
     if unpaced:
         return UnpacedClip(clip, profile)
-    sensor = LiveSensor(PacedClip(clip), profile)
+    sensor = LiveSource(PacedClip(clip), profile)
     if clip.count:
         sensor.duration_s = clip.count / clip.rate_hz
     return sensor

@@ -4,10 +4,10 @@ import inspect
 import math
 from abc import ABC, abstractmethod
 from importlib import import_module
-from importlib.metadata import entry_points
 from typing import Any
 
 from smarttouch.errors import SensorError
+from smarttouch.registry import known_openers
 from smarttouch.sources.device import Device
 
 _OPENERS = {
@@ -17,7 +17,7 @@ _OPENERS = {
     "window": "smarttouch.texture.window_motion",
 }
 """Modules by name of the kind; each has a function ``open_it(rest, **options)``."""
-_ANY_SENSOR = "smarttouch.texture.sensor_motion"
+_ANY_SOURCE = "smarttouch.texture.source_motion"
 
 
 class Motion(Device, ABC):
@@ -64,8 +64,8 @@ def open_motion(url: str, **options: Any) -> Motion:
     Parameters
     ----------
     url : str
-        ``sweep:``, ``evdev:DEVICE``, ``window:``, ``path:CSV``, or the URL of any sensor
-        whose frames have a pose, as ``camera:0``.
+        ``sweep:``, ``evdev:DEVICE``, ``window:``, ``path:CSV``, or the URL of any source
+        that knows its pose, as ``camera:0``.
     **options
         What the kind takes, see ``open_it`` in its module; those that are None were not given.
 
@@ -75,9 +75,9 @@ def open_motion(url: str, **options: Any) -> Motion:
         If there is no such kind, it does not take an option, or cannot be opened.
     """
     kind, colon, rest = url.partition(":")
-    sensors = {point.name for point in entry_points(group="smarttouch.sensors")}
-    if not colon or kind not in _OPENERS.keys() | sensors:
-        known = (*_OPENERS, *sorted(sensors))
+    sources = known_openers("smarttouch.sources")
+    if not colon or kind not in _OPENERS.keys() | sources.keys():
+        known = (*_OPENERS, *sorted(sources))
         names = ", ".join(f"{each}:" for each in known)
         raise SensorError(
             f"unknown motion {url!r}: it must begin with one of {names}",
@@ -86,7 +86,7 @@ def open_motion(url: str, **options: Any) -> Motion:
             value=url,
             allowed=known,
         )
-    opener = import_module(_OPENERS.get(kind, _ANY_SENSOR)).open_it
+    opener = import_module(_OPENERS.get(kind, _ANY_SOURCE)).open_it
     given = {name: value for name, value in options.items() if value is not None}
     taken = list(inspect.signature(opener).parameters)[1:]
     for name in given:

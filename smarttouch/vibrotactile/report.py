@@ -8,7 +8,7 @@ import numpy as np
 from smarttouch.primary import Primary
 from smarttouch.vibrotactile.mix import Mixture
 from smarttouch.vibrotactile.price import PacinianPrice
-from smarttouch.vibrotactile.sensor import ColorSensor
+from smarttouch.vibrotactile.source import ColorSource
 from smarttouch.vibrotactile.split import Answer, shares
 
 
@@ -42,15 +42,15 @@ def answered(answers: Mapping[Primary, Answer]) -> dict[Primary, Answered]:
     }
 
 
-def sent_out(mixture: Mixture, sensor: ColorSensor) -> dict[Primary, SentOut]:
+def sent_out(mixture: Mixture, source: ColorSource) -> dict[Primary, SentOut]:
     """Return what went out to each class that had pulses."""
     rows = {}
     for primary, ideal_us in mixture.ideal_us.items():
-        off_us = np.abs(sensor.error_us(primary))
+        off_us = np.abs(source.error_us(primary))
         median, most = (np.median(off_us), off_us.max()) if len(off_us) else (0.0, 0.0)
         lasts_s = float(np.ptp(ideal_us)) / 1e6
         rows[primary] = SentOut(
-            sensor.sent(primary),
+            source.sent(primary),
             len(ideal_us),
             (len(ideal_us) - 1) / lasts_s if lasts_s else 0.0,
             float(median),
@@ -78,7 +78,7 @@ def notes(mixture: Mixture, answers: Mapping[Primary, Answer]) -> list[str]:
 def as_figures(
     answers: Mapping[Primary, Answer],
     mixture: Mixture | None = None,
-    sensor: ColorSensor | None = None,
+    source: ColorSource | None = None,
     price: PacinianPrice | None = None,
 ) -> dict[str, object]:
     """Return all of it for a JSON file."""
@@ -86,8 +86,8 @@ def as_figures(
         primary.name: {"answered": asdict(each)} for primary, each in answered(answers).items()
     }
     figures: dict[str, object] = {"classes": classes}
-    if mixture is not None and sensor is not None:
-        for primary, row in sent_out(mixture, sensor).items():
+    if mixture is not None and source is not None:
+        for primary, row in sent_out(mixture, source).items():
             classes[primary.name]["sent"] = asdict(row)
         figures |= {
             "sites": mixture.sites.tolist(),

@@ -16,7 +16,7 @@ from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulator import Regulator
 from smarttouch.running.statistics import RunStatistics
-from smarttouch.sources import open_sensor
+from smarttouch.sources import open_source
 from smarttouch.stimulation.frames import NO_SHARING, Sharing
 from smarttouch.stimulation.ledger import ChargeLedger
 from smarttouch.stimulation.recharge import RechargeRules
@@ -65,7 +65,7 @@ def test_letters(row, quick, profile, bank, mode, scan):
             profile, bank, RunConfig(mode=mode, scan=SHARED if scan == "shared" else NO_SHARING)
         )
         board = SimulatedBoard("", SafetyLimits.of(profile), profile.output)
-        with board, open_sensor("text:the" if quick else TEXT, profile) as sensor:
+        with board, open_source("text:the" if quick else TEXT, profile) as sensor:
             run_loop(
                 sensor, pipeline, board, stop=StopRequest(), statistics=tally, regulator=regulator,
                 clock=SimulatedClock(), listeners=as_listeners([watch]),

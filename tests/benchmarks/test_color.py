@@ -17,7 +17,7 @@ import pytest
 
 from smarttouch.primary import Primary
 from smarttouch.vibrotactile.mix import mix_colors
-from smarttouch.vibrotactile.sensor import ColorSensor
+from smarttouch.vibrotactile.source import ColorSource
 from smarttouch.vibrotactile.spec import open_trace
 from smarttouch.vibrotactile.split import split
 
@@ -75,7 +75,7 @@ def test_a_frame(profile, bank, row, quick, seconds):
     spec = "tone:30Hz,6um+tone:250Hz,1.5um+press:0.45N"
     mixture, spent = mix_colors(open_trace(spec, seconds), profile, bank), []
     for _ in range(1 if quick else 50):
-        sensor, now_us, frames = ColorSensor(spec, profile, mixture), 0, 0
+        sensor, now_us, frames = ColorSource(spec, profile, mixture), 0, 0
         start = time.perf_counter()
         while (frame := sensor.read(1000 * now_us)) is not None:
             now_us += frame.period_us

@@ -24,7 +24,7 @@ import pytest
 from smarttouch.documents.page_image import load_page
 from smarttouch.profile import load_profile
 from smarttouch.resources import data_folder
-from smarttouch.sources.page import PageSensor
+from smarttouch.sources.page import PageSource
 
 CYCLE = 150
 """Frames of the video before it begins again."""
@@ -36,7 +36,7 @@ def make_video(path, seconds):
     profile = load_profile("electric-mouse")
     optics = profile.optics.model_copy(update={"sensor_columns": 640, "sensor_rows": 480})
     page = load_page(data_folder("sample_images") / "page.png")
-    sensor = PageSensor(page, profile.model_copy(update={"optics": optics}), "a page")
+    sensor = PageSource(page, profile.model_copy(update={"optics": optics}), "a page")
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30, (640, 480), False)
     images = [sensor.read(int(step / 30 * 1e9)).image for step in range(CYCLE)]
     for step in range(int((seconds + 2) * 30)):

@@ -18,7 +18,7 @@ import pytest
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.reading.window import profile_for_reading
-from smarttouch.texture.sensor import MouseSensor
+from smarttouch.texture.source import MouseSource
 from smarttouch.texture.sweep_motion import SweepMotion
 from smarttouch.texture.textures import open_texture
 
@@ -139,7 +139,7 @@ def test_time_per_frame(row, quick, tmp_path):
             SweepMotion(speed, (60.0, 0.0), rounds=1 if quick else 4),
         )
         motion.origin_mm = (15.0, 20.0)
-        sensor = MouseSensor(texture, motion, PROFILE, press_n=1.0)
+        sensor = MouseSource(texture, motion, PROFILE, press_n=1.0)
         times = [int(each * 1e7) for each in range(int(motion.duration_s * 100))]
         spent = []
         for time_ns in times:

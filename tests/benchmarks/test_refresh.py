@@ -16,7 +16,7 @@ from smarttouch.kernels.frames.operator import FrameOperator
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.resources import data_folder
-from smarttouch.sources import open_sensor
+from smarttouch.sources import open_source
 from smarttouch.stimulation.frames import Sharing
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.schedule import PointScan
@@ -46,7 +46,7 @@ def bank_by_operator(profile, primary):
 def swept_page(profile, count):
     """Return activations of frames with ink, evenly over the sample page."""
     found, mapper = [], TactileMapper(profile)
-    with open_sensor(f"page:{data_folder('sample_images') / 'page.png'}", profile) as sensor:
+    with open_source(f"page:{data_folder('sample_images') / 'page.png'}", profile) as sensor:
         for time_ns in range(10**9, 9 * 10**9, 40_000_000):
             frame = sensor.read(time_ns)
             if frame is None:

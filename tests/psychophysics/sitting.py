@@ -9,8 +9,8 @@ from smarttouch.clock import SimulatedClock
 from smarttouch.primary import Mode
 from smarttouch.psychophysics.course import Course
 from smarttouch.psychophysics.rows import About, RowFile
-from smarttouch.psychophysics.sensor import ExperimentSensor
 from smarttouch.psychophysics.session import Session
+from smarttouch.psychophysics.source import ExperimentSource
 from smarttouch.psychophysics.subject import Subject
 from smarttouch.reading.window import press_n
 from smarttouch.running.config import RunConfig
@@ -45,7 +45,7 @@ class Perfect:
 class Sat:
     """What came of a run."""
 
-    sensor: ExperimentSensor
+    source: ExperimentSource
     session: Session
     tally: RunStatistics
     pulses: list
@@ -74,22 +74,22 @@ def sit(
     about = About(experiment, made.method, "p1", "s1", seed)
     with RowFile(path, about, overwrite) as file:
         session = Session(made.task, made.procedure, file, DATE)
-        sensor = ExperimentSensor(session, profile, course or Course(), press_n(profile))
+        source = ExperimentSource(session, profile, course or Course(), press_n(profile))
         pipeline = Pipeline(profile, bank, RunConfig(mode=mode, scan="points"))
         controls = controls or Controls(ControlState(mode))
         with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
-            subject = Subject(sensor, observer)
+            subject = Subject(source, observer)
             subject.attend(board)
 
             def observe(sent):
                 subject.step(sent)
                 if watch is not None:
-                    watch(sent, sensor, controls)
-                if stop_after is not None and session.done >= stop_after and sensor.playing:
+                    watch(sent, source, controls)
+                if stop_after is not None and session.done >= stop_after and source.playing:
                     stop.ask("killed")
 
             run_loop(
-                sensor,
+                source,
                 pipeline,
                 board,
                 stop=stop,
@@ -103,4 +103,4 @@ def sit(
             )
             pulses = board.take_pulses()
             report = board.report()
-    return Sat(sensor, session, tally, pulses, told, report)
+    return Sat(source, session, tally, pulses, told, report)

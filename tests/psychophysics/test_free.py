@@ -12,7 +12,7 @@ from smarttouch.errors import ExperimentError
 from smarttouch.kernels.bank import load_bank
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
-from smarttouch.psychophysics.free import FreeLog, FreeSensor, HandControls, up_to_the_ceiling
+from smarttouch.psychophysics.free import FreeLog, FreeSource, HandControls, up_to_the_ceiling
 from smarttouch.running.config import RunConfig
 from smarttouch.running.controls import ControlState
 from smarttouch.running.listener import as_listeners
@@ -39,7 +39,7 @@ def play(line, tmp_path):
     def run_it(seconds, does, knob=None, level=0.0):
         steps, waiting = [], sorted(does.items())
         log = FreeLog(tmp_path / "free.csv")
-        sensor = FreeSensor(line, ALL, log, press_n=1.0)
+        source = FreeSource(line, ALL, log, press_n=1.0)
         controls = HandControls(ControlState(Mode.COLOR, level), knob=knob)
 
         def watch(sent):
@@ -47,13 +47,13 @@ def play(line, tmp_path):
             while waiting and sent.step.input.time_ns >= waiting[0][0] * 1e9:
                 _, act = waiting.pop(0)
                 if isinstance(act, str):
-                    sensor.keys[act]()
+                    source.keys[act]()
                 else:
                     controls.change_level(act)
 
         with SimulatedBoard("", SafetyLimits.of(line), line.output) as board:
             run_loop(
-                sensor,
+                source,
                 Pipeline(line, load_bank(line), RunConfig(mode=Mode.COLOR, scan="points")),
                 board,
                 stop=StopRequest(),
@@ -67,7 +67,7 @@ def play(line, tmp_path):
         log.close()
         text = (tmp_path / "free.csv").read_text(encoding="utf-8-sig")
         rows = list(csv.DictReader(text.splitlines()))
-        return steps, rows, report, sensor
+        return steps, rows, report, source
 
     return run_it
 
@@ -86,7 +86,7 @@ def test_the_ceiling_keeps_charge_and_single_electrodes(profile, changed):
 
 
 def test_the_amplitude_follows_the_hand_in_milliamperes(play):
-    steps, rows, report, sensor = play(4, {1: 0.5, 2: 0.5})
+    steps, rows, report, source = play(4, {1: 0.5, 2: 0.5})
     strongest = {
         time_s: max(
             np.abs(step.sequence.current_ua).max(initial=0) / 1000
@@ -99,7 +99,7 @@ def test_the_amplitude_follows_the_hand_in_milliamperes(play):
     assert amplitudes == [("0.0", "0.0"), ("1.0", "1.0"), ("2.0", "2.0")]
     assert report.violations == 0
     assert report.max_current_ma <= 2.0
-    assert re.findall(r"[\d.]+ mA", sensor.title) == ["2.00 mA", "2.00 mA"]
+    assert re.findall(r"[\d.]+ mA", source.title) == ["2.00 mA", "2.00 mA"]
 
 
 def test_a_mode_begins_at_zero(play):
@@ -117,10 +117,10 @@ def test_a_mode_begins_at_zero(play):
 
 
 def test_rate_and_site_are_turned_and_every_change_is_a_row(play):
-    steps, rows, _, sensor = play(
+    steps, rows, _, source = play(
         3, {0.5: 0.5, 1: "right", 1.5: "left", 1.6: "left", 2: "]", 2.5: "7"}
     )
-    assert sensor.rate_hz == 45
+    assert source.rate_hz == 45
     assert steps[-1].sequence.period_us == 22_222
     assert steps[-1].sequence.site.tolist() == [4]
     assert [(row["what"], row["value"]) for row in rows] == [
@@ -146,23 +146,23 @@ def test_a_knob_raises_the_amplitude_when_it_moves_away(play):
 
 def test_rates_stay_within_the_paper_s_range(line, tmp_path):
     log = FreeLog(tmp_path / "free.csv")
-    sensor = FreeSensor(line, ALL, log, rate_hz=195, press_n=1.0)
+    source = FreeSource(line, ALL, log, rate_hz=195, press_n=1.0)
     for _ in range(3):
-        sensor.keys["right"]()
-    assert sensor.read(0).period_us == 5000
+        source.keys["right"]()
+    assert source.read(0).period_us == 5000
     for _ in range(60):
-        sensor.keys["left"]()
-    assert sensor.read(1).period_us == 100_000
+        source.keys["left"]()
+    assert source.read(1).period_us == 100_000
     log.close()
 
 
 def test_rows_are_on_disk_at_once(line, tmp_path):
     log = FreeLog(tmp_path / "free.csv")
-    sensor = FreeSensor(line, ALL, log, press_n=1.0)
+    source = FreeSource(line, ALL, log, press_n=1.0)
     told = []
-    sensor.emit = lambda event: told.append(str(event))
-    sensor.keys["m"]()
-    sensor.read(1_000_000)
+    source.emit = lambda event: told.append(str(event))
+    source.keys["m"]()
+    source.read(1_000_000)
     assert (tmp_path / "free.csv").read_text(encoding="utf-8-sig").splitlines()[-1] == (
         "0.001,mode,SAI,0.0,0.0,50.0,SAI,3,0.0"
     )
@@ -188,4 +188,4 @@ def test_rows_are_on_disk_at_once(line, tmp_path):
 )
 def test_what_cannot_be_asked_for(line, tmp_path, options, attributes):
     with FreeLog(tmp_path / "free.csv") as log, raises(ExperimentError, **attributes):
-        FreeSensor(line, (Primary.RA,), log, **options)
+        FreeSource(line, (Primary.RA,), log, **options)

@@ -30,7 +30,7 @@ from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulator import Regulator
 from smarttouch.running.statistics import RunStatistics
-from smarttouch.sources import open_sensor
+from smarttouch.sources import open_source
 from smarttouch.sources.frame import Frame
 from smarttouch.sources.source import Source
 from smarttouch.sources.stimulus import Stimulus
@@ -219,7 +219,7 @@ def make(golden, path):
     )
     board = Board(golden, profile)
     recorder = RecordingWriter(path, about, STARTED_UNIX_NS)
-    with open_sensor(f"text:{golden.text}", profile) as page, board:
+    with open_source(f"text:{golden.text}", profile) as page, board:
         run_loop(
             Held(page, golden), pipeline, board, stop=StopRequest(), statistics=RunStatistics(),
             seconds=golden.seconds, controls=Script(golden), regulator=regulator,

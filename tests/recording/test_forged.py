@@ -16,7 +16,7 @@ from smarttouch.recording.controls import RecordedControls
 from smarttouch.recording.export import export
 from smarttouch.recording.reader import Recording
 from smarttouch.recording.repair import is_sound, repair
-from smarttouch.recording.sensor import RecordingSensor
+from smarttouch.recording.source import RecordingSource
 from smarttouch.running.controls import ControlState
 
 from ..raising import raises
@@ -26,7 +26,7 @@ MUTANTS = int(os.environ.get("SMARTTOUCH_MUTANTS", "40"))
 
 
 def play(path):
-    source = RecordingSensor(Recording(path), unpaced=True)
+    source = RecordingSource(Recording(path), unpaced=True)
     with contextlib.closing(source):
         while source.read(0) is not None:
             pass

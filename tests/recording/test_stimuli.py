@@ -16,7 +16,7 @@ from smarttouch.recording.export import export
 from smarttouch.recording.reader import Recording
 from smarttouch.recording.recorder import Recorder
 from smarttouch.recording.repair import is_sound, repair
-from smarttouch.recording.sensor import open_recording
+from smarttouch.recording.source import open_recording
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import open_display
 from smarttouch.running.pipeline import Pipeline
@@ -24,7 +24,7 @@ from smarttouch.running.runner import Runner
 from smarttouch.running.step import StepResult
 from smarttouch.sources.stimulus import Stimulus
 from smarttouch.vibrotactile.mix import mix_colors
-from smarttouch.vibrotactile.sensor import ColorSensor
+from smarttouch.vibrotactile.source import ColorSource
 from smarttouch.vibrotactile.spec import open_trace
 
 
@@ -34,7 +34,7 @@ def run(profile, bank, tmp_path_factory):
     path, results = tmp_path_factory.mktemp("stimuli") / "run.mcap", []
     trace = open_trace("tone:30Hz,6um+press:0.45N", 0.8)
     mixture = mix_colors(trace, profile, bank, sites=[27, 36])
-    source = ColorSensor("a mixture", profile, mixture, profile.force.full_n)
+    source = ColorSource("a mixture", profile, mixture, profile.force.full_n)
     with open_display("simulated:", profile) as display:
         listeners = [Recorder(path), results.append]
         config = RunConfig(mode=mixture.mode)

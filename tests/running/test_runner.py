@@ -14,7 +14,7 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.display import open_display
 from smarttouch.running.listener import Listener
 from smarttouch.running.runner import Runner
-from smarttouch.sources import open_sensor
+from smarttouch.sources import open_source
 from smarttouch.sources.source import StimulusSource
 from smarttouch.sources.stimulus import Stimulus
 
@@ -29,7 +29,7 @@ def display(profile):
 
 @pytest.fixture
 def source(profile):
-    return open_sensor("text:on", profile, speed_mm_s=400)
+    return open_source("text:on", profile, speed_mm_s=400)
 
 
 class Noting(Listener):
@@ -111,7 +111,7 @@ def test_a_stimulus_source_chooses_the_classes(profile, display):
 
 def test_a_display_is_run_many_times(profile, display):
     for text in ("a", "b"):
-        source = open_sensor(f"text:{text}", profile, speed_mm_s=400)
+        source = open_source(f"text:{text}", profile, speed_mm_s=400)
         assert Runner(source, display, RunConfig()).run().frames > 0
 
 
@@ -133,7 +133,7 @@ def test_an_exception_in_a_listener_ends_at_zero(source, display, stage, monkeyp
 
 
 def test_a_stop_from_another_thread_ends_it_at_zero(profile):
-    source, stopped = open_sensor("text:a long line of words", profile), []
+    source, stopped = open_source("text:a long line of words", profile), []
     with open_display("simulated:", profile) as display:
 
         def stop(result):
@@ -176,7 +176,7 @@ def test_a_simulated_calibration_is_no_finger_s(profile, source, monkeypatch):
             monkeypatch.setattr(type(display), "on_a_finger", on_a_finger)
             noting = Noting()
             Runner(
-                open_sensor("text:a", profile, speed_mm_s=400), display, RunConfig(intensity=0.5),
+                open_source("text:a", profile, speed_mm_s=400), display, RunConfig(intensity=0.5),
                 listeners=[noting],
             ).run()  # fmt: skip
             notes.append([each for each in noting.events if isinstance(each, Note)])
@@ -204,7 +204,7 @@ def test_outputs_are_listeners(profile, source, display, tmp_path):
     assert all(path.stat().st_size > 1000 for path in paths)
     with raises(SmartTouchError, about="file", problem="exists", value=paths[2]):
         Runner(
-            open_sensor("text:a", profile), display, RunConfig(), listeners=[Recorder(paths[2])]
+            open_source("text:a", profile), display, RunConfig(), listeners=[Recorder(paths[2])]
         ).run()
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from smarttouch.errors import SensorError, SourceLostError
-from smarttouch.sources import camera, capture, open_sensor
+from smarttouch.sources import camera, capture, open_source
 from smarttouch.sources.camera import OPENCV_LOG, QUIET_OPENCV, SILENT, CameraDevice, to_grey
 
 from ..raising import raises
@@ -107,7 +107,7 @@ def until(condition):
 
 
 def test_frames_are_grey_and_the_books_exact(profile, device):
-    with open_sensor("camera:0", profile) as sensor:
+    with open_source("camera:0", profile) as sensor:
         assert sensor.title == "camera 0"
         numbers = {sensor.read(0).number for _ in range(100)}
         until(lambda: sensor.frames > 5)
@@ -122,19 +122,19 @@ def test_frames_are_grey_and_the_books_exact(profile, device):
 
 @pytest.mark.parametrize(("rest", "place"), [("3", 3), ("/dev/video2", "/dev/video2")])
 def test_by_number_or_device(profile, device, rest, place):
-    open_sensor(f"camera:{rest}", profile).close()
+    open_source(f"camera:{rest}", profile).close()
     assert [opened[0] for opened in device.opened] == [place]
 
 
 def test_a_camera_is_never_taken_for_a_file(profile, device, monkeypatch):
     monkeypatch.setattr("sys.platform", "linux")
-    open_sensor("camera:/dev/video2", profile).close()
+    open_source("camera:/dev/video2", profile).close()
     assert device.opened == [("/dev/video2", cv2.CAP_V4L2)]
 
 
 def test_what_the_camera_takes_is_set_without_a_word(profile, device):
     options = {"size": (320, 240), "exposure": 200.0, "fps": 30.0}
-    with open_sensor("camera:0", profile, **options) as sensor:
+    with open_source("camera:0", profile, **options) as sensor:
         assert sensor.notes == []
     assert device.properties[cv2.CAP_PROP_EXPOSURE] == 200
     assert device.properties[cv2.CAP_PROP_AUTO_EXPOSURE] == 1
@@ -159,7 +159,7 @@ def test_what_the_camera_does_not_take_is_said_once(profile, device):
 @pytest.mark.parametrize("rest", ["", "-1", "1e3", "99999", "http://x/y"])
 def test_what_is_no_camera(profile, device, rest):
     with raises(SensorError, about="camera", problem="malformed", value=rest):
-        open_sensor(f"camera:{rest}", profile)
+        open_source(f"camera:{rest}", profile)
     assert device.opened == []
 
 
@@ -175,19 +175,19 @@ def test_what_is_no_camera(profile, device, rest):
 )
 def test_what_cannot_be(profile, device, option, value):
     with raises(SensorError, about=f"--{option}", value=lambda given: given is value):
-        open_sensor("camera:0", profile, **{option: value})
+        open_source("camera:0", profile, **{option: value})
     assert device.opened == []
 
 
 def test_an_option_of_other_sensors_is_not_taken(profile, device):
     allowed = ("size", "exposure", "fps")
     with raises(SensorError, about="baud", problem="unknown", value=9600, allowed=allowed):
-        open_sensor("camera:0", profile, baud=9600)
+        open_source("camera:0", profile, baud=9600)
     assert device.opened == []
 
 
 def test_unplugged_and_plugged_in_again(profile, device):
-    with open_sensor("camera:0", profile) as sensor:
+    with open_source("camera:0", profile) as sensor:
         read = {sensor.read(0).number}
         device.plugged = False
         until(lambda: len(device.opened) > 3)
@@ -261,7 +261,7 @@ def test_the_driver_may_tell_when_an_image_was_taken(device, monkeypatch):
 def test_a_missing_camera_is_one_sentence_and_nothing_else(profile, capfd, place):
     """The real OpenCV."""
     with raises(SensorError, about="camera", problem="unavailable") as caught:
-        open_sensor(place, profile)
+        open_source(place, profile)
     assert f"camera:{caught.value.value}" == place
     captured = capfd.readouterr()
     assert captured.out == captured.err == ""

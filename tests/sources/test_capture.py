@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from smarttouch.errors import SensorError, SourceLostError
 from smarttouch.sources import capture
-from smarttouch.sources.capture import ImageDevice, LiveSensor, Shot, SourceEndedError
+from smarttouch.sources.capture import ImageDevice, LiveSource, Shot, SourceEndedError
 from smarttouch.sources.flat_field import FlatField
 
 from ..raising import raises
@@ -137,7 +137,7 @@ def test_the_books_are_exact(profile, images, pauses, last_missed):
         partial(slow, shot(missed=missed)) if sleeps else shot(missed=missed)
         for missed, sleeps in images
     ]
-    sensor = LiveSensor(Script(*events, SourceEndedError(missed=last_missed)), profile)
+    sensor = LiveSource(Script(*events, SourceEndedError(missed=last_missed)), profile)
     read = set()
     with sensor:
         for pause in pauses:
@@ -151,7 +151,7 @@ def test_the_books_are_exact(profile, images, pauses, last_missed):
 
 
 def test_nothing_is_lost_where_the_reader_waits_for_the_end(profile):
-    with LiveSensor(Script(*[shot(missed=2) for _ in range(5)]), profile) as sensor:
+    with LiveSource(Script(*[shot(missed=2) for _ in range(5)]), profile) as sensor:
         numbers = read_to_the_end(sensor)
     assert sensor.frames == 15
     assert numbers == sorted(numbers)
@@ -162,7 +162,7 @@ def test_nothing_is_lost_where_the_reader_waits_for_the_end(profile):
 def test_the_newest_wins_and_may_be_read_again(profile):
     source = Handed()
     source.hand(shot(0))
-    with LiveSensor(source, profile) as sensor:
+    with LiveSource(source, profile) as sensor:
         assert sensor.read(0).number == 0
         for value in (1, 2, 3):
             source.hand(shot(value))
@@ -182,7 +182,7 @@ def test_the_newest_wins_and_may_be_read_again(profile):
 def test_the_last_unread_image_is_read_once(profile):
     source = Handed()
     source.hand(shot(0))
-    with LiveSensor(source, profile) as sensor:
+    with LiveSource(source, profile) as sensor:
         sensor.read(0)
         source.hand(shot(1))
         source.hand(SourceEndedError("clip.mp4 breaks off"))
@@ -198,7 +198,7 @@ def test_age_and_staleness(profile):
     now = [10 * SECOND]
     source = Handed()
     source.hand(shot(taken_ns=10 * SECOND - 5_000_000))
-    with LiveSensor(source, profile, now_ns=lambda: now[0]) as sensor:
+    with LiveSource(source, profile, now_ns=lambda: now[0]) as sensor:
         frame = sensor.read(0)
         assert (frame.age_ns, frame.stale) == (5_000_000, False)
         now[0] += SECOND // 2
@@ -210,7 +210,7 @@ def test_age_and_staleness(profile):
 
 def test_images_from_before_the_run_are_nobodys(profile):
     source = Script(shot(), shot())
-    with LiveSensor(source, profile) as sensor:
+    with LiveSource(source, profile) as sensor:
         assert source.is_open
         assert len(source.events) == 2
     assert (sensor.frames, sensor.dropped_frames, source.closes) == (0, 0, 1)
@@ -221,7 +221,7 @@ def test_a_source_that_cannot_be_opened(profile):
     error = SensorError("no camera 0")
     source = Script(opens=[error])
     with pytest.raises(SensorError) as caught:
-        LiveSensor(source, profile)
+        LiveSource(source, profile)
     assert caught.value is error
     assert source.closes == 1
 
@@ -229,7 +229,7 @@ def test_a_source_that_cannot_be_opened(profile):
 def test_no_image_at_first(profile, monkeypatch):
     monkeypatch.setattr(capture, "FIRST_IMAGE_S", 0.01)
     mute = {"about": "sensor", "problem": "mute", "value": "by hand", "allowed": 0.01}
-    with LiveSensor(Handed(), profile) as sensor, raises(SensorError, **mute):
+    with LiveSource(Handed(), profile) as sensor, raises(SensorError, **mute):
         sensor.read(0)
 
 
@@ -248,7 +248,7 @@ def test_no_image_at_first(profile, monkeypatch):
 )
 def test_errors_of_the_thread_reach_the_reader(profile, error, attributes):
     source = Script(error)
-    with LiveSensor(source, profile) as sensor:
+    with LiveSource(source, profile) as sensor:
         for _ in range(2):
             with raises(SensorError, **attributes) as caught:
                 sensor.read(0)
@@ -260,7 +260,7 @@ def test_errors_of_the_thread_reach_the_reader(profile, error, attributes):
 def test_an_error_that_nobody_read_becomes_a_note(profile):
     source = Handed()
     source.hand(shot())
-    with LiveSensor(source, profile) as sensor:
+    with LiveSource(source, profile) as sensor:
         sensor.read(0)
         source.hand(ValueError("odd"))
         sensor._thread.join()
@@ -288,7 +288,7 @@ def test_unplugged_and_plugged_in_again(profile):
         shot(1),
         opens=[None, SensorError("not yet"), None],
     )
-    with LiveSensor(source, profile, now_ns=lambda: now[0]) as sensor:
+    with LiveSource(source, profile, now_ns=lambda: now[0]) as sensor:
         numbers = read_to_the_end(sensor)
     (note,) = sensor.notes
     assert numbers_in(note) == [0, 2.3]
@@ -300,7 +300,7 @@ def test_not_plugged_in_again(profile):
     now = itertools.count(0, SECOND)
     gone = [SensorError("no camera")] * 20
     source = Script(shot(0), SourceLostError("gone"), opens=[None, *gone])
-    sensor = LiveSensor(source, profile, replug_s=3, now_ns=lambda: next(now))
+    sensor = LiveSource(source, profile, replug_s=3, now_ns=lambda: next(now))
     lost = {"about": "sensor", "problem": "gone", "value": "camera 0", "allowed": 3}
     with sensor, raises(SensorError, **lost):
         read_to_the_end(sensor)
@@ -311,7 +311,7 @@ def test_closing_while_it_is_gone(profile, monkeypatch):
     monkeypatch.setattr(capture, "RETRY_S", 60.0)
     source = Handed()
     source.hand(shot())
-    with LiveSensor(source, profile) as sensor:
+    with LiveSource(source, profile) as sensor:
         sensor.read(0)
         source.hand(SourceLostError("gone"))
         until(lambda: sensor.notes)
@@ -328,7 +328,7 @@ def test_a_driver_that_hangs_is_left_behind(profile, monkeypatch):
         return shot(9)
 
     source = Script(shot(), hang)
-    sensor = LiveSensor(source, profile)
+    sensor = LiveSource(source, profile)
     sensor.read(0)
     until(lambda: not source.events)
     sensor.close()
@@ -344,7 +344,7 @@ def test_a_driver_that_hangs_is_left_behind(profile, monkeypatch):
 def test_motion_is_summed_over_images_that_nobody_reads(profile, page_patch):
     source = Handed()
     source.hand(Shot(page_patch(0), 0))
-    with LiveSensor(source, profile) as sensor:
+    with LiveSource(source, profile) as sensor:
         assert sensor.read(0).pose.x_mm == 0
         for step in range(1, 11):
             source.hand(Shot(page_patch(4 * step), 0))
@@ -357,7 +357,7 @@ def test_motion_is_summed_over_images_that_nobody_reads(profile, page_patch):
 def test_what_happened_during_a_loss_is_no_motion(profile, page_patch):
     source = Handed()
     source.hand(Shot(page_patch(0), 0))
-    with LiveSensor(source, profile) as sensor:
+    with LiveSource(source, profile) as sensor:
         sensor.read(0)
         source.hand(SourceLostError("gone"))
         source.hand(Shot(page_patch(8), 0))
@@ -373,9 +373,9 @@ def test_the_flat_field_of_the_profile_is_applied(profile, changed, tmp_path):
     dark = np.full((8, 8), 10, np.float32)
     FlatField(dark, np.full((8, 8), 2, np.float32)).save(path)
     corrected = changed(profile, {"optics.flat_field": str(path)})
-    with LiveSensor(Script(shot(60)), corrected) as sensor:
+    with LiveSource(Script(shot(60)), corrected) as sensor:
         assert (sensor.read(0).image == 100).all()
     other = Shot(np.zeros((9, 9), np.uint8), 0)
     misfit = {"about": "optics.flat_field", "problem": "conflict", "value": (9, 9)}
-    with LiveSensor(Script(other), corrected) as sensor, raises(SensorError, **misfit):
+    with LiveSource(Script(other), corrected) as sensor, raises(SensorError, **misfit):
         sensor.read(0)

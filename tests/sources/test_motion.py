@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 from smarttouch.documents.page_image import load_page
 from smarttouch.resources import data_folder
 from smarttouch.sources.motion import MotionTracker, page_per_pixel
-from smarttouch.sources.page import PageSensor
+from smarttouch.sources.page import PageSource
 
 FIELD_MM = 5.0
 
@@ -168,7 +168,7 @@ def test_a_line_of_print(profile, changed, tmp_path, side, speed_mm_s, most_px, 
     optics = {"optics.sensor_columns": side, "optics.sensor_rows": side}
     profile = changed(profile, optics)
     page = load_page(data_folder("sample_images") / "page.png")
-    sensor, tracker = PageSensor(page, profile, "line", path=path), MotionTracker(profile)
+    sensor, tracker = PageSource(page, profile, "line", path=path), MotionTracker(profile)
     frames = [sensor.read(10_000_000 * k) for k in range(int(100 * times[-1]))]
     motions = np.array([tracker.follow(frame.image) for frame in frames])[1:]
     truth = np.diff([(frame.pose.x_mm, frame.pose.y_mm) for frame in frames], axis=0)

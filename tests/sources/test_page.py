@@ -7,8 +7,8 @@ from PIL import Image
 from smarttouch.documents.page_image import Page
 from smarttouch.errors import SensorError
 from smarttouch.resources import data_folder
-from smarttouch.sources import open_sensor
-from smarttouch.sources.page import PageSensor
+from smarttouch.sources import open_source
+from smarttouch.sources.page import PageSource
 from smarttouch.sources.source import Source
 
 from ..raising import raises
@@ -24,7 +24,7 @@ def still(tmp_path, profile):
     def make(grey, mm_per_pixel, angle=0.0):
         path = tmp_path / "path.csv"
         path.write_text(f"{HEADER}0,10,10,{angle},1\n9,10,10,{angle},1\n")
-        return PageSensor(Page(grey, mm_per_pixel), profile, "still", path=path)
+        return PageSource(Page(grey, mm_per_pixel), profile, "still", path=path)
 
     return make
 
@@ -72,12 +72,12 @@ def test_off_the_page_is_its_margin(tmp_path, profile):
     path = tmp_path / "path.csv"
     path.write_text(f"{HEADER}0,-30,-30,0,1\n1,-30,-30,0,1\n")
     grey = np.full((100, 100), 200, np.uint8)
-    sensor = PageSensor(Page(grey, 0.2), profile, "off", path=path)
+    sensor = PageSource(Page(grey, 0.2), profile, "off", path=path)
     assert abs(float(sensor.read(0).image.mean()) - 190) < 12
 
 
 def opened(profile, seed, name="page.png"):
-    return open_sensor(f"page:{data_folder('sample_images') / name}", profile, seed=seed)
+    return open_source(f"page:{data_folder('sample_images') / name}", profile, seed=seed)
 
 
 def test_same_seed_same_frames_in_any_order(profile):
@@ -117,17 +117,17 @@ def test_samples_say_their_size(profile, name):
 
 
 def test_text(profile):
-    sensor = open_sensor("text:hello", profile, seed=0, dpi=None, page_width_mm=None)
+    sensor = open_source("text:hello", profile, seed=0, dpi=None, page_width_mm=None)
     assert sensor.read(1_000_000_000).image.min() < 60
 
 
 def test_a_page_image_of_one_s_own(profile, tmp_path):
     Image.fromarray(spot(5, 5)).save(tmp_path / "a b.png")
-    assert open_sensor(f"page:{tmp_path / 'a b.png'}", profile, page_width_mm=20)
+    assert open_source(f"page:{tmp_path / 'a b.png'}", profile, page_width_mm=20)
 
 
 @pytest.mark.parametrize("url", ["nothing:x", "page", "", "camera", ":"])
-def test_unknown_sensors(profile, url):
+def test_unknown_sources(profile, url):
     known = {"page", "text"}.issubset
-    with raises(SensorError, about="sensor", problem="unknown", value=url, allowed=known):
-        open_sensor(url, profile)
+    with raises(SensorError, about="source", problem="unknown", value=url, allowed=known):
+        open_source(url, profile)

@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from smarttouch.sources import open_sensor
+from smarttouch.sources import open_source
 from smarttouch.sources.emulator.__main__ import main
 from smarttouch.sources.forces.force import open_force
 from smarttouch.sources.forces.load_cell import open_cell
@@ -74,7 +74,7 @@ def test_every_frame_of_an_array_is_read_dropped_or_lost(start, profile, tmp_pat
     process, name = start(
         "serial-array", "--rate=400", "--count=300", "--linger=0.2", f"--books={books}"
     )
-    with open_sensor(f"serial-array:{name}", profile) as sensor:
+    with open_source(f"serial-array:{name}", profile) as sensor:
         look = sensor.read(0)
         assert look.image.shape == (64, 64)
         read = {look.number}

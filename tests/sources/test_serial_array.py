@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.errors import SensorError, SourceLostError
-from smarttouch.sources import open_sensor, serial_array
+from smarttouch.sources import open_source, serial_array
 from smarttouch.sources.sensor_protocol import encode_force, encode_frame, encode_info
 from smarttouch.sources.serial_array import SerialArrayDevice
 from smarttouch.wire.pty_line import PtyLine
@@ -221,7 +221,7 @@ def test_frames_over_tcp():
 
 def test_the_books_of_the_live_sensor(line, profile):
     sent = 150
-    with open_sensor(f"serial-array:{line.name}", profile, baud=115_200) as sensor:
+    with open_source(f"serial-array:{line.name}", profile, baud=115_200) as sensor:
 
         def stream():
             # The port is emptied when the first read begins to listen.
@@ -263,4 +263,4 @@ def test_the_books_of_the_live_sensor(line, profile):
 )
 def test_what_cannot_be_opened(profile, url, baud, about, problem, value):
     with raises(SensorError, about=about, problem=problem, value=value):
-        open_sensor(url, profile, baud=baud)
+        open_source(url, profile, baud=baud)

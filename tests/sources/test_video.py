@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from smarttouch.errors import SensorError
-from smarttouch.sources import open_sensor
+from smarttouch.sources import open_source
 from smarttouch.sources.capture import SourceEndedError
 from smarttouch.sources.clip import Clip
 from smarttouch.sources.video import PacedClip
@@ -120,7 +120,7 @@ def levels(sensor):
 
 
 def test_a_video_frame_by_frame(profile, write_video):
-    with open_sensor(f"video:{write_video()}", profile, unpaced=True) as sensor:
+    with open_source(f"video:{write_video()}", profile, unpaced=True) as sensor:
         frames = []
         while (frame := sensor.read(7)) is not None:
             frames.append(frame)
@@ -136,7 +136,7 @@ def test_a_video_frame_by_frame(profile, write_video):
 
 
 def test_a_video_at_its_pace(profile, write_video):
-    with open_sensor(f"video:{write_video()}", profile) as sensor:
+    with open_source(f"video:{write_video()}", profile) as sensor:
         assert sensor.duration_s == pytest.approx(0.2)
         read = set()
         while (frame := sensor.read(0)) is not None:
@@ -148,7 +148,7 @@ def test_a_video_at_its_pace(profile, write_video):
 
 def test_an_mp4(profile, write_video):
     path = write_video("clip.mp4", frames=10, rate_hz=25.0, codec="mp4v")
-    assert len(levels(open_sensor(f"video:{path}", profile, unpaced=True))) == 10
+    assert len(levels(open_source(f"video:{path}", profile, unpaced=True))) == 10
 
 
 @pytest.mark.parametrize("unpaced", [True, False])
@@ -156,7 +156,7 @@ def test_a_video_that_breaks_off_ends_there(profile, write_video, capfd, unpaced
     path = write_video()
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
-    sensor = open_sensor(f"video:{path}", profile, unpaced=unpaced)
+    sensor = open_source(f"video:{path}", profile, unpaced=unpaced)
     assert levels(sensor)
     assert sensor.read(0) is None
     assert 5 < sensor.frames < 30
@@ -180,7 +180,7 @@ def test_no_damage_crashes(profile, tmp_path_factory, data):
         content[place : place + 8] = data.draw(st.binary(max_size=16))
     path.write_bytes(content)
     try:
-        sensor = open_sensor(f"video:{path}", profile, unpaced=True)
+        sensor = open_source(f"video:{path}", profile, unpaced=True)
         count = len(levels(sensor))
     except SensorError:
         return
@@ -202,7 +202,7 @@ def test_what_is_no_video(profile, tmp_path, capfd, content, problem, unpaced):
     if content is not None:
         path.write_bytes(content)
     with raises(SensorError, about="file", problem=problem, value=path):
-        open_sensor(f"video:{path}", profile, unpaced=unpaced)
+        open_source(f"video:{path}", profile, unpaced=unpaced)
     assert capfd.readouterr().err == ""
 
 
@@ -211,20 +211,20 @@ def test_a_video_without_frames(profile, write_video):
     # Which of the two depends on OpenCV's version.
     either = ("malformed", "empty").__contains__
     with raises(SensorError, about="file", problem=either, value=path):
-        open_sensor(f"video:{path}", profile)
+        open_source(f"video:{path}", profile)
 
 
 def test_folders_and_files_are_told_apart(profile, folder):
     remedy = f"frames:{folder}"
     with raises(SensorError, about="file", problem="folder", value=folder, remedy=remedy):
-        open_sensor(f"video:{folder}", profile)
+        open_source(f"video:{folder}", profile)
     file = folder / "notes.txt"
     with raises(SensorError, about="folder", problem="file", value=file, remedy=f"video:{file}"):
-        open_sensor(f"frames:{file}", profile)
+        open_source(f"frames:{file}", profile)
 
 
 def test_a_folder_in_natural_order(profile, folder):
-    assert levels(open_sensor(f"frames:{folder}", profile, unpaced=True)) == [
+    assert levels(open_source(f"frames:{folder}", profile, unpaced=True)) == [
         0,
         10,
         20,
@@ -235,7 +235,7 @@ def test_a_folder_in_natural_order(profile, folder):
 
 
 def test_a_folder_at_its_pace(profile, folder):
-    sensor = open_sensor(f"frames:{folder}", profile, fps=100.0)
+    sensor = open_source(f"frames:{folder}", profile, fps=100.0)
     assert sensor.duration_s == pytest.approx(0.06)
     found = levels(sensor)
     assert set(found) <= {0, 10, 20, 30, 40, 50}
@@ -244,12 +244,12 @@ def test_a_folder_at_its_pace(profile, folder):
 
 
 def test_thirty_images_a_second_if_not_told(profile, folder):
-    with open_sensor(f"frames:{folder}", profile) as sensor:
+    with open_source(f"frames:{folder}", profile) as sensor:
         assert sensor.duration_s == pytest.approx(0.2)
 
 
 def test_slow_slides_are_not_stale(profile, folder):
-    with open_sensor(f"frames:{folder}", profile, fps=0.5) as sensor:
+    with open_source(f"frames:{folder}", profile, fps=0.5) as sensor:
         sensor.read(0)
         for after_s, stale in ((3, False), (5, True)):
             sensor._now_ns = lambda after_s=after_s: sensor._newest.taken_ns + after_s * SECOND
@@ -259,36 +259,36 @@ def test_slow_slides_are_not_stale(profile, folder):
 @pytest.mark.parametrize("fps", [0.0, -1.0, float("nan"), 1e6])
 def test_rates_that_cannot_be(profile, folder, fps):
     with raises(SensorError, about="--fps", value=lambda given: given is fps):
-        open_sensor(f"frames:{folder}", profile, fps=fps)
+        open_source(f"frames:{folder}", profile, fps=fps)
 
 
 def test_missing_and_empty_folders(profile, tmp_path):
     nowhere = tmp_path / "nowhere"
     with raises(SensorError, about="folder", problem="missing", value=nowhere):
-        open_sensor(f"frames:{nowhere}", profile)
+        open_source(f"frames:{nowhere}", profile)
     with raises(SensorError, about="folder", problem="empty", value=tmp_path):
-        open_sensor(f"frames:{tmp_path}", profile)
+        open_source(f"frames:{tmp_path}", profile)
 
 
 def test_an_image_of_another_size_is_named(profile, folder):
     path = folder / "b11.png"
     Image.fromarray(np.zeros((6, 9), np.uint8)).save(path)
     with raises(SensorError, about="file", problem="conflict", value=path, allowed=(8, 6)):
-        open_sensor(f"frames:{folder}", profile)
+        open_source(f"frames:{folder}", profile)
 
 
 def test_an_image_too_small(profile, tmp_path):
     path = tmp_path / "a.png"
     Image.fromarray(np.zeros((6, 1), np.uint8)).save(path)
     with raises(SensorError, about="file", problem="too few pixels", value=path):
-        open_sensor(f"frames:{tmp_path}", profile)
+        open_source(f"frames:{tmp_path}", profile)
 
 
 def test_a_file_that_is_no_image_is_named(profile, folder):
     path = folder / "20.png"
     path.write_bytes(b"hello")
     with raises(SensorError, about="file", problem="malformed", value=path):
-        open_sensor(f"frames:{folder}", profile)
+        open_source(f"frames:{folder}", profile)
 
 
 @pytest.mark.parametrize("unpaced", [True, False])
@@ -299,7 +299,7 @@ def test_a_damaged_image_is_named_when_it_comes(profile, tmp_path, unpaced):
         image.save(tmp_path / f"{number}.png")
     damaged = tmp_path / "2.png"
     damaged.write_bytes(damaged.read_bytes()[:1500])
-    sensor = open_sensor(f"frames:{tmp_path}", profile, unpaced=unpaced)
+    sensor = open_source(f"frames:{tmp_path}", profile, unpaced=unpaced)
     with raises(SensorError, about="file", problem="damaged", value=damaged):
         levels(sensor)
 
@@ -312,7 +312,7 @@ def test_kinds_of_images(profile, tmp_path):
     exif = Image.Exif()
     exif[0x0112] = 6
     Image.new("L", (6, 8), 100).save(tmp_path / "3.jpg", exif=exif)
-    assert levels(open_sensor(f"frames:{tmp_path}", profile, unpaced=True)) == [100, 100, 100]
+    assert levels(open_source(f"frames:{tmp_path}", profile, unpaced=True)) == [100, 100, 100]
 
 
 def test_each_image_comes_at_its_time():
@@ -377,4 +377,4 @@ def test_a_playlist_leads_nowhere(tmp_path, profile, playlist, ending):
     places = {path: "malformed", tmp_path / "pipe.ts": "pipe", Path("/dev/zero"): "device"}
     for place, problem in places.items():
         with raises(SensorError, about="file", problem=problem, value=place):
-            open_sensor(f"video:{place}", profile)
+            open_source(f"video:{place}", profile)

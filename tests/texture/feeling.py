@@ -16,7 +16,7 @@ from smarttouch.running.step import StepResult
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 from smarttouch.texture.felt import FeltMap
-from smarttouch.texture.sensor import MouseSensor
+from smarttouch.texture.source import MouseSource
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class Touched:
 
 
 def feel(
-    sensor: MouseSensor,
+    source: MouseSource,
     profile: Profile,
     bank: KernelBank,
     seconds: float | None = None,
@@ -50,7 +50,7 @@ def feel(
 
     Parameters
     ----------
-    sensor : MouseSensor
+    source : MouseSource
         Closed at the end.
     profile : Profile
         As `profile_for_reading` returns it.
@@ -63,7 +63,7 @@ def feel(
     SmartTouchError
         Whatever would end such a run.
     """
-    felt = sensor.drawing(profile, bank)
+    felt = source.drawing(profile, bank)
     times_ns: dict[int, int] = {}
     poses_mm: dict[int, tuple[float, float]] = {}
     tally = RunStatistics()
@@ -76,16 +76,16 @@ def feel(
             poses_mm[sent.number] = (frame.pose.x_mm, frame.pose.y_mm)
 
     limits = SafetyLimits.of(profile)
-    with sensor, SimulatedBoard("", limits, profile.output) as board:
+    with source, SimulatedBoard("", limits, profile.output) as board:
         run_loop(
-            sensor,
-            Pipeline(profile, bank, RunConfig(mode=sensor.mode, scan="points")),
+            source,
+            Pipeline(profile, bank, RunConfig(mode=source.mode, scan="points")),
             board,
             stop=StopRequest(),
             statistics=tally,
             seconds=seconds,
             listeners=as_listeners([watch]),
-            controls=Controls(ControlState(sensor.mode)),
+            controls=Controls(ControlState(source.mode)),
             clock=SimulatedClock(),
         )
         felt.deliver(*board.take_pulses())

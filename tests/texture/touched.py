@@ -8,7 +8,7 @@ from PIL import Image
 
 from smarttouch.reading.window import press_n
 from smarttouch.texture.path_motion import PathMotion
-from smarttouch.texture.sensor import MouseSensor
+from smarttouch.texture.source import MouseSource
 from smarttouch.texture.sweep_motion import START_S, SweepMotion
 
 from .feeling import feel
@@ -59,19 +59,19 @@ def path_motion(folder, times_s, x_mm, y_mm):
 
 
 def touch(texture, motion, profile, bank, seconds=None, **options):
-    """Let a finger feel a texture; return what was delivered, and the sensor."""
-    sensor = MouseSensor(texture, motion, profile, press_n=press_n(profile), **options)
-    return feel(sensor, profile, bank, seconds), sensor
+    """Let a finger feel a texture; return what was delivered, and the source."""
+    source = MouseSource(texture, motion, profile, press_n=press_n(profile), **options)
+    return feel(source, profile, bank, seconds), source
 
 
 def stroke(texture, speed_mm_s, profile, bank, length_mm=60.0, origin_mm=(15.3, 20.3), **options):
-    """Stroke once to the right; return pulses of each electrode, (E,) Hz, and the sensor."""
+    """Stroke once to the right; return pulses of each electrode, (E,) Hz, and the source."""
     motion = SweepMotion(speed_mm_s, (length_mm, 0.0))
     motion.origin_mm = origin_mm
     seconds = length_mm / speed_mm_s
-    touched, sensor = touch(texture, motion, profile, bank, START_S + seconds + 0.03, **options)
+    touched, source = touch(texture, motion, profile, bank, START_S + seconds + 0.03, **options)
     felt = touched.felt
     time_s = np.array([touched.times_ns[each] for each in felt.number]) / 1e9
     there = (time_s > START_S) & (time_s <= START_S + seconds + 0.02) & (felt.answer > FELT)
     pulses = np.bincount(felt.electrode[there], minlength=len(profile.electrodes))
-    return pulses / seconds, sensor
+    return pulses / seconds, source

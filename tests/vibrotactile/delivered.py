@@ -17,7 +17,7 @@ from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 from smarttouch.vibrotactile.mix import mix_colors
 from smarttouch.vibrotactile.recover import recover
-from smarttouch.vibrotactile.sensor import ColorSensor
+from smarttouch.vibrotactile.source import ColorSource
 from smarttouch.vibrotactile.spec import open_trace
 
 RISEN_S = 0.55
@@ -38,14 +38,14 @@ class Got:
 
 
 def feel(spec, profile, bank, seconds=2.0, shaking=None, **options):
-    """Return what each class got, by Primary, and the sensor that asked for it.
+    """Return what each class got, by Primary, and the source that asked for it.
 
     What ``shaking``, a board of vibrators, is to do it is told.
     """
     trace = open_trace(spec, seconds)
     vibrated = shaking is not None
     mixture = mix_colors(trace, profile, bank, vibrated=vibrated, **options)
-    sensor = ColorSensor(spec, profile, mixture, force_n=2 * profile.force.full_n)
+    source = ColorSource(spec, profile, mixture, force_n=2 * profile.force.full_n)
     began_s = {}
 
     def watch(sent):
@@ -55,7 +55,7 @@ def feel(spec, profile, bank, seconds=2.0, shaking=None, **options):
     whole = HybridBoard(board, shaking) if vibrated else board
     with whole:
         run_loop(
-            sensor,
+            source,
             Pipeline(profile, bank, RunConfig(mode=mixture.mode, scan="points"), vibrated=vibrated),
             whole,
             stop=StopRequest(),
@@ -74,4 +74,4 @@ def feel(spec, profile, bank, seconds=2.0, shaking=None, **options):
         if its.any():
             sites = set(pulses.site[its].tolist())
             got[primary] = Got(np.unique(time_s[its]), pulses.drive[its], sites)
-    return got, sensor
+    return got, source

@@ -35,23 +35,23 @@ def drive_of(spec, primary, profile):
 @pytest.mark.parametrize("primary", Primary)
 def test_each_class_is_driven_alone(primary, profile, bank):
     spec, rate_hz = ALONE[primary]
-    got, sensor = feel(spec, profile, bank)
+    got, source = feel(spec, profile, bank)
     assert set(got) == {primary}
     assert got[primary].rate_hz == pytest.approx(rate_hz, rel=RATE_WITHIN)
     median = np.median(got[primary].drive)
     assert median == pytest.approx(drive_of(spec, primary, profile), abs=DRIVE_WITHIN)
-    assert not sensor.error_us(primary).any()
+    assert not source.error_us(primary).any()
 
 
 @pytest.mark.parametrize("pair", list(itertools.combinations(Primary, 2)))
 def test_two_mixed_give_back_both(pair, profile, bank):
-    got, sensor = feel("+".join(ALONE[each][0] for each in pair), profile, bank)
+    got, source = feel("+".join(ALONE[each][0] for each in pair), profile, bank)
     assert set(got) == set(pair)
     for each in pair:
         spec, rate_hz = ALONE[each]
         assert got[each].rate_hz == pytest.approx(rate_hz, rel=RATE_WITHIN)
         assert np.median(got[each].drive) == pytest.approx(drive_of(spec, each, profile), abs=0.06)
-        assert np.abs(sensor.error_us(each)).max() <= 2500
+        assert np.abs(source.error_us(each)).max() <= 2500
 
 
 def test_all_three_mixed_give_back_all(profile, bank):

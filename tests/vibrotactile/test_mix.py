@@ -160,4 +160,4 @@ def test_masked_sites_are_refused_and_not_in_the_disc(profile, changed):
 
 
 def test_the_example_runs():
-    assert doctest.testmod(smarttouch.vibrotactile.mix) == (0, 11)
+    assert doctest.testmod(smarttouch.vibrotactile.mix) == (0, 10)

@@ -59,7 +59,7 @@ class PulseLimit:
         return wanted * due
 
 
-class MouseSensor(StimulusSource):
+class MouseSource(StimulusSource):
     """Gives a pulse at each electrode under which a ridge of the texture passes.
 
     So each electrode pulses spatial frequency times speed times a second, the

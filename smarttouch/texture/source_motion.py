@@ -1,9 +1,9 @@
-"""The pose of any sensor's frames as the motion of a hand, as an optical mouse has it."""
+"""The pose of any source's frames as the motion of a hand, as an optical mouse has it."""
 
 import math
 
 from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile
-from smarttouch.sources import open_sensor
+from smarttouch.sources import open_source
 from smarttouch.sources.frame import Pose
 from smarttouch.sources.source import Source
 from smarttouch.texture.motion import Motion
@@ -12,41 +12,41 @@ RESOLUTION_MM = 0.02
 """What motion found in images jumps by at rest; an estimate of ours."""
 
 
-def open_it(url: str, *, profile: Profile | None = None) -> "SensorMotion":
-    """Open a sensor whose frames say where it is.
+def open_it(url: str, *, profile: Profile | None = None) -> "SourceMotion":
+    """Open a source whose frames say where it is.
 
     Parameters
     ----------
     url : str
-        Of the sensor, see `open_sensor`.
+        Of the source, see `open_source`.
     profile : Profile, optional
         Its optics; electric-mouse if not given.
     """
-    return SensorMotion(open_sensor(url, profile or load_profile(DEFAULT_PROFILE)))
+    return SourceMotion(open_source(url, profile or load_profile(DEFAULT_PROFILE)))
 
 
-class SensorMotion(Motion):
-    """Moves as a sensor says that it moves.
+class SourceMotion(Motion):
+    """Moves as a source says that it moves.
 
     Parameters
     ----------
-    sensor : Source
+    source : Source
         An open one, which is closed with this.
     """
 
     resolution_mm = RESOLUTION_MM
 
-    def __init__(self, sensor: Source) -> None:
-        super().__init__(f"the motion of {sensor.title}")
-        self._sensor = sensor
-        self.notes = sensor.notes
-        self.knows_force = sensor.knows_force
-        self.duration_s = sensor.duration_s
+    def __init__(self, source: Source) -> None:
+        super().__init__(f"the motion of {source.title}")
+        self._source = source
+        self.notes = source.notes
+        self.knows_force = source.knows_force
+        self.duration_s = source.duration_s
         self._first: Pose | None = None
 
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return how far the sensor is from where its first frame was; None after its last."""
-        frame = self._sensor.read(time_ns)
+        """Return how far the source is from where its first frame was; None after its last."""
+        frame = self._source.read(time_ns)
         if frame is None:
             return None
         if self._first is None:
@@ -56,5 +56,5 @@ class SensorMotion(Motion):
         return frame.pose.x_mm - self._first.x_mm, frame.pose.y_mm - self._first.y_mm
 
     def close(self) -> None:
-        """Close the sensor."""
-        self._sensor.close()
+        """Close the source."""
+        self._source.close()

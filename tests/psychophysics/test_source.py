@@ -11,7 +11,7 @@ from smarttouch.psychophysics.catalog import Wanted, design
 from smarttouch.psychophysics.course import Course
 from smarttouch.psychophysics.observers.observer import SilentObserver
 from smarttouch.psychophysics.rows import read_rows
-from smarttouch.psychophysics.sensor import AGAIN, ExperimentSensor
+from smarttouch.psychophysics.source import AGAIN, ExperimentSource
 from smarttouch.running.controls import Controls, ControlState
 
 from ..raising import raises
@@ -39,8 +39,8 @@ def test_trains_have_the_asked_frequency_to_the_microsecond(profile, bank, tmp_p
             assert felt.width_us == pytest.approx(200)
             assert felt.time_s[0] == 0
     assert sat.report.violations == 0
-    assert sat.sensor.notes == []
-    assert sat.sensor.spoiled == 0
+    assert sat.source.notes == []
+    assert sat.source.spoiled == 0
 
 
 def test_between_the_intervals_there_is_silence_as_long_as_asked(profile, bank, tmp_path):
@@ -52,7 +52,7 @@ def test_between_the_intervals_there_is_silence_as_long_as_asked(profile, bank, 
         tmp_path / "rows.csv",
         Perfect(),
         course=Course(gap_s=0.333),
-        watch=lambda sent, sensor, _: steps.append((sensor.playing, sent.step.sequence)),
+        watch=lambda sent, source, _: steps.append((source.playing, sent.step.sequence)),
     )
     at = {}
     for playing, sequence in steps:
@@ -83,11 +83,11 @@ def test_before_a_trial_intensity_is_there(profile, bank, tmp_path):
 def test_a_trial_whose_current_was_lost_is_presented_again(profile, bank, tmp_path, how):
     done = []
 
-    def watch(sent, sensor, controls):
-        if sensor.playing == (3, 1) and not done:
+    def watch(sent, source, controls):
+        if source.playing == (3, 1) and not done:
             done.append(sent)
             controls.toggle_pause() if how == "pause" else controls.silence()
-        elif done and sensor.playing is None and controls.state(0).current_level == 0:
+        elif done and source.playing is None and controls.state(0).current_level == 0:
             controls.toggle_pause() if how == "pause" else controls.change_level(1)
 
     observer = Perfect()
@@ -96,7 +96,7 @@ def test_a_trial_whose_current_was_lost_is_presented_again(profile, bank, tmp_pa
         watch=watch, controls=Controls(ControlState(Mode.RA)),
     )  # fmt: skip
     rows = read_rows(tmp_path / "rows.csv")
-    assert sat.sensor.spoiled == 1
+    assert sat.source.spoiled == 1
     assert len(rows) == len(observer.felt) == 10
     assert all(row.response == row.target for row in rows)
     presented = [words for _, words in sat.told if words.startswith("trial ")]
@@ -106,8 +106,8 @@ def test_a_trial_whose_current_was_lost_is_presented_again(profile, bank, tmp_pa
 
 
 def test_the_user_regulates_the_amplitude_and_rows_tell(profile, bank, tmp_path):
-    def watch(_, sensor, controls):
-        if sensor.playing == (5, 0):
+    def watch(_, source, controls):
+        if source.playing == (5, 0):
             controls.change_level(-0.01)
 
     observer = Perfect()
@@ -126,8 +126,8 @@ def test_currents_that_count_wait_for_full_intensity(profile, bank, tmp_path):
     """Detection at half the user's own level would be another current."""
     titles = []
 
-    def watch(sent, sensor, controls):
-        titles.append(sensor.title)
+    def watch(sent, source, controls):
+        titles.append(source.title)
         if sent.step.sequence.time_ns > 2e9 and controls.state(0).level < 1:
             assert not any(felt.slots for felt in before)
             controls.change_level(0.5)
@@ -151,10 +151,10 @@ def test_currents_that_count_wait_for_full_intensity(profile, bank, tmp_path):
 
 
 def test_where_currents_count_no_key_changes_one_unnoticed(profile, bank, tmp_path):
-    def watch(_, sensor, controls):
-        if sensor.playing == (4, 0):
+    def watch(_, source, controls):
+        if source.playing == (4, 0):
             controls.change_level(-0.05)
-        elif sensor.playing is None and sensor.spoiled:
+        elif source.playing is None and source.spoiled:
             controls.change_level(1)
 
     made = design("detection", profile, Wanted(repetitions=1, train_s=0.1))
@@ -162,7 +162,7 @@ def test_where_currents_count_no_key_changes_one_unnoticed(profile, bank, tmp_pa
         made, profile, bank, tmp_path / "rows.csv", Perfect(), watch=watch,
         controls=Controls(ControlState(Mode.RA)),
     )  # fmt: skip
-    assert sat.sensor.spoiled == 1
+    assert sat.source.spoiled == 1
     assert {row.level for row in read_rows(tmp_path / "rows.csv")} == {1.0}
 
 
@@ -206,21 +206,21 @@ class OneTrial:
 
 
 class Loop:
-    """Asks a sensor for frames as the loop does, with everything in order."""
+    """Asks a source for frames as the loop does, with everything in order."""
 
-    def __init__(self, sensor, pipeline):
-        self.sensor, self.pipeline, self.time_ns = sensor, pipeline, 0
+    def __init__(self, source, pipeline):
+        self.source, self.pipeline, self.time_ns = source, pipeline, 0
         self.frames = []
 
     def step(self):
         from smarttouch.running.step import StepResult
 
-        frame = self.sensor.read(self.time_ns)
+        frame = self.source.read(self.time_ns)
         if frame is None:
             return False
         self.frames.append(frame)
         step = self.pipeline.process(frame)
-        self.sensor.step(StepResult(step, 1, 0.0))
+        self.source.step(StepResult(step, 1, 0.0))
         self.time_ns += 1000 * step.sequence.period_us
         return True
 
@@ -235,24 +235,24 @@ def loop(profile, bank):
     from smarttouch.running.pipeline import Pipeline
 
     trials = OneTrial(profile)
-    sensor = ExperimentSensor(trials, profile, Course(answer_s=5.0), press_n=1.0)
-    return Loop(sensor, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points"))), trials
+    source = ExperimentSource(trials, profile, Course(answer_s=5.0), press_n=1.0)
+    return Loop(source, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points"))), trials
 
 
 def test_keys_before_the_question_do_not_count(loop):
     loop, trials = loop
-    loop.until(lambda: loop.sensor.playing == (1, 1))
-    loop.sensor.keys["1"]()
-    loop.until(lambda: loop.sensor.asking)
+    loop.until(lambda: loop.source.playing == (1, 1))
+    loop.source.keys["1"]()
+    loop.until(lambda: loop.source.asking)
     asked_ns = loop.time_ns
     while loop.time_ns < asked_ns + 1e9:
         loop.step()
     assert trials.answers == []
-    assert f"{trials.trial.question}, {AGAIN} " in loop.sensor.title
-    loop.sensor.keys["x" if "x" in loop.sensor.keys else "y"]()
+    assert f"{trials.trial.question}, {AGAIN} " in loop.source.title
+    loop.source.keys["x" if "x" in loop.source.keys else "y"]()
     loop.step()
     assert trials.answers == []
-    loop.sensor.keys["right"]()
+    loop.source.keys["right"]()
     loop.until(lambda: trials.answers)
     (answer,) = trials.answers
     assert answer.response == "2"
@@ -262,14 +262,14 @@ def test_keys_before_the_question_do_not_count(loop):
 
 def test_a_trial_is_felt_again_on_request(loop):
     loop, trials = loop
-    loop.until(lambda: loop.sensor.asking)
+    loop.until(lambda: loop.source.asking)
     pulses = sum(bool(each.activation.any()) for each in loop.frames)
-    loop.sensor.keys["r"]()
+    loop.source.keys["r"]()
     loop.step()
-    loop.until(lambda: loop.sensor.asking)
+    loop.until(lambda: loop.source.asking)
     assert sum(bool(each.activation.any()) for each in loop.frames) == 2 * pulses
-    assert loop.sensor.repeats == 1
-    loop.sensor.keys["1"]()
+    assert loop.source.repeats == 1
+    loop.source.keys["1"]()
     loop.until(lambda: trials.answers)
     assert trials.answers[0].response == "1"
 
@@ -279,15 +279,15 @@ def test_an_experiment_may_forbid_to_feel_again(profile, bank):
     from smarttouch.running.pipeline import Pipeline
 
     trials = OneTrial(profile)
-    sensor = ExperimentSensor(trials, profile, Course(again=False), press_n=1.0)
-    loop = Loop(sensor, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points")))
-    loop.until(lambda: sensor.asking)
-    sensor.keys["r"]()
+    source = ExperimentSource(trials, profile, Course(again=False), press_n=1.0)
+    loop = Loop(source, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points")))
+    loop.until(lambda: source.asking)
+    source.keys["r"]()
     for _ in range(20):
         loop.step()
-    assert sensor.asking is trials.trial
-    assert sensor.repeats == 0
-    assert sensor.title.endswith(trials.trial.question)
+    assert source.asking is trials.trial
+    assert source.repeats == 0
+    assert source.title.endswith(trials.trial.question)
 
 
 def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(profile, bank):
@@ -301,11 +301,11 @@ def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(profile, bank):
             return self.ns
 
     trials, clock = OneTrial(profile), Clock()
-    sensor = ExperimentSensor(trials, profile, Course(), press_n=1.0, clock=clock)
-    loop = Loop(sensor, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points")))
-    loop.until(lambda: sensor.asking)
+    source = ExperimentSource(trials, profile, Course(), press_n=1.0, clock=clock)
+    loop = Loop(source, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points")))
+    loop.until(lambda: source.asking)
     clock.ns += 7_000_000
-    sensor.press("1")
+    source.press("1")
     clock.ns += 13_000_000
     loop.until(lambda: trials.answers)
     assert trials.answers[0].rt_s == pytest.approx(0.007)
@@ -316,14 +316,14 @@ def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, bank)
     from smarttouch.running.pipeline import Pipeline
 
     trials = OneTrial(profile, "discomfort", 2.0)
-    sensor = ExperimentSensor(trials, profile, Course(), press_n=1.0)
-    loop = Loop(sensor, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points")))
-    loop.until(lambda: sensor.playing)
+    source = ExperimentSource(trials, profile, Course(), press_n=1.0)
+    loop = Loop(source, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points")))
+    loop.until(lambda: source.playing)
     for _ in range(20):
         loop.step()
     level = loop.frames[-1].level
     assert 0 < level < 1
-    sensor.keys["\n"]()
+    source.keys["\n"]()
     loop.step()
     (answer,) = trials.answers
     assert (answer.response, answer.rt_s, answer.level) == ("y", None, 1.0)
@@ -343,8 +343,8 @@ def test_a_current_that_is_never_enough_stops_at_the_ceiling(profile, bank, tmp_
 
 def test_every_stimulus_is_numbered_and_none_has_an_image(loop):
     loop, _ = loop
-    loop.until(lambda: loop.sensor.asking)
-    assert [each.number for each in loop.frames] == list(range(loop.sensor.frames))
+    loop.until(lambda: loop.source.asking)
+    assert [each.number for each in loop.frames] == list(range(loop.source.frames))
     assert {each.image for each in loop.frames} == {None}
     assert len({each.activation.tobytes() for each in loop.frames}) == 2
 
@@ -367,7 +367,7 @@ def test_a_board_that_cannot_keep_a_frequency_is_noted(profile, changed, tmp_pat
     made = design("letters", slow, Wanted(letters="EF", repetitions=1, train_s=0.1))
     sat = sit(made, slow, load_bank(slow), tmp_path / "rows.csv", Perfect(), experiment="l",
               course=Course(answer_s=0.1))  # fmt: skip
-    (note,) = sat.sensor.notes
+    (note,) = sat.source.notes
     asked_hz, sent_hz = map(float, re.findall(r"([\d.]+) Hz", note))
     assert asked_hz == 50
     assert sent_hz < 50

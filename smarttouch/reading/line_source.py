@@ -16,7 +16,7 @@ LINE_GAP_MM = 4.0
 """Between two lines where their poses are put on one sheet, one below the other."""
 
 
-class ReadingSensor(OpticalSource):
+class ReadingSource(OpticalSource):
     """Frames of lines that pass under the finger.
 
     The pose of a frame is on a sheet on which all lines lie below each other,

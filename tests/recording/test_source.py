@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.errors import RecordingError, SensorError
-from smarttouch.recording.sensor import open_recording
+from smarttouch.recording.source import open_recording
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.step import StepResult
@@ -16,48 +16,48 @@ from ..raising import raises
 
 def test_at_the_recorded_times_all_comes_again(recording, steps, profile, bank):
     pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
-    with open_recording(str(recording), profile) as sensor:
-        assert sensor.knows_force
-        assert sensor.duration_s == pytest.approx(0.78)
+    with open_recording(str(recording), profile) as source:
+        assert source.knows_force
+        assert source.duration_s == pytest.approx(0.78)
         for sent in steps:
             was = sent.step.input
-            frame = sensor.read(was.time_ns)
+            frame = source.read(was.time_ns)
             assert np.array_equal(frame.image, was.image)
             assert (frame.time_ns, frame.pose, frame.force_n) == (
                 was.time_ns, was.pose, was.force_n,
             )  # fmt: skip
             again = pipeline.process(frame).sequence
             assert np.array_equal(again.current_ua, sent.step.sequence.current_ua)
-        assert sensor.read(799_999_999).number == 19
-        assert sensor.read(800_000_000) is None
-    assert (sensor.frames, sensor.dropped_frames, sensor.notes) == (20, 0, [])
+        assert source.read(799_999_999).number == 19
+        assert source.read(800_000_000) is None
+    assert (source.frames, source.dropped_frames, source.notes) == (20, 0, [])
 
 
 @settings(deadline=None)
 @given(st.lists(st.integers(0, 9 * 10**8), max_size=12))
 def test_every_frame_is_read_or_dropped(recording, profile, times):
     numbers = set()
-    sensor = open_recording(str(recording), profile)
+    source = open_recording(str(recording), profile)
     for time_ns in sorted(times):
-        frame = sensor.read(time_ns)
+        frame = source.read(time_ns)
         if frame is not None:
             numbers.add(frame.number)
             assert frame.age_ns < 20_000_000
-    sensor.close()
-    assert sensor.frames == len(numbers) + sensor.dropped_frames
+    source.close()
+    assert source.frames == len(numbers) + source.dropped_frames
     if times and max(times) >= 8 * 10**8:
-        assert sensor.frames == 20
+        assert source.frames == 20
 
 
 def test_unpaced_gives_the_next_at_each_look(recording, profile):
-    with open_recording(str(recording), profile, unpaced=True) as sensor:
+    with open_recording(str(recording), profile, unpaced=True) as source:
         frames = []
-        while (frame := sensor.read(len(frames))) is not None:
+        while (frame := source.read(len(frames))) is not None:
             frames.append(frame)
     assert [frame.number for frame in frames] == [index // 2 for index in range(40)]
     assert [frame.time_ns for frame in frames] == list(range(40))
     assert {frame.age_ns for frame in frames} == {0}
-    assert (sensor.frames, sensor.dropped_frames) == (20, 0)
+    assert (source.frames, source.dropped_frames) == (20, 0)
 
 
 def test_what_was_stale_stays_stale(tmp_path, record, steps, profile, make_frame):
@@ -68,17 +68,17 @@ def test_what_was_stale_stays_stale(tmp_path, record, steps, profile, make_frame
     stale = replace(step, input=replace(step.input, stale=True, force_n=0.0))
     with open_recording(
         str(record(tmp_path / "a.mcap", [StepResult(stale, 1, 0.0)])), profile
-    ) as sensor:
-        frame = sensor.read(0)
+    ) as source:
+        frame = source.read(0)
     assert (frame.stale, frame.force_n) == (True, 0.0)
 
 
 def test_a_cut_one_is_played_as_far_as_it_goes(tmp_path, recording, profile):
     path = tmp_path / "cut.mcap"
     path.write_bytes(recording.read_bytes()[:-3000])
-    with open_recording(str(path), profile) as sensor:
-        assert sensor.read(0).number == 0
-        (note,) = sensor.notes
+    with open_recording(str(path), profile) as source:
+        assert source.read(0).number == 0
+        (note,) = source.notes
         assert str(path) in note
 
 

@@ -19,7 +19,7 @@ LONGEST_US = 20_000
 """So often stimuli come where no pulse is due: a finger that is lifted is not overlooked."""
 
 
-class ColorSensor(StimulusSource, Listener):
+class ColorSource(StimulusSource, Listener):
     """Gives the pulses of a mixture as time goes.
 
     If sequences take longer than was foreseen, pulses wait, and those of several

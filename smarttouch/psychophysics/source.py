@@ -37,7 +37,7 @@ _NUMBERS = ("first", "second")
 Pulses = Generator[Stimulus, None, None]
 
 
-class ExperimentSensor(StimulusSource, Listener):
+class ExperimentSource(StimulusSource, Listener):
     """Presents trial after trial.
 
     Each begins when the intensity is there that the user has chosen; one whose current is lost

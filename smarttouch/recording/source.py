@@ -11,8 +11,8 @@ from smarttouch.sources.source import Source
 from smarttouch.sources.stimulus import Input
 
 
-def open_recording(rest: str, profile: Profile, *, unpaced: bool = False) -> "RecordingSensor":
-    """Open ``recording:FILE``; options are those of `RecordingSensor`.
+def open_recording(rest: str, profile: Profile, *, unpaced: bool = False) -> "RecordingSource":
+    """Open ``recording:FILE``; options are those of `RecordingSource`.
 
     Raises
     ------
@@ -28,10 +28,10 @@ def open_recording(rest: str, profile: Profile, *, unpaced: bool = False) -> "Re
             problem="missing",
             remedy="recording:FILE.mcap",
         )
-    return RecordingSensor(Recording(Path(rest)), unpaced)
+    return RecordingSource(Recording(Path(rest)), unpaced)
 
 
-class RecordingSensor(Source):
+class RecordingSource(Source):
     """Frames or stimuli of a recording with pose and force, at the times at which they were felt.
 
     One that was felt for several sequences counts once. One that was stale stays so.

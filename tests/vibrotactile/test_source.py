@@ -9,7 +9,7 @@ from smarttouch.profile import load_profile
 from smarttouch.vibrotactile.mix import mix_colors
 from smarttouch.vibrotactile.price import pacinian_price
 from smarttouch.vibrotactile.report import as_figures, notes
-from smarttouch.vibrotactile.sensor import LONGEST_US, ColorSensor
+from smarttouch.vibrotactile.source import LONGEST_US, ColorSource
 from smarttouch.vibrotactile.spec import open_trace
 from smarttouch.vibrotactile.split import split
 
@@ -17,47 +17,47 @@ from ..said import numbers_in
 
 
 @pytest.fixture
-def make_sensor(profile, bank):
+def make_source(profile, bank):
     def make(spec, seconds=0.5, **options):
         mixture = mix_colors(open_trace(spec, seconds), profile, bank, **options)
-        return ColorSensor(spec, profile, mixture), mixture
+        return ColorSource(spec, profile, mixture), mixture
 
     return make
 
 
-def asked(sensor, stretch=1.0):
+def asked(source, stretch=1.0):
     """Return time and request of every frame, each sequence as much longer than asked."""
     frames, now_us = [], 0
-    while (frame := sensor.read(now_us * 1000)) is not None:
+    while (frame := source.read(now_us * 1000)) is not None:
         frames.append((now_us, frame))
         now_us += int(frame.period_us * stretch)
     return frames
 
 
-def test_every_request_comes_at_its_time(make_sensor):
-    sensor, mixture = make_sensor("tone:30Hz,6um+tone:250Hz,1.5um+press:0.45N")
-    pulsing = [(time, each) for time, each in asked(sensor) if each.activation.any()]
+def test_every_request_comes_at_its_time(make_source):
+    source, mixture = make_source("tone:30Hz,6um+tone:250Hz,1.5um+press:0.45N")
+    pulsing = [(time, each) for time, each in asked(source) if each.activation.any()]
     assert [time for time, _ in pulsing] == mixture.time_us.tolist()
     drives = [each.activation[:, mixture.sites[0]] for _, each in pulsing]
     np.testing.assert_array_equal(drives, mixture.drive)
     for primary in Primary:
-        np.testing.assert_array_equal(sensor.error_us(primary), mixture.error_us(primary))
+        np.testing.assert_array_equal(source.error_us(primary), mixture.error_us(primary))
 
 
-def test_between_pulses_the_finger_is_looked_at(make_sensor):
-    sensor, _ = make_sensor("tone:10Hz,20um")
-    frames = asked(sensor)
+def test_between_pulses_the_finger_is_looked_at(make_source):
+    source, _ = make_source("tone:10Hz,20um")
+    frames = asked(source)
     times = np.array([time for time, _ in frames])
     assert 5000 <= np.diff(times).min() <= np.diff(times).max() <= LONGEST_US
-    assert sensor.frames == len(frames)
+    assert source.frames == len(frames)
 
 
-def test_where_sequences_are_longer_pulses_wait_and_none_is_lost(make_sensor):
-    sensor, mixture = make_sensor("tone:30Hz,6um+press:0.45N")
-    late = asked(sensor, stretch=1.7)
+def test_where_sequences_are_longer_pulses_wait_and_none_is_lost(make_source):
+    source, mixture = make_source("tone:30Hz,6um+press:0.45N")
+    late = asked(source, stretch=1.7)
     assert sum(each.activation.any() for _, each in late) < len(mixture.time_us)
     for primary in (Primary.RA, Primary.SAI):
-        error_us = sensor.error_us(primary)
+        error_us = source.error_us(primary)
         assert len(error_us) >= mixture.pulses(primary) - 1
         assert error_us.max() > 5000
         # What would be due before long goes along.
@@ -65,27 +65,27 @@ def test_where_sequences_are_longer_pulses_wait_and_none_is_lost(make_sensor):
         assert -mixture.least_us // 2 <= moved_us.min() < 0
 
 
-def test_vibrators_go_on_between_requests(make_sensor):
-    sensor, mixture = make_sensor("tone:250Hz,1.5um", vibrated=True)
+def test_vibrators_go_on_between_requests(make_source):
+    source, mixture = make_source("tone:250Hz,1.5um", vibrated=True)
     row = Primary.PC, mixture.sites[0]
-    levels = [each.activation[row] for time, each in asked(sensor, 0.3) if 1e5 < time < 4e5]
+    levels = [each.activation[row] for time, each in asked(source, 0.3) if 1e5 < time < 4e5]
     assert len(levels) > 20
     assert min(levels) > 0.8
 
 
-def test_whose_word_on_force_counts(profile, make_sensor):
-    sensor, mixture = make_sensor("press:1N")
-    assert not sensor.knows_force
-    assert np.isnan(sensor.read(0).force_n)
-    pressing = ColorSensor("it", profile, mixture, 0.7)
+def test_whose_word_on_force_counts(profile, make_source):
+    source, mixture = make_source("press:1N")
+    assert not source.knows_force
+    assert np.isnan(source.read(0).force_n)
+    pressing = ColorSource("it", profile, mixture, 0.7)
     assert pressing.knows_force
     assert pressing.read(0).force_n == 0.7
     assert pressing.duration_s == 0.5
     assert pressing.read(500_000_000) is None
 
 
-def test_the_price_of_pc_is_that_of_its_kernels(profile, bank, make_sensor):
-    _, mixture = make_sensor("tone:250Hz,1.5um")
+def test_the_price_of_pc_is_that_of_its_kernels(profile, bank, make_source):
+    _, mixture = make_source("tone:250Hz,1.5um")
     price = pacinian_price(profile, bank, mixture.sites)
     # Felt at 27, 28, 35 and 36, stimulated a pitch below.
     assert price.mean == pytest.approx(bank.worst_other[Primary.PC][[35, 36, 43, 44]].mean())
@@ -106,12 +106,12 @@ def test_where_pc_cannot_be_driven_it_has_no_price(profile, bank):
     assert pacinian_price(profile, bank, np.array([60])) is None  # nothing lies below
 
 
-def test_figures_and_notes_say_what_went_out(profile, bank, make_sensor):
+def test_figures_and_notes_say_what_went_out(profile, bank, make_source):
     spec = "tone:30Hz,6um+press:0.45N"
     answers = split(open_trace(spec, 0.5), sai_full_n=profile.force.full_n)
-    sensor, mixture = make_sensor(spec, sites=range(64))
-    asked(sensor)
-    figures = as_figures(answers, mixture, sensor, None)
+    source, mixture = make_source(spec, sites=range(64))
+    asked(source)
+    figures = as_figures(answers, mixture, source, None)
     assert figures["classes"]["RA"]["sent"]["planned"] == mixture.pulses(Primary.RA)
     assert figures["classes"]["SAI"]["answered"]["rate_hz"] == pytest.approx(23, abs=3)
     assert "sent" not in figures["classes"]["PC"]

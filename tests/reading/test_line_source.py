@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smarttouch.reading.cursor import Motion, Spot, SweepingCursor
-from smarttouch.reading.sensor import ReadingSensor
+from smarttouch.reading.line_source import ReadingSource
 from smarttouch.reading.window import pixel_of
 
 
@@ -23,9 +23,9 @@ class Stands:
 def test_a_frame_is_a_window_on_the_line(reading, feed_of, make_line):
     line, pixel_mm = make_line(30.0, (10.0, 14.0)), pixel_of(reading)
     spots = [Spot(0, line, x, y, 1.0) for x, y in ((12.0, 0.0), (4.0, 0.0), (12.0, 4.0))]
-    sensor = ReadingSensor("x", reading, feed_of(line), Stands(*spots))
-    frames = [sensor.read(each) for each in range(3)]
-    assert sensor.read(3) is None
+    source = ReadingSource("x", reading, feed_of(line), Stands(*spots))
+    frames = [source.read(each) for each in range(3)]
+    assert source.read(3) is None
     columns = reading.optics.sensor_columns
     for frame, spot in zip(frames, spots, strict=True):
         center_mm = spot.x_mm + (np.arange(columns) + 0.5 - columns / 2) * pixel_mm
@@ -38,8 +38,8 @@ def test_a_frame_is_a_window_on_the_line(reading, feed_of, make_line):
 
 
 def test_without_a_line_there_is_paper(reading, feed_of, make_line):
-    sensor = ReadingSensor("x", reading, feed_of(make_line()), Stands(Spot(0, None)))
-    frame = sensor.read(0)
+    source = ReadingSource("x", reading, feed_of(make_line()), Stands(Spot(0, None)))
+    frame = source.read(0)
     assert (frame.image == 255).all()
     assert frame.force_n == 0
 
@@ -47,17 +47,17 @@ def test_without_a_line_there_is_paper(reading, feed_of, make_line):
 def test_lines_lie_one_below_the_other(reading, feed_of, make_line):
     line = make_line(text="what it says")
     stands = Stands(*(Spot(index, line, 5.0, 0.0, 1.0) for index in range(3)))
-    sensor = ReadingSensor("a page", reading, feed_of(line, line, line), stands)
-    heights = [sensor.read(each).pose.y_mm for each in range(3)]
-    assert np.diff(heights) == pytest.approx([sensor.line_step_mm] * 2)
-    assert sensor.line_step_mm > reading.electrodes.extent_mm[1]
-    assert sensor.title == "a page, line 3: what it says"
+    source = ReadingSource("a page", reading, feed_of(line, line, line), stands)
+    heights = [source.read(each).pose.y_mm for each in range(3)]
+    assert np.diff(heights) == pytest.approx([source.line_step_mm] * 2)
+    assert source.line_step_mm > reading.electrodes.extent_mm[1]
+    assert source.title == "a page, line 3: what it says"
 
 
 def test_it_heeds_the_keys_of_its_cursor(reading, feed_of, make_line):
     feed = feed_of(make_line(), make_line())
-    sensor = ReadingSensor("x", reading, feed, SweepingCursor(feed, Motion(25.0), 1.0))
-    sensor.read(0)
-    sensor.keys["right"]()
-    sensor.read(20_000_000)
-    assert sensor.index == 1
+    source = ReadingSource("x", reading, feed, SweepingCursor(feed, Motion(25.0), 1.0))
+    source.read(0)
+    source.keys["right"]()
+    source.read(20_000_000)
+    assert source.index == 1

@@ -8,7 +8,7 @@ import pytest
 from smarttouch.errors import SensorError
 from smarttouch.primary import Mode, Primary
 from smarttouch.texture.motion import Motion
-from smarttouch.texture.sensor import JUMP_MM, MouseSensor, PulseLimit
+from smarttouch.texture.source import JUMP_MM, MouseSource, PulseLimit
 from smarttouch.texture.sweep_motion import START_S
 from smarttouch.texture.textures import open_texture
 
@@ -35,11 +35,11 @@ class Played(Motion):
         return next(self._places, None)
 
 
-def pulses(sensor, step_us=10_000):
-    """Read a sensor to its end; return what it asked of its class, (frames, E)."""
+def pulses(source, step_us=10_000):
+    """Read a source to its end; return what it asked of its class, (frames, E)."""
     asked, time_ns = [], 0
-    while (frame := sensor.read(time_ns)) is not None:
-        asked.append(frame.activation[sensor.mode.primaries[0]])
+    while (frame := source.read(time_ns)) is not None:
+        asked.append(frame.activation[source.mode.primaries[0]])
         time_ns += 1000 * step_us
     return np.array(asked)
 
@@ -77,13 +77,13 @@ def test_a_grating_in_an_image_pulses_as_often(
 def test_up_to_the_bound_and_not_beyond(mouse, mouse_bank):
     texture = open_texture("grating:4mm,10deg")
     share = math.cos(math.radians(10))
-    fine, sensor = stroke(texture, 180, mouse, mouse_bank, length_mm=100)
+    fine, source = stroke(texture, 180, mouse, mouse_bank, length_mm=100)
     assert fine.mean() == pytest.approx(45 * share, rel=0.01)
-    assert sensor.notes == []
-    too_fast, sensor = stroke(texture, 280, mouse, mouse_bank, length_mm=100)
+    assert source.notes == []
+    too_fast, source = stroke(texture, 280, mouse, mouse_bank, length_mm=100)
     assert 30 < too_fast.mean() < 50.5
-    assert numbers_in(sensor.notes[0]) == [sensor._limit.left_out, 50]
-    assert sensor._limit.left_out > 0
+    assert numbers_in(source.notes[0]) == [source._limit.left_out, 50]
+    assert source._limit.left_out > 0
 
 
 @pytest.mark.parametrize(
@@ -127,13 +127,13 @@ def test_at_rest_nothing_is_felt(mouse):
     count_mm = 25.4 / 800
     for texture in (GRATING, open_texture("grating:0.5mm,20deg")):
         jumps = count_mm * random.integers(-1, 2, (1000, 2))
-        sensor = MouseSensor(texture, Played([(0, 0), *jumps], count_mm), mouse, press_n=1.0)
-        assert pulses(sensor).sum() == 0
+        source = MouseSource(texture, Played([(0, 0), *jumps], count_mm), mouse, press_n=1.0)
+        assert pulses(source).sum() == 0
         # Also where it comes to rest after a way.
         there = [(0.4 * k, 0.1 * k) for k in range(100)]
         way = [*there, (39.6, 9.9), (39.6, 9.9), *(jumps + np.array([39.6, 9.9]))]
-        sensor = MouseSensor(texture, Played(way, count_mm), mouse, press_n=1.0)
-        asked = pulses(sensor)
+        source = MouseSource(texture, Played(way, count_mm), mouse, press_n=1.0)
+        asked = pulses(source)
         assert asked[:100].sum() > 100
         assert asked[101:].sum() == 0
 
@@ -141,7 +141,7 @@ def test_at_rest_nothing_is_felt(mouse):
 def test_it_is_silent_from_the_first_frame_of_rest(tmp_path, mouse):
     texture = open_texture(str(object_file(tmp_path / "o.png", "disc")))
     way = [(20 + 0.4 * k, 20) for k in range(50)] + [(40, 20)] * 50
-    asked = pulses(MouseSensor(texture, Played(way), mouse, press_n=1.0))
+    asked = pulses(MouseSource(texture, Played(way), mouse, press_n=1.0))
     assert asked[40:50].sum() > 0
     assert asked[51:].sum() == 0
 
@@ -149,16 +149,16 @@ def test_it_is_silent_from_the_first_frame_of_rest(tmp_path, mouse):
 def test_a_place_that_is_found_again_is_no_way(mouse):
     apart = JUMP_MM + 0.5
     way = [(0, 0), (0.5, 0), (0.5 + apart, 0), (0.5 + apart, 0), (0.5 + apart, apart)]
-    assert pulses(MouseSensor(GRATING, Played(way), mouse, press_n=1.0))[2:].sum() == 0
+    assert pulses(MouseSource(GRATING, Played(way), mouse, press_n=1.0))[2:].sum() == 0
     way[2:] = [(0.5 + JUMP_MM - 0.5, 0)]
-    assert pulses(MouseSensor(GRATING, Played(way), mouse, press_n=1.0))[2].all()
+    assert pulses(MouseSource(GRATING, Played(way), mouse, press_n=1.0))[2].all()
 
 
 def test_a_late_frame_is_one_pulse_and_counted(mouse):
-    sensor = MouseSensor(GRATING, Played([(0.1, 0), (12.1, 0)]), mouse, press_n=1.0)
-    assert pulses(sensor)[1].tolist() == [1.0] * 64
-    assert sensor.merged == 2 * 64
-    assert numbers_in(sensor.notes[0]) == [128]
+    source = MouseSource(GRATING, Played([(0.1, 0), (12.1, 0)]), mouse, press_n=1.0)
+    assert pulses(source)[1].tolist() == [1.0] * 64
+    assert source.merged == 2 * 64
+    assert numbers_in(source.notes[0]) == [128]
 
 
 def test_the_limit_holds_whatever_is_asked():
@@ -179,21 +179,21 @@ def test_the_limit_holds_whatever_is_asked():
 def test_it_tells_once_what_is_left_out(mouse):
     told = []
     way = [(2.5 * k, 0) for k in range(100)]
-    sensor = MouseSensor(GRATING, Played(way), mouse, fastest_hz=10.0, press_n=1.0)
-    sensor.emit = lambda event: told.append((event.time_ns, str(event)))
-    pulses(sensor)
+    source = MouseSource(GRATING, Played(way), mouse, fastest_hz=10.0, press_n=1.0)
+    source.emit = lambda event: told.append((event.time_ns, str(event)))
+    pulses(source)
     assert len(told) == 1
     assert numbers_in(told[0][1]) == [10]
 
 
 def test_what_a_frame_says(mouse):
     motion = Played([(0, 0), (3, 1), (3, 1)], force_n=0.4)
-    sensor = MouseSensor(GRATING, motion, mouse, Mode.SAI, rate_hz=50, scale=2.0)
-    frames = [sensor.read(20_000_000 * k) for k in range(3)]
+    source = MouseSource(GRATING, motion, mouse, Mode.SAI, rate_hz=50, scale=2.0)
+    frames = [source.read(20_000_000 * k) for k in range(3)]
     assert (frames[1].pose.x_mm, frames[1].pose.y_mm) == (6, 2)
     assert [each.number for each in frames] == [0, 1, 1]
     assert frames[2].image is frames[1].image
-    assert (sensor.frames, sensor.knows_force, frames[1].force_n) == (2, True, 0.4)
+    assert (source.frames, source.knows_force, frames[1].force_n) == (2, True, 0.4)
     assert frames[1].period_us == 20_000
     rows = frames[1].activation.any(axis=1)
     assert rows.tolist() == [each is Primary.SAI for each in Primary]
@@ -205,14 +205,14 @@ def test_without_an_origin_it_begins_in_the_middle(tmp_path, mouse):
     texture = open_texture(str(object_file(tmp_path / "o.png", "disc")))
     motion = Played([(0, 0), (1, 2)])
     motion.origin_mm = None
-    sensor = MouseSensor(texture, motion, mouse)
-    poses = [sensor.read(k).pose for k in range(2)]
+    source = MouseSource(texture, motion, mouse)
+    poses = [source.read(k).pose for k in range(2)]
     assert [(each.x_mm, each.y_mm) for each in poses] == [(40, 20), (41, 22)]
 
 
 def test_who_presses(mouse):
-    assert MouseSensor(GRATING, Played([(0, 0)]), mouse, press_n=1.0).read(0).force_n == 1.0
-    nobody = MouseSensor(GRATING, Played([(0, 0)]), mouse)
+    assert MouseSource(GRATING, Played([(0, 0)]), mouse, press_n=1.0).read(0).force_n == 1.0
+    nobody = MouseSource(GRATING, Played([(0, 0)]), mouse)
     assert math.isnan(nobody.read(0).force_n)
     assert not nobody.knows_force
 
@@ -220,8 +220,8 @@ def test_who_presses(mouse):
 def test_without_contact_nothing_flows(tmp_path, mouse, mouse_bank):
     motion = path_motion(tmp_path, [0, 1], [0, 40], [0, 0])
     motion.knows_force, motion.force_n = True, 0.05
-    sensor = MouseSensor(GRATING, motion, mouse)
-    touched = feel(sensor, mouse, mouse_bank)
+    source = MouseSource(GRATING, motion, mouse)
+    touched = feel(source, mouse, mouse_bank)
     assert touched.tally.slots == 0
     assert touched.tally.frames > 100 * (START_S + 1)
 
@@ -247,4 +247,4 @@ def test_other_classes_feel_it_too(mouse, mouse_bank, mode):
 def test_what_is_impossible_is_said(mouse, options, about, allowed):
     (value,) = options.values()
     with raises(SensorError, about=about, value=value, allowed=allowed):
-        MouseSensor(GRATING, Played([]), mouse, **options)
+        MouseSource(GRATING, Played([]), mouse, **options)
