@@ -1,7 +1,8 @@
 """Sources and boards by URL: a name before the first colon picks the opener."""
 
+import inspect
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -40,15 +41,7 @@ def find_opener(
     name, colon, rest = url.partition(":")
     known = known_openers(group)
     if not colon or name not in known:
-        kind = group.rpartition(".")[2].removesuffix("s")
-        names = ", ".join(f"{each}:" for each in sorted(known))
-        raise error(
-            f"unknown {kind} {url!r}: it must begin with one of {names}",
-            about=kind,
-            problem="unknown",
-            value=url,
-            allowed=tuple(sorted(known)),
-        )
+        raise unknown(group.rpartition(".")[2].removesuffix("s"), url, sorted(known), error)
     point = known[name]
     if point.group != group:
         package = point.dist.name if point.dist is not None else point.module
@@ -60,3 +53,46 @@ def find_opener(
         )
     opener: Callable[..., Any] = point.load()
     return opener, rest
+
+
+def unknown(
+    kind: str, url: str, known: Sequence[str], error: type[SmartTouchError]
+) -> SmartTouchError:
+    """Return the error of a URL that begins with none of the names that are known."""
+    names = ", ".join(f"{each}:" for each in known)
+    return error(
+        f"unknown {kind} {url!r}: it must begin with one of {names}",
+        about=kind,
+        problem="unknown",
+        value=url,
+        allowed=tuple(known),
+    )
+
+
+def given_options(
+    opener: Callable[..., Any],
+    url: str,
+    options: dict[str, Any],
+    error: type[SmartTouchError],
+) -> dict[str, Any]:
+    """Return the options that were given, which those that are None were not.
+
+    Raises
+    ------
+    SmartTouchError
+        Of the type given, if the opener does not take one of them by its name.
+    """
+    given = {name: value for name, value in options.items() if value is not None}
+    parameters = inspect.signature(opener).parameters.values()
+    taken = tuple(each.name for each in parameters if each.default is not each.empty)
+    for name in given:
+        if name not in taken:
+            takes = ", ".join(taken) or "none"
+            raise error(
+                f"{url.partition(':')[0]}: does not take {name}: leave it out (it takes {takes})",
+                about=name,
+                problem="unknown",
+                value=given[name],
+                allowed=taken,
+            )
+    return given

@@ -110,7 +110,7 @@ def run_loop(
         for note in pace.notes if board.on_a_finger else ():
             emit(Note(0, note))
         loop.run(seconds)
-    emit(RunEnded(loop.elapsed_ns, stop.reason or "the end of what the sensor sees"))
+    emit(RunEnded(loop.elapsed_ns, stop.reason or source.ended))
 
 
 @dataclass

@@ -65,7 +65,7 @@ class ImageDevice(ABC):
     """Where a live sensor's images come from; used by one thread at a time."""
 
     title: str
-    """What it is, in a few words, for the screen and for errors."""
+    """What it is, in a few words."""
     stale_s: float = STALE_S
     """What an image shows may be gone after so long; longer only for images that are slow."""
 

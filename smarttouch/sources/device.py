@@ -1,4 +1,4 @@
-"""Base of sensors and sources of force."""
+"""Base of sources and of what knows the force."""
 
 from types import TracebackType
 from typing import Self
@@ -10,7 +10,7 @@ class Device:
     Parameters
     ----------
     title : str
-        What it is, in a few words, for the screen.
+        What it is, in a few words.
 
     Attributes
     ----------

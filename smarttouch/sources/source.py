@@ -18,7 +18,7 @@ class Source(Device, ABC):
 
     duration_s: float | None = None
     """How long it lasts; None if it never ends by itself."""
-    ended: ClassVar[str] = "the sensor has ended"
+    ended: ClassVar[str] = "the source has ended"
     """What its end is called."""
     emit: Emit = staticmethod(emit_nowhere)
     """Hands on events of the source; set by the run."""
