@@ -29,7 +29,7 @@ class Mode(StrEnum):
     NATURAL = "natural"
     """Moving edges of the ink drive RA, what stays drives SAI."""
     COLOR = "color"
-    """Each class as its source asks: for sources that know what they want to be felt."""
+    """Each class as stimuli have it: for sources that give these and no images."""
 
     @property
     def primaries(self) -> tuple[Primary, ...]:

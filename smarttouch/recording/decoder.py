@@ -98,9 +98,9 @@ class StepDecoder:
     def _step(self) -> RecordedStep:
         parts = {topic: messages[0] for topic, messages in self._parts.items()}
         finger, board = parts["/finger"], parts[LAST]
+        image = self._image_of(parts)
         sequence = _sequence_of(parts["/sequence"], self.electrodes)
         remember(self._sequences, sequence.time_ns, sequence)
-        image = self._image_of(parts)
         activation = _activation_of(parts["/tactile"], self.electrodes)
         time_ns, force_n = int(finger["time_ns"]), _number(finger["force_n"])
         tactile = TactileImage(activation, time_ns, force_n)
@@ -111,15 +111,11 @@ class StepDecoder:
             "stale": bool(finger["stale"]),
         }
         given: Input
-        if "/request" in parts:
-            period_us, level = _asked(parts["/request"])
-            given = tactile = Stimulus(
-                activation, time_ns, force_n, period_us, level, image=image, **where
-            )
-        elif image is not None:
-            given = Frame(image, time_ns, force_n=force_n, **where)
+        if image is None or "/request" in parts:
+            asked = _asked(parts["/request"])
+            given = tactile = Stimulus(activation, time_ns, force_n, *asked, image=image, **where)
         else:
-            raise ValueError("a step without an image has no stimulus")
+            given = Frame(image, time_ns, force_n=force_n, **where)
         told = parts["/sequence"]
         step = Step(
             input=given,

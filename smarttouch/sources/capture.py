@@ -62,7 +62,7 @@ class Shot:
 
 
 class ImageDevice(ABC):
-    """Where a live sensor's images come from; used by one thread at a time."""
+    """Device that a live source takes its images from; used by one thread at a time."""
 
     title: str
     """What it is, in a few words."""
@@ -113,7 +113,7 @@ class LiveSource(OpticalSource):
     Parameters
     ----------
     device : ImageDevice
-        Not open yet. The sensor opens it, at once, and closes it.
+        Not open yet. The source opens it, at once, and closes it.
     profile : Profile
         Optics: scale of the motion, flat field.
     replug_s : float, s
@@ -296,7 +296,7 @@ class LiveSource(OpticalSource):
                 self.dropped_frames += images
 
     def _error(self, problem: str, message: str, most: float | None = None) -> SensorError:
-        return SensorError(message, about="sensor", problem=problem, value=self.title, allowed=most)
+        return SensorError(message, about="source", problem=problem, value=self.title, allowed=most)
 
     def _fail(self, failure: SensorError) -> None:
         with self._changed:

@@ -212,7 +212,7 @@ class PointScan:
         ]
 
     def _active(self, activation: NDArray[np.float32], period_us: int) -> tuple[Primary, ...]:
-        """Return the classes that a request lets pulse."""
+        """Return the classes that an image with its own period lets pulse."""
         if period_us < self._least_us:
             raise ScheduleError(
                 f"pulses {period_us} µs apart are not possible: the profile's limit of "

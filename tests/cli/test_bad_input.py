@@ -43,7 +43,7 @@ def folder(tmp_path):
         ("live --sensor page:page.png", "give --dpi or --page-width-mm"),
         ("live --sensor page:.", "is a folder"),
         ("live --sensor text:", "nothing to print"),
-        ("live --sensor radio:5", "unknown sensor 'radio:5'"),
+        ("live --sensor radio:5", "unknown source 'radio:5'"),
         ("live --profile nobody", "no profile 'nobody'"),
         ("live --profile wrong.toml", "wrong.toml: "),
         ("live --board nobody:", "unknown board 'nobody:'"),

@@ -250,7 +250,7 @@ def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
     [
         (["optics"], "give --sensor, or --dark and --white", CalibrationError),
         (["optics", "--dark", "frames:none"], "give --sensor, or", CalibrationError),
-        (["optics", "--sensor", "nothing:", "--yes"], "unknown sensor", SensorError),
+        (["optics", "--sensor", "nothing:", "--yes"], "unknown source", SensorError),
         (["optics", "--sensor", "frames:none", "--yes"], "none", SensorError),
         (["registration"], "give --sensor, or --simulate", CalibrationError),
         (["registration", "--center", "left"], "--center 'left'", CalibrationError),

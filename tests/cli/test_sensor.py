@@ -49,7 +49,7 @@ def test_a_force_is_shown(run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["show", "nothing:"], "unknown sensor 'nothing:'"),
+        (["show", "nothing:"], "unknown source 'nothing:'"),
         (["show", "text:x", "--force"], "unknown force 'text:x'"),
         (["show", "text:x", "--seconds", "0"], "--seconds 0 must be above 0"),
         (["show", "text:x", "--seconds", "nan"], "--seconds nan must be above 0"),

@@ -228,7 +228,7 @@ def test_a_source_that_cannot_be_opened(profile):
 
 def test_no_image_at_first(profile, monkeypatch):
     monkeypatch.setattr(capture, "FIRST_IMAGE_S", 0.01)
-    mute = {"about": "sensor", "problem": "mute", "value": "by hand", "allowed": 0.01}
+    mute = {"about": "source", "problem": "mute", "value": "by hand", "allowed": 0.01}
     with LiveSource(Handed(), profile) as sensor, raises(SensorError, **mute):
         sensor.read(0)
 
@@ -242,7 +242,7 @@ def test_no_image_at_first(profile, monkeypatch):
         ),
         (
             ODD,
-            {"about": "sensor", "problem": "failed", "value": "camera 0", "__cause__": ODD},
+            {"about": "source", "problem": "failed", "value": "camera 0", "__cause__": ODD},
         ),
     ],
 )
@@ -301,7 +301,7 @@ def test_not_plugged_in_again(profile):
     gone = [SensorError("no camera")] * 20
     source = Script(shot(0), SourceLostError("gone"), opens=[None, *gone])
     sensor = LiveSource(source, profile, replug_s=3, now_ns=lambda: next(now))
-    lost = {"about": "sensor", "problem": "gone", "value": "camera 0", "allowed": 3}
+    lost = {"about": "source", "problem": "gone", "value": "camera 0", "allowed": 3}
     with sensor, raises(SensorError, **lost):
         read_to_the_end(sensor)
     assert sensor.frames == 1

@@ -89,7 +89,7 @@ def test_vibrators_do_it_instead_of_pulses_of_pc(profile, bank):
     assert mixture.vibrated
     assert Primary.PC not in mixture.ideal_us
     assert np.diff(mixture.time_us).max() <= 1.5 * VIBRATION_US
-    # Held at every request, those of other classes too.
+    # Held at every stimulus, those of other classes too.
     middle = (mixture.time_us > 100_000) & (mixture.time_us < 900_000)
     assert (mixture.drive[middle, Primary.PC] > 0.8).all()
     assert mixture.pulses(Primary.RA) == 29

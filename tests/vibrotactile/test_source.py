@@ -26,7 +26,7 @@ def make_source(profile, bank):
 
 
 def asked(source, stretch=1.0):
-    """Return time and request of every frame, each sequence as much longer than asked."""
+    """Return time and stimulus of each read, each sequence as much longer than asked."""
     frames, now_us = [], 0
     while (frame := source.read(now_us * 1000)) is not None:
         frames.append((now_us, frame))

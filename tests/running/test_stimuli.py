@@ -1,4 +1,4 @@
-"""Sources that ask for their pulses get just those, within the same limits as everyone."""
+"""Stimuli get just the pulses that they ask for, within the same limits as everything."""
 
 from dataclasses import replace
 
