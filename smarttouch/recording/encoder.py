@@ -50,14 +50,8 @@ class StepEncoder:
         yield "/finger", _finger(given)
         yield "/tactile", _tactile(step)
         if isinstance(given, Stimulus):
-            yield (
-                "/request",
-                {
-                    "period_us": given.period_us,
-                    "level": float(given.level),
-                    "image": given.image is not None,
-                },
-            )
+            asked = {"period_us": given.period_us, "level": float(given.level)}
+            yield "/request", {**asked, "image": given.image is not None}
         yield "/sequence", _sequence(result)
         remember(self._numbers, step.sequence.time_ns, result.number)
         for sequence, volts in step.observed:

@@ -71,7 +71,7 @@ class RecordingSource(Source):
                 return None
             self._advance()
         else:
-            while self._ahead is not None and self._is_due(self._ahead, time_ns):
+            while self._ahead and (not self._now or self._ahead.step.input.time_ns <= time_ns):
                 self._advance()
             if self._ahead is None and self._now is not None and time_ns >= _end_ns(self._now):
                 return None
@@ -86,9 +86,6 @@ class RecordingSource(Source):
         """Let go of the file; what was passed and not read is dropped."""
         self._steps.close()
         self._drop()
-
-    def _is_due(self, ahead: RecordedStep, time_ns: int) -> bool:
-        return self._now is None or ahead.step.input.time_ns <= time_ns
 
     def _advance(self) -> None:
         """Go to the next step; its input may be the same."""

@@ -1,4 +1,4 @@
-"""The pose of any source's frames as the motion of a hand, as an optical mouse has it."""
+"""The pose of any source as the motion of a hand, as an optical mouse has it."""
 
 import math
 
@@ -13,15 +13,7 @@ RESOLUTION_MM = 0.02
 
 
 def open_it(url: str, *, profile: Profile | None = None) -> "SourceMotion":
-    """Open a source whose frames say where it is.
-
-    Parameters
-    ----------
-    url : str
-        Of the source, see `open_source`.
-    profile : Profile, optional
-        Its optics; electric-mouse if not given.
-    """
+    """Open any source that knows its pose; its optics are electric-mouse's if none are given."""
     return SourceMotion(open_source(url, profile or load_profile(DEFAULT_PROFILE)))
 
 
@@ -45,15 +37,15 @@ class SourceMotion(Motion):
         self._first: Pose | None = None
 
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return how far the source is from where its first frame was; None after its last."""
-        frame = self._source.read(time_ns)
-        if frame is None:
+        """Return how far the source is from where it was first; None after its end."""
+        given = self._source.read(time_ns)
+        if given is None:
             return None
         if self._first is None:
-            self._first = frame.pose
+            self._first = given.pose
         # What was seen last may be gone: nobody knows whether the finger is still there.
-        self.force_n = math.nan if frame.stale else frame.force_n
-        return frame.pose.x_mm - self._first.x_mm, frame.pose.y_mm - self._first.y_mm
+        self.force_n = math.nan if given.stale else given.force_n
+        return given.pose.x_mm - self._first.x_mm, given.pose.y_mm - self._first.y_mm
 
     def close(self) -> None:
         """Close the source."""
