@@ -10,7 +10,7 @@ from smarttouch.cli.run_options import RunOptions, takes_run_options
 
 
 @drives_a_board
-@takes_run_options
+@takes_run_options()
 def replay(
     run: RunOptions,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, whole or cut.")],

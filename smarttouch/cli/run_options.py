@@ -137,11 +137,22 @@ class RunOptions:
         return stack.enter_context(open_force(self.force, profile))
 
 
-def takes_run_options(command: Callable[..., _T]) -> Callable[..., _T]:
+def takes_run_options(
+    **defaults: Any,
+) -> Callable[[Callable[..., _T]], Callable[..., _T]]:
     """Let a command take each option of `RunOptions`; it is given all of them as ``run``.
 
     An option that the command names itself is its own.
+
+    Parameters
+    ----------
+    **defaults
+        Of options that have another default in this command.
     """
+    return functools.partial(_expanded, defaults=defaults)
+
+
+def _expanded(command: Callable[..., _T], defaults: dict[str, Any]) -> Callable[..., _T]:
     hints = get_type_hints(command, include_extras=True)
     options = get_type_hints(RunOptions, include_extras=True)
     parameters = inspect.signature(command).parameters
@@ -161,7 +172,7 @@ def takes_run_options(command: Callable[..., _T]) -> Callable[..., _T]:
         inspect.Parameter(
             each.name,
             inspect.Parameter.KEYWORD_ONLY,
-            default=each.default,
+            default=defaults.get(each.name, each.default),
             annotation=options[each.name],
         )
         for each in shared

@@ -87,7 +87,10 @@ class RunConfig:
                 )
         if self.seconds is not None and not self.seconds > 0:
             raise SmartTouchError(
-                f"seconds {self.seconds:g} must be above 0", about="seconds", value=self.seconds
+                f"seconds {self.seconds:g} must be above 0",
+                about="seconds",
+                value=self.seconds,
+                allowed=0,
             )
 
     def sharing(self, profile: Profile) -> Sharing:

@@ -9,7 +9,7 @@ from typing import Any
 from smarttouch.boards.board import Board, BoardReport
 from smarttouch.clock import Clock, SimulatedClock
 from smarttouch.errors import BoardStoppedError, SensorError, SmartTouchError
-from smarttouch.events import Note
+from smarttouch.events import Advice, Note, RunFailed
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.primary import Mode
 from smarttouch.profile import Profile
@@ -122,7 +122,7 @@ class Runner:
                 ended = self._stop.reason or ended
                 raise
             except SmartTouchError as error:
-                self._note_late(str(error))
+                self._emit(RunFailed(self._now_ns, str(error)))
                 raise
             finally:
                 self.source.close()
@@ -145,7 +145,7 @@ class Runner:
         profile = self.display.profile
         if config.measure:
             with self._opened(self._stop):
-                profile = masked_where_broken(board, profile, self._note_early)
+                profile = masked_where_broken(board, profile, self._advise)
         bank = self._load_kernels(profile)
         vibrated = self.display.vibrators_url is not None
         pipeline = Pipeline(profile, bank, config, board.timing, vibrated=vibrated)
@@ -166,7 +166,7 @@ class Runner:
         with steady_environment(pipeline), self._opened(self._stop):
             self._require_force()
             self._warn_of_simulation(profile)
-            regulator = make_regulator(board, profile, self.config, self._note_early)
+            regulator = make_regulator(board, profile, self.config, self._advise)
             context.settings |= self._board_settings()
             for listener in self._listeners:
                 listener.start(context)
@@ -235,11 +235,15 @@ class Runner:
             *(force.notes if force is not None else ()),
         ]
 
-    def _note_early(self, words: str) -> None:
-        self._emit(Note(0, words))
+    def _advise(self, words: str) -> None:
+        self._emit(Advice(0, words))
 
     def _note_late(self, words: str) -> None:
-        self._emit(Note(int(self.statistics.seconds * 1e9), words))
+        self._emit(Note(self._now_ns, words))
+
+    @property
+    def _now_ns(self) -> int:
+        return int(self.statistics.seconds * 1e9)
 
     def _require_a_level(self) -> None:
         if not self._sayable:
@@ -269,7 +273,7 @@ class Runner:
             name for name, note in profile.calibrated.items() if note.found.startswith("simulated")
         ]
         if simulated and self.display.on_a_finger:
-            self._note_early(
+            self._advise(
                 f"Of the profile {', '.join(simulated)} were calibrated in simulation, on no "
                 "finger: calibrate again, and turn the current up slowly."
             )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smarttouch.errors import BoardError, BoardStoppedError, SensorError, SmartTouchError
-from smarttouch.events import IntensityChanged, ModeChanged, Note, RunEnded
+from smarttouch.events import Advice, IntensityChanged, ModeChanged, RunEnded
 from smarttouch.outputs import FeltPicture, Patterns
 from smarttouch.primary import Mode
 from smarttouch.recording.recorder import Recorder
@@ -157,7 +157,7 @@ def test_a_simulated_calibration_is_no_finger_s(profile, source, monkeypatch):
                 open_sensor("text:a", profile, speed_mm_s=400), display, RunConfig(intensity=0.5),
                 listeners=[noting],
             ).run()  # fmt: skip
-            notes.append([each for each in noting.events if isinstance(each, Note)])
+            notes.append([each for each in noting.events if isinstance(each, Advice)])
     assert not any("thresholds" in str(each) for each in notes[0])
     assert any("thresholds" in str(each) for each in notes[1])
 
