@@ -116,11 +116,15 @@ class RunOptions:
         """Return the configuration of the run; settings that a command adds go first."""
         from smarttouch.running.config import RunConfig
 
+        return RunConfig(**(self.settings() | {"mode": mode} | more))
+
+    def settings(self, *but: str) -> dict[str, Any]:
+        """Return the settings of `RunConfig` that were given, without some."""
         names = (
             "scan", "seconds", "intensity", "softness", "measure", "hold", "balance", "subject",
             "note",
         )  # fmt: skip
-        return RunConfig(**({name: getattr(self, name) for name in names} | {"mode": mode} | more))
+        return {name: getattr(self, name) for name in names if name not in but}
 
     def outputs(self) -> "Outputs":
         """Return the files of the run."""

@@ -52,6 +52,12 @@ class RunConfig:
     ------
     SmartTouchError
         If a value is impossible.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> st.RunConfig(mode="SAI", seconds=2).mode
+    <Mode.SAI: 'SAI'>
     """
 
     mode: Mode | str = Mode.RA

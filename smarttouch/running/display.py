@@ -33,6 +33,13 @@ class Display:
     ------
     BoardError
         If there is no such driver, or the profile does not go with it.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> with st.open_display("simulated:") as display:
+    ...     display.on_a_finger
+    False
     """
 
     def __init__(
@@ -66,7 +73,7 @@ class Display:
 
     @property
     def stopping(self) -> StopRequest:
-        """Request that ends the run on it."""
+        """Request that ends whatever runs on it."""
         return self._stop
 
     def stop(self) -> None:
@@ -119,6 +126,12 @@ def open_display(
     ------
     BoardError
         If there is no such driver, or the profile does not go with it.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> st.open_display("simulated:").profile.name
+    'electric-mouse'
     """
     if not isinstance(profile, Profile):
         profile = load_profile(profile or usual_profile(url))

@@ -54,7 +54,7 @@ class Runner:
         Level at the start, and that which controls do not raise it above; those of the
         configuration if not given.
     stop : StopRequest, optional
-        The display's if not given.
+        One of its own if not given; `Display.stop` ends the run too.
     load_kernels : callable
         Returns the kernels of a profile.
     opened : callable, optional
@@ -66,8 +66,6 @@ class Runner:
     Attributes
     ----------
     statistics : RunStatistics
-    notes : list of str
-        Sentences that a user should know after the run.
     """
 
     def __init__(
@@ -87,14 +85,14 @@ class Runner:
         clock: Clock | None = None,
     ) -> None:
         self.source, self.display, self.config, self._force = source, display, config, force
-        self.statistics, self.notes = RunStatistics(), list[str]()
+        self.statistics = RunStatistics()
         self._listeners = as_listeners(listeners)
         self._controls, self._load_kernels = controls, load_kernels
         level = config.intensity
         self._first = first_level if first_level is not None else 1.0 if level is None else level
         self._most = most if most is not None else 1.0
         self._sayable = level is not None or first_level is not None or not display.on_a_finger
-        self._stop = stop or display.stopping
+        self._stop = stop or StopRequest()
         self._opened = opened or display.opened
         self._clock = clock
         self._emit = emit_to(self._listeners)
@@ -108,6 +106,8 @@ class Runner:
             Whatever keeps the run from beginning or going on; the display is at zero.
         """
         with contextlib.ExitStack() as stack:
+            ending = self.display.stopping
+            stack.enter_context(ending.telling(lambda: self._stop.ask(ending.reason)))
             for listener in reversed(self._listeners):
                 stack.callback(listener.close)
             stack.callback(self.source.close)
@@ -131,11 +131,11 @@ class Runner:
                 self.statistics.figures = figures_of(
                     self.statistics, self.source, board, report, ended
                 )
-                self.notes += self._notes()
+                self.statistics.notes += self._notes()
             for listener in self._listeners:
                 listener.finish(context)
         for listener in self._listeners:
-            self.notes += listener.notes
+            self.statistics.notes += listener.notes
         return self.statistics
 
     def _prepared(self) -> tuple[RunContext, Pipeline]:
