@@ -73,7 +73,7 @@ def test_a_run_from_its_source_to_its_statistics(source, display, bank):
     assert statistics.figures["frames_in"] == statistics.seen
     assert statistics.figures["slots"] == sum(each.sequence.slots for each in noting.results) > 0
     assert noting.context.settings["seed"] == 3
-    assert noting.context.settings["sensor"] == source.title
+    assert noting.context.settings["sensor"] == source.url == "text:on"
     assert noting.context.bank is bank
     kinds = [type(event) for event in noting.events]
     assert kinds[:2] == [IntensityChanged, ModeChanged]
