@@ -9,6 +9,8 @@ import threading
 import time
 from pathlib import Path
 
+import pytest
+
 from smarttouch.boards.emulator.books import read_state
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.link import LinkBoard
@@ -17,9 +19,9 @@ from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
 from tests.boards.fresh import until
 
-pytestmark = pytest.mark.realtime
-
 from ..raising import assert_says, raises
+
+pytestmark = pytest.mark.realtime
 
 HOST = """
 import sys, time
