@@ -29,10 +29,18 @@ def open_source(
     ------
     SensorError
         If there is no such kind, it does not take an option, or cannot be opened.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> with st.open_source("text:touch", st.load_profile("electric-mouse")) as source:
+    ...     source.read(0).image.shape
+    (64, 64)
     """
     opener, rest = find_opener("smarttouch.sources", url, SensorError)
     given = given_options(opener, url, options, SensorError)
     if light_on_dark and "light_on_dark" in inspect.signature(opener).parameters:
         given["light_on_dark"] = True
     source: Source = opener(rest, profile, **given)
+    source.url = url
     return source

@@ -10,7 +10,7 @@ import pytest
 
 from smarttouch.boards.emulator.books import DELIVERED_FILE, STATE_FILE
 from smarttouch.boards.emulator.simulated import SimulatedBoard
-from smarttouch.profile import load_profile, profile_names
+from smarttouch.profile import list_profiles, load_profile
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 
 from .bounds import Bounds
@@ -49,7 +49,7 @@ class Watch:
 
     def __init__(self):
         self.broken, self.on = [], True
-        self._seen = {}
+        self._seen, self._of_profile = {}, {}
         self._oracles, self._clocks = WeakKeyDictionary(), WeakKeyDictionary()
 
     def bounds_of(self, limits):
@@ -65,7 +65,7 @@ class Watch:
         """
         if electrodes in self._seen:
             return self._seen[electrodes]
-        for name in profile_names():
+        for name in list_profiles():
             if len(load_profile(name).electrodes) == electrodes:
                 return Bounds.of(load_profile(name))
         return None
@@ -160,7 +160,10 @@ class Watch:
         @functools.wraps(of)
         def watched(kind, profile):
             limits = of(kind, profile)
-            bounds = vars(limits)[_OF_PROFILE] = Bounds.of(profile)
+            key = profile.model_dump_json()
+            if key not in self._of_profile:
+                self._of_profile[key] = Bounds.of(profile)
+            bounds = vars(limits)[_OF_PROFILE] = self._of_profile[key]
             self._seen[bounds.electrodes] = bounds
             return limits
 
