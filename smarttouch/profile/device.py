@@ -1,5 +1,6 @@
 """The tables of a profile that tell what its device is and may do."""
 
+from collections.abc import Iterator
 from datetime import datetime
 from typing import Literal, Self
 
@@ -18,7 +19,7 @@ from smarttouch.profile.ceilings import (
     LEAST_DISCHARGE_US,
     SHORTEST_RAMP_S,
 )
-from smarttouch.profile.table import Number, Positive, Table, UnfitError
+from smarttouch.profile.table import Number, Positive, Table, UnfitError, raise_all
 
 
 class Output(Table):
@@ -39,24 +40,27 @@ class Output(Table):
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
+        raise_all(self._misfits())
+        return self
+
+    def _misfits(self) -> Iterator[UnfitError]:
         for key, values in (("masked", self.masked), ("wiring", self.wiring or ())):
             if len(set(values)) < len(values):
                 twice = next(each for each in values if values.count(each) > 1)
-                raise UnfitError(
+                yield UnfitError(
                     f"output.{key} lists {twice} more than once: give each once",
                     about=f"output.{key}",
                     problem="twice",
                     value=twice,
                 )
             if min(values, default=0) < 0:
-                raise UnfitError(
+                yield UnfitError(
                     f"output.{key} lists {min(values)}: numbers begin at 0",
                     about=f"output.{key}",
                     problem="too small",
                     value=min(values),
                     allowed=0,
                 )
-        return self
 
 
 class Optics(Table):

@@ -1,11 +1,12 @@
 """The skin of a profile: conductivities, where its afferents run, and how sure that is."""
 
+from collections.abc import Iterator
 from typing import Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from smarttouch.profile.table import Positive, Table, UnfitError
+from smarttouch.profile.table import Positive, Table, UnfitError, raise_all
 
 
 class SkinLayer(Table):
@@ -56,9 +57,13 @@ class Skin(Table):
 
     @model_validator(mode="after")
     def _conducting(self) -> Self:
+        raise_all(self._misfits())
+        return self
+
+    def _misfits(self) -> Iterator[UnfitError]:
         layered = self.medium == "layered"
         if layered != bool(self.layers) or layered != (self.conductivity_s_per_m is None):
-            raise UnfitError(
+            yield UnfitError(
                 "a layered medium takes its conductivities from skin.layers, any other one from "
                 "skin.conductivity_s_per_m: give just that",
                 about="skin.medium",
@@ -66,15 +71,15 @@ class Skin(Table):
                 value=self.medium,
                 remedy="skin.layers" if layered else "skin.conductivity_s_per_m",
             )
-        if layered and not np.isinf(self.layers[-1].thickness_mm):
-            raise UnfitError(
+        if layered and self.layers and not np.isinf(self.layers[-1].thickness_mm):
+            yield UnfitError(
                 "the last of skin.layers goes on without end: leave out thickness_mm",
                 about="skin.layers",
                 problem="conflict",
                 value=self.layers[-1].thickness_mm,
             )
         if any(np.isinf(layer.thickness_mm) for layer in self.layers[:-1]):
-            raise UnfitError(
+            yield UnfitError(
                 "each of skin.layers but the last needs its thickness_mm",
                 about="skin.layers",
                 problem="missing",
@@ -82,7 +87,7 @@ class Skin(Table):
         for name in ("ra", "sai", "pc"):
             depth = getattr(self, f"{name}_depth_mm")
             if depth - getattr(self.spread, f"{name}_depth_mm") <= 0:
-                raise UnfitError(
+                yield UnfitError(
                     f"spread.{name}_depth_mm reaches the surface from {name}_depth_mm {depth:g}: "
                     "no fiber lies outside the skin; lower it",
                     about=f"skin.spread.{name}_depth_mm",
@@ -90,4 +95,3 @@ class Skin(Table):
                     value=getattr(self.spread, f"{name}_depth_mm"),
                     allowed=depth,
                 )
-        return self

@@ -5,10 +5,10 @@ import importlib
 import inspect
 
 import pytest
-
 from smarttouch.cli.kept import Kept
 from smarttouch.cli.plan import Plan
 from smarttouch.cli.sharing import parse_scan
+
 from smarttouch.errors import SmartTouchError
 from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
