@@ -1,6 +1,6 @@
 """All that pydantic finds wrong in a file, each thing in words and once."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from typing import Any
 
 from pydantic import ValidationError
@@ -34,9 +34,18 @@ Found = tuple[str, dict[str, Any]]
 """What is wrong, in words, and the attributes of an error that says so."""
 
 
-def profile_error(name: object, error: ValidationError) -> ProfileError:
-    """Return the error that tells all that is wrong in a file."""
-    found = [*_complaints(error)]
+def profile_error(name: object, error: ValidationError, older: Container[str] = ()) -> ProfileError:
+    """Return the error that tells all that is wrong in a file.
+
+    Parameters
+    ----------
+    name : object
+        The file.
+    error : ValidationError
+    older : container of str
+        Keys that were right in an earlier version.
+    """
+    found = [_of_age(each, older) for each in _complaints(error)]
     sentences = [f"{name}: {words}" for words, _ in found]
     told = [words for words, _ in found[:_MOST_IN_A_SENTENCE]]
     if len(found) > len(told):
@@ -48,6 +57,16 @@ def profile_error(name: object, error: ValidationError) -> ProfileError:
     return ProfileError(
         f"{name}: {'; '.join(told)}", complaints=complaints, sentences=sentences, **found[0][1]
     )
+
+
+def _of_age(found: Found, older: Container[str]) -> Found:
+    words, attributes = found
+    if attributes["about"] not in older:
+        return found
+    remedy = "smarttouch profiles migrate"
+    return f"{words}, unlike in earlier versions: {remedy!r} mends it", attributes | {
+        "remedy": remedy
+    }
 
 
 def _complaints(error: ValidationError) -> Iterator[Found]:

@@ -1,6 +1,7 @@
 """Profiles by name, and as TOML files."""
 
 from collections.abc import Mapping
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from pydantic import ValidationError
 from smarttouch.errors import ProfileError
 from smarttouch.files import MOST_TOML_BYTES, parse_toml, read_text
 from smarttouch.profile.complaints import profile_error
+from smarttouch.profile.migrate import migrate
 from smarttouch.profile.profile import Profile
 from smarttouch.resources import data_folder
 
@@ -28,6 +30,18 @@ def load_profile(name: str | Path) -> Profile:
     ProfileError
         If there is none, or it says something unknown or impossible.
     """
+    path = profile_path(name)
+    return profile_of(read_table(path), path)
+
+
+def profile_path(name: str | Path) -> Path:
+    """Return the file of a profile, by its name or as it is given.
+
+    Raises
+    ------
+    ProfileError
+        If there is none.
+    """
     path = data_folder("calibration") / f"{name}.toml"
     if str(name) not in profile_names():
         path = Path(name)
@@ -40,7 +54,7 @@ def load_profile(name: str | Path) -> Profile:
                 value=str(name),
                 allowed=tuple(profile_names()),
             )
-    return profile_of(_parsed(path), path)
+    return path
 
 
 def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
@@ -59,7 +73,8 @@ def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
         error.args, error.sentences = (message,), (message,)
         raise
     except ValidationError as error:
-        raise profile_error(path, error) from None
+        older = {each.key for each in migrate(deepcopy(dict(table))) if each.before is not None}
+        raise profile_error(path, error, older) from None
     if profile.optics.flat_field is None:
         return profile
     beside = str(path.parent / profile.optics.flat_field)
@@ -67,7 +82,14 @@ def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
     return profile.model_copy(update={"optics": optics})
 
 
-def _parsed(path: Path) -> dict[str, Any]:
+def read_table(path: Path) -> dict[str, Any]:
+    """Return the tables of a profile's file, of which nothing is believed yet.
+
+    Raises
+    ------
+    ProfileError
+        If it cannot be read, or is no TOML.
+    """
     text = read_text(path, ProfileError, MOST_TOML_BYTES)
     try:
         return parse_toml(text)

@@ -29,7 +29,9 @@ class Profile(Table):
     """One device on one finger."""
 
     name: str = ""
+    """Name of the file."""
     title: str = Field(min_length=1)
+    """What the device is, for people."""
     array: ArrayLayout
     skin: Skin
     output: Output
