@@ -16,10 +16,10 @@ calibrate = typer.Typer(
 
 _Start = Annotated[
     str | None,
-    typer.Option("--profile", metavar="NAME|FILE", help="What to start from; the usual if none."),
+    typer.Option("--profile", metavar="NAME|FILE", help="What a new --output starts from."),
 ]
 _Output = Annotated[Path, typer.Option(metavar="FILE.toml", help="The profile to write.")]
-_Overwrite = Annotated[bool, typer.Option("--overwrite", help="--output may be there already.")]
+_Overwrite = Annotated[bool, typer.Option("--overwrite", help="Measure what --output has already.")]
 _Yes = Annotated[bool, typer.Option("--yes", help="Ask nothing: everything is in place.")]
 _Simulate = Annotated[bool, typer.Option("--simulate", help="Walk through it without hardware.")]
 _Frames = Annotated[int, typer.Option(metavar="N", min=1, help="Frames to take the mean of.")]
@@ -54,7 +54,7 @@ def optics(
     from smarttouch.cli.calibrate_steps import ask, images_of
     from smarttouch.errors import CalibrationError
 
-    file = _profile_file(profile, output, overwrite)
+    file = _profile_file("optics", profile, output, overwrite)
     if simulate:
         from smarttouch.calibrate.simulated import SimulatedPatch
 
@@ -111,7 +111,8 @@ def registration(
 
     if center not in ("target", "image"):
         raise CalibrationError(f"--center {center!r} is not offered: choose target or image")
-    grid = target_for(load_profile(profile or DEFAULT_PROFILE), dot_pitch_mm)
+    begun = None if output is None or not output.exists() else str(output)
+    grid = target_for(load_profile(profile or begun or DEFAULT_PROFILE), dot_pitch_mm)
     if target is not None:
         if target.exists() and not overwrite:
             raise CalibrationError(
@@ -123,7 +124,7 @@ def registration(
         if target is None or sensor is not None or simulate:
             raise CalibrationError("give --output FILE.toml for what is measured")
         return
-    file = _profile_file(profile, output, overwrite)
+    file = _profile_file("registration", profile, output, overwrite)
     if simulate:
         from smarttouch.calibrate.view import bench_view
 
@@ -167,7 +168,7 @@ def force(
     if not 0 < seconds <= 600:
         raise CalibrationError(f"--seconds {seconds:g} must be above 0 and at most 600")
     listed = None if weights is None else parse_grams(weights)
-    file = _profile_file(profile, output, overwrite)
+    file = _profile_file("force", profile, output, overwrite)
     if simulate:
         weighings = weigh_simulated(listed, seconds)
     elif cell is None:
@@ -211,7 +212,7 @@ def thresholds(
     from smarttouch.errors import BoardStoppedError, CalibrationError
 
     start = profile or usual_profile(board)
-    file = _profile_file(start, output, overwrite)
+    file = _profile_file("thresholds", profile, output, overwrite, usual_profile(board))
     chosen = file.profile
     sites = parse_electrodes(electrodes, chosen)
     if simulate and not board.startswith(("emulator:", "simulated:", "memory:")):
@@ -266,7 +267,7 @@ def contact(
     from smarttouch.calibrate.tables import show_contact
     from smarttouch.stimulation.safety import SafetyLimits
 
-    file = _profile_file(profile or usual_profile(board), output, overwrite)
+    file = _profile_file("contact", profile, output, overwrite, usual_profile(board))
     chosen = file.profile
     with opened(make_board(board, SafetyLimits.of(chosen), chosen.output)) as display:
         found = judge_contact([display.measure() for _ in range(repeats)])
@@ -282,11 +283,16 @@ def contact(
     _finish(file, "contact", found.sentence(), board.startswith("emulator:"))
 
 
-def _profile_file(start: str | None, output: Path, overwrite: bool) -> "ProfileFile":
-    from smarttouch.calibrate.profile_file import ProfileFile
+def _profile_file(
+    part: str, start: str | None, output: Path, overwrite: bool, usual: str | None = None
+) -> "ProfileFile":
+    from smarttouch.calibrate.profile_file import file_to_calibrate
+    from smarttouch.cli.profiles import tell_changes
     from smarttouch.profile import DEFAULT_PROFILE
 
-    return ProfileFile(start or DEFAULT_PROFILE, output, overwrite)
+    file = file_to_calibrate(part, start, usual or DEFAULT_PROFILE, output, overwrite)
+    tell_changes(file)
+    return file
 
 
 def _finish(

@@ -1,4 +1,4 @@
-"""``profiles``, ``design`` and ``figures`` show what is shipped, and what a user describes."""
+"""``design`` and ``figures`` show what is shipped, and what a user describes."""
 
 import csv
 import json
@@ -8,7 +8,6 @@ import pytest
 from PIL import Image
 
 from smarttouch.primary import Primary
-from smarttouch.profile import profile_names
 
 KEYS = {
     "mode", "site", "weights", "worst_other", "worst_other_class", "own_spill", "sum",
@@ -32,14 +31,6 @@ def designed(program_here, tmp_path):
         return done.stdout, table
 
     return run
-
-
-def test_profiles(program_here):
-    done = program_here("profiles")
-    assert done.returncode == 0
-    for name in profile_names():
-        assert name in done.stdout
-    assert "electric-mouse (default)" in done.stdout
 
 
 def test_one_site_of_the_paper(designed):
