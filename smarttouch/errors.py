@@ -63,8 +63,8 @@ class Complaint(NamedTuple):
     allowed: object = None
 
 
-class ProfileError(SmartTouchError):
-    """A profile cannot be found, read or believed.
+class TableError(SmartTouchError):
+    """A file of keys and values cannot be found, read or believed.
 
     Its own attributes are those of the first complaint.
 
@@ -92,6 +92,14 @@ class ProfileError(SmartTouchError):
         own = Complaint(self.about, self.problem, self.value, self.allowed)
         self.complaints = tuple(complaints) or (own,)
         self.sentences = tuple(sentences) or (message,)
+
+
+class ProfileError(TableError):
+    """A profile cannot be found, read or believed."""
+
+
+class SavedRunError(TableError):
+    """Saved settings of a run cannot be found, read, believed or written."""
 
 
 class SensorError(SmartTouchError):

@@ -24,7 +24,7 @@ from smarttouch.cli.recordings import recordings
 from smarttouch.cli.replay import replay
 from smarttouch.cli.sensor import sensor
 from smarttouch.cli.stop import stop
-from smarttouch.errors import ProfileError, SmartTouchError
+from smarttouch.errors import SmartTouchError, TableError
 from smarttouch.stopping import RunStopped
 from smarttouch.terminal import guarded_output
 
@@ -93,7 +93,7 @@ def _outcome(error: BaseException) -> int:
         # Whoever read our output has gone; there is nobody to tell.
         return 1
     if isinstance(error, SmartTouchError):
-        for sentence in error.sentences if isinstance(error, ProfileError) else (str(error),):
+        for sentence in error.sentences if isinstance(error, TableError) else (str(error),):
             _say(sentence)
     elif isinstance(error, MemoryError):
         _say("the memory of this machine does not suffice: give less at once")

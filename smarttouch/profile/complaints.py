@@ -1,11 +1,11 @@
 """All that pydantic finds wrong in a file, each thing in words and once."""
 
 from collections.abc import Container, Iterator, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from smarttouch.errors import Complaint, ProfileError
+from smarttouch.errors import Complaint, TableError
 from smarttouch.profile.table import AllUnfitError, UnfitError
 
 _LAYOUTS = ("grid", "hexagon-61", "lines", "free")
@@ -17,6 +17,7 @@ _PROBLEMS = {
     "missing": "missing",
     "union_tag_not_found": "missing",
     "extra_forbidden": "unknown",
+    "unexpected_keyword_argument": "unknown",
     "literal_error": "unknown",
     "union_tag_invalid": "unknown",
     "greater_than": "too small",
@@ -30,15 +31,19 @@ _PROBLEMS = {
 _BOUNDS = ("gt", "ge", "lt", "le", "min_length", "max_length")
 _MOST_IN_A_SENTENCE = 8
 
+_Error = TypeVar("_Error", bound=TableError)
 Found = tuple[str, dict[str, Any]]
 """What is wrong, in words, and the attributes of an error that says so."""
 
 
-def profile_error(name: object, error: ValidationError, older: Container[str] = ()) -> ProfileError:
+def table_error(
+    kind: type[_Error], name: object, error: ValidationError, older: Container[str] = ()
+) -> _Error:
     """Return the error that tells all that is wrong in a file.
 
     Parameters
     ----------
+    kind : type of TableError
     name : object
         The file.
     error : ValidationError
@@ -54,7 +59,7 @@ def profile_error(name: object, error: ValidationError, older: Container[str] = 
         Complaint(each["about"], each["problem"], each["value"], each["allowed"])
         for _, each in found
     ]
-    return ProfileError(
+    return kind(
         f"{name}: {'; '.join(told)}", complaints=complaints, sentences=sentences, **found[0][1]
     )
 
@@ -107,7 +112,7 @@ def _in_words(key: str, error: Mapping[str, Any]) -> Found:
     words = error["msg"].removeprefix("Value error, ").replace("valid tuple", "list")
     if isinstance(context.get("error"), UnfitError):
         attributes |= context["error"].attributes
-    if kind == "extra_forbidden":
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         return f"unknown key {key!r}: remove it or correct its spelling", attributes
     if kind in ("missing", "union_tag_not_found"):
         return f"key {key!r} is missing: add it (any shipped profile shows how)", attributes

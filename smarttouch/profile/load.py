@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from smarttouch.errors import ProfileError
 from smarttouch.files import MOST_TOML_BYTES, parse_toml, read_text
-from smarttouch.profile.complaints import profile_error
+from smarttouch.profile.complaints import table_error
 from smarttouch.profile.migrate import migrate
 from smarttouch.profile.profile import Profile
 from smarttouch.resources import data_folder
@@ -74,7 +74,7 @@ def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
         raise
     except ValidationError as error:
         older = {each.key for each in migrate(deepcopy(dict(table))) if each.before is not None}
-        raise profile_error(path, error, older) from None
+        raise table_error(ProfileError, path, error, older) from None
     if profile.optics.flat_field is None:
         return profile
     beside = str(path.parent / profile.optics.flat_field)
