@@ -9,7 +9,8 @@ from smarttouch.errors import Complaint, TableError
 from smarttouch.profile.table import AllUnfitError, UnfitError
 
 _LAYOUTS = ("grid", "hexagon-61", "lines", "free")
-_KINDS = ("constrained-", "function-", "tuple[")
+_KINDS = ("constrained-", "function-", "tuple[", "str-enum[")
+_WHOLE_KINDS = ("bool", "int", "float", "str", "Sharing")
 """Kinds of value that pydantic names between the keys of the file."""
 _NOT_OF_KIND = ("float_type", "tuple_type")
 """What it says of each kind that a value is not, where there are several to choose from."""
@@ -90,7 +91,7 @@ def _complaints(error: ValidationError) -> Iterator[Found]:
 
 
 def _key(error: Mapping[str, Any]) -> str:
-    parts = [str(part) for part in error["loc"] if part not in _LAYOUTS]
+    parts = [str(part) for part in error["loc"] if part not in (*_LAYOUTS, *_WHOLE_KINDS)]
     key = ".".join(each for each in parts if not each.startswith(_KINDS))
     return f"{key}.layout" if error["type"].startswith("union_tag") else key
 

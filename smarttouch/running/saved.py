@@ -17,7 +17,7 @@ from smarttouch.running.config import RunConfig
 _OF_FILES = ("page", "video", "frames", "recording", "recorded")
 """Kinds of source and force whose URL names a file or folder."""
 _NAME = "[A-Za-z0-9][A-Za-z0-9_.-]{0,63}"
-Option = bool | int | float | str | tuple[int, ...]
+Option = float | int | bool | str | tuple[int, ...]
 
 
 class SavedRun(BaseModel):

@@ -109,9 +109,11 @@ def test_a_name_that_nothing_is_kept_under():
         ("[config]\nsoftness = 2", {"about": "config.softness", "value": 2}),
         ("[config]\nintensity = 0.5", {"about": "config.intensity", "problem": "impossible"}),
         ("[config]\nintensity = 5", {"about": "config.intensity"}),
-        ('[config.scan]\nprimaries = ["RA"]\nplanned = true', {"about": lambda key: "scan" in key}),
+        ('[config.scan]\nprimaries = ["RA"]\nplanned = true', {"about": "config.scan"}),
         ("[config.tone]\nfaintest = 0.1\nnothing = 1", {"about": "config.tone.nothing"}),
-        ("[source_options]\nspeed_mm_s = [[1]]", {"about": bool}),
+        ("[source_options]\nspeed_mm_s = [[1]]", {"about": "source_options.speed_mm_s.0"}),
+        ("[config]\nmode = 3", {"about": "config.mode", "problem": "malformed", "value": 3}),
+        ("[config]\nscan = 4", {"about": "config.scan", "problem": "malformed", "value": 4}),
     ],
 )
 def test_bad_files_are_one_sentence(folder, text, attributes):
