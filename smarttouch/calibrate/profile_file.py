@@ -183,7 +183,13 @@ class ProfileFile:
 
 
 def file_to_calibrate(
-    part: str, start: str | None, usual: str, output: Path, overwrite: bool = False
+    part: str,
+    start: str | None,
+    usual: str,
+    output: Path,
+    overwrite: bool = False,
+    *,
+    simulated: bool = False,
 ) -> ProfileFile:
     """Return the profile that a calibration adds its part to, on its way to the output.
 
@@ -201,13 +207,16 @@ def file_to_calibrate(
     output : Path
     overwrite : bool
         Whether the part may be there already.
+    simulated : bool
+        Whether nothing real is measured: added to what was, only with ``overwrite``.
 
     Raises
     ------
     ProfileError
         If the start, or an output that is there, is no profile.
     CalibrationError
-        If the output may not be written, has the part, or is of another device or finger.
+        If the output may not be written, has the part, is of another device, or was measured and
+        this is not.
     """
     if not output.exists():
         return ProfileFile(start or usual, output, overwrite)
@@ -232,6 +241,17 @@ def file_to_calibrate(
             problem="exists",
             value=output,
             remedy="--overwrite",
+        )
+    notes = file.profile.calibrated
+    measured = [name for name in notes if not notes[name].found.startswith("simulated")]
+    if simulated and measured and not overwrite:
+        raise CalibrationError(
+            f"{output} has its {measured[0]} from a real finger or sensor: give a simulation "
+            "another --output, or --overwrite",
+            about=part,
+            problem="simulated",
+            value=output,
+            remedy="--output",
         )
     return file
 

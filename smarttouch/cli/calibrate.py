@@ -54,7 +54,7 @@ def optics(
     from smarttouch.cli.calibrate_steps import ask, images_of
     from smarttouch.errors import CalibrationError
 
-    file = _profile_file("optics", profile, output, overwrite)
+    file = _profile_file("optics", profile, output, overwrite, simulate)
     if simulate:
         from smarttouch.calibrate.simulated import SimulatedPatch
 
@@ -124,7 +124,7 @@ def registration(
         if target is None or sensor is not None or simulate:
             raise CalibrationError("give --output FILE.toml for what is measured")
         return
-    file = _profile_file("registration", profile, output, overwrite)
+    file = _profile_file("registration", profile, output, overwrite, simulate)
     if simulate:
         from smarttouch.calibrate.view import bench_view
 
@@ -168,7 +168,7 @@ def force(
     if not 0 < seconds <= 600:
         raise CalibrationError(f"--seconds {seconds:g} must be above 0 and at most 600")
     listed = None if weights is None else parse_grams(weights)
-    file = _profile_file("force", profile, output, overwrite)
+    file = _profile_file("force", profile, output, overwrite, simulate)
     if simulate:
         weighings = weigh_simulated(listed, seconds)
     elif cell is None:
@@ -212,7 +212,8 @@ def thresholds(
     from smarttouch.errors import BoardStoppedError, CalibrationError
 
     start = profile or usual_profile(board)
-    file = _profile_file("thresholds", profile, output, overwrite, usual_profile(board))
+    simulated = simulate or board.startswith("emulator:")
+    file = _profile_file("thresholds", profile, output, overwrite, simulated, usual_profile(board))
     chosen = file.profile
     sites = parse_electrodes(electrodes, chosen)
     if simulate and not board.startswith(("emulator:", "simulated:", "memory:")):
@@ -248,7 +249,7 @@ def thresholds(
     file.set("perception.threshold_ma", threshold_ma)
     file.set("perception.comfort_ma", comfort_ma)
     told = sentence(progress.found, adaptive=adaptive)
-    _finish(file, "thresholds", told, simulate or board.startswith("emulator:"))
+    _finish(file, "thresholds", told, simulated)
     progress.forget()
 
 
@@ -267,7 +268,8 @@ def contact(
     from smarttouch.calibrate.tables import show_contact
     from smarttouch.stimulation.safety import SafetyLimits
 
-    file = _profile_file("contact", profile, output, overwrite, usual_profile(board))
+    simulated = board.startswith("emulator:")
+    file = _profile_file("contact", profile, output, overwrite, simulated, usual_profile(board))
     chosen = file.profile
     with opened(make_board(board, SafetyLimits.of(chosen), chosen.output)) as display:
         found = judge_contact([display.measure() for _ in range(repeats)])
@@ -280,17 +282,24 @@ def contact(
         typer.echo(f"Masked now: {masked}; kernels are designed without them at the next start.")
     file.set("output.impedance_kohm", found.impedances(chosen))
     file.set("output.masked", masked)
-    _finish(file, "contact", found.sentence(), board.startswith("emulator:"))
+    _finish(file, "contact", found.sentence(), simulated)
 
 
 def _profile_file(
-    part: str, start: str | None, output: Path, overwrite: bool, usual: str | None = None
+    part: str,
+    start: str | None,
+    output: Path,
+    overwrite: bool,
+    simulated: bool,
+    usual: str | None = None,
 ) -> "ProfileFile":
     from smarttouch.calibrate.profile_file import file_to_calibrate
     from smarttouch.cli.profiles import tell_changes
     from smarttouch.profile import DEFAULT_PROFILE
 
-    file = file_to_calibrate(part, start, usual or DEFAULT_PROFILE, output, overwrite)
+    file = file_to_calibrate(
+        part, start, usual or DEFAULT_PROFILE, output, overwrite, simulated=simulated
+    )
     tell_changes(file)
     return file
 

@@ -196,6 +196,19 @@ def test_a_part_again_needs_overwrite_and_keeps_the_rest(tmp_path):
     assert profile.output.masked == (3,)
 
 
+def test_a_simulation_does_not_mix_with_what_was_measured(tmp_path):
+    mine = tmp_path / "mine.toml"
+    start = (None, "electric-mouse", mine)
+    calibrated("force", "force.curve", [0.0, 1e-6], mine)
+    with raises(CalibrationError, about="contact", problem="simulated", value=mine):
+        file_to_calibrate("contact", *start, simulated=True)
+    assert file_to_calibrate("contact", *start, overwrite=True, simulated=True)
+    again = file_to_calibrate("force", *start, overwrite=True, simulated=True)
+    again.note("force", "simulated: a line")
+    again.write()
+    assert file_to_calibrate("contact", *start, simulated=True)
+
+
 def test_a_start_of_another_device_or_with_other_limits_is_refused(tmp_path, changed, profile):
     mine, other = tmp_path / "mine.toml", tmp_path / "other.toml"
     calibrated("force", "force.curve", [0.0, 1e-6], mine)
