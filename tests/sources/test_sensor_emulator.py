@@ -6,26 +6,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smarttouch.errors import SensorError
-from smarttouch.sources.emulator.devices import (
-    ArrayDevice,
-    CellDevice,
+from smarttouch.boards.emulator.events import Event, parse
+from smarttouch.emulator.sensors import (
+    LoadCell,
+    SensorArray,
+    SensorFirmware,
     look_at_page,
     look_at_pattern,
     press,
 )
-from smarttouch.sources.emulator.faults import Fault, Faults, parse_fault
-from smarttouch.sources.emulator.serve import Server, Socket
+from smarttouch.emulator.server import FAULTS, Server, faults_at
+from smarttouch.errors import SensorError
 from smarttouch.sources.forces.readings import TextReadings
 from smarttouch.sources.sensor_protocol import ArrayFrame, CellReading, Info, MessageStream
+from smarttouch.wire.pty_line import PtyLine
 
 from ..raising import raises
 
 MS = 10**6
-NOTHING_WRONG = frozenset()
 
 
-class FakeSocket:
+class FakeLine:
     """Takes so many bytes at a time."""
 
     def __init__(self, room=10**9):
@@ -53,79 +54,90 @@ class FakeOrders:
         return [self.lines.pop(0)] if self.lines else []
 
 
-class Counter:
+class Counter(SensorFirmware):
     """A device that sends its numbers, four bytes each."""
 
-    def packet(self, number, time_s, wrong):
+    def packet(self, number, time_s):
         return b"%03d;" % number
 
-    def heed(self, words):
-        return False
+
+def parse_fault(text):
+    return parse(text, FAULTS, SensorError)
 
 
-def make_server(device=None, socket=None, faults=(), rate_hz=100.0, count=None, orders=()):
-    socket = socket or FakeSocket()
-    wrong = Faults(parse_fault(text) for text in faults)
-    server = Server(device or Counter(), socket, wrong, rate_hz, count, FakeOrders(*orders))
-    return server, socket
+def make_server(device=None, line=None, faults=(), count=None, orders=()):
+    line = line or FakeLine()
+    wrong = [parse_fault(text) for text in faults]
+    server = Server(device or Counter(100.0), line, wrong, count, FakeOrders(*orders))
+    return server, line
+
+
+def step(server, now_ms, present=True):
+    """Let a server do what is due, with or without a host."""
+    server.step(b"" if present else None, now_ms * MS)
+
+
+def packet(device, number, time_s, *wrong):
+    device.wrong = frozenset(wrong)
+    return device.packet(number, time_s)
 
 
 def test_one_packet_at_each_deadline_and_none_without_a_host():
-    server, socket = make_server()
-    server.advance(5 * MS, False)
-    assert socket.taken == b""
+    server, line = make_server()
+    step(server, 5, False)
+    assert line.taken == b""
     for now_ms in range(100, 151):
-        server.advance(now_ms * MS, True)
-    assert socket.taken == b"000;001;002;003;004;005;"
-    assert (server.books.sent, server.books.dropped) == (6, 0)
+        step(server, now_ms)
+    assert line.taken == b"000;001;002;003;004;005;"
+    assert (server.statistics.sent, server.statistics.dropped) == (6, 0)
 
 
 def test_a_late_tick_moves_no_deadline_but_a_long_one_is_not_made_up_for():
     server, _ = make_server()
     for now_ms in (0, 17, 20, 26, 30):
-        server.advance(now_ms * MS, True)
-    assert server.books.sent == 4
+        step(server, now_ms)
+    assert server.statistics.sent == 4
     for now_ms in range(1000, 1010):
-        server.advance(now_ms * MS, True)
-    assert server.books.sent == 5
+        step(server, now_ms)
+    assert server.statistics.sent == 5
 
 
 def test_what_the_host_does_not_take_is_dropped_and_never_queued():
-    server, socket = make_server(socket=FakeSocket(room=6))
+    server, line = make_server(line=FakeLine(room=6))
     for now_ms in range(0, 50):
-        server.advance(now_ms * MS, True)
-    assert socket.taken == b"000;00"
-    assert (server.books.sent, server.books.dropped) == (1, 3)
-    socket.room = 100
+        step(server, now_ms)
+    assert line.taken == b"000;00"
+    assert (server.statistics.sent, server.statistics.dropped) == (1, 3)
+    line.room = 100
     for now_ms in range(50, 61):
-        server.advance(now_ms * MS, True)
-    assert socket.taken == b"000;001;005;006;"
-    assert (server.books.sent, server.books.dropped) == (4, 3)
+        step(server, now_ms)
+    assert line.taken == b"000;001;005;006;"
+    assert (server.statistics.sent, server.statistics.dropped) == (4, 3)
 
 
 def test_a_host_that_goes_takes_its_half_packet_along():
-    server, socket = make_server(socket=FakeSocket(room=2))
-    server.advance(0, True)
-    server.advance(1 * MS, False)
-    socket.room = 100
-    server.advance(20 * MS, True)
-    assert socket.taken == b"00001;"
-    assert server.books.sent == 1
+    server, line = make_server(line=FakeLine(room=2))
+    step(server, 0)
+    step(server, 1, False)
+    line.room = 100
+    step(server, 20)
+    assert line.taken == b"00001;"
+    assert server.statistics.sent == 1
 
 
 def test_after_the_count_it_is_silent():
-    server, socket = make_server(count=3)
+    server, line = make_server(count=3)
     for now_ms in range(0, 100):
-        server.advance(now_ms * MS, True)
-    assert socket.taken == b"000;001;002;"
+        step(server, now_ms)
+    assert line.taken == b"000;001;002;"
 
 
 def test_faults_of_the_line():
-    server, socket = make_server(faults=["0.0625 silent 0.0625", "0.25 unplug 0.125"])
+    server, line = make_server(faults=["0.0625 silent 0.0625", "0.25 unplug 0.125"])
     present = []
     for now_ms in range(0, 400):
-        server.advance(now_ms * MS, socket.plugged_in)
-        present.append((len(socket.taken), socket.plugged_in))
+        step(server, now_ms, line.plugged_in)
+        present.append((len(line.taken), line.plugged_in))
     assert present[62][0] == present[124][0] == 4 * 7
     assert present[190][0] > 4 * 7
     gone = [not plugged_in for _, plugged_in in present]
@@ -134,13 +146,13 @@ def test_faults_of_the_line():
 
 
 def test_orders(capsys):
-    cell = CellDevice(press(0.0, None, None), counts_per_n=1000, zero=0, noise=0)
+    cell = LoadCell(press(0.0, None, None), counts_per_n=1000, zero=0, noise=0)
     orders = ("weight 100", "force x", "silent 0.02", "unplug", "dance")
-    server, socket = make_server(cell, orders=orders)
+    server, line = make_server(cell, orders=orders)
     for now_ms in range(0, 60):
-        server.advance(now_ms * MS, True)
-    assert socket.taken == b"HX711 reading: 981\r\n" * server.books.sent
-    assert server.books.sent == 4
+        step(server, now_ms)
+    assert line.taken == b"HX711 reading: 981\r\n" * server.statistics.sent
+    assert server.statistics.sent == 4
     number, unplugged, dance = capsys.readouterr().err.splitlines()
     assert "'x'" in number
     assert "--event '0 unplug 0'" in unplugged
@@ -151,9 +163,9 @@ def test_orders(capsys):
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("2 garbage 0.5", Fault(2, "garbage", 0.5)),
-        ("3 nan", Fault(3, "nan", math.inf)),
-        (" 0.5  unplug  1 ", Fault(0.5, "unplug", 1)),
+        ("2 garbage 0.5", Event(2, "garbage", values=(0.5,))),
+        ("3 nan", Event(3, "nan")),
+        (" 0.5  unplug  1 ", Event(0.5, "unplug", values=(1,))),
     ],
 )
 def test_events(text, fault):
@@ -164,7 +176,9 @@ def test_events(text, fault):
     ("text", "problem"),
     [
         *((text, "unknown") for text in ("", "2", "nan", "2 dance")),
-        *((text, "malformed") for text in ("x nan", "2 nan x", "-1 nan", "2 nan 1 1", "inf nan")),
+        *((text, "malformed") for text in ("x nan", "2 nan x")),
+        *((text, "negative") for text in ("-1 nan", "inf nan", "2 nan -1", "2 nan inf")),
+        ("2 nan 1 1", "too many"),
     ],
 )
 def test_what_is_no_event(text, problem):
@@ -173,27 +187,27 @@ def test_what_is_no_event(text, problem):
 
 
 def test_orders_that_cannot_be():
-    cell = CellDevice(press(0.0, None, None))
+    cell = LoadCell(press(0.0, None, None))
     with raises(SensorError, about="order", problem="malformed", value="x"):
-        cell.heed(["force", "x"])
+        cell.take_order(["force", "x"])
     server, _ = make_server()
     with raises(SensorError, about="event", problem="impossible", value="unplug"):
-        server._add(Fault(0, "unplug"))
+        server._add(Event(0, "unplug"))
 
 
 def test_what_is_wrong_at_a_time():
-    faults = Faults([Fault(1, "nan", 1), Fault(1.5, "silent")])
-    assert faults.at(0.99) == frozenset()
-    assert faults.at(1) == {"nan"}
-    assert faults.at(1.6) == {"nan", "silent"}
-    assert faults.at(2) == {"silent"}
+    faults = [Event(1, "nan", values=(1,)), Event(1.5, "silent")]
+    assert faults_at(faults, 0.99) == frozenset()
+    assert faults_at(faults, 1) == {"nan"}
+    assert faults_at(faults, 1.6) == {"nan", "silent"}
+    assert faults_at(faults, 2) == {"silent"}
 
 
 def test_an_array_sends_frames_and_once_a_second_its_name():
-    device = ArrayDevice(look_at_pattern(6, 9), rate_hz=4)
+    device = SensorArray(look_at_pattern(6, 9), rate_hz=4)
     stream, messages = MessageStream(), []
     for number in range(5):
-        messages += stream.feed(device.packet(number, number / 4, NOTHING_WRONG))
+        messages += stream.feed(packet(device, number, number / 4))
     frames = [each for each in messages if isinstance(each, ArrayFrame)]
     assert [frame.number for frame in frames] == [0, 1, 2, 3, 4]
     assert [frame.time_us for frame in frames] == [0, 250_000, 500_000, 750_000, 1_000_000]
@@ -204,17 +218,34 @@ def test_an_array_sends_frames_and_once_a_second_its_name():
     np.testing.assert_array_equal(first[:, 3:], later[:, :-3])
 
 
-def test_an_array_that_freezes_or_sends_garbage():
-    device = ArrayDevice(look_at_pattern(8, 8), rate_hz=100)
+def test_an_array_that_freezes():
+    device = SensorArray(look_at_pattern(8, 8), rate_hz=100)
     stream = MessageStream()
-    (_, before) = stream.feed(device.packet(0, 0, NOTHING_WRONG))
-    (frozen,) = stream.feed(device.packet(1, 10, frozenset({"freeze"})))
-    (after,) = stream.feed(device.packet(2, 10, NOTHING_WRONG))
+    (_, before) = stream.feed(packet(device, 0, 0))
+    (frozen,) = stream.feed(packet(device, 1, 10, "freeze"))
+    (after,) = stream.feed(packet(device, 2, 10))
     np.testing.assert_array_equal(before.image, frozen.image)
     assert (after.image != frozen.image).any()
-    stream.feed(device.packet(3, 10, frozenset({"garbage"})))
-    assert stream.feed(b"\0") == []
-    assert stream.broken > 0
+
+
+def test_garbage_is_nothing_and_ends_as_what_it_stands_for():
+    array = SensorArray(look_at_pattern(8, 8), rate_hz=100.0)
+    cell = LoadCell(press(1.0, None, None), framed=True, rate_hz=100.0)
+    for device in (array, cell):
+        server, line = make_server(device, faults=["0 garbage 0.05"])
+        for now_ms in range(0, 50):
+            step(server, now_ms)
+        assert (server.statistics.sent, server.statistics.garbage) == (0, 5)
+        stream = MessageStream()
+        assert stream.feed(line.taken) == []
+        assert stream.broken > 0
+        line.taken = b""
+        step(server, 50)
+        assert [each.number for each in stream.feed(line.taken)] == [5]
+    text, line = make_server(LoadCell(press(1.0, None, None)), faults=["0 garbage"])
+    step(text, 0)
+    assert line.taken.endswith(b"\r\n")
+    assert TextReadings().feed(b"\n" + line.taken) == []
 
 
 def test_an_array_reads_a_page_again_and_again(profile):
@@ -231,10 +262,10 @@ def test_a_cell_follows_its_line(profile, tmp_path, framed):
     record = tmp_path / "force.csv"
     record.write_text("time_s,force_n\n0,0\n1,2\n")
     force = press(9.0, record, profile)
-    device = CellDevice(force, counts_per_n=1000, zero=-200, noise=0, framed=framed)
+    device = LoadCell(force, counts_per_n=1000, zero=-200, noise=0, framed=framed)
 
-    def at(time_s, wrong=NOTHING_WRONG):
-        data = device.packet(0, time_s, wrong)
+    def at(time_s, *wrong):
+        data = packet(device, 0, time_s, *wrong)
         if framed:
             (message,) = MessageStream().feed(data)
             assert isinstance(message, CellReading)
@@ -243,31 +274,31 @@ def test_a_cell_follows_its_line(profile, tmp_path, framed):
         return None if math.isnan(reading) else reading
 
     assert [at(0.5), at(1), at(9)] == [800, 1800, -200]
-    assert at(0.5, frozenset({"freeze"})) == -200
-    assert at(0.5, frozenset({"nan"})) is None
-    device.heed(["force", "1e9"])
+    assert at(0.5, "freeze") == -200
+    assert at(0.5, "nan") is None
+    device.take_order(["force", "1e9"])
     assert at(0) == 2**23 - 1
 
 
 def test_a_cells_noise():
-    device = CellDevice(press(1.0, None, None), 1000, 0, noise=50, framed=True)
+    device = LoadCell(press(1.0, None, None), 1000, 0, noise=50, framed=True)
     stream = MessageStream()
-    readings = [stream.feed(device.packet(0, 0, NOTHING_WRONG))[0].reading for _ in range(2000)]
+    readings = [stream.feed(packet(device, 0, 0))[0].reading for _ in range(2000)]
     assert np.mean(readings) == pytest.approx(1000, abs=5)
     assert np.std(readings) == pytest.approx(50, rel=0.1)
 
 
 def test_a_port_whose_name_stays():
-    socket = Socket(may_unplug=True)
+    line = PtyLine(keeps_name=True)
     try:
-        name = Path(socket.name)
+        name = Path(line.name)
         assert name.exists()
-        socket.pull_out()
+        line.pull_out()
         assert not name.is_symlink()
-        assert socket.wait(0) is False
-        socket.plug_in()
-        assert Path(socket.name) == name
+        assert line.read(0) is None
+        line.plug_in()
+        assert Path(line.name) == name
         assert name.resolve().is_char_device()
     finally:
-        socket.close()
+        line.close()
     assert not name.parent.exists()

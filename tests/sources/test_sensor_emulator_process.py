@@ -10,8 +10,8 @@ import time
 
 import pytest
 
+from smarttouch.emulator.__main__ import main
 from smarttouch.sources import open_sensor
-from smarttouch.sources.emulator.__main__ import main
 from smarttouch.sources.forces.force import open_force
 from smarttouch.sources.forces.load_cell import open_cell
 
@@ -29,12 +29,12 @@ from smarttouch.sources.forces.load_cell import open_cell
         (["hx711", "--path=/nowhere.csv"], ["/nowhere.csv"]),
         (["hx711", "--linger=-1"], ["--linger -1"]),
         (["hx711", "--profile=none"], ["'none'"]),
-        (["hx711", "--books=/nowhere/books"], ["--books /nowhere/books"]),
+        (["hx711", "--books=/nowhere/books"], ["/nowhere/books"]),
     ],
 )
 def test_wrong_arguments(capsys, arguments, names):
     with pytest.raises(SystemExit) as ended:
-        main(arguments)
+        main(["sensor", *arguments])
     assert ended.value.code == 2
     # Before it stands how it is called.
     _, error = capsys.readouterr().err.split("error: ")
@@ -48,7 +48,8 @@ def start(tmp_path):
     started = []
 
     def run(*arguments):
-        command = [sys.executable, "-m", "smarttouch.sources.emulator", *arguments]
+        command = [sys.executable, "-m", "smarttouch.emulator", "sensor"]
+        command += ["--port-only", "--linger=2", *arguments]
         process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
@@ -133,7 +134,7 @@ process.wait()
 def test_it_ends_with_a_parent_that_is_killed(tmp_path):
     """Its end of a pipe that it has inherited closes: there is no trace of it left."""
     books = tmp_path / "books.json"
-    command = ["-m", "smarttouch.sources.emulator", "hx711", "--linger=inf", f"--books={books}"]
+    command = ["-m", "smarttouch.emulator", "sensor", "hx711", "--port-only", f"--books={books}"]
     parent = subprocess.Popen(
         [sys.executable, "-c", PARENT, *command], stdout=subprocess.PIPE, text=True
     )

@@ -57,10 +57,13 @@ class EmulatorBoard(LinkBoard):
         self._command = [
             sys.executable,
             "-m",
-            "smarttouch.boards.emulator",
+            "smarttouch.emulator",
+            "board",
+            "link",
             f"--electrodes={limits.electrodes}",
             f"--output={kind}",
             "--linger=0.2",
+            "--port-only",
         ]
         self._command += [f"--event={event}" for event in events]
         if books is not None:

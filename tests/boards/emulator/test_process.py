@@ -12,8 +12,8 @@ import time
 import pytest
 import serial
 
-from smarttouch.boards.emulator.__main__ import main
 from smarttouch.boards.emulator.books import read_slots, read_state
+from smarttouch.emulator.__main__ import main
 
 ZERO = b"\xff" + bytes(61)
 
@@ -24,8 +24,9 @@ def start(tmp_path):
     started = []
 
     def run(*arguments):
-        command = [sys.executable, "-m", "smarttouch.boards.emulator", f"--books={tmp_path}"]
-        process = subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, text=True)
+        command = [sys.executable, "-m", "smarttouch.emulator", "board", f"--books={tmp_path}"]
+        command += ["--port-only", "--linger=2", *arguments]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         started.append(process)
         assert select.select([process.stdout], [], [], 20)[0], "the emulator prints no port"
         return process, process.stdout.readline().strip()
@@ -51,7 +52,7 @@ def wait_for(condition, timeout_s=10.0):
 
 
 def test_bytes_pass_as_they_are_before_a_host_sets_up_its_end(start):
-    _, name = start("--protocol=etactilekit", "--electrodes=8")
+    _, name = start("etactilekit", "--electrodes=8")
     port = os.open(name, os.O_RDWR | os.O_NOCTTY)
     try:
         local = termios.tcgetattr(port)[3]
@@ -66,7 +67,7 @@ def test_bytes_pass_as_they_are_before_a_host_sets_up_its_end(start):
 
 
 def test_a_kajimoto61_on_a_serial_port(start, tmp_path):
-    _, name = start("--protocol=kajimoto61", "--event=0 open 5")
+    _, name = start("kajimoto61", "--event=0 open 5")
     with serial.Serial(name, 921600, timeout=5) as port:
         port.write(ZERO)
         port.write(b"\xfe")
@@ -81,7 +82,7 @@ def test_a_kajimoto61_on_a_serial_port(start, tmp_path):
 
 
 def test_an_etactilekit_goes_on_without_its_host(start, tmp_path):
-    process, name = start("--protocol=etactilekit", "--electrodes=4", "--tcp", "--linger=0.6")
+    process, name = start("etactilekit", "--electrodes=4", "--tcp", "--linger=0.6")
     assert name.startswith("tcp://127.0.0.1:")
     with connect(name) as host:
         host.sendall(bytes.fromhex("FC04 FD01 FA6400 F732 F4 FE 0000 6400 0000 0000"))
@@ -93,7 +94,7 @@ def test_an_etactilekit_goes_on_without_its_host(start, tmp_path):
 
 
 def test_another_firmware_answers_otherwise(start):
-    _, name = start("--protocol=etactilekit", "--tcp", "--firmware=936c6c0")
+    _, name = start("etactilekit", "--tcp", "--firmware=936c6c0")
     with connect(name) as host:
         host.sendall(b"\xf4\xf5")
         assert host.recv(10) == b"\x04"
@@ -103,7 +104,7 @@ def test_one_host_after_another_and_discovery(start):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         udp = free.getsockname()[1]
-    _, name = start("--protocol=etactilekit", "--tcp", f"--discovery-port={udp}")
+    _, name = start("etactilekit", "--tcp", f"--discovery-port={udp}")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
         asking.settimeout(5)
 
@@ -123,7 +124,7 @@ def test_one_host_after_another_and_discovery(start):
 
 
 def test_what_stays_for_ever_ends_on_ctrl_c(start, tmp_path):
-    process, _ = start("--protocol=kajimoto61", "--linger=inf")
+    process, _ = start("kajimoto61", "--linger=inf")
     time.sleep(0.3)
     process.send_signal(signal.SIGINT)
     assert process.wait(5) == 0
@@ -133,23 +134,26 @@ def test_what_stays_for_ever_ends_on_ctrl_c(start, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "names"),
     [
-        ("", "--electrodes"),
-        ("--electrodes=0", "--electrodes"),
-        ("--protocol=kajimoto61 --electrodes=60", "kajimoto61 61 60"),
-        ("--protocol=etactilekit --electrodes=256", "255 256"),
-        ("--protocol=other", "--protocol 'other'"),
-        ("--electrodes=4 --discovery-port=8888", "--discovery-port --tcp"),
-        ("--electrodes=4 --linger=-1", "--linger -1"),
-        ("--electrodes=4 --linger=nan", "--linger nan"),
-        ("--electrodes=4 --compliance=0", "--compliance 0"),
-        ("--electrodes=4 --books=/nowhere", "/nowhere"),
-        ("--electrodes=4 --event=soon", "'soon'"),
-        ("--electrodes=4 --event=1_open_4", "4 3"),
+        ("link --electrodes=0", "--electrodes 0 1 1024"),
+        ("link --output=bent", "--output 'bent' weighted"),
+        ("kajimoto61 --electrodes=60", "--electrodes 60 61"),
+        ("etactilekit --electrodes=256", "--electrodes 255 256"),
+        ("etactilekit --firmware=3", "--firmware '3' 71adee2"),
+        ("other", "emulator 'other' link"),
+        ("link --discovery-port=8888", "--discovery-port --tcp"),
+        ("link --discovery-port=70000 --tcp", "--discovery-port 70000 65535"),
+        ("link --linger=-1", "--linger -1"),
+        ("link --linger=nan", "--linger nan"),
+        ("link --compliance=0", "--compliance 0"),
+        ("link --compliance=nan", "--compliance nan"),
+        ("link --books=/nowhere", "/nowhere"),
+        ("link --event=soon", "'soon'"),
+        ("link --electrodes=4 --event=1_open_4", "4 3"),
     ],
 )
 def test_what_it_cannot_do_is_one_sentence(capsys, arguments, names):
     with pytest.raises(SystemExit) as ended:
-        main([each.replace("_", " ") for each in arguments.split()])
+        main(["board", *(each.replace("_", " ") for each in arguments.split())])
     assert ended.value.code == 2
     said = capsys.readouterr().err.splitlines()[-1].partition("error: ")[2]
     assert set(names.split()) <= set(said.replace(":", " ").replace(",", " ").split())
@@ -168,7 +172,7 @@ process.wait()
 def test_it_ends_with_a_parent_that_is_killed(tmp_path, hosted):
     """Its end of a pipe that it has inherited closes: there is no trace of it left."""
     command = [
-        "-m", "smarttouch.boards.emulator", "--protocol=kajimoto61", "--linger=inf",
+        "-m", "smarttouch.emulator", "board", "kajimoto61", "--linger=inf", "--port-only",
         f"--books={tmp_path}",
     ]  # fmt: skip
     parent = subprocess.Popen(
