@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @drives_a_board
-@takes_run_options
+@takes_run_options(scan="points")
 def color(
     run: RunOptions,
     source: Annotated[

@@ -86,11 +86,11 @@ def scale(*arguments):
         ),
         (
             ("live", "--board", "memory:", "--hold", "power"),
-            says(about="--hold", problem="unknown", value="power", allowed=("charge", "energy")),
+            says(about="hold", problem="unknown", value="power", allowed=("charge", "energy")),
         ),
         (
             ("live", "--board", "memory:", "--hold", "charge"),
-            says(BoardError, about="--hold", problem="impossible", value="charge"),
+            says(BoardError, about="hold", value="charge"),
         ),
         (("live", "--board", "memory:", "--measure"), says(BoardError, "measure")),
         (

@@ -131,7 +131,7 @@ def test_what_is_left_out_is_said(run_color):
         ),
         (
             ("tone:30Hz,9um", "--intensity", "2"),
-            says(about="--intensity", value=2, allowed=(0, 1)),
+            says(about="intensity", value=2, allowed=(0, 1)),
         ),
         (("none.csv",), says(SmartTouchError, "'none.csv'", "tone:30Hz,8um")),
     ],

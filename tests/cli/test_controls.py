@@ -116,8 +116,8 @@ def test_nobody_knows_the_force(program_here, tmp_path):
                 allowed=("RA", "SAI", "PC", "natural"),
             ),
         ),
-        (("--intensity", "1.2"), says(about="--intensity", value=1.2, allowed=(0, 1))),
-        (("--softness", "nan"), says(about="--softness", value=math.isnan, allowed=(0, 1))),
+        (("--intensity", "1.2"), says(about="intensity", value=1.2, allowed=(0, 1))),
+        (("--softness", "nan"), says(about="softness", value=math.isnan, allowed=(0, 1))),
         (("--size", "640"), says(about="--size", problem="malformed", value="640")),
         (("--exposure", "3"), says(SensorError, "page:", " exposure:", "dpi")),
         (

@@ -11,7 +11,7 @@ from PIL import Image
 
 from smarttouch.errors import DesignError, ProfileError, SmartTouchError
 from smarttouch.primary import Primary
-from smarttouch.profile import DEFAULT_PROFILE, profile_names
+from smarttouch.profile import DEFAULT_PROFILE, list_profiles
 
 from .conftest import refused, says
 
@@ -43,7 +43,7 @@ def test_profiles(program_here):
     done = program_here("profiles")
     assert done.returncode == 0
     lines = done.stdout.splitlines()
-    for name in profile_names():
+    for name in list_profiles():
         assert name in done.stdout
     assert [line.split()[0] for line in lines if "(default)" in line] == [DEFAULT_PROFILE]
 

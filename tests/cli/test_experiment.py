@@ -15,6 +15,7 @@ from rich.console import Console
 
 from smarttouch.cli.blind_screen import BlindScreen
 from smarttouch.errors import ExperimentError
+from smarttouch.events import FingerLifted, TrialEvent
 from smarttouch.files import open_alone
 from smarttouch.primary import Mode
 from smarttouch.psychophysics.rows import read_rows
@@ -249,22 +250,26 @@ def test_the_seed_of_another_session_is_not_gone_on_with(program_here):
 
 
 def test_a_participant_s_screen_does_not_tell_the_answer(profile, make_frame):
-    source = SimpleNamespace(
-        title="frequency-RA, trial 3 of 50: which was faster? 1 or 2", keys={}, keys_help=""
+    run = SimpleNamespace(
+        source=SimpleNamespace(title="frequency-RA, trial 3 of 50: which was faster? 1 or 2"),
+        profile=profile,
+        controls=Controls(ControlState(Mode.RA, 0.5)),
+        board=None,
+        statistics=RunStatistics(),
     )
-    controls = Controls(ControlState(Mode.RA, 0.5))
-    screen = BlindScreen(source, profile, controls, "emulator:", None, RunStatistics(), quiet=True)
+    screen = BlindScreen("emulator:", quiet=True)
+    screen.prepare(run)
     frame = make_frame([[0]], force_n=0.45)
     sequence = SimpleNamespace(rate_hz=45.0, current_ua=None)
-    screen.show(SimpleNamespace(step=SimpleNamespace(frame=frame, sequence=sequence)))
-    screen.tell(1_000_000_000, "trial 3: standard 30 Hz, comparison 45 Hz second")
+    screen.step(SimpleNamespace(step=SimpleNamespace(frame=frame, sequence=sequence)))
+    screen.event(TrialEvent(10**9, "trial 3: standard 30 Hz, comparison 45 Hz second"))
     console = Console(width=100, file=io.StringIO())
     console.print(screen._render())
     seen = console.file.getvalue()
-    assert all(part in seen for part in source.title.split(": "))
+    assert all(part in seen for part in run.source.title.split(": "))
     assert "45" not in seen
     assert "Hz" not in seen
     assert f"amplitude {'█' * 10}{'░' * 10}" in seen
-    screen.tell(2_000_000_000, "the finger is lifted")
+    screen.event(FingerLifted(2 * 10**9))
     console.print(screen._render())
     assert "2.0 s: the finger is lifted" in console.file.getvalue()

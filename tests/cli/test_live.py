@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 from PIL import Image
 from skimage import data
 
-from smarttouch.profile import profile_names
+from smarttouch.profile import list_profiles
 from smarttouch.resources import data_folder
 
 KEYS = {
@@ -116,7 +116,7 @@ def test_blank_pages_are_silent(program_here, tmp_path, name):
     assert figures_of(tmp_path / "run.json")["active_fraction"] <= 0.02
 
 
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", list_profiles())
 def test_every_profile_runs(program_here, tmp_path, name):
     done = program_here(
         "live",

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from smarttouch.cli import running as module
+from smarttouch.cli import run_registry as module
 from smarttouch.cli.run_registry import (
     announced,
     leave_mark,
