@@ -104,7 +104,7 @@ def test_a_force_is_shown(run, tmp_path):
         ),
         (
             ["emulate", "hx711", "--rate", "-1"],
-            says(about="--rate", problem="out of range", value=-1, allowed=(0, 2000)),
+            says(about="--rate", problem="out of range", value=-1, allowed=(0.01, 2000)),
         ),
     ],
 )
