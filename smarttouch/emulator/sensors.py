@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from smarttouch.boards.emulator.firmware import Clock, Firmware
 from smarttouch.errors import SensorError
 from smarttouch.profile import Profile
-from smarttouch.sources import open_sensor
+from smarttouch.sources import open_source
 from smarttouch.sources.forces.force import open_recorded
 from smarttouch.sources.sensor_protocol import encode_force, encode_frame, encode_info
 
@@ -187,7 +187,7 @@ def look_at_page(url: str, profile: Profile, rows: int, columns: int) -> Look:
         )
     shape = {"sensor_rows": rows, "sensor_columns": columns}
     optics = profile.optics.model_copy(update=shape)
-    sensor = open_sensor(url, profile.model_copy(update={"optics": optics}))
+    sensor = open_source(url, profile.model_copy(update={"optics": optics}))
     lasts_ns = round(1e9 * (sensor.duration_s or 1.0))
 
     def look(time_s: float) -> NDArray[np.uint8]:
