@@ -143,7 +143,8 @@ def test_a_target_alone(run, tmp_path):
 def load_cell(monkeypatch):
     """An emulated cell on a serial line; who is asked for a weight lays it on."""
     with subprocess.Popen(
-        [sys.executable, "-m", "smarttouch.sources.emulator", "loadcell", "--rate=400"],
+        [sys.executable, "-m", "smarttouch.emulator", "sensor", "loadcell", "--rate=400",
+         "--port-only", "--linger=2"],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     ) as process:  # fmt: skip
         port = process.stdout.readline().strip()
