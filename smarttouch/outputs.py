@@ -3,10 +3,7 @@
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.emulator.simulated import SimulatedBoard
@@ -16,22 +13,8 @@ from smarttouch.running.step import StepResult
 
 if TYPE_CHECKING:
     from smarttouch.boards.emulator.simulated import Pulses
+    from smarttouch.delivered.drawing import FeltDrawing
     from smarttouch.patterns import PatternFile
-
-
-class Drawing(Protocol):
-    """Picture of delivered pulses."""
-
-    def watch(self, result: StepResult) -> None: ...
-
-    def deliver(
-        self,
-        numbers: NDArray[np.uint32],
-        width_us: NDArray[np.float32],
-        current_ua: NDArray[np.int16],
-    ) -> None: ...
-
-    def save(self, path: Path) -> None: ...
 
 
 class FeltPicture(Listener):
@@ -49,7 +32,7 @@ class FeltPicture(Listener):
         super().__init__()
         self.path = path
         self._folder: tempfile.TemporaryDirectory[str] | None = None
-        self._drawing: Drawing | None = None
+        self._drawing: FeltDrawing | None = None
 
     def prepare(self, run: RunContext) -> None:
         """Begin the picture, and have the board keep books."""
@@ -70,11 +53,11 @@ class FeltPicture(Listener):
         if own is not None:
             self._drawing = own(run.profile, run.bank)
         else:
-            from smarttouch.felt import FeltImage
+            from smarttouch.delivered.drawing import PageDrawing
 
             primaries = run.controls.state(0).mode.primaries
             page = getattr(run.source, "page", None)
-            self._drawing = FeltImage(run.profile, run.bank, primaries, page)
+            self._drawing = PageDrawing(run.profile, run.bank, primaries, page)
 
     def step(self, result: StepResult) -> None:
         """Remember where the finger was."""
