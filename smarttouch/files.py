@@ -225,6 +225,14 @@ def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None)
         file.close()
 
 
+def write_through(path: Path, data: bytes) -> None:
+    """Write a file that is on the disk before this returns; raises what the system raises."""
+    with path.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
 def sync_folder(folder: Path) -> None:
     """Have the names of a folder's files on the disk, where its file system offers that."""
     with contextlib.suppress(OSError):

@@ -11,7 +11,13 @@ import tomlkit
 from tomlkit.items import Array
 
 from smarttouch.errors import CalibrationError, ProfileError
-from smarttouch.files import MOST_TOML_BYTES, read_text, require_replaceable, unwritable
+from smarttouch.files import (
+    MOST_TOML_BYTES,
+    read_text,
+    require_replaceable,
+    unwritable,
+    write_through,
+)
 from smarttouch.profile import Profile, list_profiles, load_profile
 from smarttouch.resources import data_folder
 
@@ -122,7 +128,7 @@ class ProfileFile:
         drafts = {path: path.with_name(f".{path.stem}-draft{path.suffix}") for path in files}
         try:
             for path, content in files.items():
-                _write_through(drafts[path], content)
+                write_through(drafts[path], content)
             self._prove(drafts[self.output])
             for path, draft in drafts.items():
                 draft.replace(path)
@@ -184,10 +190,3 @@ def _rows(values: Sequence[float]) -> Array:
         rows.add_line(*values[first : first + width])
     rows.add_line(indent="")
     return rows
-
-
-def _write_through(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())

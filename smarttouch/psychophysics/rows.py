@@ -3,9 +3,9 @@
 import os
 from dataclasses import dataclass, fields
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
+from smarttouch.closing import Closing
 from smarttouch.errors import ExperimentError
 from smarttouch.files import (
     MOST_TABLE_BYTES,
@@ -118,7 +118,7 @@ class About:
     seed: int
 
 
-class RowFile:
+class RowFile(Closing):
     """A file that rows are added to, each on disk before `append` returns.
 
     A file that is there already goes on; a line that was cut off when a program was killed is
@@ -196,17 +196,6 @@ class RowFile:
     def close(self) -> None:
         """Let go of the file."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _write(self, data: bytes) -> None:
         self._file.write(data)
