@@ -1,6 +1,7 @@
 """Pictures of what the skin got, below what it touched."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 
@@ -27,6 +28,9 @@ _WIDTH = (900, 1400)
 _MARGIN, _LABEL = 24, 28
 Grey = NDArray[np.uint8]
 Place = tuple[float, float]
+Under = tuple[str, Place, Place, Callable[[tuple[int, int], float], Grey]]
+"""Title, top left corner, width and height in mm; and what draws it in rows and columns of pixels
+of so many mm."""
 
 
 class FeltDrawing(DeliveredAnswers, ABC):
@@ -43,7 +47,9 @@ class FeltDrawing(DeliveredAnswers, ABC):
     """
 
     strongest = False
+    """Whether a place shows the strongest answer, and not the mean."""
     longest_px = 4000
+    """Pixels of the longer side at most."""
 
     def __init__(
         self,
@@ -58,12 +64,14 @@ class FeltDrawing(DeliveredAnswers, ABC):
         self._names = " and ".join(each.name for each in primaries)
 
     @abstractmethod
-    def area_mm(self) -> tuple[Place, Place]:
-        """Return the top left corner of what was touched, and its width and height."""
+    def under(self) -> Under:
+        """Return what was touched.
 
-    @abstractmethod
-    def under(self, corner_mm: Place, shape: tuple[int, int], pixel_mm: float) -> tuple[str, Grey]:
-        """Return a title and a picture of an area of what was touched."""
+        Raises
+        ------
+        SmartTouchError
+            If nothing was.
+        """
 
     def places_mm(self, pose: Pose) -> NDArray[np.float64]:
         """Return where the electrodes are at a pose, (E, 2) mm."""
@@ -93,19 +101,20 @@ class FeltDrawing(DeliveredAnswers, ABC):
         SmartTouchError
             If there is nothing to draw, or the file cannot be written.
         """
-        corner_mm, (width_mm, height_mm) = self.area_mm()
+        title, corner_mm, (width_mm, height_mm), draw_under = self.under()
         pixel_mm = max(FINEST_MM, max(width_mm, height_mm) / self.longest_px)
         height, width = round(height_mm / pixel_mm), round(width_mm / pixel_mm)
-        area = (corner_mm, (height, width), pixel_mm)
-        felt = (f"Felt: {self._names} pulses where the electrodes were", self.picture(*area))
+        felt = self.picture(corner_mm, (height, width), pixel_mm)
+        rows = (
+            (title, draw_under((height, width), pixel_mm)),
+            (f"Felt: {self._names} pulses where the electrodes were", felt),
+        )
         scale = min(max(1.0, _WIDTH[0] / width), _WIDTH[1] / width)
         size = (round(width * scale), round(height * scale))
         step = size[1] + _LABEL + _MARGIN
         sheet = Image.new("L", (size[0] + 2 * _MARGIN, 2 * step + _MARGIN), 226)
         draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(17)
-        for top, (title, image) in zip(
-            (_MARGIN, _MARGIN + step), (self.under(*area), felt), strict=True
-        ):
+        for top, (title, image) in zip((_MARGIN, _MARGIN + step), rows, strict=True):
             draw.text((_MARGIN, top), title, fill=40, font=font)
             resized = Image.fromarray(image).resize(size, Image.Resampling.LANCZOS)
             sheet.paste(resized, (_MARGIN, top + _LABEL))
@@ -138,16 +147,12 @@ class PageDrawing(FeltDrawing):
         if self._mosaic is not None and sent.number in self.poses:
             self._mosaic.add(sent.frame)
 
-    def area_mm(self) -> tuple[Place, Place]:
+    def under(self) -> Under:
         """Return the whole page."""
-        corner_mm = (0.0, 0.0)
+        title, page, corner_mm = "The page, as it lies under the finger", self._page, (0.0, 0.0)
         if self._mosaic is not None:
-            self._page, corner_mm = self._mosaic.page()
-        assert self._page is not None
-        return corner_mm, self._page.size_mm
-
-    def under(self, corner_mm: Place, shape: tuple[int, int], pixel_mm: float) -> tuple[str, Grey]:
-        """Return the page."""
-        assert self._page is not None
-        seen = "The page" if self._mosaic is None else "The frames, put together"
-        return f"{seen}, as it lies under the finger", self._page.grey
+            title = "The frames that passed under the finger, put together"
+            page, corner_mm = self._mosaic.page()
+        assert page is not None
+        grey = page.grey
+        return title, corner_mm, page.size_mm, lambda _shape, _pixel_mm: grey

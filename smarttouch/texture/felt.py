@@ -1,8 +1,10 @@
 """Picture of what the skin got of a texture, below the texture."""
 
+from functools import partial
+
 import numpy as np
 
-from smarttouch.delivered.drawing import FeltDrawing, Grey, Place
+from smarttouch.delivered.drawing import FeltDrawing, Under
 from smarttouch.errors import SmartTouchError
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.primary import Primary
@@ -37,22 +39,14 @@ class TextureDrawing(FeltDrawing):
         place = (sent.frame.pose.x_mm, sent.frame.pose.y_mm)
         self._least, self._most = np.minimum(self._least, place), np.maximum(self._most, place)
 
-    def area_mm(self) -> tuple[Place, Place]:
-        """Return the part of the texture that the array came over.
-
-        Raises
-        ------
-        SmartTouchError
-            If the hand was never there.
-        """
+    def under(self) -> Under:
+        """Return the part of the texture that the array came over."""
         if not np.isfinite(self._least).all():
             message = "the hand felt nothing: there is nothing to draw"
             raise SmartTouchError(message, about="felt", problem="empty")
         half = np.abs(self._position_mm).max(axis=0) + np.array(self._cell_mm)
         corner, end = self._least - half, self._most + half
-        return tuple(corner.tolist()), tuple((end - corner).tolist())
-
-    def under(self, corner_mm: Place, shape: tuple[int, int], pixel_mm: float) -> tuple[str, Grey]:
-        """Return that part of the texture."""
-        image = self._texture.draw(*corner_mm, shape, pixel_mm)
-        return f"Under the hand: {self._texture.title}", image
+        left, top = corner.tolist()
+        wide, high = (end - corner).tolist()
+        title = f"Under the hand: {self._texture.title}"
+        return title, (left, top), (wide, high), partial(self._texture.draw, left, top)
