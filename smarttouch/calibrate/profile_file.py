@@ -10,7 +10,13 @@ from typing import Any
 import tomlkit
 
 from smarttouch.errors import CalibrationError, ProfileError
-from smarttouch.files import MOST_TOML_BYTES, read_text, require_replaceable, unwritable
+from smarttouch.files import (
+    MOST_TOML_BYTES,
+    read_text,
+    require_replaceable,
+    unwritable,
+    write_through,
+)
 from smarttouch.profile import Profile, load_profile
 from smarttouch.profile.load import profile_of, profile_path, read_table
 from smarttouch.profile.migrate import Change, migrate
@@ -118,7 +124,7 @@ class ProfileFile:
         drafts = {path: path.with_name(f".{path.stem}-draft{path.suffix}") for path in files}
         try:
             for path, content in files.items():
-                _write_through(drafts[path], content)
+                write_through(drafts[path], content)
             self._prove(drafts[self.output])
             for path, draft in drafts.items():
                 draft.replace(path)
@@ -270,10 +276,3 @@ def _begin(path: Path) -> tuple[str, tomlkit.TOMLDocument, list[Change], Profile
             f"{path} cannot be changed: {error}", about="file", problem="malformed", value=path
         ) from None
     return text, document, changes, profile_of(table, path)
-
-
-def _write_through(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())

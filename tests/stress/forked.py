@@ -23,7 +23,7 @@ import smarttouch.boards.etactilekit
 import smarttouch.boards.kajimoto61
 import smarttouch.boards.link
 import smarttouch.cli.session
-import smarttouch.felt
+import smarttouch.delivered.drawing
 import smarttouch.sources.forces.force
 import smarttouch.sources.page  # noqa: F401
 from smarttouch.boards.emulator.books import Books
