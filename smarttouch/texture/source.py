@@ -15,7 +15,7 @@ from smarttouch.sources.frame import Pose
 from smarttouch.sources.notes import StandingNotes
 from smarttouch.sources.source import StimulusSource
 from smarttouch.sources.stimulus import Stimulus
-from smarttouch.texture.felt import FeltMap
+from smarttouch.texture.felt import TextureDrawing
 from smarttouch.texture.motion import Motion
 from smarttouch.texture.steady import Steady
 from smarttouch.texture.texture import Texture
@@ -160,9 +160,9 @@ class MouseSource(StimulusSource):
             image=self._image,
         )
 
-    def drawing(self, profile: Profile, bank: KernelBank) -> FeltMap:
+    def drawing(self, profile: Profile, bank: KernelBank) -> TextureDrawing:
         """Return what draws the pulses of a run: the mouse's are too few to be averaged."""
-        return FeltMap(profile, bank, (self._primary,), self.texture)
+        return TextureDrawing(profile, bank, (self._primary,), self.texture)
 
     def close(self) -> None:
         """Let go of what tells the motion, and say what was left out."""

@@ -19,7 +19,7 @@ from smarttouch.vibrotactile.mix import mix_colors
 from smarttouch.vibrotactile.source import ColorSource
 from smarttouch.vibrotactile.spec import open_trace
 
-from .recover import recover
+from ..reference.recover import recover
 
 RISEN_S = 0.55
 """By then intensity is full."""
@@ -39,14 +39,14 @@ class Got:
 
 
 def feel(spec, profile, bank, seconds=2.0, shaking=None, **options):
-    """Return what each class got, by Primary, and the source that asked for it.
+    """Return what each class got, by Primary, and the sensor that asked for it.
 
     What ``shaking``, a board of vibrators, is to do it is told.
     """
     trace = open_trace(spec, seconds)
     vibrated = shaking is not None
     mixture = mix_colors(trace, profile, bank, vibrated=vibrated, **options)
-    source = ColorSource(spec, profile, mixture, force_n=2 * profile.force.full_n)
+    sensor = ColorSource(spec, profile, mixture, force_n=2 * profile.force.full_n)
     began_s = {}
 
     def watch(sent):
@@ -56,7 +56,7 @@ def feel(spec, profile, bank, seconds=2.0, shaking=None, **options):
     whole = HybridBoard(board, shaking) if vibrated else board
     with whole:
         run_loop(
-            source,
+            sensor,
             Pipeline(profile, bank, RunConfig(mode=mixture.mode, scan="points"), vibrated=vibrated),
             whole,
             stop=StopRequest(),
@@ -75,4 +75,4 @@ def feel(spec, profile, bank, seconds=2.0, shaking=None, **options):
         if its.any():
             sites = set(pulses.site[its].tolist())
             got[primary] = Got(np.unique(time_s[its]), pulses.drive[its], sites)
-    return got, source
+    return got, sensor
