@@ -30,7 +30,7 @@ def open_sensor(
     SensorError
         If there is no such kind, it does not take an option, or cannot be opened.
     """
-    opener, rest = find_opener("smarttouch.sensors", url, SensorError)
+    opener, rest = find_opener("smarttouch.sources", url, SensorError, Sensor, ("rest", "profile"))
     given = {name: value for name, value in options.items() if value is not None}
     taken = list(inspect.signature(opener).parameters)[2:]
     for name in given:

@@ -4,10 +4,10 @@ import inspect
 import math
 from abc import ABC, abstractmethod
 from importlib import import_module
-from importlib.metadata import entry_points
 from typing import Any
 
 from smarttouch.errors import SensorError
+from smarttouch.registry import known_names
 from smarttouch.sources.device import Device
 
 _OPENERS = {
@@ -75,9 +75,9 @@ def open_motion(url: str, **options: Any) -> Motion:
         If there is no such kind, it does not take an option, or cannot be opened.
     """
     kind, colon, rest = url.partition(":")
-    sensors = {point.name for point in entry_points(group="smarttouch.sensors")}
-    if not colon or kind not in _OPENERS.keys() | sensors:
-        known = (*_OPENERS, *sorted(sensors))
+    sensors = known_names("smarttouch.sources")
+    if not colon or kind not in {*_OPENERS, *sensors}:
+        known = (*_OPENERS, *sensors)
         names = ", ".join(f"{each}:" for each in known)
         raise SensorError(
             f"unknown motion {url!r}: it must begin with one of {names}",

@@ -129,5 +129,5 @@ def test_a_page_image_of_one_s_own(profile, tmp_path):
 @pytest.mark.parametrize("url", ["nothing:x", "page", "", "camera", ":"])
 def test_unknown_sensors(profile, url):
     known = {"page", "text"}.issubset
-    with raises(SensorError, about="sensor", problem="unknown", value=url, allowed=known):
+    with raises(SensorError, about="source", problem="unknown", value=url, allowed=known):
         open_sensor(url, profile)
