@@ -43,3 +43,7 @@ class PtyLine:
             return data
         except OSError:
             return b""
+
+    def close(self) -> None:
+        """Hang up; what a host has open there is an error from now on."""
+        os.close(self._master)
