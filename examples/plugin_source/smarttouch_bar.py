@@ -60,12 +60,12 @@ class BarSource(Sensor):
         self._field_mm = optics.field_width_mm
         self._width_mm, self._speed_mm_s = width_mm, speed_mm_s
         self._way_mm = self._field_mm + width_mm
-        self.duration_s = PASSES * self._way_mm / speed_mm_s
+        self.duration_s = self._end_s = PASSES * self._way_mm / speed_mm_s
 
     def read(self, time_ns: int) -> Frame | None:
         """Return the frame at a time since the start; None when the bar has passed."""
         time_s = time_ns / 1e9
-        if time_s > self.duration_s:
+        if time_s > self._end_s:
             return None
         right_mm = time_s * self._speed_mm_s % self._way_mm
         x_mm = (np.arange(self._shape[1]) + 0.5) * self._field_mm / self._shape[1]
