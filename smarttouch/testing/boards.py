@@ -15,8 +15,16 @@ from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
 SECOND = 10**9
-UNSAFE = ("strong", "unbalanced", "long", "often", "intense", "sudden", "earlier")
-"""Ways in which a sequence of `BoardContract.unsafe_sequence` breaks a limit."""
+UNSAFE = {
+    "strong": "current_ma",
+    "unbalanced": "balance",
+    "long": "pulse_us",
+    "often": "rate_hz",
+    "intense": "intensity",
+    "sudden": "ramp_s",
+    "earlier": "time_ns",
+}
+"""Limits that a sequence of `BoardContract.unsafe_sequence` breaks, by how."""
 
 
 class BoardContract:
@@ -186,8 +194,9 @@ class BoardContract:
             board.send(self.sequence(0))
             board.drain()
             before = len(self.calls)
-            with pytest.raises(SafetyError):
+            with pytest.raises(SafetyError) as error:
                 board.send(self.unsafe_sequence(how, limits))
+            assert error.value.limit == UNSAFE[how]
             assert self.calls[before:] == []
 
     def test_a_stop_from_another_thread_ends_it(self, new_board: Callable[[], Board]) -> None:
