@@ -2,7 +2,108 @@
 
 Optical frames of print become a tactile image, the tactile image becomes a
 time-division scan sequence of optimizer-designed kernels, and the sequence is
-proved safe before an electro-tactile display board gets it.
+proved safe before an electro-tactile display board gets it::
+
+    import smarttouch as st
+
+    profile = st.load_profile("electric-mouse")
+    with st.open_source("text:touch", profile) as source, \\
+            st.open_display("emulator:", profile) as display:
+        statistics = st.run(source, display, mode="RA")
+
+Nothing heavy is imported before it is used.
 """
 
-__version__ = "0.1.0"
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from smarttouch.version import __version__
+
+if TYPE_CHECKING:
+    from smarttouch.errors import (
+        BoardError,
+        ProfileError,
+        SafetyError,
+        SensorError,
+        SmartTouchError,
+    )
+    from smarttouch.front import design_kernel, load_kernels, replay, run, steps
+    from smarttouch.imaging.tactile_image import TactileImage
+    from smarttouch.kernels.problem import Kernel
+    from smarttouch.primary import Primary
+    from smarttouch.profile import Profile, list_profiles, load_profile
+    from smarttouch.recording.recorder import Recorder
+    from smarttouch.running.config import RunConfig
+    from smarttouch.running.display import Display, open_display
+    from smarttouch.running.listener import Listener
+    from smarttouch.running.statistics import RunStatistics
+    from smarttouch.running.step import StepResult
+    from smarttouch.sources import open_source
+    from smarttouch.sources.frame import Frame
+    from smarttouch.stimulation.safety import SafetyLimits
+    from smarttouch.stimulation.sequence import ScanSequence
+
+
+__all__ = [
+    "BoardError",
+    "Display",
+    "Frame",
+    "Kernel",
+    "Listener",
+    "Primary",
+    "Profile",
+    "ProfileError",
+    "Recorder",
+    "RunConfig",
+    "RunStatistics",
+    "SafetyError",
+    "SafetyLimits",
+    "ScanSequence",
+    "SensorError",
+    "SmartTouchError",
+    "StepResult",
+    "TactileImage",
+    "__version__",
+    "design_kernel",
+    "list_profiles",
+    "load_kernels",
+    "load_profile",
+    "open_display",
+    "open_source",
+    "replay",
+    "run",
+    "steps",
+]
+
+_WHERE = {
+    "errors": ("BoardError", "ProfileError", "SafetyError", "SensorError", "SmartTouchError"),
+    "front": ("design_kernel", "load_kernels", "replay", "run", "steps"),
+    "imaging.tactile_image": ("TactileImage",),
+    "kernels.problem": ("Kernel",),
+    "primary": ("Primary",),
+    "profile": ("Profile", "list_profiles", "load_profile"),
+    "recording.recorder": ("Recorder",),
+    "running.config": ("RunConfig",),
+    "running.display": ("Display", "open_display"),
+    "running.listener": ("Listener",),
+    "running.statistics": ("RunStatistics",),
+    "running.step": ("StepResult",),
+    "sources": ("open_source",),
+    "sources.frame": ("Frame",),
+    "stimulation.safety": ("SafetyLimits",),
+    "stimulation.sequence": ("ScanSequence",),
+}
+_MODULE = {name: f"smarttouch.{module}" for module, names in _WHERE.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is used first."""
+    if name not in _MODULE:
+        raise AttributeError(f"module 'smarttouch' has no attribute {name!r}")
+    value = getattr(import_module(_MODULE[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

@@ -39,6 +39,11 @@ class Note(Event):
 
 
 @dataclass(frozen=True)
+class Advice(Note):
+    """A sentence that a user should read before the run."""
+
+
+@dataclass(frozen=True)
 class IntensityChanged(Event):
     """The user asked for another intensity, in [0, 1]."""
 
@@ -105,6 +110,16 @@ class FingerLifted(Event):
 @dataclass(frozen=True)
 class BoardRestarted(Event):
     """The board was lost or a sequence late, and intensity begins at zero."""
+
+    reason: str
+
+    def __str__(self) -> str:
+        return self.reason
+
+
+@dataclass(frozen=True)
+class RunFailed(Event):
+    """An error ends the run."""
 
     reason: str
 

@@ -9,7 +9,7 @@ import pytest
 
 from smarttouch.electrodes import KAJIMOTO_61_ROWS
 from smarttouch.errors import ProfileError
-from smarttouch.profile import load_profile, profile_names
+from smarttouch.profile import list_profiles, load_profile
 from smarttouch.resources import data_folder
 
 from .raising import assert_says, raises
@@ -27,7 +27,7 @@ SHIPPED = {
 
 
 def test_all_are_shipped():
-    assert set(profile_names()) == set(SHIPPED)
+    assert set(list_profiles()) == set(SHIPPED)
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -170,7 +170,7 @@ def test_no_toml(edited):
 
 
 def test_unknown_name():
-    names = tuple(profile_names())
+    names = tuple(list_profiles())
     with raises(
         ProfileError, about="profile", problem="unknown", value="nothing", allowed=names
     ) as caught:

@@ -1,6 +1,7 @@
 """Sources and boards of other packages: found, and refused at once where they are broken."""
 
 import warnings
+from dataclasses import replace
 from importlib.metadata import entry_points
 
 import pytest
@@ -10,7 +11,8 @@ from smarttouch.boards.memory import MemoryBoard
 from smarttouch.errors import BoardError, SensorError
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.registry import fault_of, known_names
-from smarttouch.sources import open_sensor
+from smarttouch.running.display import open_display
+from smarttouch.sources import open_source
 from smarttouch.sources.forces.force import open_force
 from smarttouch.stimulation.safety import SafetyLimits
 
@@ -84,16 +86,16 @@ def test_a_board_of_others(installed, limits):
 
 def test_a_source_of_others(installed, profile):
     installed(SOURCE, "smarttouch.sources", "open_mine")
-    with open_sensor("mine:", profile, shade=3) as source:
+    with open_source("mine:", profile, shade=3) as source:
         assert source.read(0) is None
     with raises(SensorError, about="color", problem="unknown", allowed=("shade",)):
-        open_sensor("mine:", profile, color=1)
+        open_source("mine:", profile, color=1)
 
 
 def test_a_source_under_the_former_name_of_the_group(installed, profile):
     installed(SOURCE, "smarttouch.sensors", package="older")
     with pytest.warns(DeprecationWarning, match="older"):
-        open_sensor("mine:", profile)
+        open_source("mine:", profile)
 
 
 def test_one_that_is_under_both_names_warns_of_nothing(installed, profile, tmp_path):
@@ -103,7 +105,7 @@ def test_one_that_is_under_both_names_warns_of_nothing(installed, profile, tmp_p
     points.write_text(text + text.replace("sensors", "sources"), encoding="utf-8")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        open_sensor("mine:", profile)
+        open_source("mine:", profile)
 
 
 def test_no_other_package_takes_a_name_of_ours(installed, limits):
@@ -172,7 +174,7 @@ def test_a_broken_source_is_refused_by_its_package(
 ):
     installed(text, "smarttouch.sources", target, "their-source")
     with raises(SensorError, problem=problem, value="their-source") as caught:
-        open_sensor("mine:", profile)
+        open_source("mine:", profile)
     assert about in caught.value.about
 
 
@@ -239,3 +241,13 @@ def test_ours_keep_the_contract():
     faults = [fault_of(each, Board) for each in ours]
     # Those in between have something left to be done.
     assert {fault.problem for fault in faults if fault} <= {"missing"}
+
+
+def test_a_display_of_a_class_has_the_gate_too(profile):
+    class Wide(MemoryBoard):
+        def __init__(self, rest, limits, output=None):
+            super().__init__(rest, replace(limits, rate_hz=200.0), output)
+
+    with raises(BoardError, about="limits", problem="replaced", value="Wide"):
+        open_display(Wide, profile)
+    assert open_display(MemoryBoard, profile).board.capabilities is not None

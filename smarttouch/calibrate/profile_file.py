@@ -12,7 +12,7 @@ from tomlkit.items import Array
 
 from smarttouch.errors import CalibrationError, ProfileError
 from smarttouch.files import MOST_TOML_BYTES, read_text, require_replaceable, unwritable
-from smarttouch.profile import Profile, load_profile, profile_names
+from smarttouch.profile import Profile, list_profiles, load_profile
 from smarttouch.resources import data_folder
 
 Value = str | float | Sequence[float]
@@ -51,7 +51,7 @@ class ProfileFile:
 
     def __init__(self, start: str, output: Path, overwrite: bool = False) -> None:
         self.profile = load_profile(start)
-        shipped = start in profile_names()
+        shipped = start in list_profiles()
         self._source = data_folder("calibration") / f"{start}.toml" if shipped else Path(start)
         text = read_text(self._source, ProfileError, MOST_TOML_BYTES)
         try:

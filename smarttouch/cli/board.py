@@ -115,7 +115,10 @@ def try_out(
         if may_touch_a_finger(url) and not sys.stdin.isatty():
             raise SmartTouchError(
                 "there is no keyboard to end it with, and a finger may be on the board: say how "
-                f"strong it is to become with --current-ma, for example {_WALK_MA:g}"
+                f"strong it is to become with --current-ma, for example {_WALK_MA:g}",
+                about="keyboard",
+                problem="missing",
+                remedy="--current-ma",
             )
         current_ma = _WALK_MA
     with opened(display):
@@ -160,7 +163,10 @@ def calibrate_scale(
         try:
             volts = float(answer)
         except ValueError:
-            raise SmartTouchError(f"{answer!r} is no voltage: give a number of volts") from None
+            message = f"{answer!r} is no voltage: give a number of volts"
+            raise SmartTouchError(
+                message, about="--volts", problem="malformed", value=answer
+            ) from None
     ratio = check_reading(volts, ohm, current_ma)
     scale_ua = None if display.ua_per_count is None else display.ua_per_count * ratio
     kind = url.partition(":")[0]
@@ -204,17 +210,32 @@ def emulate(
 
     usual = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
     if name not in usual:
-        raise SmartTouchError(f"no emulator {name!r}: choose {', '.join(usual)}")
-    if electrodes is not None and not 1 <= electrodes <= _MOST_EMULATED:
-        raise SmartTouchError(f"--electrodes {electrodes} must be from 1 to {_MOST_EMULATED}")
-    if books is not None and not books.is_dir():
-        raise SmartTouchError(f"--books {books} is no folder: make it first")
-    if firmware is not None and name != "etactilekit":
+        message = f"no emulator {name!r}: choose {', '.join(usual)}"
         raise SmartTouchError(
-            f"--firmware is for etactilekit, and a {name} has only one: leave it out"
+            message, about="emulator", problem="unknown", value=name, allowed=tuple(usual)
+        )
+    if electrodes is not None and not 1 <= electrodes <= _MOST_EMULATED:
+        message = f"--electrodes {electrodes} must be from 1 to {_MOST_EMULATED}"
+        raise SmartTouchError(
+            message, about="--electrodes", value=electrodes, allowed=(1, _MOST_EMULATED)
+        )
+    if books is not None and not books.is_dir():
+        message = f"--books {books} is no folder: make it first"
+        raise SmartTouchError(message, about="--books", problem="no folder", value=books)
+    if firmware is not None and name != "etactilekit":
+        message = f"--firmware is for etactilekit, and a {name} has only one: leave it out"
+        raise SmartTouchError(
+            message, about="--firmware", problem="conflict", value=name, allowed=("etactilekit",)
         )
     if firmware is not None and firmware not in GENERATIONS:
-        raise SmartTouchError(f"no firmware {firmware!r}: choose {', '.join(GENERATIONS)}")
+        message = f"no firmware {firmware!r}: choose {', '.join(GENERATIONS)}"
+        raise SmartTouchError(
+            message,
+            about="--firmware",
+            problem="unknown",
+            value=firmware,
+            allowed=tuple(GENERATIONS),
+        )
     arguments = [f"--protocol={name}", f"--electrodes={electrodes or usual[name]}"]
     arguments += [f"--output={output}"] if name == "link" else []
     arguments += [f"--firmware={firmware}"] if firmware else []

@@ -55,7 +55,8 @@ def braille(
         _print_tables()
         return
     if source is None:
-        raise BrailleError("nothing to read is given: give a text or a file, or --tables")
+        message = "nothing to read is given: give a text or a file, or --tables"
+        raise BrailleError(message, about="text", problem="missing", remedy="--tables")
     require_folder(output)
     code = open_table(table)
     loaded = _seen(source, table, page_list, password, language)
@@ -68,7 +69,10 @@ def braille(
             print(text, end="")
             return
         if output.suffix.lower() != ".txt":
-            raise BrailleError(f"cannot write a text as {output}: give a name that ends in .txt")
+            message = f"cannot write a text as {output}: give a name that ends in .txt"
+            raise BrailleError(
+                message, about="file", problem="unknown", value=output, allowed=(".txt",)
+            )
         write_bytes(output, text.encode())
         print(output)
         return

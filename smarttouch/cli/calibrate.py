@@ -51,8 +51,7 @@ def optics(
     """Dark level and gain of every pixel, by the sensor covered and on blank white paper."""
     from smarttouch.calibrate.optics import measure_optics
     from smarttouch.calibrate.tables import show_optics
-    from smarttouch.cli.calibrate_steps import ask, images_of
-    from smarttouch.errors import CalibrationError
+    from smarttouch.cli.calibrate_steps import ask, images_of, missing
 
     file = _profile_file(profile, output, overwrite)
     if simulate:
@@ -64,7 +63,7 @@ def optics(
     else:
         sources = (dark or sensor, white or sensor)
         if None in sources:
-            raise CalibrationError("give --sensor, or --dark and --white, or --simulate")
+            raise missing("--sensor", "give --sensor, or --dark and --white, or --simulate")
         asked = ("Cover the sensor: no light.", "Put it on blank white paper, in its usual light.")
         seen = []
         for source, question in zip(sources, asked, strict=True):
@@ -104,24 +103,27 @@ def registration(
     from smarttouch.calibrate.register import register
     from smarttouch.calibrate.tables import show_registration
     from smarttouch.calibrate.target import target_for
-    from smarttouch.cli.calibrate_steps import ask, images_of
+    from smarttouch.cli.calibrate_steps import ask, images_of, missing
+    from smarttouch.cli.files import not_offered
     from smarttouch.errors import CalibrationError
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.sources.flat_field import mean_image
 
     if center not in ("target", "image"):
-        raise CalibrationError(f"--center {center!r} is not offered: choose target or image")
+        raise not_offered("--center", center, ("target", "image"), CalibrationError)
     grid = target_for(load_profile(profile or DEFAULT_PROFILE), dot_pitch_mm)
     if target is not None:
         if target.exists() and not overwrite:
+            message = f"{target} exists already: give another --target, or --overwrite"
             raise CalibrationError(
-                f"{target} exists already: give another --target, or --overwrite"
+                message, about="file", problem="exists", value=target, remedy="--overwrite"
             )
         grid.draw(target)
         typer.echo(f"{target}: dots {grid.pitch_mm:g} mm apart; print it at 100 %, black on white.")
     if output is None:
         if target is None or sensor is not None or simulate:
-            raise CalibrationError("give --output FILE.toml for what is measured")
+            message = "give --output FILE.toml for what is measured"
+            raise CalibrationError(message, about="--output", problem="missing")
         return
     file = _profile_file(profile, output, overwrite)
     if simulate:
@@ -129,7 +131,7 @@ def registration(
 
         image = bench_view(grid, file.profile.optics)
     elif sensor is None:
-        raise CalibrationError("give --sensor, or --simulate")
+        raise missing("--sensor", "give --sensor, or --simulate")
     else:
         ask("Lay the target under the sensor, the L upright under the array's middle.", yes)
         mean = mean_image(images_of(sensor, file.profile, frames, corrected=True))
@@ -161,17 +163,18 @@ def force(
     """The load cell's curve, by known weights; one given twice tells the hysteresis."""
     from smarttouch.calibrate.force_curve import fit_curve
     from smarttouch.calibrate.tables import show_force
-    from smarttouch.cli.calibrate_steps import parse_grams, weigh_all, weigh_simulated
+    from smarttouch.cli.calibrate_steps import missing, parse_grams, weigh_all, weigh_simulated
     from smarttouch.errors import CalibrationError
 
     if not 0 < seconds <= 600:
-        raise CalibrationError(f"--seconds {seconds:g} must be above 0 and at most 600")
+        message = f"--seconds {seconds:g} must be above 0 and at most 600"
+        raise CalibrationError(message, about="--seconds", value=seconds, allowed=(0, 600))
     listed = None if weights is None else parse_grams(weights)
     file = _profile_file(profile, output, overwrite)
     if simulate:
         weighings = weigh_simulated(listed, seconds)
     elif cell is None:
-        raise CalibrationError("give --cell hx711:PORT or loadcell:PORT, or --simulate")
+        raise missing("--cell", "give --cell hx711:PORT or loadcell:PORT, or --simulate")
     else:
         weighings = weigh_all(cell, listed, seconds, yes)
     found = fit_curve(weighings, file.profile.force)
@@ -200,27 +203,19 @@ def thresholds(
     simulate: _Simulate = False,
 ) -> None:
     """Per electrode, the current first felt and the strongest that is comfortable."""
-    import sys
-
     from smarttouch.boards.board import make_board, usual_profile
     from smarttouch.calibrate.found import filled, parse_electrodes, sentence
     from smarttouch.calibrate.progress import Progress
     from smarttouch.calibrate.session import StoppedError
     from smarttouch.calibrate.stimulus import measuring_limits
-    from smarttouch.cli.calibrate_steps import feel_all
+    from smarttouch.cli.calibrate_steps import feel_all, require_subject
     from smarttouch.errors import BoardStoppedError, CalibrationError
 
     start = profile or usual_profile(board)
     file = _profile_file(start, output, overwrite)
     chosen = file.profile
     sites = parse_electrodes(electrodes, chosen)
-    if simulate and not board.startswith(("emulator:", "simulated:", "memory:")):
-        raise CalibrationError(
-            f"--simulate answers for nobody: no current of its flows through {board!r}, only "
-            "through emulator:"
-        )
-    if not simulate and not sys.stdin.isatty():
-        raise CalibrationError("there is no keyboard to answer on: use a terminal, or --simulate")
+    require_subject(simulate, board)
     stop = the_stop()
     # A simulated subject does not wait, and the emulator's clock would refuse to be hurried.
     url = "simulated:" if simulate and board == "emulator:" else board
@@ -241,7 +236,10 @@ def thresholds(
         left = len(set(sites) - set(progress.found))
         raise CalibrationError(
             f"stopped, all electrodes are off: {left} of {len(sites)} electrodes are left, the "
-            "same command goes on there"
+            "same command goes on there",
+            about="thresholds",
+            problem="stopped",
+            value=left,
         ) from None
     threshold_ma, comfort_ma = filled(chosen, progress.found)
     file.set("perception.threshold_ma", threshold_ma)

@@ -2,6 +2,7 @@
 
 import math
 import queue
+import sys
 from collections.abc import Sequence
 
 import typer
@@ -19,6 +20,28 @@ from smarttouch.profile import Profile
 from smarttouch.stopping import StopRequest
 
 
+def missing(about: str, message: str) -> CalibrationError:
+    """Return the error that nothing is given to measure with, which ``--simulate`` stands for."""
+    return CalibrationError(message, about=about, problem="missing", remedy="--simulate")
+
+
+def require_subject(simulate: bool, board_url: str) -> None:
+    """Raise unless somebody can feel what a board does, and answer."""
+    if simulate and not board_url.startswith(("emulator:", "simulated:", "memory:")):
+        raise CalibrationError(
+            f"--simulate answers for nobody: no current of its flows through {board_url!r}, only "
+            "through emulator:",
+            about="--board",
+            problem="conflict",
+            value=board_url,
+            allowed=("emulator:",),
+        )
+    if not simulate and not sys.stdin.isatty():
+        raise missing(
+            "keyboard", "there is no keyboard to answer on: use a terminal, or --simulate"
+        )
+
+
 def ask(what: str, yes: bool) -> None:
     """Wait until something is in place."""
     if yes:
@@ -26,7 +49,8 @@ def ask(what: str, yes: bool) -> None:
     try:
         typer.prompt(f"{what} Then press Enter", default="", show_default=False)
     except typer.Abort:
-        raise CalibrationError("nobody answered, nothing was written: --yes asks nothing") from None
+        message = "nobody answered, nothing was written: --yes asks nothing"
+        raise CalibrationError(message, about="answer", problem="missing", remedy="--yes") from None
 
 
 def images_of(url: str, profile: Profile, count: int, *, corrected: bool) -> Images:
@@ -48,7 +72,8 @@ def parse_grams(text: str) -> list[float]:
     except ValueError:
         grams = [math.nan]
     if not all(0 <= each < math.inf for each in grams):
-        raise CalibrationError(f"weights {text!r} are not understood: give grams like 0,20,50,100")
+        message = f"weights {text!r} are not understood: give grams like 0,20,50,100"
+        raise CalibrationError(message, about="--weights", problem="malformed", value=text)
     return grams
 
 
@@ -71,8 +96,9 @@ def weigh_all(
                     "Grams on the cell, at rest (Enter: no more)", default="", show_default=False
                 )
             except typer.Abort:
+                message = "nobody answered, nothing was written: give --weights"
                 raise CalibrationError(
-                    "nobody answered, nothing was written: give --weights"
+                    message, about="answer", problem="missing", remedy="--weights"
                 ) from None
             if not answer:
                 return found

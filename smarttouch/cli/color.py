@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @drives_a_board
-@takes_run_options
+@takes_run_options(scan="points")
 def color(
     run: RunOptions,
     source: Annotated[
@@ -128,9 +128,13 @@ def _places(
     from smarttouch.vibrotactile.sites import disc
 
     if sites is not None and radius_mm is not None:
-        raise SmartTouchError("--sites and --radius-mm both say what pulses: give one of them")
+        message = "--sites and --radius-mm both say what pulses: give one of them"
+        raise SmartTouchError(
+            message, about="--sites", problem="conflict", value=("--sites", "--radius-mm")
+        )
     if radius_mm is not None and not radius_mm >= 0:
-        raise SmartTouchError(f"--radius-mm {radius_mm:g} is not possible: give 0 or more")
+        message = f"--radius-mm {radius_mm:g} is not possible: give 0 or more"
+        raise SmartTouchError(message, about="--radius-mm", value=radius_mm, allowed=0)
     if sites is None:
         return disc(profile, radius_mm)
     if sites == "all":
@@ -139,7 +143,8 @@ def _places(
     for part in sites.split(","):
         found = re.fullmatch("([0-9]{1,6})(?:-([0-9]{1,6}))?", part.strip())
         if found is None:
-            raise SmartTouchError(f"--sites {sites!r} is no list: write 27,28,35-36, or all")
+            message = f"--sites {sites!r} is no list: write 27,28,35-36, or all"
+            raise SmartTouchError(message, about="--sites", problem="malformed", value=sites)
         low, high = int(found[1]), int(found[2] or found[1])
         # The first site that there is not is refused; those after it need no room.
         named += range(low, min(high, max(low, len(profile.electrodes))) + 1)

@@ -70,16 +70,21 @@ def design(
         if asked
     ]  # fmt: skip
     if len(special) > 1:
-        raise SmartTouchError(f"{' and '.join(special)} do not go together: give one of them")
+        message = f"{' and '.join(special)} do not go together: give one of them"
+        raise SmartTouchError(message, about=special[0], problem="conflict", value=tuple(special))
     if site is not None:
         require_site(chosen, site)
     modes = possible_modes(chosen)
     if primary is not None:
         if primary not in modes and not special:
-            offered = ", ".join(each.name for each in modes) or "none"
+            offered = tuple(each.name for each in modes)
             raise DesignError(
                 f"mode {primary.name} is not possible with the board of {profile}: it offers "
-                f"{offered}"
+                f"{', '.join(offered) or 'none'}",
+                about="--mode",
+                problem="impossible",
+                value=primary.name,
+                allowed=offered,
             )
         modes = [primary]
     sites = chosen.driven.tolist() if site is None else [site]

@@ -104,7 +104,9 @@ def _open(board: "Board") -> None:
         board.open()
     except BoardError as error:
         if _watches and _watches[-1][1].number:
-            raise BoardStoppedError(str(error)) from None
+            raise BoardStoppedError(
+                str(error), about=error.about, problem=error.problem, value=error.value
+            ) from None
         raise
 
 

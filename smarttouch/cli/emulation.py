@@ -38,7 +38,8 @@ def play_emulator(
         if not port:
             # The last line of what argparse says is its sentence.
             words = process.stderr.read().strip().rpartition("error: ")[2]
-            raise error(f"the emulator did not start: {words or process.wait()}")
+            message = f"the emulator did not start: {words or process.wait()}"
+            raise error(message, about="emulator", problem="gone")
         typer.echo(advice(port))
         # Ctrl-C too: a shell may have started us with it ignored.
         for number in (signal.SIGTERM, signal.SIGINT):

@@ -38,7 +38,7 @@ def list_all() -> None:
 
 @experiment.command("run")
 @drives_a_board
-@takes_run_options
+@takes_run_options(scan="points")
 def run_listed(
     run: RunOptions,
     name: Annotated[str, typer.Argument(metavar="NAME", help="See smarttouch experiment list.")],
@@ -148,7 +148,7 @@ def run_listed(
 
 @experiment.command()
 @drives_a_board
-@takes_run_options
+@takes_run_options(scan="points")
 def free(
     run: RunOptions,
     mode: _Mode = "RA",

@@ -86,9 +86,11 @@ def fit(
     if plot is not None:
         style.require_drawable(plot)
     if not 100 <= samples <= 100_000:
-        raise ExperimentError(f"--samples {samples} is not offered: give 100 to 100000")
+        message = f"--samples {samples} is not offered: give 100 to 100000"
+        raise ExperimentError(message, about="--samples", value=samples, allowed=(100, 100_000))
     if seed < 0:
-        raise ExperimentError(f"--seed {seed} is not offered: give 0 or more")
+        message = f"--seed {seed} is not offered: give 0 or more"
+        raise ExperimentError(message, about="--seed", value=seed, allowed=0)
     parametric = parse_choice("--resample", resample, ("curve", "trials")) == "curve"
     how = How(samples, seed, parametric)
     shape, wanted = parse_choice("--function", function, Shape), _parse_guess(guess)
@@ -120,8 +122,9 @@ def _parse_guess(text: str | None) -> "Guess | None":
     try:
         return float(text)
     except ValueError:
+        message = f"--guess {text!r} is not offered: give a share such as 0.5, equal or free"
         raise ExperimentError(
-            f"--guess {text!r} is not offered: give a share such as 0.5, equal or free"
+            message, about="--guess", problem="unknown", value=text, allowed=("equal", "free")
         ) from None
 
 

@@ -101,9 +101,8 @@ def free_run(
 ) -> None:
     """Let a user turn amplitude, rate, mode and site until they have had enough."""
     if not sys.stdin.isatty() and options.seconds is None:
-        raise ExperimentError(
-            "there is no keyboard, by which this would end: use a terminal, or give --seconds"
-        )
+        message = "there is no keyboard, by which this would end: use a terminal, or give --seconds"
+        raise ExperimentError(message, about="keyboard", problem="missing", remedy="--seconds")
     raised = up_to_the_ceiling(profile)
     with contextlib.ExitStack() as stack:
         force = options.open_force(raised, stack)
@@ -147,13 +146,19 @@ def require_answers(simulate: str | None, board_url: str) -> None:
     if simulate is not None and board_url != _SIMULATED:
         raise ExperimentError(
             f"--simulate answers for nobody: no current of its flows through {board_url!r}, only "
-            f"through {_SIMULATED}"
+            f"through {_SIMULATED}",
+            about="--board",
+            problem="conflict",
+            value=board_url,
+            allowed=(_SIMULATED,),
         )
     if simulate is None and not sys.stdin.isatty():
-        raise ExperimentError("there is no keyboard to answer on: use a terminal, or --simulate")
+        message = "there is no keyboard to answer on: use a terminal, or --simulate"
+        raise ExperimentError(message, about="keyboard", problem="missing", remedy="--simulate")
     if simulate is None and board_url == _SIMULATED:
+        message = "nobody can answer as fast as simulated: goes: choose emulator:, or --simulate"
         raise ExperimentError(
-            "nobody can answer as fast as simulated: goes: choose emulator:, or --simulate"
+            message, about="--board", problem="impossible", value=board_url, remedy="--simulate"
         )
 
 
@@ -166,9 +171,8 @@ def parse_standards(text: str | None) -> tuple[float, ...] | None:
     except ValueError:
         standards = ()
     if not standards or not all(0 < each < 1e6 for each in standards):
-        raise SmartTouchError(
-            f"--standards {text!r} is not understood: give frequencies in Hz, as in 15,30,45"
-        )
+        message = f"--standards {text!r} is not understood: give frequencies in Hz, as in 15,30,45"
+        raise SmartTouchError(message, about="--standards", problem="malformed", value=text)
     return tuple(dict.fromkeys(standards))
 
 
@@ -185,10 +189,14 @@ def usual_name(
     for option, name in (("--participant", participant), ("--session", session)):
         if any(not (each.isalnum() or each in "-_.") for each in name):
             raise SmartTouchError(
-                f"{option} {name!r} becomes part of a file's name: use letters, digits, - and _"
+                f"{option} {name!r} becomes part of a file's name: use letters, digits, - and _",
+                about=option,
+                problem="malformed",
+                value=name,
             )
     if seed is not None and seed < 0:
-        raise SmartTouchError(f"--seed {seed} must be 0 or more")
+        message = f"--seed {seed} must be 0 or more"
+        raise SmartTouchError(message, about="--seed", value=seed, allowed=0)
     named = "-".join(each for each in (participant, session, experiment) if each)
     usual = zlib.crc32(f"{participant}/{session}".encode()) % 10_000
     return named, usual if seed is None else seed

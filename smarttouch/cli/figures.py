@@ -30,7 +30,7 @@ def figures(
     """Redraw the paper's Fig. 2, 5, 8, 9 and 10; draw kernels, activation, shared slots, fibers."""
     import numpy as np
 
-    from smarttouch.cli.files import require_site
+    from smarttouch.cli.files import not_offered, require_site
     from smarttouch.cli.progress import bank_progress
     from smarttouch.errors import SmartTouchError
     from smarttouch.kernels.bank import load_bank
@@ -40,9 +40,7 @@ def figures(
     from smarttouch.profile import load_profile
 
     if kind not in style.FORMATS:
-        raise SmartTouchError(
-            f"--format {kind!r} is not offered: choose {', '.join(style.FORMATS)}"
-        )
+        raise not_offered("--format", kind, style.FORMATS)
     chosen, line = load_profile(profile), load_profile("line-7")
     if site is None:
         site = int(np.linalg.norm(chosen.electrodes.position_mm, axis=1).argmin())
@@ -51,7 +49,8 @@ def figures(
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise SmartTouchError(f"cannot make the folder {folder}: {error.strerror}") from None
+        message = f"cannot make the folder {folder}: {error.strerror}"
+        raise SmartTouchError(message, about="folder", problem="unwritable", value=folder) from None
     with bank_progress(quiet=False) as progress:
         bank = load_bank(chosen, progress)
     own = {each: bank.kernel(each, site, kind_of(chosen)) for each in sorted(bank.weights)}

@@ -23,23 +23,36 @@ def parse_mode(mode: str) -> Mode:
     for each in offered:
         if mode.lower() == each.value.lower():
             return each
-    raise SmartTouchError(f"--mode {mode!r} is not offered: choose {' or '.join(offered)}")
+    raise not_offered("--mode", mode, offered)
 
 
 def parse_choice(option: str, text: str, choices: Iterable[Choice]) -> Choice:
     """Return the one of several choices that an option names."""
     known = list(choices)
     if text.lower() not in known:
-        raise SmartTouchError(f"{option} {text!r} is not offered: choose {' or '.join(known)}")
+        raise not_offered(option, text, known)
     return next(each for each in known if each == text.lower())
 
 
 def parse_primary(mode: str) -> Primary:
     """Return the primary that ``--mode`` names."""
     if mode.upper() not in Primary.__members__:
-        names = " or ".join(Primary.__members__)
-        raise SmartTouchError(f"--mode {mode!r} is not offered: choose {names}")
+        raise not_offered("--mode", mode, Primary.__members__)
     return Primary[mode.upper()]
+
+
+def not_offered(
+    option: str, text: str, names: Iterable[str], error: type[SmartTouchError] = SmartTouchError
+) -> SmartTouchError:
+    """Return the error of an option that names none of its choices."""
+    allowed = tuple(names)
+    return error(
+        f"{option} {text!r} is not offered: choose {' or '.join(allowed)}",
+        about=option,
+        problem="unknown",
+        value=text,
+        allowed=allowed,
+    )
 
 
 def parse_size(size: str | None) -> tuple[int, int] | None:
@@ -48,7 +61,8 @@ def parse_size(size: str | None) -> tuple[int, int] | None:
         return None
     found = re.fullmatch("([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", size.lower())
     if found is None:
-        raise SmartTouchError(f"--size {size!r} is not a size: give width and height as 640x480")
+        message = f"--size {size!r} is not a size: give width and height as 640x480"
+        raise SmartTouchError(message, about="--size", problem="malformed", value=size)
     return int(found[1]), int(found[2])
 
 
@@ -56,15 +70,15 @@ def require_site(profile: "Profile", site: int) -> None:
     """Raise unless a profile's array has such a site."""
     count = len(profile.electrodes)
     if not 0 <= site < count:
-        raise SmartTouchError(
-            f"site {site} is out of range: {profile.name} has sites 0 to {count - 1}"
-        )
+        message = f"site {site} is out of range: {profile.name} has sites 0 to {count - 1}"
+        raise SmartTouchError(message, about="site", value=site, allowed=(0, count - 1))
 
 
 def require_folder(path: Path | None) -> None:
     """Raise before any work is done if a file could not be written in the end."""
     if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
-        raise SmartTouchError(f"cannot write {path}: give a file in a folder that exists")
+        message = f"cannot write {path}: give a file in a folder that exists"
+        raise SmartTouchError(message, about="file", problem="unwritable", value=path)
 
 
 def write_json(path: Path, figures: Any) -> None:

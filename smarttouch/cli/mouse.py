@@ -9,7 +9,7 @@ from smarttouch.cli.run_options import RunOptions, takes_run_options
 
 
 @drives_a_board
-@takes_run_options
+@takes_run_options(scan="points")
 def mouse(
     run: RunOptions,
     texture: Annotated[

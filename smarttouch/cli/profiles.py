@@ -7,13 +7,13 @@ def profiles() -> None:
     """List the shipped profiles."""
     from rich.table import Table
 
-    from smarttouch.profile import DEFAULT_PROFILE, load_profile, profile_names
+    from smarttouch.profile import DEFAULT_PROFILE, list_profiles, load_profile
     from smarttouch.resources import data_folder
 
     table = Table(box=None, pad_edge=False)
     for heading in ("name", "what it is", "board"):
         table.add_column(heading, no_wrap=heading == "name")
-    for name in profile_names():
+    for name in list_profiles():
         profile = load_profile(name)
         star = " (default)" if name == DEFAULT_PROFILE else ""
         pulse = profile.pulse

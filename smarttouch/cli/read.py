@@ -20,7 +20,7 @@ from smarttouch.cli.run_options import RunOptions, takes_run_options
 
 
 @drives_a_board
-@takes_run_options
+@takes_run_options()
 def read(
     run: RunOptions,
     source: Annotated[

@@ -10,7 +10,7 @@ from smarttouch.cli.run_options import RunOptions, takes_run_options
 
 
 @drives_a_board
-@takes_run_options
+@takes_run_options()
 def replay(
     run: RunOptions,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, whole or cut.")],
@@ -50,21 +50,14 @@ def replay(
     from functools import partial
 
     from smarttouch.cli.session import run_in_terminal
+    from smarttouch.front import recording_config
     from smarttouch.recording.controls import RecordedControls
     from smarttouch.recording.sensor import RecordingSensor
 
     run, outputs = replace(run, board=board, force=force, intensity=intensity), run.outputs()
     recording = Recording(file)
     chosen = recording.profile if profile is None else load_profile(profile)
-    was = recording.run
-    config = run.config(
-        was.mode,
-        rate_hz=was.rate_hz,
-        light_on_dark=was.light_on_dark,
-        softness=was.softness,
-        scan=was.sharing,
-        tone=was.tone,
-    )
+    config = recording_config(recording, **run.settings("scan", "softness"))
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(RecordingSensor(recording))
         source.url = f"recording:{file}"

@@ -116,11 +116,15 @@ class RunOptions:
         """Return the configuration of the run; settings that a command adds go first."""
         from smarttouch.running.config import RunConfig
 
+        return RunConfig(**(self.settings() | {"mode": mode} | more))
+
+    def settings(self, *but: str) -> dict[str, Any]:
+        """Return the settings of `RunConfig` that were given, without some."""
         names = (
             "scan", "seconds", "intensity", "softness", "measure", "hold", "balance", "subject",
             "note",
         )  # fmt: skip
-        return RunConfig(**({name: getattr(self, name) for name in names} | {"mode": mode} | more))
+        return {name: getattr(self, name) for name in names if name not in but}
 
     def outputs(self) -> "Outputs":
         """Return the files of the run."""
@@ -137,11 +141,22 @@ class RunOptions:
         return stack.enter_context(open_force(self.force, profile))
 
 
-def takes_run_options(command: Callable[..., _T]) -> Callable[..., _T]:
+def takes_run_options(
+    **defaults: Any,
+) -> Callable[[Callable[..., _T]], Callable[..., _T]]:
     """Let a command take each option of `RunOptions`; it is given all of them as ``run``.
 
     An option that the command names itself is its own.
+
+    Parameters
+    ----------
+    **defaults
+        Of options that have another default in this command.
     """
+    return functools.partial(_expanded, defaults=defaults)
+
+
+def _expanded(command: Callable[..., _T], defaults: dict[str, Any]) -> Callable[..., _T]:
     hints = get_type_hints(command, include_extras=True)
     options = get_type_hints(RunOptions, include_extras=True)
     parameters = inspect.signature(command).parameters
@@ -161,7 +176,7 @@ def takes_run_options(command: Callable[..., _T]) -> Callable[..., _T]:
         inspect.Parameter(
             each.name,
             inspect.Parameter.KEYWORD_ONLY,
-            default=each.default,
+            default=defaults.get(each.name, each.default),
             annotation=options[each.name],
         )
         for each in shared

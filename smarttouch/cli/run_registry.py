@@ -46,9 +46,13 @@ def announced() -> Iterator[None]:
             hidden.unlink(missing_ok=True)
             raise
     except OSError as error:
+        file = Path(error.filename2 or error.filename or path)
         raise SmartTouchError(
-            f"cannot write {error.filename2 or error.filename}, by which smarttouch stop would "
-            f"find this run: {error.strerror}; move what is there out of the way"
+            f"cannot write {file}, by which smarttouch stop would find this run: "
+            f"{error.strerror}; move what is there out of the way",
+            about="file",
+            problem="unwritable",
+            value=file,
         ) from None
     try:
         yield
@@ -100,10 +104,13 @@ def leave_mark() -> int:
             hidden.unlink(missing_ok=True)
             raise
     except OSError as error:
+        place = Path(error.filename2 or error.filename or mark)
         raise SmartTouchError(
-            f"cannot write {error.filename2 or error.filename}, which keeps runs that are just "
-            f"starting from beginning: {error.strerror}; move what is there out of the way and "
-            "stop again"
+            f"cannot write {place}, which keeps runs that are just starting from beginning: "
+            f"{error.strerror}; move what is there out of the way and stop again",
+            about="file",
+            problem="unwritable",
+            value=place,
         ) from None
     return time_ns
 
@@ -153,8 +160,9 @@ def _folder() -> Path:
     try:
         return user_state_path("smarttouch", appauthor=False, ensure_exists=True)
     except OSError as error:
+        message = f"cannot make the folder {error.filename} for the state of runs: {error.strerror}"
         raise SmartTouchError(
-            f"cannot make the folder {error.filename} for the state of runs: {error.strerror}"
+            message, about="folder", problem="unwritable", value=error.filename
         ) from None
 
 
@@ -162,8 +170,9 @@ def _listed() -> list[Path]:
     try:
         return sorted(_folder().iterdir())
     except OSError as error:
+        message = f"cannot look for runs in {error.filename}: {error.strerror}"
         raise SmartTouchError(
-            f"cannot look for runs in {error.filename}: {error.strerror}"
+            message, about="folder", problem="unreadable", value=error.filename
         ) from None
 
 

@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from smarttouch import terminal
-from smarttouch.events import Event, Note
+from smarttouch.events import Advice, Event
 from smarttouch.profile import Profile
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
@@ -76,11 +76,9 @@ class Screen(Listener):
         self._latest = result
 
     def event(self, event: Event) -> None:
-        """Show the newest event; notes from before the first step stay."""
+        """Show the newest event; advice stays."""
         self._event = f"{event.time_ns / 1e9:.1f} s: {event}"
-        if self._quiet or self._latest is not None or not isinstance(event, Note):
-            return
-        if event.time_ns == 0:
+        if isinstance(event, Advice) and not self._quiet:
             console = terminal.console(stderr=True) if self._live is None else self._console
             console.print(str(event), soft_wrap=True, highlight=False, markup=False)
 

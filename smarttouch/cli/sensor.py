@@ -57,7 +57,8 @@ def show(
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
 
     if not 0 < seconds <= 3600:
-        raise SmartTouchError(f"--seconds {seconds:g} must be above 0 and at most 3600")
+        message = f"--seconds {seconds:g} must be above 0 and at most 3600"
+        raise SmartTouchError(message, about="--seconds", value=seconds, allowed=(0, 3600))
     require_folder(save)
     chosen = load_profile(profile or DEFAULT_PROFILE)
     if not force:
@@ -67,7 +68,9 @@ def show(
     if (save, size, exposure, baud) != (None, None, None, None):
         raise SmartTouchError(
             "--save, --size, --exposure and --baud are for frames: leave out --force, or them "
-            "(the speed of a load cell's line: hx711:PORT?baud=115200)"
+            "(the speed of a load cell's line: hx711:PORT?baud=115200)",
+            about="--force",
+            problem="conflict",
         )
     _show_force(url, chosen, seconds)
 
@@ -111,7 +114,10 @@ def emulate(
     from smarttouch.errors import SensorError, SmartTouchError
 
     if name not in _KINDS:
-        raise SmartTouchError(f"no emulator {name!r}: choose {', '.join(_KINDS)}")
+        message = f"no emulator {name!r}: choose {', '.join(_KINDS)}"
+        raise SmartTouchError(
+            message, about="emulator", problem="unknown", value=name, allowed=tuple(_KINDS)
+        )
     require_folder(books)
     arguments = [name]
     arguments += [f"--rows={rows}", f"--columns={columns}", f"--force={force}", f"--noise={noise}"]

@@ -127,7 +127,7 @@ def run_in_terminal(
         if outputs.json_file is not None and runner.statistics.figures:
             write_json(outputs.json_file, runner.statistics.figures)
     if not outputs.quiet:
-        shown.summarize(runner.statistics.figures, runner.notes, outputs.files)
+        shown.summarize(runner.statistics.figures, runner.statistics.notes, outputs.files)
 
 
 def _load_kernels(profile: Profile, quiet: bool) -> KernelBank:

@@ -32,7 +32,11 @@ def stop() -> None:
     if left:
         raise SmartTouchError(
             f"{len(left)} of {len(asked)} runs have not ended within {_WAIT_S:g} s (process "
-            f"{left[0]}): switch the board off"
+            f"{left[0]}): switch the board off",
+            about="runs",
+            problem="late",
+            value=tuple(left),
+            allowed=_WAIT_S,
         )
     if no_mark is not None:
         raise no_mark

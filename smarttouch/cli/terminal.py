@@ -133,7 +133,8 @@ def never_waiting(stopped: Callable[[], bool]) -> Iterator[None]:
         except BrokenPipeError:
             raise
         except OSError as error:
-            raise SmartTouchError(f"cannot write to standard output: {error.strerror}") from None
+            message = f"cannot write to standard output: {error.strerror}"
+            raise SmartTouchError(message, about="standard output", problem="unwritable") from None
         finally:
             outlet.close()
 

@@ -29,9 +29,11 @@ def walk(board: Board, profile: Profile, current_ma: float, seconds: float | Non
         If nobody can press a key, or the current is out of reach.
     """
     if seconds is None and not sys.stdin.isatty():
-        raise SmartTouchError("there is no keyboard to wait for: give --seconds")
+        message = "there is no keyboard to wait for: give --seconds"
+        raise SmartTouchError(message, about="keyboard", problem="missing", remedy="--seconds")
     if seconds is not None and not seconds > 0:
-        raise SmartTouchError(f"--seconds {seconds:g} must be above 0")
+        message = f"--seconds {seconds:g} must be above 0"
+        raise SmartTouchError(message, about="--seconds", value=seconds, allowed=0)
     _check(profile, current_ma)
     tried = 0
     with keyboard():
@@ -69,7 +71,10 @@ def _check(profile: Profile, current_ma: float) -> None:
     if not 0 < current_ma <= full_ma:
         raise SmartTouchError(
             f"--current-ma {current_ma:g} must be above 0 and at most the {full_ma:g} mA that the "
-            "profile calls the strongest comfortable"
+            "profile calls the strongest comfortable",
+            about="--current-ma",
+            value=current_ma,
+            allowed=full_ma,
         )
 
 

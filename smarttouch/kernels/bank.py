@@ -18,7 +18,7 @@ from smarttouch.arrays import read_arrays
 from smarttouch.errors import DesignError
 from smarttouch.files import MOST_BANK_BYTES, open_file, require_replaceable
 from smarttouch.primary import Primary
-from smarttouch.profile import Profile, profile_names
+from smarttouch.profile import Profile, list_profiles
 from smarttouch.resources import data_folder
 
 if TYPE_CHECKING:
@@ -162,7 +162,7 @@ def load_bank(profile: Profile, progress: Progress | None = None) -> KernelBank:
 
 def find_bank(profile: Profile) -> KernelBank | None:
     """Return the bank of a profile if it is shipped or in the user's cache."""
-    shipped = [shipped_bank(profile.name)] if profile.name in profile_names() else []
+    shipped = [shipped_bank(profile.name)] if profile.name in list_profiles() else []
     banks = (_read(path, profile) for path in (*shipped, _cached_bank(profile)))
     return next((bank for bank in banks if bank is not None), None)
 

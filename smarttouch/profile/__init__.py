@@ -1,7 +1,7 @@
 """Profiles: what calibration knows of one device on one finger, as TOML files."""
 
 from smarttouch.profile.device import ForceLaw, Optics
-from smarttouch.profile.load import DEFAULT_PROFILE, load_profile, profile_names
+from smarttouch.profile.load import DEFAULT_PROFILE, list_profiles, load_profile
 from smarttouch.profile.profile import Profile
 from smarttouch.profile.skin import Skin
 
@@ -11,6 +11,6 @@ __all__ = [
     "Optics",
     "Profile",
     "Skin",
+    "list_profiles",
     "load_profile",
-    "profile_names",
 ]

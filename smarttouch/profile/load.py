@@ -32,8 +32,15 @@ _PROBLEMS = {
 _BOUNDS = ("gt", "ge", "lt", "le", "min_length", "max_length")
 
 
-def profile_names() -> list[str]:
-    """Return the names of the shipped profiles."""
+def list_profiles() -> list[str]:
+    """Return the names of the shipped profiles.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> "electric-mouse" in st.list_profiles()
+    True
+    """
     return sorted(path.stem for path in data_folder("calibration").glob("*.toml"))
 
 
@@ -44,18 +51,24 @@ def load_profile(name: str | Path) -> Profile:
     ------
     ProfileError
         If there is none, or it says something unknown or impossible.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> len(st.load_profile("electric-mouse").electrodes)
+    64
     """
     path = data_folder("calibration") / f"{name}.toml"
-    if str(name) not in profile_names():
+    if str(name) not in list_profiles():
         path = Path(name)
         if not _is_there(path):
             raise ProfileError(
                 f"no profile {str(name)!r}: give a TOML file or one of "
-                f"{', '.join(profile_names())}",
+                f"{', '.join(list_profiles())}",
                 about="profile",
                 problem="unknown",
                 value=str(name),
-                allowed=tuple(profile_names()),
+                allowed=tuple(list_profiles()),
             )
     text = read_text(path, ProfileError, MOST_TOML_BYTES)
     try:

@@ -18,7 +18,6 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import ChunkIndex
 from mcap.writer import Writer
 
-from smarttouch import __version__
 from smarttouch.errors import RecordingError
 from smarttouch.events import Event
 from smarttouch.files import sync_folder
@@ -27,6 +26,7 @@ from smarttouch.recording.encoder import Message, StepEncoder
 from smarttouch.recording.schemas import FORMAT, METADATA, SCHEMAS, schema
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
+from smarttouch.version import __version__
 
 FLUSH_S = 0.04
 """Nothing waits longer than this for the system to have it: what a killed program loses."""
@@ -239,6 +239,10 @@ class Recorder(Listener):
     ----------
     path : Path or str
         The file; an existing one is not overwritten.
+
+    Examples
+    --------
+    See `smarttouch.replay`.
     """
 
     def __init__(self, path: Path | str) -> None:

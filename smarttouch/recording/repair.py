@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from smarttouch import __version__
 from smarttouch.errors import RecordingError
 from smarttouch.files import unwritable
 from smarttouch.recording.reader import Recording
 from smarttouch.recording.recorder import new_writer
 from smarttouch.recording.schemas import LAST, METADATA
+from smarttouch.version import __version__
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,12 @@ class RunConfig:
     ------
     SmartTouchError
         If a value is impossible.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> st.RunConfig(mode="SAI", seconds=2).mode
+    <Mode.SAI: 'SAI'>
     """
 
     mode: Mode | str = Mode.RA
@@ -87,7 +93,10 @@ class RunConfig:
                 )
         if self.seconds is not None and not self.seconds > 0:
             raise SmartTouchError(
-                f"seconds {self.seconds:g} must be above 0", about="seconds", value=self.seconds
+                f"seconds {self.seconds:g} must be above 0",
+                about="seconds",
+                value=self.seconds,
+                allowed=0,
             )
 
     def sharing(self, profile: Profile) -> Sharing:

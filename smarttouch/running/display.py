@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self
 
-from smarttouch.boards.board import Board, make_board, may_touch_a_finger, usual_profile
+from smarttouch.boards.board import Board, make_board, require_gate, usual_profile
 from smarttouch.errors import SmartTouchError
 from smarttouch.profile import Profile, load_profile
 from smarttouch.stimulation.safety import SafetyLimits
@@ -19,8 +19,8 @@ class Display:
 
     Parameters
     ----------
-    url : str
-        Board, for example ``emulator:`` or ``link:/dev/ttyACM0``.
+    url : str or type
+        Board, for example ``emulator:`` or ``link:/dev/ttyACM0``, or a driver's class.
     profile : Profile
     vibrators_url : str, optional
         Mechanical vibrators, which shake PC in place of current.
@@ -33,15 +33,31 @@ class Display:
     ------
     BoardError
         If there is no such driver, or the profile does not go with it.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> with st.open_display("simulated:") as display:
+    ...     display.on_a_finger
+    False
     """
 
     def __init__(
-        self, url: str, profile: Profile, vibrators_url: str | None = None, **options: Any
+        self,
+        url: str | type[Board],
+        profile: Profile,
+        vibrators_url: str | None = None,
+        **options: Any,
     ) -> None:
+        limits = SafetyLimits.of(profile)
+        if isinstance(url, str):
+            board = make_board(url, limits, profile.output, **options)
+        else:
+            board = url("", limits, profile.output, **options)  # type: ignore[call-arg, arg-type]
+            require_gate(board, limits)
+            url = f"{url.__module__}.{url.__qualname__}:"
         self.url, self.profile, self.vibrators_url = url, profile, vibrators_url
         self._stop = StopRequest()
-        limits = SafetyLimits.of(profile)
-        board = make_board(url, limits, profile.output, **options)
         if vibrators_url is not None:
             from smarttouch.boards.hybrid import HybridBoard
             from smarttouch.boards.vibrators import make_vibrators
@@ -62,11 +78,11 @@ class Display:
     @property
     def on_a_finger(self) -> bool:
         """Whether there may be a finger on it."""
-        return may_touch_a_finger(self.url)
+        return self.board.on_a_finger
 
     @property
     def stopping(self) -> StopRequest:
-        """Request that ends the run on it."""
+        """Request that ends whatever runs on it."""
         return self._stop
 
     def stop(self) -> None:
@@ -96,7 +112,7 @@ class Display:
 
 
 def open_display(
-    url: str,
+    url: str | type[Board],
     profile: Profile | str | None = None,
     *,
     vibrators_url: str | None = None,
@@ -106,8 +122,9 @@ def open_display(
 
     Parameters
     ----------
-    url : str
-        ``emulator:``, ``simulated:``, ``link:PORT``, ``kajimoto61:PORT``, ``etactilekit:PORT`` …
+    url : str or type
+        ``emulator:``, ``simulated:``, ``link:PORT``, ``kajimoto61:PORT``, ``etactilekit:PORT`` …,
+        or the class of a driver of your own.
     profile : Profile or str, optional
         Device and finger; the board's usual one if not given.
     vibrators_url : str, optional
@@ -119,7 +136,15 @@ def open_display(
     ------
     BoardError
         If there is no such driver, or the profile does not go with it.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> st.open_display("simulated:").profile.name
+    'electric-mouse'
     """
     if not isinstance(profile, Profile):
-        profile = load_profile(profile or usual_profile(url))
+        profile = load_profile(
+            profile or (usual_profile(url) if isinstance(url, str) else url.usual_profile)
+        )
     return Display(url, profile, vibrators_url, **options)

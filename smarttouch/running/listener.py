@@ -54,6 +54,19 @@ class Listener:
     ----------
     notes : list of str
         Sentences that a user should know after the run.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> class Strongest(st.Listener):
+    ...     most_ua = 0
+    ...     def step(self, result):
+    ...         self.most_ua = max(self.most_ua, abs(result.sequence.current_ua).max(initial=0))
+    >>> strongest, display = Strongest(), st.open_display("simulated:")
+    >>> source = st.open_source("text:a", display.profile)
+    >>> statistics = st.run(source, display, seconds=1, listeners=[strongest])
+    >>> bool(0 < strongest.most_ua <= 1000 * display.profile.limits.current_ma)
+    True
     """
 
     notes: list[str]

@@ -22,7 +22,11 @@ def masked_where_broken(board: Board, profile: Profile, note: Callable[[str], No
     """
     found = board.measure()
     if found.lifted:
-        raise BoardError("no electrode touches anything: put the finger on the array first")
+        raise BoardError(
+            "no electrode touches anything: put the finger on the array first",
+            about="finger",
+            problem="missing",
+        )
     broken = sorted({*profile.output.masked, *found.broken})
     good, unsure = (found.condition.count(each) for each in ("good", "unsure"))
     note(

@@ -9,7 +9,7 @@ from typing import Any
 from smarttouch.boards.board import Board, BoardReport
 from smarttouch.clock import Clock, SimulatedClock
 from smarttouch.errors import BoardStoppedError, SensorError, SmartTouchError
-from smarttouch.events import Note
+from smarttouch.events import Advice, Note, RunFailed
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.primary import Mode
 from smarttouch.profile import Profile
@@ -54,7 +54,7 @@ class Runner:
         Level at the start, and that which controls do not raise it above; those of the
         configuration if not given.
     stop : StopRequest, optional
-        The display's if not given.
+        One of its own if not given; `Display.stop` ends the run too.
     load_kernels : callable
         Returns the kernels of a profile.
     opened : callable, optional
@@ -66,8 +66,6 @@ class Runner:
     Attributes
     ----------
     statistics : RunStatistics
-    notes : list of str
-        Sentences that a user should know after the run.
     """
 
     def __init__(
@@ -87,14 +85,14 @@ class Runner:
         clock: Clock | None = None,
     ) -> None:
         self.source, self.display, self.config, self._force = source, display, config, force
-        self.statistics, self.notes = RunStatistics(), list[str]()
+        self.statistics = RunStatistics()
         self._listeners = as_listeners(listeners)
         self._controls, self._load_kernels = controls, load_kernels
         level = config.intensity
         self._first = first_level if first_level is not None else 1.0 if level is None else level
         self._most = most if most is not None else 1.0
         self._sayable = level is not None or first_level is not None or not display.on_a_finger
-        self._stop = stop or display.stopping
+        self._stop = stop or StopRequest()
         self._opened = opened or display.opened
         self._clock = clock
         self._emit = emit_to(self._listeners)
@@ -108,6 +106,8 @@ class Runner:
             Whatever keeps the run from beginning or going on; the display is at zero.
         """
         with contextlib.ExitStack() as stack:
+            ending = self.display.stopping
+            stack.enter_context(ending.telling(lambda: self._stop.ask(ending.reason)))
             for listener in reversed(self._listeners):
                 stack.callback(listener.close)
             stack.callback(self.source.close)
@@ -122,7 +122,7 @@ class Runner:
                 ended = self._stop.reason or ended
                 raise
             except SmartTouchError as error:
-                self._note_late(str(error))
+                self._emit(RunFailed(self._now_ns, str(error)))
                 raise
             finally:
                 self.source.close()
@@ -131,11 +131,11 @@ class Runner:
                 self.statistics.figures = figures_of(
                     self.statistics, self.source, board, report, ended
                 )
-                self.notes += self._notes()
+                self.statistics.notes += self._notes()
             for listener in self._listeners:
                 listener.finish(context)
         for listener in self._listeners:
-            self.notes += listener.notes
+            self.statistics.notes += listener.notes
         return self.statistics
 
     def _prepared(self) -> tuple[RunContext, Pipeline]:
@@ -145,7 +145,7 @@ class Runner:
         profile = self.display.profile
         if config.measure:
             with self._opened(self._stop):
-                profile = masked_where_broken(board, profile, self._note_early)
+                profile = masked_where_broken(board, profile, self._advise)
         bank = self._load_kernels(profile)
         vibrated = self.display.vibrators_url is not None
         pipeline = Pipeline(profile, bank, config, board.timing, vibrated=vibrated)
@@ -166,7 +166,7 @@ class Runner:
         with steady_environment(pipeline), self._opened(self._stop):
             self._require_force()
             self._warn_of_simulation(profile)
-            regulator = make_regulator(board, profile, self.config, self._note_early)
+            regulator = make_regulator(board, profile, self.config, self._advise)
             context.settings |= self._board_settings()
             for listener in self._listeners:
                 listener.start(context)
@@ -235,11 +235,15 @@ class Runner:
             *(force.notes if force is not None else ()),
         ]
 
-    def _note_early(self, words: str) -> None:
-        self._emit(Note(0, words))
+    def _advise(self, words: str) -> None:
+        self._emit(Advice(0, words))
 
     def _note_late(self, words: str) -> None:
-        self._emit(Note(int(self.statistics.seconds * 1e9), words))
+        self._emit(Note(self._now_ns, words))
+
+    @property
+    def _now_ns(self) -> int:
+        return int(self.statistics.seconds * 1e9)
 
     def _require_a_level(self) -> None:
         if not self._sayable:
@@ -269,7 +273,7 @@ class Runner:
             name for name, note in profile.calibrated.items() if note.found.startswith("simulated")
         ]
         if simulated and self.display.on_a_finger:
-            self._note_early(
+            self._advise(
                 f"Of the profile {', '.join(simulated)} were calibrated in simulation, on no "
                 "finger: calibrate again, and turn the current up slowly."
             )

@@ -46,7 +46,12 @@ class LatencyHistogram:
 
 @dataclass
 class RunStatistics:
-    """Statistics of a run, kept as it goes."""
+    """Statistics of a run, kept as it goes.
+
+    Examples
+    --------
+    See `smarttouch.run`; ``statistics.figures`` has all of them by name.
+    """
 
     frames: int = 0
     """Sequences sent; each from one look of the sensor."""
@@ -88,6 +93,8 @@ class RunStatistics:
     """How far the time between two frames was off their period."""
     ended: str = ""
     """Reason for which the run has ended."""
+    notes: list[str] = field(default_factory=list)
+    """Sentences that a user should know after the run."""
     figures: dict[str, Any] = field(default_factory=dict)
     """All figures of the run by name, complete after its end; for JSON."""
     _last_seen: int | None = None

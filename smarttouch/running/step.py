@@ -61,6 +61,15 @@ class StepResult:
         Processor time that it took the loop.
     acknowledged, refused : int
         Sequences that the board had begun to deliver, or declined, until then.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> results, display = [], st.open_display("simulated:")
+    >>> source = st.open_source("text:a", display.profile)
+    >>> statistics = st.run(source, display, seconds=0.1, listeners=[results.append])
+    >>> [result.number for result in results]
+    [1, 2, 3, 4, 5]
     """
 
     step: Step

@@ -9,10 +9,10 @@ from smarttouch.registry import find_opener
 from smarttouch.sources.frame import Sensor
 
 
-def open_sensor(
+def open_source(
     url: str, profile: Profile, *, light_on_dark: bool = False, **options: Any
 ) -> Sensor:
-    """Open a sensor by its URL, for example ``page:FILE`` or ``camera:0``.
+    """Open a source by its URL, for example ``page:FILE`` or ``camera:0``.
 
     Parameters
     ----------
@@ -29,6 +29,13 @@ def open_sensor(
     ------
     SensorError
         If there is no such kind, it does not take an option, or cannot be opened.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> with st.open_source("text:touch", st.load_profile("electric-mouse")) as source:
+    ...     source.read(0).image.shape
+    (64, 64)
     """
     opener, rest = find_opener("smarttouch.sources", url, SensorError, Sensor, ("rest", "profile"))
     given = {name: value for name, value in options.items() if value is not None}
@@ -47,4 +54,9 @@ def open_sensor(
     if light_on_dark and "light_on_dark" in taken:
         given["light_on_dark"] = True
     sensor: Sensor = opener(rest, profile, **given)
+    sensor.url = url
     return sensor
+
+
+open_sensor = open_source
+"""Older name."""

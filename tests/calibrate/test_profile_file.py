@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from smarttouch.calibrate.profile_file import ProfileFile
 from smarttouch.errors import CalibrationError, ProfileError
-from smarttouch.profile import load_profile, profile_names
+from smarttouch.profile import list_profiles, load_profile
 from smarttouch.resources import data_folder
 
 from ..raising import raises
@@ -22,7 +22,7 @@ def comments(text):
     return [line[line.index("#") :] for line in text.splitlines() if "#" in line]
 
 
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", list_profiles())
 def test_only_what_is_set_changes_and_comments_stay(name, tmp_path):
     file = ProfileFile(name, tmp_path / "mine.toml")
     file.set("force.curve", [0.5, 2e-6])

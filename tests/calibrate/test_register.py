@@ -10,7 +10,7 @@ from smarttouch.calibrate.target import LARGE_DOTS, DotTarget, target_for
 from smarttouch.calibrate.view import View, bench_view, random_view
 from smarttouch.errors import CalibrationError
 from smarttouch.imaging.registration import Registration
-from smarttouch.profile import load_profile, profile_names
+from smarttouch.profile import list_profiles, load_profile
 
 from ..raising import raises
 
@@ -109,7 +109,7 @@ def test_dots_are_named_as_they_were_printed(profile):
     assert np.abs(dots.pixel - expected).max() < 3
 
 
-@pytest.mark.parametrize("name", [n for n in profile_names() if n != "smarttouch-4x4"])
+@pytest.mark.parametrize("name", [n for n in list_profiles() if n != "smarttouch-4x4"])
 def test_every_sensor_that_is_fine_enough_has_a_target(name):
     profile = load_profile(name)
     found = register(bench_view(target_for(profile), profile.optics), profile, target_for(profile))

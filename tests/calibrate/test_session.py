@@ -22,7 +22,7 @@ from smarttouch.calibrate.stimulus import ceiling_ma, measuring_limits, slew_ma_
 from smarttouch.calibrate.subject import SimulatedSubject
 from smarttouch.clock import SimulatedClock
 from smarttouch.errors import BoardRestartedError, CalibrationError, LineLostError
-from smarttouch.profile import load_profile, profile_names
+from smarttouch.profile import list_profiles, load_profile
 from smarttouch.stimulation.safety import SafetyLimits
 
 from ..raising import raises
@@ -95,7 +95,7 @@ def test_runs_begin_at_zero_however_long_the_pause(profile, board, tmp_path, beg
     assert starts.max() <= 1000 * slew_ma_s(profile) * 2 * TICK_S
 
 
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", list_profiles())
 def test_the_ceiling_of_every_profile_is_one_that_its_board_sends(name, tmp_path, begun):
     """Nothing is ever felt: the current goes up to the ceiling, and every proof holds."""
     profile = load_profile(name)

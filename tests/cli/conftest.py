@@ -9,12 +9,38 @@ import sys
 import termios
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from smarttouch.cli import main
+from smarttouch import cli
+from smarttouch.errors import SmartTouchError
+
+from ..raising import assert_says
 
 PROGRAM = Path(sys.executable).with_name("smarttouch")
+
+
+def says(kind=SmartTouchError, *names, **attributes):
+    """Return a check that an error is of just this type, with these names and attributes.
+
+    Names, and numbers with their units, are looked for in what it says.
+    """
+
+    def check(error):
+        assert type(error) is kind, repr(error)
+        assert_says(error, **attributes)
+        assert [name for name in names if name not in str(error)] == [], error
+
+    return check
+
+
+def refused(done):
+    """Check that a run in this process ended with one sentence; return the error behind it."""
+    assert done.returncode == 2, done.stdout
+    assert done.stderr.startswith("smarttouch: ")
+    assert done.stderr.count("\n") == 1
+    return done.error
 
 
 @pytest.fixture(autouse=True)
@@ -43,20 +69,28 @@ def program(tmp_path):
 
 @pytest.fixture
 def program_here(tmp_path, monkeypatch):
-    """Return a runner of the program in this process: where no board runs, and much sooner."""
+    """Return a runner of the program in this process, which is much sooner.
+
+    What it gives has the error, too, that the program told of; None if it told of none.
+    """
+    tell = cli._outcome
 
     def run(*arguments):
         out, err, code = io.StringIO(), io.StringIO(), 0
+        errors = [None]
         with monkeypatch.context() as patch:
             patch.chdir(tmp_path)
+            patch.setattr(cli, "_outcome", lambda error: errors.append(error) or tell(error))
             patch.setattr(sys, "argv", ["smarttouch", *map(str, arguments)])
             patch.setattr(sys, "stdin", io.StringIO())
             with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
                 try:
-                    main()
+                    cli.main()
                 except SystemExit as ended:
                     code = ended.code or 0
-        return subprocess.CompletedProcess(arguments, code, out.getvalue(), err.getvalue())
+        return SimpleNamespace(
+            returncode=code, stdout=out.getvalue(), stderr=err.getvalue(), error=errors[-1]
+        )
 
     return run
 

@@ -13,6 +13,9 @@ import pytest
 from smarttouch.boards.emulator.books import read_slots, read_state
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_session import HostSession
+from smarttouch.errors import BoardError
+
+from .conftest import refused, says
 
 PROGRAM = Path(sys.executable).with_name("smarttouch")
 
@@ -54,9 +57,10 @@ def test_live_end_to_end_ends_in_zero(request, program_here, tmp_path, kit):
         "live", "--board", url, "--intensity", 1, "--seconds", 1.7, "--json", "run.json"
     )
     assert done.returncode == 0, done.stderr
-    assert "all electrodes off" in done.stdout
-    assert ("goes on with its last pattern" in done.stderr) == url.startswith("etactilekit")
+    # That one goes on by itself if its line breaks, and who runs it is warned.
+    assert done.stderr.count("\n") == url.startswith("etactilekit")
     figures = json.loads((tmp_path / "run.json").read_text())
+    assert "1.7 s" in figures["ended"]
     # Of 936c6c0 a sequence of several heights takes as many scans.
     assert figures["frames"] > (15 if "936c6c0" in request.node.name else 50)
     assert figures["acknowledged"] >= 0.5 * figures["frames"]
@@ -94,9 +98,8 @@ def test_a_signal_ends_in_zero(start_program, kit):
     running = start_program("live", "--board", url, "--intensity", "1")
     wait_for_pulses(books)
     running.send_signal(how)
-    out, _ = running.communicate(timeout=20)
+    running.communicate(timeout=20)
     assert running.returncode == 0
-    assert "all electrodes off" in out
     state = state_of(books)
     assert (state["state"], state["unsafe"]) == ("shorted", 0)
 
@@ -137,7 +140,15 @@ def test_info_of_the_newest_kit_tells_how_long_it_goes_on(program_here, start_em
 def test_info(program_here, kit):
     done = program_here("board", "info", kit[0])
     assert done.returncode == 0, done.stderr
-    assert all(word in done.stdout for word in ("firmware", "electrodes", "host lost", "profile"))
+    told = {line[:14].strip(): line[14:].split() for line in done.stdout.splitlines()}
+    electrodes, profile = {
+        "kajimoto61": ("61,", "kajimoto-61:"),
+        "etactilekit": ("32,", "etactilekit-32:"),
+        "link": ("64,", "electric-mouse:"),
+    }[kit[0].partition(":")[0]]
+    assert (told["electrodes"][0], told["profile"][0]) == (electrodes, profile)
+    assert told["firmware"]
+    assert "mA" in told["current"]
     assert state_of(kit[1])["slots"] == 0
 
 
@@ -155,7 +166,8 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(
     assert found["impedance_kohm"][5] is None
     done = program_here("live", "--board", url, "--intensity", 1, "--measure", "--seconds", 1.5)
     assert done.returncode == 0, done.stderr
-    assert "30 of 32 electrodes are good; planned without [5, 9]" in done.stdout
+    assert "30 of 32" in done.stderr
+    assert "[5, 9]" in done.stderr
     time.sleep(0.3)
     slots = read_slots(books)
     # The measurement itself went through all of them; the run did not.
@@ -164,14 +176,15 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(
     assert not {5, 9} & set(run["site"].tolist())
 
 
-def test_measuring_without_a_finger_says_so(program_here, start_emulator):
+def test_measuring_without_a_finger_says_so(program_here, start_emulator, tmp_path):
     _, port, _ = start_emulator(64, "link", "--event=0 lift")
-    done = program_here("board", "measure", f"link:{port}")
+    done = program_here("board", "measure", f"link:{port}", "--json", "found.json")
     assert done.returncode == 0, done.stderr
-    assert "No electrode touches anything" in done.stdout
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert found["condition"] == ["open"] * 64
+    assert found["impedance_kohm"] == [None] * 64
     done = program_here("live", "--board", f"link:{port}", "--measure", "--intensity", 1)
-    assert done.returncode == 2
-    assert "put the finger on the array first" in done.stderr
+    says(BoardError, about="finger", problem="missing")(refused(done))
 
 
 @on("etactilekit")
@@ -179,7 +192,7 @@ def test_a_walk_through_the_electrodes(program_here, kit):
     url, books = kit
     done = program_here("board", "test", url, "--seconds", 0.3, "--current-ma", 0.3)
     assert done.returncode == 0, done.stderr
-    assert "32 of 32 electrodes tried; all are at zero" in done.stdout
+    assert "32 of 32 electrodes" in done.stdout
     state = state_of(books)
     assert (state["state"], state["unsafe"]) == ("shorted", 0)
     assert state["max_current_ma"] <= 0.33
@@ -194,10 +207,12 @@ def test_a_key_goes_on_to_the_next_electrode_and_q_ends_it():
     ) as walking:
         os.close(there)
         for number, key in enumerate("nnq"):
-            assert walking.stdout.readline().startswith(f"electrode {number}: up to 0.5 mA")
+            line = walking.stdout.readline()
+            assert line.startswith(f"electrode {number}:")
+            assert "0.5 mA" in line
             time.sleep(0.1)
             os.write(keyboard, key.encode())
-        assert walking.stdout.readline() == "3 of 64 electrodes tried; all are at zero.\n"
+        assert walking.stdout.readline().startswith("3 of 64 electrodes")
         assert walking.wait(10) == 0
     os.close(keyboard)
 
@@ -208,21 +223,25 @@ def test_a_voltage_is_asked_for_while_it_pulses():
         input="one volt\n", capture_output=True, text=True, timeout=30, check=False,
     )  # fmt: skip
     assert done.returncode == 2
-    assert "No finger on the array: 1000 ohm" in " ".join(done.stdout.split())
-    assert "'one volt' is no voltage" in done.stderr
+    for told in ("1 mA", "electrode 3", "1000 ohm"):
+        assert told in " ".join(done.stdout.split())
+    assert "'one volt'" in done.stderr
+    assert done.stderr.count("\n") == 1
 
 
 @on("etactilekit")
 def test_stop(program_here, kit):
     done = program_here("board", "stop", kit[0])
-    assert (done.returncode, done.stdout) == (0, "All electrodes are at zero.\n")
+    assert done.returncode == 0, done.stderr
+    state = state_of(kit[1])
+    assert (state["state"], state["slots"]) == ("shorted", 0)
 
 
 @on("kajimoto61")
 def test_the_scale_from_a_resistor(program_here, kit):
     done = program_here("board", "calibrate-scale", kit[0], "--volts", 1.1, "--ohm", 1000)
     assert done.returncode == 0, done.stderr
-    assert "1.100 of nominal" in done.stdout
+    assert "1.100 mA" in done.stdout
     assert "ua_per_count = 2.686" in done.stdout
     assert state_of(kit[1])["slots"] == 0
 
@@ -235,8 +254,8 @@ def test_a_scale_is_not_measured_out_of_its_band_step_by_step(program_here, tmp_
     path.write_text(text.replace("[output]", "[output]\nua_per_count = 3.0"), encoding="utf-8")
     measure = ("board", "calibrate-scale", "kajimoto61:x", "--profile", path, "--volts")
     done = program_here(*measure, 1.2)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert "ua_per_count = 3.6" in done.stderr
+    assert done.stdout == ""
+    says(BoardError, "ua_per_count = 3.6")(refused(done))
     done = program_here(*measure, 0.9)
     assert done.returncode == 0, done.stderr
     assert "ua_per_count = 2.7" in done.stdout
@@ -252,14 +271,14 @@ def test_what_is_there_is_listed_and_nothing_is_opened(program_here):
     ("name", "how"),
     [("link", signal.SIGTERM), ("kajimoto61", signal.SIGINT), ("etactilekit", signal.SIGINT)],
 )
-def test_an_emulator_is_played_until_it_is_ended(program, start_program, tmp_path, name, how):
+def test_an_emulator_is_played_until_it_is_ended(program_here, start_program, tmp_path, name, how):
     books = tmp_path / "books"
     books.mkdir()
     playing = start_program("board", "emulate", name, "--books", str(books))
     lines = [playing.stdout.readline() for _ in range(3)]
     url = lines[2].split()[-1]
     assert url.startswith(f"{name}:/dev/")
-    done = program("board", "info", url)
+    done = program_here("board", "info", url)
     assert done.returncode == 0, done.stderr
     playing.send_signal(how)
     assert playing.wait(10) == 0
@@ -278,44 +297,3 @@ def test_a_player_that_is_killed_leaves_no_board_behind(start_program, tmp_path)
     while state_of(tmp_path)["reason"] != "parent gone":
         assert time.monotonic() < until, "the board lives on"
         time.sleep(0.01)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (("board", "emulate", "optacon"), "no emulator 'optacon': choose"),
-        (("board", "emulate", "link", "--books", "nowhere"), "no folder"),
-        (("board", "emulate", "link", "--firmware", "newest"), "--firmware is for etactilekit"),
-        (("board", "emulate", "etactilekit", "--firmware", "3"), "no firmware '3': choose"),
-        (("board", "info", "etactilekit:/dev/x?firmware=3"), "knows no firmware '3': choose"),
-        (("board", "info", "kajimoto61:"), "needs a port"),
-        (("board", "info", "kajimoto61:/dev/nowhere"), "no such port"),
-        (("board", "info", "etactilekit:/dev/x?fast"), "knows the options ?slow"),
-        (("board", "info", "kajimoto61:/dev/x", "--profile", "electric-mouse"), "--profile"),
-        (("board", "test", "memory:"), "give --seconds"),
-        (("board", "test", "memory:", "--seconds", "0"), "--seconds 0 must be above 0"),
-        (("board", "test", "memory:", "--seconds", "1", "--current-ma", "9"), "at most the 2.4 mA"),
-        (("board", "measure", "memory:"), "does not measure"),
-        (("board", "calibrate-scale", "memory:", "--ohm", "0"), "--ohm 0 must be above 0"),
-        (("board", "calibrate-scale", "memory:", "--ohm", "inf"), "--ohm inf"),
-        (("board", "calibrate-scale", "memory:", "--current-ma", "nan"), "--current-ma nan"),
-        (("board", "calibrate-scale", "memory:", "--volts", "-1"), "check the connections"),
-        (("board", "calibrate-scale", "kajimoto61:x", "--volts", "inf"), "check the connections"),
-        (("board", "calibrate-scale", "kajimoto61:x", "--volts", "nan"), "check the connections"),
-        (("board", "calibrate-scale", "kajimoto61:x", "--volts", "0.001"), "kV where V"),
-        (("board", "calibrate-scale", "etactilekit:x", "--volts", "1000"), "mV where V"),
-        (("board", "calibrate-scale", "memory:", "--electrode", "64"), "site 64"),
-        (("live", "--board", "memory:", "--hold", "power"), "choose charge or energy"),
-        (("live", "--board", "memory:", "--hold", "charge"), "tells the voltage"),
-        (("live", "--board", "memory:", "--measure"), "does not measure"),
-        (
-            ("live", "--profile", "kajimoto-61", "--board", "memory:", "--mode", "SAI"),
-            "it offers RA (other classes reach 0.",
-        ),
-    ],
-)
-def test_bad_input_is_one_sentence(program_here, arguments, says):
-    done = program_here(*arguments)
-    assert done.returncode == 2
-    assert says in done.stderr
-    assert done.stderr.count("\n") == 1

@@ -2,8 +2,7 @@
 
 import csv
 import json
-import subprocess
-import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +10,11 @@ import typer
 from typer.testing import CliRunner
 
 from smarttouch.cli.experiment_fit import fit
-from smarttouch.errors import SmartTouchError
+from smarttouch.errors import ExperimentError, SmartTouchError
 from smarttouch.psychophysics.procedures.constant import ConstantStimuli, ratio_pairs
 
 from ..psychophysics.simulated import Subject, answer_all
+from .conftest import says
 
 FAST = ("--samples", "100")
 
@@ -67,7 +67,8 @@ def test_two_modes(program, tmp_path):
         "lapse",
         "p",
     ]
-    assert "75: no threshold: the first interval was chosen 200 of 200 times" in said
+    (without,) = (line for line in lines if line.startswith("75: "))
+    assert "200 of 200" in without
     assert max(map(len, lines[:3])) <= 80
     assert (tmp_path / "a.png").stat().st_size > 10_000
     figures = json.loads((tmp_path / "a.json").read_text())
@@ -78,7 +79,7 @@ def test_two_modes(program, tmp_path):
     assert good["weber"]["value"] == pytest.approx(good["threshold"]["value"] / 30 - 1)
     assert good["verdict"] is None
     assert bad["threshold"] is bad["weber"] is bad["spread"] is None
-    assert "first interval" in bad["verdict"]
+    assert bad["verdict"]
     row = lines[2].split()
     assert row[:2] == ["30", "200"]
     assert float(row[2]) == pytest.approx(good["threshold"]["value"], rel=0.01)
@@ -120,25 +121,55 @@ def test_others_answers(program, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("options", "wrong"),
     [
-        (("none.csv",), "no file none.csv"),
-        (("a.csv", "--x", "hz"), "no column 'hz', but comparison, success"),
-        (("a.csv", "--guess", "half"), "--guess 'half' is not offered"),
-        (("a.csv", "--guess", "1"), "guess rate of 1"),
-        (("a.csv", "--function", "cubic"), "--function 'cubic' is not offered"),
-        (("a.csv", "--samples", "3"), "--samples 3 is not offered"),
-        (("a.csv", "--seed", "-1"), "--seed -1 is not offered"),
-        (("a.csv", "--function", "weibull", "--linear"), "logarithmic axis"),
-        (("a.csv", "--plot", "a.doc"), "name it"),
-        (("a.csv", "--plot", "none/a.png"), "cannot write none/a.png"),
-        (("a.csv", "--resample", "rows"), "--resample 'rows' is not offered"),
+        (
+            ("none.csv",),
+            says(ExperimentError, about="file", problem="missing", value=Path("none.csv")),
+        ),
+        (
+            ("a.csv", "--x", "hz"),
+            says(ExperimentError, "a.csv", "'hz'", "comparison, success", "--x"),
+        ),
+        (
+            ("a.csv", "--guess", "half"),
+            says(ExperimentError, about="--guess", problem="unknown", value="half"),
+        ),
+        (("a.csv", "--guess", "1"), says(ExperimentError, "guess", " 1 ")),
+        (
+            ("a.csv", "--function", "cubic"),
+            says(
+                about="--function", problem="unknown", value="cubic",
+                allowed=("normal", "logistic", "weibull"),
+            ),
+        ),
+        (
+            ("a.csv", "--samples", "3"),
+            says(ExperimentError, about="--samples", value=3, allowed=(100, 100_000)),
+        ),
+        (("a.csv", "--seed", "-1"), says(ExperimentError, about="--seed", value=-1, allowed=0)),
+        (
+            ("a.csv", "--function", "weibull", "--linear"),
+            says(ExperimentError, "Weibull", "normal", "logistic"),
+        ),
+        (("a.csv", "--plot", "a.doc"), says(SmartTouchError, "a.doc", "*.png")),
+        (
+            ("a.csv", "--plot", "none/a.png"),
+            says(about="file", problem="unwritable", value=Path("none/a.png")),
+        ),
+        (
+            ("a.csv", "--resample", "rows"),
+            says(
+                about="--resample", problem="unknown", value="rows", allowed=("curve", "trials")
+            ),
+        ),
     ],
-)
-def test_what_a_user_can_do_wrong(program, tmp_path, options, says):
+)  # fmt: skip
+def test_what_a_user_can_do_wrong(program, tmp_path, options, wrong):
     (tmp_path / "a.csv").write_text("comparison,success\n1,0\n2,1\n")
-    with pytest.raises(SmartTouchError, match=says):
+    with pytest.raises(SmartTouchError) as caught:
         program(*options, "--quiet")
+    wrong(caught.value)
 
 
 def test_files_of_the_same_name(program, tmp_path):
@@ -147,13 +178,7 @@ def test_files_of_the_same_name(program, tmp_path):
         session(tmp_path / folder / "RA.csv", {30.0: 36.0})
     said = program("p1/RA.csv", "p2/RA.csv", "--json", "a.json", *FAST)
     assert list(json.loads((tmp_path / "a.json").read_text())) == ["p1/RA.csv", "p2/RA.csv"]
-    assert "p1/RA.csv, Hz" in said
-
-
-def test_the_command_line_imports_nothing_heavy():
-    code = (
-        "import sys, smarttouch.cli.experiment_fit\n"
-        "print([each for each in ('numpy', 'scipy', 'matplotlib') if each in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "[]\n"
+    assert [line for line in said.splitlines() if "RA.csv" in line] == [
+        "p1/RA.csv, Hz",
+        "p2/RA.csv, Hz",
+    ]

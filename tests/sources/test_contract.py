@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.sources import open_sensor
+from smarttouch.sources import open_source
 from smarttouch.sources.sensor_protocol import encode_frame
 from smarttouch.testing.sources import SourceContract
 from smarttouch.wire.pty_line import PtyLine
@@ -25,10 +25,10 @@ class Contract(SourceContract):
 
     def make(self, profile):
         options = {"unpaced": self.unpaced, "page_width_mm": self.width_mm, "fps": self.fps}
-        return open_sensor(self.url, profile, **options)
+        return open_source(self.url, profile, **options)
 
     def make_impossible(self, profile):
-        open_sensor(self.nowhere, profile)
+        open_source(self.nowhere, profile)
 
 
 class TestPage(Contract):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from smarttouch.profile import load_profile, profile_names
+from smarttouch.profile import list_profiles, load_profile
 from smarttouch.stimulation.limits import SafetyLimits, decimal, parts_per_billion, rms_ma_cm2
 
 
@@ -29,7 +29,7 @@ def test_density_is_that_of_the_paper_s_pulse():
     assert rms_ma_cm2(load_profile("electric-mouse")) == pytest.approx(30.6, abs=0.1)
 
 
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", list_profiles())
 def test_the_smallest_of_charge_density_and_shannon_counts(name):
     profile = load_profile(name)
     limits = SafetyLimits.of(profile)

@@ -11,7 +11,7 @@ from smarttouch.errors import ScheduleError
 from smarttouch.imaging.tactile_image import TactileImage
 from smarttouch.kernels.bank import design_bank, load_bank
 from smarttouch.primary import Primary
-from smarttouch.profile import load_profile, profile_names
+from smarttouch.profile import list_profiles, load_profile
 from smarttouch.stimulation.frames import NO_SHARING, Sharing
 from smarttouch.stimulation.points import felt_at, spread_order
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
@@ -34,7 +34,7 @@ def started(profile):
     return gate
 
 
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", list_profiles())
 @given(data=st.data())
 def test_every_sequence_of_every_profile_is_safe(name, data):
     profile = load_profile(name)

@@ -1,0 +1,227 @@
+"""The front door for programs: run, step through, replay, and design, each by one function."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from smarttouch.kernels.bank import KernelBank, load_bank
+from smarttouch.kernels.problem import Kernel, Problem
+from smarttouch.kernels.switching import designer
+from smarttouch.primary import Mode, Primary
+from smarttouch.profile import Profile
+from smarttouch.recording.controls import RecordedControls
+from smarttouch.recording.reader import Recording
+from smarttouch.recording.sensor import RecordingSensor
+from smarttouch.running.config import RunConfig
+from smarttouch.running.display import Display
+from smarttouch.running.listener import Listener
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.runner import Runner
+from smarttouch.running.statistics import RunStatistics
+from smarttouch.running.step import Step, StepResult
+from smarttouch.sources.forces.force import ForceSource
+from smarttouch.sources.frame import Sensor
+from smarttouch.stopping import StopRequest
+
+Listeners = Iterable[Listener | Callable[[StepResult], object]]
+
+
+def run(
+    source: Sensor,
+    display: Display,
+    *,
+    mode: Mode | str = Mode.RA,
+    listeners: Listeners = (),
+    force: ForceSource | None = None,
+    stop: StopRequest | None = None,
+    **settings: Any,
+) -> RunStatistics:
+    """Run a source on a display until the source ends, or `Display.stop` ends the run.
+
+    Parameters
+    ----------
+    source : Sensor
+        Closed at the end.
+    display : Display
+    mode : Mode or str
+        Which afferents are driven: RA, SAI, PC or natural.
+    listeners : iterable of Listener or callable
+        Follow the run; a plain function is given each `StepResult`.
+    force : ForceSource, optional
+        Finger force; that of the source or board if not given.
+    stop : StopRequest, optional
+        Ends the run from elsewhere; so does `Display.stop`.
+    **settings
+        Other settings of `RunConfig`: ``seconds``, ``intensity``, ``rate_hz``, ``scan`` …
+
+    Returns
+    -------
+    RunStatistics
+
+    Raises
+    ------
+    SmartTouchError
+        Whatever keeps the run from beginning or going on; the display is at zero.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> profile = st.load_profile("electric-mouse")
+    >>> display = st.open_display("simulated:", profile)
+    >>> statistics = st.run(st.open_source("text:a", profile), display, seconds=0.5)
+    >>> statistics.frames
+    25
+    """
+    config = RunConfig(mode=mode, **settings)
+    return Runner(source, display, config, force=force, listeners=listeners, stop=stop).run()
+
+
+def steps(
+    source: Sensor,
+    profile: Profile,
+    *,
+    mode: Mode | str = Mode.RA,
+    kernels: KernelBank | None = None,
+    **settings: Any,
+) -> Iterator[Step]:
+    """Yield each frame of a source with its tactile image and sequence: no board, no clock.
+
+    Parameters
+    ----------
+    source : Sensor
+        Closed at the end.
+    profile : Profile
+        Device and finger.
+    mode : Mode or str
+        Which afferents are driven.
+    kernels : KernelBank, optional
+        Those of the profile if not given.
+    **settings
+        Other settings of `RunConfig`; ``intensity`` is 1 if not given.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> profile = st.load_profile("electric-mouse")
+    >>> first = next(st.steps(st.open_source("text:a", profile), profile))
+    >>> first.tactile.activation.shape
+    (3, 64)
+    """
+    config = RunConfig(mode=mode, **settings)
+    level = 1.0 if config.intensity is None else config.intensity
+    pipeline = Pipeline(profile, kernels or load_bank(profile), config)
+    most_ns = float("inf") if config.seconds is None else config.seconds * 1e9
+    elapsed_ns = 0
+    with source:
+        while elapsed_ns < most_ns and (frame := source.read(elapsed_ns)) is not None:
+            if frame.stale:
+                frame = replace(frame, force_n=0.0)
+            step = pipeline.process(frame, level)
+            yield step
+            elapsed_ns += 1000 * step.sequence.period_us
+
+
+def replay(
+    path: Path | str,
+    display: Display,
+    *,
+    listeners: Listeners = (),
+    force: ForceSource | None = None,
+    stop: StopRequest | None = None,
+    **settings: Any,
+) -> RunStatistics:
+    """Run what a recording holds on a display once more, with its modes and levels.
+
+    Parameters
+    ----------
+    path : Path or str
+        The recording.
+    display : Display
+        Its profile may be another than the recorded one.
+    listeners, force, stop
+        See `run`.
+    **settings
+        Settings of `RunConfig` in place of the recorded ones; ``intensity`` is a part of the
+        recorded.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such recording, or the board does not offer its modes.
+    SmartTouchError
+        See `run`.
+
+    Examples
+    --------
+    >>> import smarttouch as st, tempfile, pathlib
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.mcap"
+    >>> display = st.open_display("simulated:")
+    >>> source = st.open_source("text:a", display.profile)
+    >>> first = st.run(source, display, seconds=0.5, listeners=[st.Recorder(path)])
+    >>> st.replay(path, display).slots == first.slots
+    True
+    """
+    recording = Recording(Path(path))
+    source = RecordingSensor(recording)
+    source.url = f"recording:{path}"
+    config = recording_config(recording, **settings)
+    controls = partial(RecordedControls, recording)
+    return Runner(
+        source, display, config, force=force, listeners=listeners, controls=controls, stop=stop
+    ).run()
+
+
+def recording_config(recording: Recording, **settings: Any) -> RunConfig:
+    """Return the configuration of a recorded run, changed by settings of `RunConfig`."""
+    was = recording.run
+    recorded = {
+        "mode": was.mode,
+        "rate_hz": was.rate_hz,
+        "light_on_dark": was.light_on_dark,
+        "softness": was.softness,
+        "scan": was.sharing,
+        "tone": was.tone,
+    }
+    return RunConfig(**(recorded | settings))
+
+
+def load_kernels(profile: Profile) -> KernelBank:
+    """Return the kernels of a profile's array: shipped, from the user's cache, or designed now.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> kernels = st.load_kernels(st.load_profile("electric-mouse"))
+    >>> kernels.weights[st.Primary.RA].shape
+    (64, 64)
+    """
+    return load_bank(profile)
+
+
+def design_kernel(profile: Profile, primary: Primary | str, site: int) -> Kernel:
+    """Design the kernel of one site, of the kind that the profile's board can make.
+
+    Parameters
+    ----------
+    profile : Profile
+    primary : Primary or str
+        Afferent class: RA, SAI or PC.
+    site : int
+        Electrode over the target.
+
+    Raises
+    ------
+    DesignError
+        If no kernel exists.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> kernel = st.design_kernel(st.load_profile("line-8"), "RA", 3)
+    >>> bool(kernel.worst_other < 0.3)
+    True
+    """
+    primary = primary if isinstance(primary, Primary) else Primary[primary]
+    return designer(profile)(Problem(profile, primary), site)
