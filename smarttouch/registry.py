@@ -3,7 +3,7 @@
 import functools
 import inspect
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, NamedTuple
 
@@ -87,15 +87,7 @@ def find_opener(
         return EntryPoint(name, _OWN[group][name], group).load(), rest
     points = [point for point in _plug_ins(group) if point.name == name] if colon else []
     if not points:
-        known = known_names(group)
-        names = ", ".join(f"{each}:" for each in known)
-        raise error(
-            f"unknown {kind} {url!r}: it must begin with one of {names}",
-            about=kind,
-            problem="unknown",
-            value=url,
-            allowed=tuple(known),
-        )
+        raise unknown(kind, url, known_names(group), error)
     packages = sorted({package_of(point) for point in points})
     if len(packages) > 1:
         raise error(
@@ -106,6 +98,49 @@ def find_opener(
             allowed=tuple(packages),
         )
     return _load(points[0], error, base, arguments), rest
+
+
+def unknown(
+    kind: str, url: str, known: Sequence[str], error: type[SmartTouchError]
+) -> SmartTouchError:
+    """Return the error of a URL that begins with none of the names that are known."""
+    names = ", ".join(f"{each}:" for each in known)
+    return error(
+        f"unknown {kind} {url!r}: it must begin with one of {names}",
+        about=kind,
+        problem="unknown",
+        value=url,
+        allowed=tuple(known),
+    )
+
+
+def given_options(
+    opener: Callable[..., Any],
+    url: str,
+    options: dict[str, Any],
+    error: type[SmartTouchError],
+) -> dict[str, Any]:
+    """Return the options that were given, which those that are None were not.
+
+    Raises
+    ------
+    SmartTouchError
+        Of the type given, if the opener does not take one of them by its name.
+    """
+    given = {name: value for name, value in options.items() if value is not None}
+    parameters = inspect.signature(opener).parameters.values()
+    taken = tuple(each.name for each in parameters if each.default is not each.empty)
+    for name in given:
+        if name not in taken:
+            takes = ", ".join(taken) or "none"
+            raise error(
+                f"{url.partition(':')[0]}: does not take {name}: leave it out (it takes {takes})",
+                about=name,
+                problem="unknown",
+                value=given[name],
+                allowed=taken,
+            )
+    return given
 
 
 def package_of(point: EntryPoint) -> str:

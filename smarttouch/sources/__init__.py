@@ -5,7 +5,7 @@ from typing import Any
 
 from smarttouch.errors import SensorError
 from smarttouch.profile import Profile
-from smarttouch.registry import find_opener
+from smarttouch.registry import find_opener, given_options
 from smarttouch.sources.frame import Sensor
 
 
@@ -38,20 +38,8 @@ def open_source(
     (64, 64)
     """
     opener, rest = find_opener("smarttouch.sources", url, SensorError, Sensor, ("rest", "profile"))
-    given = {name: value for name, value in options.items() if value is not None}
-    taken = list(inspect.signature(opener).parameters)[2:]
-    for name in given:
-        if name not in taken:
-            kind = url.partition(":")[0]
-            takes = ", ".join(taken) or "none"
-            raise SensorError(
-                f"{kind}: does not take {name}: leave it out (it takes {takes})",
-                about=name,
-                problem="unknown",
-                value=given[name],
-                allowed=tuple(taken),
-            )
-    if light_on_dark and "light_on_dark" in taken:
+    given = given_options(opener, url, options, SensorError)
+    if light_on_dark and "light_on_dark" in inspect.signature(opener).parameters:
         given["light_on_dark"] = True
     sensor: Sensor = opener(rest, profile, **given)
     sensor.url = url

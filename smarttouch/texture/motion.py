@@ -1,13 +1,12 @@
 """How the hand moves: the contract of what tells it, and opening it by URL."""
 
-import inspect
 import math
 from abc import ABC, abstractmethod
 from importlib import import_module
 from typing import Any
 
 from smarttouch.errors import SensorError
-from smarttouch.registry import known_names
+from smarttouch.registry import given_options, known_names, unknown
 from smarttouch.sources.device import Device
 
 _OPENERS = {
@@ -77,27 +76,8 @@ def open_motion(url: str, **options: Any) -> Motion:
     kind, colon, rest = url.partition(":")
     sensors = known_names("smarttouch.sources")
     if not colon or kind not in {*_OPENERS, *sensors}:
-        known = (*_OPENERS, *sensors)
-        names = ", ".join(f"{each}:" for each in known)
-        raise SensorError(
-            f"unknown motion {url!r}: it must begin with one of {names}",
-            about="motion",
-            problem="unknown",
-            value=url,
-            allowed=known,
-        )
+        raise unknown("motion", url, (*_OPENERS, *sensors), SensorError)
     opener = import_module(_OPENERS.get(kind, _ANY_SENSOR)).open_it
-    given = {name: value for name, value in options.items() if value is not None}
-    taken = list(inspect.signature(opener).parameters)[1:]
-    for name in given:
-        if name not in taken:
-            takes = ", ".join(taken) or "none"
-            raise SensorError(
-                f"{kind}: does not take {name}: leave it out (it takes {takes})",
-                about=name,
-                problem="unknown",
-                value=given[name],
-                allowed=tuple(taken),
-            )
+    given = given_options(opener, url, options, SensorError)
     motion: Motion = opener(rest if kind in _OPENERS else url, **given)
     return motion

@@ -76,7 +76,7 @@ def no_place(name):
         ("live --sensor text:", says(PageError, "text:")),
         (
             "live --sensor radio:5",
-            says(SensorError, about="sensor", problem="unknown", value="radio:5"),
+            says(SensorError, about="source", problem="unknown", value="radio:5"),
         ),
         ("live --profile nobody", says(ProfileError, "'nobody'", "electric-mouse")),
         ("live --profile wrong.toml", says(ProfileError, "wrong.toml", "'array'")),

@@ -265,7 +265,7 @@ def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
         (["optics", "--dark", "frames:none"], wrong("--white", about="--sensor")),
         (
             ["optics", "--sensor", "nothing:", "--yes"],
-            says(SensorError, about="sensor", problem="unknown", value="nothing:"),
+            says(SensorError, about="source", problem="unknown", value="nothing:"),
         ),
         (["optics", "--sensor", "frames:none", "--yes"], says(SensorError, " none:")),
         (["registration"], wrong(about="--sensor", problem="missing", remedy="--simulate")),

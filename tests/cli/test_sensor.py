@@ -56,7 +56,7 @@ def test_a_force_is_shown(run, tmp_path):
     [
         (
             ["show", "nothing:"],
-            says(SensorError, about="sensor", problem="unknown", value="nothing:"),
+            says(SensorError, about="source", problem="unknown", value="nothing:"),
         ),
         (
             ["show", "text:x", "--force"],
