@@ -1,13 +1,18 @@
 """What many tests start from."""
 
+import fcntl
+import gc
+import sys
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
 from smarttouch.profile import DEFAULT_PROFILE, load_profile
+from smarttouch.realtime import prioritized
 from smarttouch.sources.frame import Frame, Pose
 
 from .safety.watch import Watch
@@ -15,6 +20,10 @@ from .safety.watch import Watch
 # How long an example takes says how busy the machine is, and nothing of the code.
 settings.register_profile("no deadline", deadline=None)
 settings.load_profile("no deadline")
+
+# Compiling the tests and the package takes longer than many a test, and each program that tests
+# start would do it again where the environment forbids to keep what was compiled.
+sys.dont_write_bytecode = False
 
 
 def pytest_addoption(parser):
@@ -30,12 +39,53 @@ def pytest_configure(config):
         config.option.benchmark_skip, config.option.benchmark_disable = False, True
 
 
+def pytest_collection_modifyitems(items):
+    """Let the tests of time that passes come first; of the others, each stays in its place.
+
+    So one worker has them all, and no two run beside each other. They mostly wait: at the end
+    of a run its processors would wait with them.
+    """
+    items.sort(key=lambda item: "realtime" not in item.keywords)
+
+
+def pytest_collection_finish():
+    """Let the garbage collector pass over what the whole run needs: modules and tests."""
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.fixture(scope="session")
+def realtime_lock(tmp_path_factory, worker_id):
+    """A file that all workers of a run share."""
+    folder = tmp_path_factory.getbasetemp()
+    shared = folder if worker_id == "master" else folder.parent
+    with (shared / "realtime.lock").open("w") as file:
+        yield file
+
+
+@pytest.fixture(autouse=True)
+def one_at_a_time(request):
+    """Let no two tests of time that passes run beside each other, however few are run."""
+    if "realtime" not in request.keywords:
+        yield
+        return
+    file = request.getfixturevalue("realtime_lock")
+    fcntl.flock(file, fcntl.LOCK_EX)
+    # As a run has it: whoever holds the interpreter's lock at another holds up those that pace.
+    with prioritized():
+        yield
+    fcntl.flock(file, fcntl.LOCK_UN)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def one_thread():
-    """Tests run beside each other: threads of small matrix products would wait for one another."""
+    """Tests run beside each other: threads of one would wait for those of another."""
+    cv2.setNumThreads(1)
     with threadpool_limits(limits=1, user_api="blas"), pytest.MonkeyPatch.context() as patch:
         # For the programs that tests start.
         patch.setenv("OPENBLAS_NUM_THREADS", "1")
+        patch.setenv("OPENCV_FOR_THREADS_NUM", "1")
+        patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         yield
 
 

@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 
 from smarttouch.boards.board import Board, make_board
-from smarttouch.boards.emulator.books import read_state
 from smarttouch.boards.probe import one_each
 from smarttouch.errors import BoardRestartedError
 from smarttouch.profile.device import Output
+from smarttouch.realtime import prioritized
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
+from tests.boards.fresh import fresh_state
 
 SECOND = 10**9
 
@@ -99,7 +100,7 @@ def start_emulator():
             start_new_session=True,
         )
         started.append(process)
-        assert select.select([process.stdout], [], [], 20)[0], "the emulator prints no port"
+        assert select.select([process.stdout], [], [], 60)[0], "the emulator prints no port"
         return process, process.stdout.readline().strip()
 
     yield start
@@ -185,6 +186,8 @@ def pour(ends, data):
 class FaultyLine:
     """A serial line between host and board on which bytes get lost, and which can be pulled out.
 
+    It has real-time priority, where that is allowed: bytes are not held up on it.
+
     Attributes
     ----------
     to_board, to_host : callable
@@ -221,6 +224,7 @@ class FaultyLine:
             os.close(end)
         self.path.unlink(missing_ok=True)
 
+    @prioritized()
     def _pump(self):
         while not self._closing:
             with self._lock:
@@ -252,7 +256,9 @@ def faulty_line(tmp_path):
         lines.append(line)
         return line
 
-    yield make
+    # Nor is the host: a keeper does not bear its silence for long.
+    with prioritized():
+        yield make
     for line in lines:
         line.close()
 
@@ -292,8 +298,7 @@ class Hosted:
         self.board.drain()
 
     def state(self):
-        time.sleep(0.15)
-        return read_state(self.folder)
+        return fresh_state(self.folder)
 
     def assert_zero(self):
         state = self.state()

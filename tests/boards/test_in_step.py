@@ -44,8 +44,9 @@ def wanted(sequence):
 
 
 @pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
-@pytest.mark.parametrize("phase_us", [0, 4_900, 11_300, 19_500])
-@pytest.mark.parametrize("drift", [-100e-6, 0.0, 100e-6])
+@pytest.mark.parametrize(
+    ("phase_us", "drift"), [(0, 100e-6), (4_900, -100e-6), (11_300, 0.0), (19_500, 100e-6)]
+)
 def test_every_pattern_is_scanned_once(monkeypatch, firmware, phase_us, drift):
     kit = ToldKit(monkeypatch, LIMITS, firmware, phase_ns=1000 * phase_us, drift=drift)
     sequences = patterns(PATTERNS)

@@ -11,6 +11,8 @@ from smarttouch.errors import LineLostError
 
 from ..raising import raises
 
+pytestmark = pytest.mark.realtime
+
 ALIVE = "alive"
 
 

@@ -26,18 +26,18 @@ class Kit:
         self.running = bytes([0xFC, OUTPUTS]) + self.commands
 
     def drives_after(self, *parts):
-        """Return whether it pulses a second after bytes that come a scan apart."""
+        """Return whether it pulses on after bytes that come a scan apart."""
         books = Books(OUTPUTS)
         board = ETactileKitFirmware(books, firmware=self.firmware)
         now_ns = 0
         for part in parts:
             board.feed(part, now_ns)
             # Some parsers stand still while a scan goes on.
-            now_ns += 2 * 10**8
+            now_ns += 10**8
             board.advance(now_ns)
         before = books.slots
-        # Less than the newest firmware bears without a host.
-        board.advance(now_ns + 4 * 10**8)
+        # Scans come at 10 or 100 Hz, and the newest firmware bears so long without a host.
+        board.advance(now_ns + 25 * 10**7)
         return books.slots > before
 
 

@@ -59,9 +59,7 @@ def scores(lines, light_from_deg=None, **how):
 CONDITIONS = {
     "clean": {},
     "shading": {"shading": 0.8},
-    "blur of a third of a dot": {"blur_px": 4.0},
     "blur of a third of a pitch": {"blur_px": 6.2},
-    "skew 3": {"skew_deg": 3},
     "skew 7": {"skew_deg": 7},
     "skew 12": {"skew_deg": 12},
     "skew -25": {"skew_deg": -25},
@@ -71,7 +69,6 @@ CONDITIONS = {
     "curled": {"curl_mm": 5},
     "uneven dots": {"uneven": 0.2},
     "4 px/mm": {"px_per_mm": 4},
-    "6 px/mm": {"px_per_mm": 6},
     "12 px/mm": {"px_per_mm": 12},
     "Marburg medium": {"dot_mm": 2.5, "cell_mm": 6.0},
     "Japan": {"dot_mm": 2.2, "cell_mm": 5.9, "line_mm": 11.0},
@@ -96,8 +93,7 @@ def test_light_from_anywhere(light_deg):
     assert (found, right) == (1, 1)
 
 
-@pytest.mark.parametrize("light_deg", [0, 135, 200])
-@pytest.mark.parametrize("dent", [0.8, 1.0])
+@pytest.mark.parametrize(("light_deg", "dent"), [(0, 1.0), (135, 0.8), (200, 1.0), (200, 0.8)])
 def test_pages_embossed_from_both_sides(light_deg, dent):
     """The direction of the light tells which side is read."""
     how = {"light_deg": light_deg, "back_side": BACK, "dent": dent}
@@ -177,7 +173,7 @@ cell = st.integers(0, 63).map(lambda dots: chr(0x2800 + dots))
 
 
 @given(st.lists(st.text(cell, min_size=3, max_size=8), min_size=1, max_size=3), st.integers(0, 99))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12, deadline=None)
 def test_any_cells_come_back(lines, seed):
     """Sixteen dots do, if some tell where cells begin: a lone dot could be any of six."""
     lines = [line.rstrip("\u2800") for line in lines]
@@ -200,8 +196,8 @@ def grey_picture(name):
 
 
 def typed_page():
-    page = np.full((700, 900), 225, np.uint8)
-    for row in range(40, 680, 32):
+    page = np.full((400, 900), 225, np.uint8)
+    for row in range(40, 380, 32):
         text = "The quick brown fox jumps over ... iii : 1001 the lazy dog"
         cv2.putText(page, text, (30, row), cv2.FONT_HERSHEY_SIMPLEX, 0.8, 30, 2, cv2.LINE_AA)
     return page
@@ -222,12 +218,12 @@ OTHER = {
     "white": lambda: np.full((300, 400), 255, np.uint8),
     "black": lambda: np.zeros((300, 400), np.uint8),
     "tiny": lambda: np.full((8, 8), 200, np.uint8),
-    "noise": lambda: np.random.default_rng(1).integers(0, 256, (600, 600), np.uint8),
+    "noise": lambda: np.random.default_rng(1).integers(0, 256, (400, 400), np.uint8),
     "strip": lambda: np.random.default_rng(1).integers(0, 256, (8, 20_000), np.uint8),
     "two dots": lambda: printed(emboss(["⠃"]), 5.0).grey,
     **{
         name: lambda name=name: grey_picture(name)
-        for name in ("astronaut", "brick", "camera", "coins", "grass", "page", "text", "chelsea")
+        for name in ("astronaut", "brick", "coins", "grass", "page", "text")
     },
     "checkerboard": skimage.data.checkerboard,
 }

@@ -44,7 +44,7 @@ KINDS = {
 def test_bias_and_spread_over_many_subjects(kind):
     """Thresholds from 0.6 to 2.4 mA where 1.2 mA are expected."""
     rising, comfort, asked, trials = [], [], [], []
-    for seed in range(200 if kind == "usual" else 50):
+    for seed in range(100 if kind == "usual" else 40):
         random = np.random.default_rng(seed)
         threshold = 1.2 * math.exp(0.25 * random.standard_normal())
         strongest = min(threshold * random.uniform(1.5, 2.2), 4.5)

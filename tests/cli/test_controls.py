@@ -15,6 +15,8 @@ from smarttouch.recording.reader import Recording
 
 from .conftest import refused, says
 
+pytestmark = pytest.mark.realtime
+
 RUN = ("live", "--seconds", "60", "--json", "run.json", "--record", "run.mcap")
 
 

@@ -12,6 +12,8 @@ from smarttouch import cli
 from smarttouch.boards.emulator.books import read_state
 from smarttouch.running.pipeline import Pipeline
 
+pytestmark = pytest.mark.realtime
+
 PATIENCE_S = 20
 
 

@@ -16,6 +16,8 @@ from smarttouch.wire.pty_line import PtyLine
 
 from .conftest import PROGRAM
 
+pytestmark = pytest.mark.realtime
+
 PATIENCE_S = 30
 
 

@@ -30,8 +30,10 @@ def assert_level(page):
     assert abs(np.median(slopes_deg)) < 0.12
 
 
-@pytest.mark.parametrize("inverted", [False, True])
-@pytest.mark.parametrize("skew_deg", [-14, -3, -0.5, 0.5, 2, 8, 14.5])
+@pytest.mark.parametrize(
+    ("skew_deg", "inverted"),
+    [(-14, True), (-3, False), (-0.5, True), (0.5, False), (2, True), (8, False), (14.5, False)],
+)
 def test_skew_is_turned_back(printed, skew_deg, inverted):
     tilted = degrade(printed, skew_deg=skew_deg, inverted=inverted, noise=5).page
     page, notes = straighten(tilted)
@@ -69,8 +71,15 @@ def test_pictures_are_left_alone(name):
     assert straighten(page)[0] is page
 
 
-@pytest.mark.parametrize("light", [{}, {"uneven": 0.6, "noise": 5}, {"uneven": 0.9}])
-@pytest.mark.parametrize("perspective", [0.05, 0.2])
+@pytest.mark.parametrize(
+    ("perspective", "light"),
+    [
+        (0.05, {}),
+        (0.2, {"uneven": 0.6, "noise": 5}),
+        (0.05, {"uneven": 0.9}),
+        (0.2, {"uneven": 0.9}),
+    ],
+)
 def test_a_sheet_on_a_table_is_laid_flat(printed, perspective, light):
     photo = degrade(printed, perspective=perspective, skew_deg=2, **light)
     page, notes = straighten(photo.page)

@@ -114,8 +114,7 @@ def test_an_independent_integrator_finds_the_same_threshold():
     assert not fires_by_integration(potential, 0.99 * threshold, 200.0)
 
 
-@pytest.mark.parametrize("end", ["passive", "active"])
-@pytest.mark.parametrize("width_us", [50.0, 200.0])
+@pytest.mark.parametrize(("end", "width_us"), [("passive", 50.0), ("active", 200.0)])
 def test_halving_the_step_changes_little(end, width_us):
     fiber = Fiber(end=end)
     normal = polarities(upright(), fiber, width_us=width_us)
@@ -141,8 +140,10 @@ def test_weiss_fit_recovers_an_exact_curve():
     assert weiss_fit(widths_us, 0.7 * (1 + 55 / widths_us)) == pytest.approx((0.7, 55.0))
 
 
-@pytest.mark.parametrize("depth_mm", [0.7, 0.9, 1.4])
-@pytest.mark.parametrize("source", [point_mv_per_ma, disc_mv_per_ma])
+@pytest.mark.parametrize(
+    ("depth_mm", "source"),
+    [(0.7, disc_mv_per_ma), (0.7, point_mv_per_ma), (1.4, disc_mv_per_ma), (1.4, point_mv_per_ma)],
+)
 def test_flat_fiber_prefers_the_cathode(depth_mm, source):
     cathodic, anodic = polarities(flat(depth_mm, source, 131), Fiber(end="through"))
     assert 3 < anodic / cathodic < 6

@@ -15,7 +15,7 @@ from smarttouch.psychophysics.trial import Answer
 from ..raising import raises
 from .sitting import DATE, Perfect, sit
 
-SHORT = Wanted(repetitions=2, standards=(30.0,), train_s=0.15)
+SHORT = Wanted(repetitions=1, standards=(30.0,), train_s=0.15)
 MOUSE = load_profile("electric-mouse")
 METHODS = ("constant", "staircase", "questplus")
 
@@ -72,7 +72,7 @@ def whole(profile, bank, tmp_path_factory):
     return sit(design("frequency", profile, SHORT), profile, bank, path, Perfect()).session.rows
 
 
-@pytest.mark.parametrize("stop_after", [0, 7, 19])
+@pytest.mark.parametrize("stop_after", [0, 4, 9])
 def test_a_run_that_is_stopped_in_the_middle_of_a_trial_goes_on(
     profile, bank, tmp_path, whole, stop_after
 ):
@@ -96,7 +96,7 @@ def test_rows_say_what_was_shown_and_answered(profile, bank, tmp_path):
     path = tmp_path / "rows.csv"
     sat = sit(design("frequency", profile, SHORT), profile, bank, path, Perfect())
     rows = read_rows(path)
-    assert [row.number for row in rows] == list(range(20))
+    assert [row.number for row in rows] == list(range(10))
     for row in rows:
         assert row.response == row.target
         assert row.success == (row.comparison > row.standard)

@@ -22,7 +22,7 @@ from smarttouch.running.controls import ControlState
 from ..raising import raises
 from .forged import damage, forge, put_together, take_apart
 
-MUTANTS = int(os.environ.get("SMARTTOUCH_MUTANTS", "40"))
+MUTANTS = int(os.environ.get("SMARTTOUCH_MUTANTS", "25"))
 
 
 def play(path):

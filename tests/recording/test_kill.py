@@ -16,8 +16,10 @@ from smarttouch.recording.check import check_recording
 from smarttouch.recording.reader import Recording
 from smarttouch.recording.repair import repair
 
+pytestmark = pytest.mark.realtime
+
 CHILD = Path(__file__).with_name("child.py")
-KILLS = int(os.environ.get("SMARTTOUCH_KILLS", "3"))
+KILLS = int(os.environ.get("SMARTTOUCH_KILLS", "2"))
 
 
 @contextmanager

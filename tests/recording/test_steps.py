@@ -129,7 +129,7 @@ def same(one, other):
     return one == other
 
 
-@settings(deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(runs())
 def test_a_step_comes_back_to_the_bit(steps):
     found = through(steps)

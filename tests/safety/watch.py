@@ -49,7 +49,7 @@ class Watch:
 
     def __init__(self):
         self.broken, self.on = [], True
-        self._seen = {}
+        self._seen, self._of_profile = {}, {}
         self._oracles, self._clocks = WeakKeyDictionary(), WeakKeyDictionary()
 
     def bounds_of(self, limits):
@@ -160,7 +160,10 @@ class Watch:
         @functools.wraps(of)
         def watched(kind, profile):
             limits = of(kind, profile)
-            bounds = vars(limits)[_OF_PROFILE] = Bounds.of(profile)
+            key = profile.model_dump_json()
+            if key not in self._of_profile:
+                self._of_profile[key] = Bounds.of(profile)
+            bounds = vars(limits)[_OF_PROFILE] = self._of_profile[key]
             self._seen[bounds.electrodes] = bounds
             return limits
 

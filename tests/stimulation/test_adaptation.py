@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.errors import ScheduleError
@@ -250,6 +250,7 @@ def test_a_changed_sequence_has_no_proof():
 @pytest.mark.parametrize("profile", SAFE, ids=lambda profile: profile.name)
 @pytest.mark.parametrize("hold", ["charge", "energy"])
 @given(seed=st.integers(0, 2**32 - 1), density=st.floats(0, 1))
+@settings(max_examples=40)  # of six sequences each
 def test_whatever_is_measured_the_result_is_safe(profile, hold, seed, density):
     rng, count = np.random.default_rng(seed), len(profile.electrodes)
     adaptation, gate = (

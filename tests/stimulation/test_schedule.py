@@ -1,10 +1,11 @@
 """One slot for each active point, balanced, spread, and within the period."""
 
+import functools
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.errors import ScheduleError
@@ -27,18 +28,25 @@ def tactile(activation, time_ns=10**9, primary=Primary.RA):
     return TactileImage(rows, time_ns, 1.0)
 
 
-def started(profile):
+@functools.cache
+def shipped(name):
+    """Return a profile and its bank."""
+    profile = load_profile(name)
+    return profile, load_bank(profile)
+
+
+def started(profile, bank):
     gate = SafetyGate(SafetyLimits.of(profile))
-    scan = PointScan(profile, load_bank(profile), (Primary.RA,), 20.0)
+    scan = PointScan(profile, bank, (Primary.RA,), 20.0)
     gate.prove(scan.schedule(tactile(np.zeros(len(profile.electrodes)), 0), 0.0))
     return gate
 
 
 @pytest.mark.parametrize("name", list_profiles())
 @given(data=st.data())
+@settings(max_examples=50)
 def test_every_sequence_of_every_profile_is_safe(name, data):
-    profile = load_profile(name)
-    bank = load_bank(profile)
+    profile, bank = shipped(name)
     primary = data.draw(st.sampled_from(sorted(bank.weights)))
     level = st.floats(0, 1, width=32)
     count = len(profile.electrodes)
@@ -48,7 +56,7 @@ def test_every_sequence_of_every_profile_is_safe(name, data):
     activation = rng.random(count, np.float32) * (rng.random(count) < density)
     scan = PointScan(profile, bank, (primary,), profile.pulse.rate_hz)
     sequence = scan.schedule(tactile(activation, primary=primary), intensity)
-    started(profile).prove(sequence)
+    started(profile, bank).prove(sequence)
     assert not sequence.current_ua.sum(axis=1).any()
     felt = felt_at(profile, primary)
     places = sequence.site if felt is None else felt[sequence.site]
@@ -117,7 +125,7 @@ def test_a_masked_electrode_is_never_driven(masked, data):
     activation = np.array(data.draw(st.lists(st.floats(0, 1), min_size=count, max_size=count)))
     scan = PointScan(profile, bank, (primary,), 20)
     sequence = scan.schedule(tactile(activation, primary=primary), 1.0)
-    started(load_profile(profile.name)).prove(sequence)
+    started(*shipped(profile.name)).prove(sequence)
     assert not np.isin(sequence.site, profile.output.masked).any()
     assert not sequence.current_ua[:, list(profile.output.masked)].any()
     felt = np.setdiff1d(np.flatnonzero(activation.astype(np.float32)), profile.output.masked)
@@ -186,7 +194,7 @@ def test_classes_that_are_due_together_follow_one_another(profile, bank, changed
         assert getattr(joined, name).tolist() == np.concatenate(alone).tolist(), name
     assert len(set(joined.width_us.tolist())) > 30 or carrier == "height"
     assert joined.proof is None
-    started(profile).prove_measurement(joined)
+    started(profile, bank).prove_measurement(joined)
 
 
 @pytest.mark.parametrize(

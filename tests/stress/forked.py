@@ -38,6 +38,8 @@ KINDS = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 FLOWS_UA = 20
 ALONE_S = 0.3
 """A board that goes on without its host shows it within that time."""
+AWAY_NS = 10_000_000
+"""A board that did not look at its line for so long notes that: it was kept waiting."""
 _PAGE = struct.Struct("<qqqqqq")
 _NEVER = -1
 
@@ -48,6 +50,7 @@ class _Noted:
     def __init__(self, firmware, page, trace):
         self.firmware, self.books, self._page, self._trace = firmware, firmware.books, page, trace
         self._enter, self.books.enter = self.books.enter, self._note_pulse
+        self._looked_ns = time.monotonic_ns()
 
     @property
     def busy(self):
@@ -78,6 +81,9 @@ class _Noted:
         self._state()
 
     def _look(self, now_ns):
+        looked_ns, self._looked_ns = self._looked_ns, time.monotonic_ns()
+        if self._looked_ns - looked_ns > AWAY_NS:
+            self._trace.write(struct.pack("<qi", self._looked_ns, -2))
         flag, at_ns, *rest = _PAGE.unpack(self._page[: _PAGE.size])
         if flag and at_ns == _NEVER:
             self._page[: _PAGE.size] = _PAGE.pack(flag, now_ns, *rest)

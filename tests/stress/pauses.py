@@ -118,11 +118,14 @@ def judged(trace, overs_ns, ua_per_s):
     strongest_ua = max(peak for _, peak in records)
     assert strongest_ua > 0, "nothing flowed"
     above, worst, risen, details, left_ns = 0, 0.0, None, [], list(overs_ns)
+    away = False
     for time_ns, peak_ua in sorted(records):
         if left_ns and time_ns >= left_ns[0][0]:
-            if peak_ua < 0:
+            if peak_ua == -1:
                 over_ns, pause_ns = left_ns.pop(0)
-                risen, counted = time_ns, False
+                # Bytes that a board was too late to read may have come since the pause was over.
+                risen, counted = over_ns if away else time_ns, False
+            away = peak_ua == -2
         elif risen is not None:
             since_s = (time_ns - risen) / 1e9
             # The first packets are those of two periods; later ones may be in time by 100 ms.

@@ -48,7 +48,7 @@ def main(count, stuck, workers, seed):
 
     def work(each, folder):
         draw = random.Random(1000 * seed + each)
-        number, kind = NUMBERS[each % 3], list(KINDS)[each // 3 % 3]
+        number, kind = NUMBERS[each % 3], list(KINDS)[(each + each // 3) % 3]
         return one(draw, number, kind, each < stuck, folder)
 
     with tempfile.TemporaryDirectory() as folder:

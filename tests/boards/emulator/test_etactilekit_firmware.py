@@ -349,7 +349,7 @@ def test_too_much_for_the_period_stops_the_parser_for_good(make_rig, firmware):
     rig.advance(2000)
     assert rig.say(2000, "F60A00 FC00" + "FE00000000" * 3 + "F5 F4") == b""
     slots = rig.books.slots
-    assert rig.advance(10_000) > slots
+    assert rig.advance(3_000) > slots
 
 
 def test_the_newest_parses_beside_a_scan_that_never_ends(make_rig):

@@ -27,7 +27,7 @@ def start(tmp_path):
         command = [sys.executable, "-m", "smarttouch.boards.emulator", f"--books={tmp_path}"]
         process = subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, text=True)
         started.append(process)
-        assert select.select([process.stdout], [], [], 20)[0], "the emulator prints no port"
+        assert select.select([process.stdout], [], [], 60)[0], "the emulator prints no port"
         return process, process.stdout.readline().strip()
 
     yield run
@@ -86,7 +86,7 @@ def test_an_etactilekit_goes_on_without_its_host(start, tmp_path):
     with connect(name) as host:
         host.sendall(bytes.fromhex("FC04 FD01 FA6400 F732 F4 FE 0000 6400 0000 0000"))
         assert host.recv(10) == b"\x04"
-    assert process.wait(10) == 0
+    assert process.wait(60) == 0
     assert read_state(tmp_path)["state"] == "driving"
     lasted_us = read_slots(tmp_path)["time_us"]
     assert lasted_us[-1] - lasted_us[0] > 400_000
@@ -126,7 +126,7 @@ def test_what_stays_for_ever_ends_on_ctrl_c(start, tmp_path):
     process, _ = start("--protocol=kajimoto61", "--linger=inf")
     time.sleep(0.3)
     process.send_signal(signal.SIGINT)
-    assert process.wait(5) == 0
+    assert process.wait(60) == 0
     assert read_state(tmp_path)["reason"] == "signal"
 
 

@@ -1,0 +1,32 @@
+"""Waiting for what an emulator's process does, for as long as a busy machine takes."""
+
+import time
+
+from smarttouch.boards.emulator.books import STATE_FILE, read_state
+
+HANGS_S = 60.0
+"""Only what never comes takes that long."""
+ENDED_S = 1.0
+"""Whoever writes nothing for that long has ended."""
+
+
+def until(condition, timeout_s=HANGS_S):
+    """Wait until a condition holds."""
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "it never came true"
+        time.sleep(0.01)
+
+
+def fresh_state(folder):
+    """Return the state in an emulator's books once all that came before this call is in it."""
+
+    def written():
+        return (folder / STATE_FILE).stat().st_mtime_ns
+
+    # The first to come may have been begun before.
+    for _ in range(2):
+        before, given_up = written(), time.monotonic() + ENDED_S
+        while written() == before and time.monotonic() < given_up:
+            time.sleep(0.005)
+    return read_state(folder)
