@@ -8,9 +8,9 @@ import pytest
 
 from smarttouch.boards.board import Board, make_board, may_touch_a_finger, usual_profile
 from smarttouch.boards.memory import MemoryBoard
-from smarttouch.errors import BoardError, SensorError
+from smarttouch.errors import BoardError, SensorError, SmartTouchError
 from smarttouch.profile import DEFAULT_PROFILE
-from smarttouch.registry import fault_of, known_names
+from smarttouch.registry import fault_of, find_opener, known_names
 from smarttouch.running.display import open_display
 from smarttouch.sources import open_source
 from smarttouch.sources.forces.force import open_force
@@ -241,6 +241,21 @@ def test_ours_keep_the_contract():
     faults = [fault_of(each, Board) for each in ours]
     # Those in between have something left to be done.
     assert {fault.problem for fault in faults if fault} <= {"missing"}
+
+
+@pytest.mark.parametrize(
+    ("group", "base"),
+    [
+        ("smarttouch.sources", object),
+        ("smarttouch.forces", object),
+        ("smarttouch.boards", Board),
+    ],
+)
+def test_ours_are_where_they_are_said_to_be(group, base):
+    for name in known_names(group):
+        opener, rest = find_opener(group, f"{name}:rest", SmartTouchError, base, ())
+        assert callable(opener)
+        assert rest == "rest"
 
 
 def test_a_display_of_a_class_has_the_gate_too(profile):

@@ -1,0 +1,27 @@
+"""A fixture for a user's own recordings: ``def test_it(replays): replays("run.mcap")``."""
+
+from collections.abc import Callable
+
+import pytest
+
+# So that the asserts of the contracts say what they compared.
+pytest.register_assert_rewrite(
+    *(f"smarttouch.testing.{each}" for each in ("boards", "forces", "sources"))
+)
+
+
+@pytest.fixture(scope="session")
+def replays() -> Callable[..., None]:
+    """Return what fails unless the sequences of a recording come out again, to the bit.
+
+    It takes the path of a recording, and what `smarttouch.recording.check.check_recording`
+    takes.
+    """
+
+    def assert_it_replays(path: str, **same: object) -> None:
+        __tracebackhide__ = True
+        from smarttouch.recording.check import assert_replays
+
+        assert_replays(path, **same)
+
+    return assert_it_replays
