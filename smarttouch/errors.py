@@ -1,6 +1,8 @@
 """The errors a user can meet. Each message says what, which number, and the remedy."""
 
 import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 
 class SmartTouchError(Exception):
@@ -45,8 +47,59 @@ class SmartTouchError(Exception):
         self.slot, self.electrode = slot, electrode
 
 
-class ProfileError(SmartTouchError):
+class Complaint(NamedTuple):
+    """One thing that is wrong in a file.
+
+    Attributes
+    ----------
+    key, problem : str
+    value, allowed : object
+        As ``about``, ``problem``, ``value`` and ``allowed`` of `SmartTouchError`.
+    """
+
+    key: str
+    problem: str
+    value: object = None
+    allowed: object = None
+
+
+class TableError(SmartTouchError):
+    """A file of keys and values cannot be found, read or believed.
+
+    Its own attributes are those of the first complaint.
+
+    Parameters
+    ----------
+    message : str
+        One sentence, with all that is wrong.
+    complaints : sequence of Complaint
+        All that is wrong; the error itself if not given.
+    sentences : sequence of str
+        The message as a list, one for each complaint; the message itself if not given.
+    **attributes
+        See `SmartTouchError`.
+    """
+
+    def __init__(
+        self,
+        message: str = "",
+        *,
+        complaints: Sequence[Complaint] = (),
+        sentences: Sequence[str] = (),
+        **attributes: Any,
+    ) -> None:
+        super().__init__(message, **attributes)
+        own = Complaint(self.about, self.problem, self.value, self.allowed)
+        self.complaints = tuple(complaints) or (own,)
+        self.sentences = tuple(sentences) or (message,)
+
+
+class ProfileError(TableError):
     """A profile cannot be found, read or believed."""
+
+
+class SavedRunError(TableError):
+    """Saved settings of a run cannot be found, read, believed or written."""
 
 
 class SensorError(SmartTouchError):

@@ -104,8 +104,19 @@ def read_bytes(
 
 def read_text(path: Path, error: type[SmartTouchError], most_bytes: int = MOST_TABLE_BYTES) -> str:
     """Return a text in UTF-8 without its byte-order mark; raises as `open_file` does."""
+    return decoded(read_bytes(path, error, most_bytes), path, error)
+
+
+def decoded(data: bytes, path: Path, error: type[SmartTouchError]) -> str:
+    """Return the text in UTF-8 that a file holds, without its byte-order mark.
+
+    Raises
+    ------
+    SmartTouchError
+        Of the type given, if it is none.
+    """
     try:
-        return read_bytes(path, error, most_bytes).decode("utf-8-sig")
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError as failure:
         message = f"{path} is not a text in UTF-8 (byte {failure.start + 1}): save it as UTF-8"
         raise _wrong(error, "not UTF-8", path, message) from None
@@ -212,6 +223,14 @@ def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None)
         if path.exists() and os.path.samestat(path.stat(), os.fstat(file.fileno())):
             return file
         file.close()
+
+
+def write_through(path: Path, data: bytes) -> None:
+    """Write a file that is on the disk before this returns; raises what the system raises."""
+    with path.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def sync_folder(folder: Path) -> None:

@@ -1,12 +1,11 @@
 """Outputs of a run as listeners: recording, pictures of what was felt, patterns, LSL streams."""
 
-import tempfile
-from collections.abc import Iterator
+import contextlib
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.emulator.simulated import SimulatedBoard
@@ -16,22 +15,8 @@ from smarttouch.running.step import StepResult
 
 if TYPE_CHECKING:
     from smarttouch.boards.emulator.simulated import Pulses
+    from smarttouch.delivered.drawing import FeltDrawing
     from smarttouch.patterns import PatternFile
-
-
-class Drawing(Protocol):
-    """Picture of delivered pulses."""
-
-    def watch(self, result: StepResult) -> None: ...
-
-    def deliver(
-        self,
-        numbers: NDArray[np.uint32],
-        width_us: NDArray[np.float32],
-        current_ua: NDArray[np.int16],
-    ) -> None: ...
-
-    def save(self, path: Path) -> None: ...
 
 
 class FeltPicture(Listener):
@@ -48,16 +33,22 @@ class FeltPicture(Listener):
     def __init__(self, path: Path) -> None:
         super().__init__()
         self.path = path
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
-        self._drawing: Drawing | None = None
+        self._open = contextlib.ExitStack()
+        self._drawing: FeltDrawing | None = None
+        self._pulses: Callable[[], Pulses] | None = None
 
     def prepare(self, run: RunContext) -> None:
         """Begin the picture, and have the board keep books."""
         board = getattr(run.board, "electric", run.board)
         if isinstance(board, EmulatorBoard):
-            self._folder = tempfile.TemporaryDirectory(prefix="smarttouch-")
-            board.keep_books(Path(self._folder.name))
-        elif not isinstance(board, SimulatedBoard):
+            from smarttouch.boards.emulator.books import read_delivered
+
+            folder = Path(self._open.enter_context(TemporaryDirectory(prefix="smarttouch-")))
+            board.keep_books(folder)
+            self._pulses = partial(read_delivered, folder)
+        elif isinstance(board, SimulatedBoard):
+            self._pulses = board.take_pulses
+        else:
             raise SmartTouchError(
                 "what was felt can be drawn of a board that reports every pulse, and this one "
                 "does not: use the board emulator:",
@@ -70,11 +61,11 @@ class FeltPicture(Listener):
         if own is not None:
             self._drawing = own(run.profile, run.bank)
         else:
-            from smarttouch.felt import FeltImage
+            from smarttouch.delivered.drawing import PageDrawing
 
             primaries = run.controls.state(0).mode.primaries
             page = getattr(run.source, "page", None)
-            self._drawing = FeltImage(run.profile, run.bank, primaries, page)
+            self._drawing = PageDrawing(run.profile, run.bank, primaries, page)
 
     def step(self, result: StepResult) -> None:
         """Remember where the finger was."""
@@ -84,22 +75,13 @@ class FeltPicture(Listener):
     def finish(self, run: RunContext) -> None:
         """Draw the delivered pulses."""
         assert self._drawing is not None
-        self._drawing.deliver(*self._pulses(run))
+        assert self._pulses is not None
+        self._drawing.deliver(*self._pulses())
         self._drawing.save(self.path)
 
     def close(self) -> None:
         """Remove the books."""
-        if self._folder is not None:
-            self._folder.cleanup()
-
-    def _pulses(self, run: RunContext) -> "Pulses":
-        if self._folder is None:
-            board = getattr(run.board, "electric", run.board)
-            assert isinstance(board, SimulatedBoard)
-            return board.take_pulses()
-        from smarttouch.boards.emulator.books import read_delivered
-
-        return read_delivered(Path(self._folder.name))
+        self._open.close()
 
 
 class Patterns(Listener):

@@ -260,3 +260,10 @@ def _load(
         return made
 
     return checked
+
+
+def refuse_rest(url: str, rest: str, error: type[SmartTouchError]) -> None:
+    """Raise an error if something comes after the colon of a URL that takes nothing there."""
+    if rest:
+        message = f"{url} takes nothing after the colon, not {rest!r}"
+        raise error(message, about="board", problem="malformed", value=rest)

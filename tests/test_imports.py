@@ -18,4 +18,4 @@ def test_every_module_is_imported():
         capture_output=True, text=True, timeout=100, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
-    assert {"smarttouch.cli", "smarttouch.boards.emulator.__main__"} <= {*done.stdout.split()}
+    assert {"smarttouch.cli", "smarttouch.emulator.__main__"} <= {*done.stdout.split()}

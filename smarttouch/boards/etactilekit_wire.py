@@ -112,7 +112,6 @@ class Codec(ABC):
     def __init__(self, outputs: int) -> None:
         self.outputs = outputs
 
-    @abstractmethod
     def payload(
         self,
         sequence: ScanSequence,
@@ -121,6 +120,12 @@ class Codec(ABC):
         limits: SafetyLimits,
     ) -> bytes:
         """Return what a sequence asks of the outputs; raise BoardError if it is impossible."""
+        electrode, counts = _counts(sequence, scale, limits)
+        return self._pattern(wiring[electrode], counts)
+
+    @abstractmethod
+    def _pattern(self, output: NDArray[np.intp], counts: NDArray[np.uint16]) -> bytes:
+        """Return the patterns of slots that each drive one output, (S,), with a height."""
 
     def parts(self, payload: bytes) -> list[bytes]:
         """Return the patterns that a payload is made of, each for a scan of its own."""
@@ -188,16 +193,9 @@ class ModeCodec(Codec):
         super().__init__(outputs)
         self.nothing = bytes(2 * outputs)
 
-    def payload(
-        self,
-        sequence: ScanSequence,
-        wiring: NDArray[np.intp],
-        scale: Scale,
-        limits: SafetyLimits,
-    ) -> bytes:
+    def _pattern(self, output: NDArray[np.intp], counts: NDArray[np.uint16]) -> bytes:
         heights = np.zeros(self.outputs, np.uint16)
-        electrode, counts = _counts(sequence, scale, limits)
-        heights[wiring[electrode]] = counts
+        heights[output] = counts
         return heights.astype("<u2").tobytes()
 
     def load(self, payload: bytes) -> bytes:
@@ -238,15 +236,8 @@ class HeightCodec(Codec):
     def answer_bytes(self) -> int:
         return 2 * self.outputs
 
-    def payload(
-        self,
-        sequence: ScanSequence,
-        wiring: NDArray[np.intp],
-        scale: Scale,
-        limits: SafetyLimits,
-    ) -> bytes:
-        electrode, counts = _counts(sequence, scale, limits)
-        output, parts = wiring[electrode], []
+    def _pattern(self, output: NDArray[np.intp], counts: NDArray[np.uint16]) -> bytes:
+        parts = []
         while counts.any():
             # What rounding makes of one current is not two: the lower one is never too much.
             height = int(counts[counts > 0].min())

@@ -159,16 +159,8 @@ class LinkLine:
     def ask(self, question: Kind) -> Message:
         """Send a question until it is answered.
 
-        Parameters
-        ----------
-        question, answer : Kind
-        stopped : threading.Event, optional
-            Ends the waiting; see `overtake`.
-
         Raises
         ------
-        BoardStoppedError
-            If the board was stopped.
         BoardError
             If nothing comes, or the line has failed.
         """

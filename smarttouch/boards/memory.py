@@ -6,6 +6,7 @@ from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.books import HostBooks
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
+from smarttouch.registry import refuse_rest
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
@@ -25,13 +26,7 @@ class MemoryBoard(Board):
         self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
     ) -> None:
         super().__init__(limits, output)
-        if rest:
-            raise BoardError(
-                f"memory: takes nothing after the colon, not {rest!r}",
-                about="board",
-                problem="malformed",
-                value=rest,
-            )
+        refuse_rest("memory:", rest, BoardError)
         self.sequences: list[ScanSequence] = []
         kind = "weighted" if output is None else output.kind
         self.capabilities = Capabilities(

@@ -8,24 +8,30 @@ from pathlib import Path
 from typing import Any
 
 import tomlkit
-from tomlkit.items import Array
 
 from smarttouch.errors import CalibrationError, ProfileError
-from smarttouch.files import MOST_TOML_BYTES, read_text, require_replaceable, unwritable
-from smarttouch.profile import Profile, list_profiles, load_profile
-from smarttouch.resources import data_folder
+from smarttouch.files import (
+    MOST_TOML_BYTES,
+    read_text,
+    require_replaceable,
+    unwritable,
+    write_through,
+)
+from smarttouch.profile import Profile, load_profile
+from smarttouch.profile.load import profile_of, profile_path, read_table
+from smarttouch.profile.migrate import Change, migrate
+from smarttouch.profile.written import difference, in_rows
 
 Value = str | float | Sequence[float]
 
-_A_LINE = 8
-"""Numbers of a long list on one line."""
 _LIBRARIES = {"opencv": "opencv-contrib-python-headless", "numpy": "numpy", "scipy": "scipy"}
 
 
 class ProfileFile:
     """A profile on its way from one file to another.
 
-    Everything but the keys that are set stays as it is, comments included.
+    Everything but the keys that are set stays as it is, comments included; one of an earlier
+    version is brought up to date.
 
     Parameters
     ----------
@@ -35,11 +41,15 @@ class ProfileFile:
         What to write, a ``.toml`` file.
     overwrite : bool
         Whether it may be there already.
+    update : bool
+        Whether the output is what it begins as: it is replaced unless it changes meanwhile.
 
     Attributes
     ----------
     profile : Profile
         What it began as.
+    changes : list of Change
+        What was brought up to date.
 
     Raises
     ------
@@ -49,20 +59,12 @@ class ProfileFile:
         If the output may not be written: said before anything is measured.
     """
 
-    def __init__(self, start: str, output: Path, overwrite: bool = False) -> None:
-        self.profile = load_profile(start)
-        shipped = start in list_profiles()
-        self._source = data_folder("calibration") / f"{start}.toml" if shipped else Path(start)
-        text = read_text(self._source, ProfileError, MOST_TOML_BYTES)
-        try:
-            self._document = tomlkit.parse(text)
-        except (tomlkit.exceptions.TOMLKitError, ValueError, RecursionError) as error:
-            raise ProfileError(
-                f"{self._source} cannot be changed: {error}",
-                about="file",
-                problem="malformed",
-                value=self._source,
-            ) from None
+    def __init__(
+        self, start: str, output: Path, overwrite: bool = False, *, update: bool = False
+    ) -> None:
+        self._source = profile_path(start)
+        self._text, self._document, self.changes, self.profile = _begin(self._source)
+        self._update = update
         self.output = output
         self._overwrite = overwrite
         if output.suffix != ".toml":
@@ -92,7 +94,7 @@ class ProfileFile:
     def set(self, key: str, value: Value) -> None:
         """Change one key, such as ``force.curve``."""
         table, _, name = key.partition(".")
-        self._table(table)[name] = value if isinstance(value, str | int | float) else _rows(value)
+        self._table(table)[name] = value if isinstance(value, str | int | float) else in_rows(value)
 
     def note(self, what: str, found: str) -> None:
         """Say when, with which versions and what a calibration has found."""
@@ -122,7 +124,7 @@ class ProfileFile:
         drafts = {path: path.with_name(f".{path.stem}-draft{path.suffix}") for path in files}
         try:
             for path, content in files.items():
-                _write_through(drafts[path], content)
+                write_through(drafts[path], content)
             self._prove(drafts[self.output])
             for path, draft in drafts.items():
                 draft.replace(path)
@@ -150,13 +152,25 @@ class ProfileFile:
 
     def _require_free(self, path: Path) -> None:
         require_replaceable(path, CalibrationError)
+        if self._update and path == self.output:
+            self._require_unchanged()
+            return
         if path.exists() and not self._overwrite:
             raise CalibrationError(
-                f"{path} exists already: give another --output, or --overwrite",
+                f"{path} exists already: give another file, or --overwrite",
                 about="file",
                 problem="exists",
                 value=path,
                 remedy="--overwrite",
+            )
+
+    def _require_unchanged(self) -> None:
+        if read_text(self.output, CalibrationError, MOST_TOML_BYTES) != self._text:
+            raise CalibrationError(
+                f"{self.output} was changed meanwhile, nothing was written: repeat the command",
+                about="file",
+                problem="changed",
+                value=self.output,
             )
 
     def _table(self, name: str) -> MutableMapping[str, Any]:
@@ -174,20 +188,91 @@ class ProfileFile:
         self.set("optics.flat_field", os.path.relpath(found, self.output.absolute().parent))
 
 
-def _rows(values: Sequence[float]) -> Array:
-    rows = tomlkit.array()
-    if len(values) <= _A_LINE:
-        rows.extend(values)
-        return rows
-    width = 3 if len(values) == 9 else _A_LINE
-    for first in range(0, len(values), width):
-        rows.add_line(*values[first : first + width])
-    rows.add_line(indent="")
-    return rows
+def file_to_calibrate(
+    part: str,
+    start: str | None,
+    usual: str,
+    output: Path,
+    overwrite: bool = False,
+    *,
+    simulated: bool = False,
+) -> ProfileFile:
+    """Return the profile that a calibration adds its part to, on its way to the output.
+
+    Where the output is there it is gone on with: all in it is kept but this part.
+
+    Parameters
+    ----------
+    part : str
+        Calibration.
+    start : str, optional
+        Profile that was asked for; where the output is there, one that differs from it in
+        calibrations only.
+    usual : str
+        What a new output begins as where no profile was asked for.
+    output : Path
+    overwrite : bool
+        Whether the part may be there already.
+    simulated : bool
+        Whether nothing real is measured: added to what was, only with ``overwrite``.
+
+    Raises
+    ------
+    ProfileError
+        If the start, or an output that is there, is no profile.
+    CalibrationError
+        If the output may not be written, has the part, is of another device, or was measured and
+        this is not.
+    """
+    if not output.exists():
+        return ProfileFile(start or usual, output, overwrite)
+    require_replaceable(output, CalibrationError)
+    file = ProfileFile(str(output), output, overwrite, update=True)
+    key = None if start is None else difference(file.profile, _begin(profile_path(start))[-1])
+    if key is not None:
+        raise CalibrationError(
+            f"{output} is there, and differs from {start} in {key}: leave out --profile to go on "
+            "with it, or give another --output",
+            about=key,
+            problem="conflict",
+            value=output,
+            allowed=start,
+            remedy="--output",
+        )
+    if part in file.profile.calibrated and not overwrite:
+        raise CalibrationError(
+            f"{output} has its {part} already: measure again with --overwrite, which keeps the "
+            "rest, or give another --output",
+            about=part,
+            problem="exists",
+            value=output,
+            remedy="--overwrite",
+        )
+    notes = file.profile.calibrated
+    measured = [name for name in notes if not notes[name].found.startswith("simulated")]
+    if simulated and measured and not overwrite:
+        raise CalibrationError(
+            f"{output} has its {measured[0]} from a real finger or sensor: give a simulation "
+            "another --output, or --overwrite",
+            about=part,
+            problem="simulated",
+            value=output,
+            remedy="--output",
+        )
+    return file
 
 
-def _write_through(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
+def _begin(path: Path) -> tuple[str, tomlkit.TOMLDocument, list[Change], Profile]:
+    """Return the text of a profile, and its document, changes and profile of this version."""
+    # Refuses what no parser should be given.
+    read_table(path)
+    text = read_text(path, ProfileError, MOST_TOML_BYTES)
+    try:
+        document = tomlkit.parse(text)
+        changes = migrate(document)
+        table = document.unwrap()
+    except (tomlkit.exceptions.TOMLKitError, ValueError, RecursionError) as error:
+        raise ProfileError(
+            f"{path} cannot be changed: {error}", about="file", problem="malformed", value=path
+        ) from None
+    return text, document, changes, profile_of(table, path)

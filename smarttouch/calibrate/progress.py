@@ -2,19 +2,25 @@
 
 import json
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from smarttouch.calibrate.limits import Thresholds
+from smarttouch.closing import Closing
 from smarttouch.errors import CalibrationError
-from smarttouch.files import open_alone, parse_json, read_bytes, sync_folder
+from smarttouch.files import (
+    open_alone,
+    parse_json,
+    read_bytes,
+    sync_folder,
+    unwritable,
+    write_through,
+)
 
 
-class Progress:
+class Progress(Closing):
     """What has been found so far, in a file beside the profile to come.
 
     Until it is closed no other session can go on with the same file.
@@ -59,17 +65,6 @@ class Progress:
             self._lock_path.unlink(missing_ok=True)
             self._lock.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
     def keep(self, site: int, found: Thresholds) -> None:
         """Add one electrode, and write."""
         self.found[site] = found
@@ -77,19 +72,11 @@ class Progress:
         text = json.dumps({"settings": self._settings, "found": entries}, indent=1)
         draft = self.path.with_name(f".{self.path.name}-draft")
         try:
-            with draft.open("w", encoding="utf-8") as file:
-                file.write(text + "\n")
-                file.flush()
-                os.fsync(file.fileno())
+            write_through(draft, (text + "\n").encode())
             draft.replace(self.path)
             sync_folder(self.path.absolute().parent)
         except OSError as error:
-            raise CalibrationError(
-                f"cannot keep what was measured in {self.path}: {error.strerror}",
-                about="file",
-                problem="unwritable",
-                value=self.path,
-            ) from None
+            raise unwritable(CalibrationError, self.path, error) from None
 
     def forget(self) -> None:
         """Remove the file: the profile has it all."""

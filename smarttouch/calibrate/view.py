@@ -97,22 +97,3 @@ def bench_view(target: DotTarget, optics: Optics) -> NDArray[np.uint8]:
     """Return what a camera that is somewhat tilted sees: to walk through a calibration."""
     view = View(tilt_deg=12, toward_deg=40, turn_deg=5, offset_mm=(0.1, -0.05), zoom=0.9)
     return view.render(target, optics, (optics.sensor_rows, optics.sensor_columns))
-
-
-def random_view(seed: int, shape: tuple[int, int], optics: Optics) -> View:
-    """Return a view such as a careless bench gives: any turn, up to 25° of tilt."""
-    random = np.random.default_rng((seed, *shape))
-    field_mm = min(optics.field_width_mm, optics.field_height_mm)
-    pixels = min(shape)
-    return View(
-        tilt_deg=random.uniform(0, 25),
-        toward_deg=random.uniform(0, 360),
-        turn_deg=random.uniform(-180, 180),
-        offset_mm=tuple(random.uniform(-0.05, 0.05, 2) * field_mm),
-        distance_mm=random.uniform(4, 10) * field_mm,
-        zoom=random.uniform(0.8, 1.0),
-        blur_px=random.uniform(0.005, 0.012) * pixels,
-        noise_levels=random.uniform(1, 5),
-        uneven=random.uniform(0.0, 0.5),
-        seed=seed,
-    )

@@ -24,7 +24,7 @@ from smarttouch.cli.recordings import recordings
 from smarttouch.cli.replay import replay
 from smarttouch.cli.sensor import sensor
 from smarttouch.cli.stop import stop
-from smarttouch.errors import SmartTouchError
+from smarttouch.errors import SmartTouchError, TableError
 from smarttouch.stopping import RunStopped
 from smarttouch.terminal import guarded_output
 
@@ -45,11 +45,11 @@ app.command()(mouse)
 app.command()(color)
 app.command()(stop)
 app.command()(replay)
-app.command()(profiles)
 app.command()(design)
 app.command()(figures)
 app.command()(boards)
 experiment.command()(fit)
+app.add_typer(profiles, name="profiles")
 app.add_typer(experiment, name="experiment")
 app.add_typer(board, name="board")
 app.add_typer(sensor, name="sensor")
@@ -93,7 +93,8 @@ def _outcome(error: BaseException) -> int:
         # Whoever read our output has gone; there is nobody to tell.
         return 1
     if isinstance(error, SmartTouchError):
-        _say(str(error))
+        for sentence in error.sentences if isinstance(error, TableError) else (str(error),):
+            _say(sentence)
     elif isinstance(error, MemoryError):
         _say("the memory of this machine does not suffice: give less at once")
     elif isinstance(error, OSError):

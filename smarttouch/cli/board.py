@@ -7,6 +7,7 @@ import typer
 
 from smarttouch import terminal
 from smarttouch.cli.driving import asks_a_board, drives_a_board, opened
+from smarttouch.emulator.commands import emulate_board
 
 if TYPE_CHECKING:
     from smarttouch.boards.board import Board
@@ -14,12 +15,11 @@ if TYPE_CHECKING:
     from smarttouch.profile import Profile
 
 board = typer.Typer(help="Look at one board, measure, try or stop it.", no_args_is_help=True)
+board.command("emulate")(emulate_board)
 
 _Url = Annotated[
     str, typer.Argument(metavar="URL", help="kajimoto61:PORT, etactilekit:PORT, link:PORT")
 ]
-_MOST_EMULATED = 1024
-"""Electrodes; the skin between them takes the square of that."""
 _ProfileName = Annotated[
     str | None,
     typer.Option("--profile", metavar="NAME|FILE", help="The board's usual one if not given."),
@@ -179,77 +179,6 @@ def calibrate_scale(
     if scale_ua is not None:
         typer.echo("In the profile of this board:\n")
         typer.echo(f"[output]\nua_per_count = {scale_ua:.4g}")
-
-
-@board.command()
-def emulate(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="link, kajimoto61 or etactilekit")],
-    electrodes: Annotated[
-        int | None, typer.Option(metavar="N", help="Of a link board or an eTactileKit.")
-    ] = None,
-    output: Annotated[
-        str, typer.Option(metavar="KIND", help="Of a link board: weighted, three-state, ...")
-    ] = "weighted",
-    firmware: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Of an eTactileKit: v1.0, 936c6c0, 71adee2 or newest."),
-    ] = None,
-    tcp: Annotated[bool, typer.Option("--tcp", help="Serve TCP instead of a serial port.")] = False,
-    event: Annotated[
-        list[str] | None,
-        typer.Option(metavar="TEXT", help="What happens to the finger: '2 lift', '0 open 7', ..."),
-    ] = None,
-    books: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Where it keeps its books.")
-    ] = None,
-) -> None:
-    """Play a board on skin, behind a port whose name is printed, until Ctrl-C."""
-    from smarttouch.boards.emulator.etactilekit_generations import GENERATIONS
-    from smarttouch.cli.emulation import play_emulator
-    from smarttouch.errors import BoardError, SmartTouchError
-
-    usual = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
-    if name not in usual:
-        message = f"no emulator {name!r}: choose {', '.join(usual)}"
-        raise SmartTouchError(
-            message, about="emulator", problem="unknown", value=name, allowed=tuple(usual)
-        )
-    if electrodes is not None and not 1 <= electrodes <= _MOST_EMULATED:
-        message = f"--electrodes {electrodes} must be from 1 to {_MOST_EMULATED}"
-        raise SmartTouchError(
-            message, about="--electrodes", value=electrodes, allowed=(1, _MOST_EMULATED)
-        )
-    if books is not None and not books.is_dir():
-        message = f"--books {books} is no folder: make it first"
-        raise SmartTouchError(message, about="--books", problem="no folder", value=books)
-    if firmware is not None and name != "etactilekit":
-        message = f"--firmware is for etactilekit, and a {name} has only one: leave it out"
-        raise SmartTouchError(
-            message, about="--firmware", problem="conflict", value=name, allowed=("etactilekit",)
-        )
-    if firmware is not None and firmware not in GENERATIONS:
-        message = f"no firmware {firmware!r}: choose {', '.join(GENERATIONS)}"
-        raise SmartTouchError(
-            message,
-            about="--firmware",
-            problem="unknown",
-            value=firmware,
-            allowed=tuple(GENERATIONS),
-        )
-    arguments = [f"--protocol={name}", f"--electrodes={electrodes or usual[name]}"]
-    arguments += [f"--output={output}"] if name == "link" else []
-    arguments += [f"--firmware={firmware}"] if firmware else []
-    arguments += ["--tcp"] if tcp else []
-    arguments += [f"--event={each}" for each in event or ()]
-    arguments += [f"--books={books}"] if books is not None else []
-
-    def advice(port: str) -> str:
-        return (
-            f"A {name} board on emulated skin. In another terminal:\n\n"
-            f"  smarttouch live --board {name}:{port}\n\nCtrl-C ends it."
-        )
-
-    play_emulator("smarttouch.boards.emulator", arguments, advice, BoardError)
 
 
 def _driver(url: str, profile: str | None) -> tuple["Profile", "Board"]:

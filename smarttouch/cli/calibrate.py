@@ -16,10 +16,10 @@ calibrate = typer.Typer(
 
 _Start = Annotated[
     str | None,
-    typer.Option("--profile", metavar="NAME|FILE", help="What to start from; the usual if none."),
+    typer.Option("--profile", metavar="NAME|FILE", help="What a new --output starts from."),
 ]
 _Output = Annotated[Path, typer.Option(metavar="FILE.toml", help="The profile to write.")]
-_Overwrite = Annotated[bool, typer.Option("--overwrite", help="--output may be there already.")]
+_Overwrite = Annotated[bool, typer.Option("--overwrite", help="Measure what --output has already.")]
 _Yes = Annotated[bool, typer.Option("--yes", help="Ask nothing: everything is in place.")]
 _Simulate = Annotated[bool, typer.Option("--simulate", help="Walk through it without hardware.")]
 _Frames = Annotated[int, typer.Option(metavar="N", min=1, help="Frames to take the mean of.")]
@@ -53,7 +53,7 @@ def optics(
     from smarttouch.calibrate.tables import show_optics
     from smarttouch.cli.calibrate_steps import ask, images_of, missing
 
-    file = _profile_file(profile, output, overwrite)
+    file = _profile_file("optics", profile, output, overwrite, simulate)
     if simulate:
         from smarttouch.calibrate.simulated import SimulatedPatch
 
@@ -111,7 +111,8 @@ def registration(
 
     if center not in ("target", "image"):
         raise not_offered("--center", center, ("target", "image"), CalibrationError)
-    grid = target_for(load_profile(profile or DEFAULT_PROFILE), dot_pitch_mm)
+    begun = None if output is None or not output.exists() else str(output)
+    grid = target_for(load_profile(profile or begun or DEFAULT_PROFILE), dot_pitch_mm)
     if target is not None:
         if target.exists() and not overwrite:
             message = f"{target} exists already: give another --target, or --overwrite"
@@ -125,7 +126,7 @@ def registration(
             message = "give --output FILE.toml for what is measured"
             raise CalibrationError(message, about="--output", problem="missing")
         return
-    file = _profile_file(profile, output, overwrite)
+    file = _profile_file("registration", profile, output, overwrite, simulate)
     if simulate:
         from smarttouch.calibrate.view import bench_view
 
@@ -170,7 +171,7 @@ def force(
         message = f"--seconds {seconds:g} must be above 0 and at most 600"
         raise CalibrationError(message, about="--seconds", value=seconds, allowed=(0, 600))
     listed = None if weights is None else parse_grams(weights)
-    file = _profile_file(profile, output, overwrite)
+    file = _profile_file("force", profile, output, overwrite, simulate)
     if simulate:
         weighings = weigh_simulated(listed, seconds)
     elif cell is None:
@@ -212,7 +213,8 @@ def thresholds(
     from smarttouch.errors import BoardStoppedError, CalibrationError
 
     start = profile or usual_profile(board)
-    file = _profile_file(start, output, overwrite)
+    simulated = simulate or board.startswith("emulator:")
+    file = _profile_file("thresholds", profile, output, overwrite, simulated, usual_profile(board))
     chosen = file.profile
     sites = parse_electrodes(electrodes, chosen)
     require_subject(simulate, board)
@@ -245,7 +247,7 @@ def thresholds(
     file.set("perception.threshold_ma", threshold_ma)
     file.set("perception.comfort_ma", comfort_ma)
     told = sentence(progress.found, adaptive=adaptive)
-    _finish(file, "thresholds", told, simulate or board.startswith("emulator:"))
+    _finish(file, "thresholds", told, simulated)
     progress.forget()
 
 
@@ -264,7 +266,8 @@ def contact(
     from smarttouch.calibrate.tables import show_contact
     from smarttouch.stimulation.safety import SafetyLimits
 
-    file = _profile_file(profile or usual_profile(board), output, overwrite)
+    simulated = board.startswith("emulator:")
+    file = _profile_file("contact", profile, output, overwrite, simulated, usual_profile(board))
     chosen = file.profile
     with opened(make_board(board, SafetyLimits.of(chosen), chosen.output)) as display:
         found = judge_contact([display.measure() for _ in range(repeats)])
@@ -277,14 +280,26 @@ def contact(
         typer.echo(f"Masked now: {masked}; kernels are designed without them at the next start.")
     file.set("output.impedance_kohm", found.impedances(chosen))
     file.set("output.masked", masked)
-    _finish(file, "contact", found.sentence(), board.startswith("emulator:"))
+    _finish(file, "contact", found.sentence(), simulated)
 
 
-def _profile_file(start: str | None, output: Path, overwrite: bool) -> "ProfileFile":
-    from smarttouch.calibrate.profile_file import ProfileFile
+def _profile_file(
+    part: str,
+    start: str | None,
+    output: Path,
+    overwrite: bool,
+    simulated: bool,
+    usual: str | None = None,
+) -> "ProfileFile":
+    from smarttouch.calibrate.profile_file import file_to_calibrate
+    from smarttouch.cli.profiles import tell_changes
     from smarttouch.profile import DEFAULT_PROFILE
 
-    return ProfileFile(start or DEFAULT_PROFILE, output, overwrite)
+    file = file_to_calibrate(
+        part, start, usual or DEFAULT_PROFILE, output, overwrite, simulated=simulated
+    )
+    tell_changes(file)
+    return file
 
 
 def _finish(

@@ -8,6 +8,7 @@ import typer
 from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.options import ModeOption, RateOption
 from smarttouch.cli.run_options import RunOptions, takes_run_options
+from smarttouch.cli.saved import SaveOption, UseOption, keep, used_tone
 
 
 @drives_a_board
@@ -53,6 +54,8 @@ def live(
     ] = False,
     baud: Annotated[int | None, typer.Option(help="Of a serial array.")] = None,
     light_on_dark: Annotated[bool, typer.Option(help="Print is lighter than paper.")] = False,
+    save: SaveOption = None,
+    settings: UseOption = None,
 ) -> None:
     """Let a finger feel what a sensor sees, until the page ends, a key or Ctrl-C."""
     import contextlib
@@ -63,24 +66,36 @@ def live(
     from smarttouch.sources import open_sensor
 
     chosen, outputs = run.load_profile(), run.outputs()
-    config = run.config(parse_mode(mode), rate_hz=rate, light_on_dark=light_on_dark, seed=seed or 0)
+    options = {
+        "seed": seed,
+        "dpi": dpi,
+        "page_width_mm": page_width_mm,
+        "speed_mm_s": speed,
+        "path": path,
+        "size": parse_size(size),
+        "exposure": exposure,
+        "fps": fps,
+        "unpaced": unpaced or None,
+        "baud": baud,
+    }
+    config = run.config(
+        parse_mode(mode),
+        rate_hz=rate,
+        light_on_dark=light_on_dark,
+        seed=seed or 0,
+        tone=used_tone(settings),
+    )
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(
             open_sensor(
                 sensor or f"page:{data_folder('sample_images') / 'page.png'}",
                 chosen,
                 light_on_dark=light_on_dark,
-                seed=seed,
-                dpi=dpi,
-                page_width_mm=page_width_mm,
-                speed_mm_s=speed,
-                path=path,
-                size=parse_size(size),
-                exposure=exposure,
-                fps=fps,
-                unpaced=unpaced or None,
-                baud=baud,
+                **options,
             )
         )
         force = run.open_force(chosen, stack)
-        run_in_terminal(source, run.display(chosen), config, outputs, force=force)
+        display = run.display(chosen)
+        # All that is kept has been opened once.
+        keep(save, settings, run, config, sensor, options)
+        run_in_terminal(source, display, config, outputs, force=force)

@@ -1,14 +1,31 @@
-"""``smarttouch profiles``: what is shipped, at a glance."""
+"""``smarttouch profiles``: what is shipped, and profiles of one's own."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from smarttouch import terminal
 
+if TYPE_CHECKING:
+    from smarttouch.calibrate.profile_file import ProfileFile
 
-def profiles() -> None:
-    """List the shipped profiles."""
+profiles = typer.Typer(
+    help="List the shipped profiles, show what one says, and make your own.",
+    invoke_without_command=True,
+)
+
+_Name = Annotated[str, typer.Argument(metavar="NAME|FILE", help="A shipped profile, or a file.")]
+_File = Annotated[Path, typer.Argument(metavar="FILE.toml", help="The profile.")]
+
+
+@profiles.callback()
+def list_profiles(context: typer.Context) -> None:
+    if context.invoked_subcommand is not None:
+        return
     from rich.table import Table
 
     from smarttouch.profile import DEFAULT_PROFILE, list_profiles, load_profile
-    from smarttouch.resources import data_folder
 
     table = Table(box=None, pad_edge=False)
     for heading in ("name", "what it is", "board"):
@@ -25,8 +42,64 @@ def profiles() -> None:
     console = terminal.console()
     console.print(table)
     console.print(
-        f"Copy one from {data_folder('calibration')} to make your own, and give its file "
-        "to --profile.",
+        "Make your own with 'smarttouch profiles copy NAME FILE', and give its file to --profile.",
         style="dim",
         soft_wrap=True,
     )
+
+
+@profiles.command()
+def show(name: _Name) -> None:
+    """Print all that a profile says, defaults included, and what calibrations measured."""
+    from smarttouch.profile import load_profile
+    from smarttouch.profile.written import as_toml
+
+    typer.echo(as_toml(load_profile(name)), nl=False)
+
+
+@profiles.command()
+def copy(
+    name: _Name,
+    file: _File,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="The file may be there already.")
+    ] = False,
+) -> None:
+    """Write a copy of a profile, with its comments, to be edited."""
+    from smarttouch.calibrate.profile_file import ProfileFile
+
+    copied = ProfileFile(name, file, overwrite)
+    copied.write()
+    _tell(copied)
+
+
+@profiles.command()
+def migrate(file: _File) -> None:
+    """Bring a profile of an earlier version up to date, calibrations kept."""
+    from smarttouch.calibrate.profile_file import ProfileFile
+
+    migrated = ProfileFile(str(file), file, update=True)
+    if migrated.changes:
+        migrated.write()
+        _tell(migrated)
+    else:
+        typer.echo(f"{file} is up to date: nothing was changed")
+
+
+@profiles.command()
+def keys() -> None:
+    """Print every key a profile may have: type, unit, default, limits and meaning."""
+    from smarttouch.profile.keys import key_reference
+
+    typer.echo(key_reference(), nl=False)
+
+
+def tell_changes(file: "ProfileFile") -> None:
+    """Say what of a profile was brought up to date."""
+    for change in file.changes:
+        typer.echo(f"brought up to date: {change}")
+
+
+def _tell(file: "ProfileFile") -> None:
+    tell_changes(file)
+    typer.echo(f"written: {file.output}")

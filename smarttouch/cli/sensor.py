@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from smarttouch import terminal
+from smarttouch.emulator.commands import emulate_sensor
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
     from smarttouch.sources.frame import Frame
 
 sensor = typer.Typer(help="Look at one sensor or load cell, or play one.", no_args_is_help=True)
+sensor.command("emulate")(emulate_sensor)
 
-_KINDS = ("serial-array", "hx711", "loadcell")
 _ASKED_HZ = 100.0
 
 _ProfileName = Annotated[
@@ -73,83 +74,6 @@ def show(
             problem="conflict",
         )
     _show_force(url, chosen, seconds)
-
-
-@sensor.command()
-def emulate(
-    name: Annotated[str, typer.Argument(metavar="KIND", help="serial-array, hx711 or loadcell")],
-    rate: Annotated[
-        float | None, typer.Option(metavar="HZ", help="200 frames or 80 readings if not given.")
-    ] = None,
-    sight: Annotated[
-        str | None,
-        typer.Option("--sensor", metavar="URL", help="What an array looks at: page:FILE, text:..."),
-    ] = None,
-    rows: Annotated[int, typer.Option(metavar="N", help="Of an array.")] = 64,
-    columns: Annotated[int, typer.Option(metavar="N", help="Of an array.")] = 64,
-    force: Annotated[float, typer.Option(metavar="N", help="On a load cell, newtons.")] = 0.5,
-    path: Annotated[
-        Path | None, typer.Option(metavar="CSV", help="Or as recorded: time_s,force_n.")
-    ] = None,
-    counts_per_n: Annotated[float, typer.Option(help="Of a load cell.")] = 50_000.0,
-    zero: Annotated[float, typer.Option(help="Its reading at rest, counts.")] = 80_000.0,
-    noise: Annotated[float, typer.Option(help="Its noise, counts.")] = 60.0,
-    event: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="TEXT",
-            help="What goes wrong: '2 garbage 0.5', '3 nan', '4 freeze', '5 silent', '6 unplug 1'",
-        ),
-    ] = None,
-    books: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="For what it has sent in full.")
-    ] = None,
-    profile: _ProfileName = None,
-) -> None:
-    """Play a sensor, behind a port whose name is printed, until Ctrl-C."""
-    from functools import partial
-
-    from smarttouch.cli.emulation import play_emulator
-    from smarttouch.cli.files import require_folder
-    from smarttouch.errors import SensorError, SmartTouchError
-
-    if name not in _KINDS:
-        message = f"no emulator {name!r}: choose {', '.join(_KINDS)}"
-        raise SmartTouchError(
-            message, about="emulator", problem="unknown", value=name, allowed=tuple(_KINDS)
-        )
-    require_folder(books)
-    arguments = [name]
-    arguments += [f"--rows={rows}", f"--columns={columns}", f"--force={force}", f"--noise={noise}"]
-    arguments += [f"--counts-per-n={counts_per_n}", f"--zero={zero}"]
-    for option, value in (
-        ("rate", rate),
-        ("sensor", sight),
-        ("path", path),
-        ("books", books),
-        ("profile", profile),
-    ):
-        arguments += [] if value is None else [f"--{option}={value}"]
-    arguments += [f"--event={each}" for each in event or ()]
-    advice = partial(_advice, name, counts_per_n, zero)
-    play_emulator("smarttouch.sources.emulator", arguments, advice, SensorError)
-
-
-def _advice(name: str, counts_per_n: float, zero: float, port: str) -> str:
-    if name == "serial-array":
-        return (
-            f"A sensor array. In another terminal:\n\n  smarttouch sensor show {name}:{port}\n"
-            f"  smarttouch live --sensor {name}:{port} --force fixed:0.5\n\nCtrl-C ends it."
-        )
-    curve = f"curve = [{-zero / counts_per_n:g}, {1 / counts_per_n:g}]"
-    return (
-        f"A load cell. In another terminal:\n\n"
-        f"  smarttouch sensor show --force {name}:{port} --profile P\n"
-        f"  smarttouch live --force {name}:{port} --profile P\n\n"
-        f"with {curve} in [force] of the profile P, or smarttouch calibrate force to find it. "
-        "A line typed here puts something else on it: weight 100 (grams), force 0.5 (newtons). "
-        "Ctrl-C ends it."
-    )
 
 
 def _show_frames(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from smarttouch.closing import Closing
 from smarttouch.documents.page_image import (
     INCH_MM,
     LARGEST_MM,
@@ -116,7 +117,7 @@ def parse_pages(text: str, count: int) -> list[int]:
     return indexes
 
 
-class Document(contextlib.AbstractContextManager["Document", None], ABC):
+class Document(Closing, ABC):
     """Pages that are loaded when they are asked for, from one thread at a time.
 
     Parameters
@@ -162,9 +163,6 @@ class Document(contextlib.AbstractContextManager["Document", None], ABC):
     @abstractmethod
     def close(self) -> None:
         """Let go of the file."""
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _note(self, sentence: str) -> None:
         if sentence not in self.notes:

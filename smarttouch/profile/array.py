@@ -13,12 +13,19 @@ class GridLayout(Table):
     """A rectangular grid of discs, or of rings where an inner diameter is given."""
 
     layout: Literal["grid"]
+    """Electrodes in rows and columns, counted row by row from the upper left."""
     rows: int = Field(ge=1, le=64)
+    """Number of rows."""
     columns: int = Field(ge=1, le=64)
+    """Number of columns."""
     pitch_x_mm: Positive
+    """Distance from one column to the next."""
     pitch_y_mm: Positive
+    """Distance from one row to the next."""
     diameter_mm: Positive
+    """Diameter of each electrode."""
     inner_diameter_mm: float = Field(default=0.0, ge=0)
+    """Inner diameter of rings; 0 for discs, and below ``diameter_mm``."""
 
     @model_validator(mode="after")
     def _ring(self) -> Self:
@@ -48,8 +55,11 @@ class HexagonLayout(Table):
     """The hexagon of 61 discs."""
 
     layout: Literal["hexagon-61"]
+    """Electrodes in nine rows of 5 to 9, in the order of the board."""
     pitch_mm: Positive
+    """Distance between neighbors."""
     diameter_mm: Positive
+    """Diameter of each electrode."""
 
     def build(self) -> ElectrodeArray:
         return electrodes.hexagon(self.pitch_mm, self.diameter_mm)
@@ -59,10 +69,15 @@ class LineLayout(Table):
     """Parallel line electrodes."""
 
     layout: Literal["lines"]
+    """Lines side by side, each long from top to bottom."""
     count: int = Field(ge=2, le=64)
+    """Number of electrodes."""
     pitch_mm: Positive
+    """Distance from the middle of one line to that of the next."""
     width_mm: Positive
+    """Width of each line."""
     length_mm: Positive
+    """Length of each line."""
 
     def build(self) -> ElectrodeArray:
         return electrodes.lines(self.count, self.pitch_mm, self.width_mm, self.length_mm)
@@ -72,8 +87,11 @@ class FreeLayout(Table):
     """Electrodes anywhere, one after the other."""
 
     layout: Literal["free"]
+    """Electrodes at positions that are listed."""
     positions_mm: tuple[tuple[Number, Number], ...] = Field(max_length=4096)
+    """Position of each electrode, right and down; only differences count."""
     shape: Literal["point", "disc", "annulus", "rectangle"] = "disc"
+    """Shape of all electrodes."""
     size_mm: tuple[float, float] = (1.0, 0.0)
     """Diameter (and inner diameter) of a disc or annulus; width and height of a rectangle."""
 

@@ -1,5 +1,6 @@
 """The tables of a profile that tell what its device is and may do."""
 
+from collections.abc import Iterator
 from datetime import datetime
 from typing import Literal, Self
 
@@ -18,59 +19,73 @@ from smarttouch.profile.ceilings import (
     LEAST_DISCHARGE_US,
     SHORTEST_RAMP_S,
 )
-from smarttouch.profile.table import Number, Positive, Table, UnfitError
+from smarttouch.profile.table import Number, Positive, Table, UnfitError, raise_all
 
 
 class Output(Table):
     """What the display board can do."""
 
     kind: Literal["weighted", "three-state", "one-against-all"]
+    """Whether each electrode has a current of its own, one of three states, or is driven alone
+    against all others."""
     polarities: tuple[Literal["anodic", "cathodic"], ...] = Field(
         default=("anodic", "cathodic"), min_length=1
     )
+    """Polarities that the board can drive; positive currents are cathodic."""
     impedance_kohm: Positive | tuple[Positive, ...] = 1.0
-    """Measured, of electrode and skin: how electrodes share one source's current."""
+    """Impedance of electrode and skin, of all or of each: electrodes share the current of one
+    source by it."""
     masked: tuple[int, ...] = ()
-    """Electrodes that are broken, open or shorted: never driven."""
+    """Electrodes that are broken, open or shorted, and are never driven."""
     wiring: tuple[int, ...] | None = None
     """The board's output of each electrode; its own number if not given."""
     ua_per_count: Positive | None = None
-    """Measured current of one count of the board's DAC, µA; the driver's nominal if not given."""
+    """Measured current of one count of the board's DAC; the driver's nominal one if not given."""
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
+        raise_all(self._misfits())
+        return self
+
+    def _misfits(self) -> Iterator[UnfitError]:
         for key, values in (("masked", self.masked), ("wiring", self.wiring or ())):
             if len(set(values)) < len(values):
                 twice = next(each for each in values if values.count(each) > 1)
-                raise UnfitError(
+                yield UnfitError(
                     f"output.{key} lists {twice} more than once: give each once",
                     about=f"output.{key}",
                     problem="twice",
                     value=twice,
                 )
             if min(values, default=0) < 0:
-                raise UnfitError(
+                yield UnfitError(
                     f"output.{key} lists {min(values)}: numbers begin at 0",
                     about=f"output.{key}",
                     problem="too small",
                     value=min(values),
                     allowed=0,
                 )
-        return self
 
 
 class Optics(Table):
     """The sensor patch, and its registration to the electrodes."""
 
     sensor_columns: int = Field(ge=2, le=4096)
+    """Width of a frame in pixels."""
     sensor_rows: int = Field(ge=2, le=4096)
+    """Height of a frame in pixels."""
     field_width_mm: Positive
+    """Width of page that a frame shows."""
     field_height_mm: Positive
+    """Height of page that a frame shows."""
     magnification: Positive
     """Millimeters on the array for one millimeter on the page."""
     rotation_deg: float = Field(default=0.0, ge=-180, le=180)
+    """How far the array is turned in a frame, clockwise."""
     offset_x_mm: Number = 0.0
+    """How far the middle of the array lies right of that of a frame, on the page."""
     offset_y_mm: Number = 0.0
+    """How far the middle of the array lies below that of a frame, on the page."""
     homography: tuple[Number, ...] | None = Field(default=None, min_length=9, max_length=9)
     """Of a tilted camera, row by row: millimeters on the page around the middle of what the array
     covers become pixels of a frame of ``sensor_columns`` by ``sensor_rows`` (centers at whole
@@ -83,10 +98,13 @@ class ForceLaw(Table):
     """How finger force gates intensity (paper, Section IV-B)."""
 
     law: Literal["linear", "logarithmic"]
+    """How intensity rises between contact and full force."""
     contact_n: Positive
+    """Force from which current flows."""
     full_n: Positive
+    """Force from which intensity is full; above ``contact_n``."""
     curve: tuple[float, ...] | None = Field(default=None, min_length=2, max_length=6)
-    """From the reading of a load cell to newtons: coefficients of a polynomial, lowest first."""
+    """Coefficients of a polynomial, lowest first, from the reading of a load cell to newtons."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -105,16 +123,20 @@ class Pulse(Table):
     """One slot of the scan."""
 
     width_us: int = Field(ge=10, le=int(CEILING_PULSE_US))
+    """Time that current flows."""
     discharge_us: int = Field(ge=LEAST_DISCHARGE_US, le=5000)
+    """Time after each pulse in which electrodes are shorted, and the charge of the skin flows
+    back."""
     rate_hz: float = Field(ge=1, le=CEILING_RATE_HZ)
+    """Sequences a second."""
     carrier: Literal["height", "width"] = "height"
     """What grows with intensity: the current, or how long it flows."""
     chronaxie_us: Positive = 200.0
-    """Of the afferents: what the same current does in a shorter pulse."""
+    """Chronaxie of the afferents: it says how much more current a shorter pulse needs."""
     ra_rate_hz: float = Field(default=30.0, ge=1, le=200)
-    """Pulses of RA in natural mode; RA answers best at 30 Hz (paper, Fig. 2)."""
+    """Pulses of RA a second in natural mode; RA answers best at 30 Hz (paper, Fig. 2)."""
     sai_rate_hz: float = Field(default=50.0, ge=1, le=200)
-    """Pulses of SAI in natural mode, at full force."""
+    """Pulses of SAI a second in natural mode, at full force."""
     softness: float = Field(default=1.0, ge=0, le=1)
     """How little the rate of SAI pulses follows force: 1 soft, 0 hard (paper, Section III-B.2)."""
 
@@ -123,33 +145,39 @@ class Limits(Table):
     """What no sequence may exceed; the project's ceilings bound them."""
 
     current_ma: float = Field(gt=0, le=CEILING_MA)
+    """Largest current of any electrode."""
     total_ma: float | None = Field(default=None, gt=0, le=CEILING_TOTAL_MA)
-    """Of all cathodes together in one slot; the project's ceiling if not given."""
+    """Largest current of all cathodes together in one slot; the project's ceiling if not given."""
     electrode_ma: tuple[Positive, ...] | None = None
-    """Of each electrode, where some must stay below ``current_ma``."""
+    """Largest current of each electrode, where some must stay below ``current_ma``."""
     pulse_us: float = Field(gt=0, le=CEILING_PULSE_US)
+    """Longest pulse."""
     charge_uc: float = Field(gt=0, le=CEILING_CHARGE_UC)
+    """Largest charge of a pulse."""
     rate_hz: float = Field(gt=0, le=CEILING_RATE_HZ)
+    """Most sequences a second."""
     duty: float = Field(gt=0, le=CEILING_DUTY)
+    """Largest part of the time in which current flows."""
     ramp_s: float = Field(ge=SHORTEST_RAMP_S, le=10)
+    """Shortest time in which intensity rises from zero to full."""
     density_uc_cm2: float = Field(default=CEILING_DENSITY_UC_CM2, gt=0, le=CEILING_DENSITY_UC_CM2)
-    """Charge of a pulse over the area of its electrode."""
+    """Largest charge of a pulse over the area of its electrode."""
     session_s: float = Field(default=CEILING_SESSION_S, gt=0, le=CEILING_SESSION_S)
-    """Of scans with current, from opening the board to closing it."""
+    """Longest time of scans with current, from opening the board to closing it."""
     session_mc: float = Field(default=CEILING_SESSION_MC, gt=0, le=CEILING_SESSION_MC)
-    """Charge through any one electrode in that time."""
+    """Largest charge through any one electrode in that time."""
 
 
 class Frames(Table):
     """What a slot of many points may do, where a whole frame is shown at once."""
 
     other: float = Field(default=0.3, gt=0, le=1)
-    """To any other class, of the weakest target. 0.30 is the paper's own single SAI point on its
-    line array (Fig. 8)."""
+    """Largest activation of any other class, relative to the weakest target. 0.30 is the paper's
+    own single SAI point on its line array (Fig. 8)."""
     spill: float = Field(default=0.3, gt=0, le=1)
-    """To the own class more than a pitch from every target."""
+    """Largest activation of the own class more than a pitch from every target, likewise."""
     uneven: float = Field(default=0.05, gt=0, le=0.5)
-    """How far targets may be from what was wished, of it."""
+    """Largest deviation of a target from what was wished, relative to it."""
     share: bool | None = None
     """Whether points may share a slot; if not given, where ``limits.total_ma`` is."""
 
@@ -158,19 +186,27 @@ class Perception(Table):
     """Current at which each electrode is first felt, and the strongest that is comfortable."""
 
     threshold_ma: Positive | tuple[Positive, ...]
+    """Current at which each electrode is first felt, one for all or one for each."""
     comfort_ratio: float = Field(gt=1, le=10)
+    """Strongest comfortable current as a multiple of the threshold."""
     comfort_ma: tuple[Positive, ...] | None = None
-    """Measured strongest of each electrode; ``threshold_ma`` × ``comfort_ratio`` if not given."""
+    """Measured strongest comfortable current of each electrode; ``threshold_ma`` ×
+    ``comfort_ratio`` if not given."""
     ra_shift_mm: tuple[Number, Number] = (0.0, 0.0)
+    """How far right of and below the stimulated point RA is felt."""
     sai_shift_mm: tuple[Number, Number] = (0.0, 0.0)
+    """How far right of and below the stimulated point SAI is felt."""
     pc_shift_mm: tuple[Number, Number] = (0.0, 0.0)
-    """How far from the stimulated point a class is felt, right and down: at the receptor, not where
-    its axon was hit (paper, Section III-B.4: PC 1 to 3 mm toward the fingertip)."""
+    """How far right of and below the stimulated point PC is felt: at the receptor, not where its
+    axon was hit (paper, Section III-B.4: PC 1 to 3 mm toward the fingertip)."""
 
 
 class Calibrated(Table):
     """What a calibration found, when, and with what."""
 
     when: datetime
+    """When it was measured."""
     versions: str
+    """Versions that measured it."""
     found: str
+    """Result in a sentence, with how good it is."""

@@ -1,5 +1,7 @@
 """Profiles by name, and as TOML files."""
 
+from collections.abc import Mapping
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -7,29 +9,12 @@ from pydantic import ValidationError
 
 from smarttouch.errors import ProfileError
 from smarttouch.files import MOST_TOML_BYTES, parse_toml, read_text
+from smarttouch.profile.complaints import table_error
+from smarttouch.profile.migrate import migrate
 from smarttouch.profile.profile import Profile
-from smarttouch.profile.table import UnfitError
 from smarttouch.resources import data_folder
 
 DEFAULT_PROFILE = "electric-mouse"
-_LAYOUTS = ("grid", "hexagon-61", "lines", "free")
-_KINDS = ("constrained-", "function-", "tuple[")
-"""Kinds of value that pydantic names between the keys of the file."""
-_PROBLEMS = {
-    "missing": "missing",
-    "union_tag_not_found": "missing",
-    "extra_forbidden": "unknown",
-    "literal_error": "unknown",
-    "union_tag_invalid": "unknown",
-    "greater_than": "too small",
-    "greater_than_equal": "too small",
-    "less_than": "too large",
-    "less_than_equal": "too large",
-    "too_short": "too few",
-    "too_long": "too many",
-}
-"""What pydantic calls it, and what `SmartTouchError` does."""
-_BOUNDS = ("gt", "ge", "lt", "le", "min_length", "max_length")
 
 
 def list_profiles() -> list[str]:
@@ -58,6 +43,18 @@ def load_profile(name: str | Path) -> Profile:
     >>> len(st.load_profile("electric-mouse").electrodes)
     64
     """
+    path = profile_path(name)
+    return profile_of(read_table(path), path)
+
+
+def profile_path(name: str | Path) -> Path:
+    """Return the file of a profile, by its name or as it is given.
+
+    Raises
+    ------
+    ProfileError
+        If there is none.
+    """
     path = data_folder("calibration") / f"{name}.toml"
     if str(name) not in list_profiles():
         path = Path(name)
@@ -70,9 +67,45 @@ def load_profile(name: str | Path) -> Profile:
                 value=str(name),
                 allowed=tuple(list_profiles()),
             )
+    return path
+
+
+def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
+    """Return the profile that the table of a file says; files beside it are found from there.
+
+    Raises
+    ------
+    ProfileError
+        If it says something unknown or impossible: all of it.
+    """
+    try:
+        profile = Profile.model_validate({**table, "name": path.stem})
+    except ProfileError as error:
+        # Of the array alone, which names no file.
+        message = f"{path}: {error}"
+        error.args, error.sentences = (message,), (message,)
+        raise
+    except ValidationError as error:
+        older = {each.key for each in migrate(deepcopy(dict(table))) if each.before is not None}
+        raise table_error(ProfileError, path, error, older) from None
+    if profile.optics.flat_field is None:
+        return profile
+    beside = str(path.parent / profile.optics.flat_field)
+    optics = profile.optics.model_copy(update={"flat_field": beside})
+    return profile.model_copy(update={"optics": optics})
+
+
+def read_table(path: Path) -> dict[str, Any]:
+    """Return the tables of a profile's file, of which nothing is believed yet.
+
+    Raises
+    ------
+    ProfileError
+        If it cannot be read, or is no TOML.
+    """
     text = read_text(path, ProfileError, MOST_TOML_BYTES)
     try:
-        table = parse_toml(text)
+        return parse_toml(text)
     except ValueError as error:
         raise ProfileError(
             f"{path} is not a readable TOML file: {error}",
@@ -80,19 +113,6 @@ def load_profile(name: str | Path) -> Profile:
             problem="malformed",
             value=path,
         ) from None
-    try:
-        profile = Profile.model_validate({**table, "name": path.stem})
-    except ProfileError as error:
-        # Of the array alone, which names no file.
-        error.args = (f"{path}: {error}",)
-        raise
-    except ValidationError as error:
-        raise _first_complaint(path, error) from None
-    if profile.optics.flat_field is None:
-        return profile
-    beside = str(path.parent / profile.optics.flat_field)
-    optics = profile.optics.model_copy(update={"flat_field": beside})
-    return profile.model_copy(update={"optics": optics})
 
 
 def _is_there(path: Path) -> bool:
@@ -101,35 +121,3 @@ def _is_there(path: Path) -> bool:
     except OSError:
         # Reading it will say what is wrong.
         return True
-
-
-def _first_complaint(path: Path, error: ValidationError) -> ProfileError:
-    first = error.errors()[0]
-    parts = [str(part) for part in first["loc"] if part not in _LAYOUTS]
-    kind, key = first["type"], ".".join(each for each in parts if not each.startswith(_KINDS))
-    if kind.startswith("union_tag"):
-        key += ".layout"
-    given, context = first["input"], first.get("ctx", {})
-    bounds = [context[each] for each in _BOUNDS if each in context]
-    attributes: dict[str, Any] = {
-        "about": key,
-        "problem": _PROBLEMS.get(kind, "malformed"),
-        "value": given,
-        "allowed": bounds[0] if bounds else None,
-    }
-    message = first["msg"].removeprefix("Value error, ")
-    if kind == "extra_forbidden":
-        message = f"unknown key {key!r}: remove it or correct its spelling"
-    elif attributes["problem"] == "missing":
-        message = f"key {key!r} is missing: add it (any shipped profile shows how)"
-        attributes["value"] = None
-    elif kind == "union_tag_invalid":
-        message = f"{key} = {repr(context['tag'])[:60]}: choose one of {', '.join(_LAYOUTS)}"
-        attributes |= {"value": context["tag"], "allowed": _LAYOUTS}
-    elif isinstance(given, dict) and key:
-        message = f"{key}: {message}"
-    elif key:
-        message = f"{key} = {repr(given)[:60]}: {message}"
-    if isinstance(context.get("error"), UnfitError):
-        attributes |= context["error"].attributes
-    return ProfileError(f"{path}: {message}", **attributes)

@@ -1,5 +1,6 @@
 """What all tables of a profile share."""
 
+from collections.abc import Iterable
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
@@ -21,6 +22,26 @@ class UnfitError(ValueError):
     def __init__(self, message: str, **attributes: Any) -> None:
         super().__init__(message)
         self.attributes = attributes
+
+
+class AllUnfitError(ValueError):
+    """All values in a profile that do not fit.
+
+    Parameters
+    ----------
+    errors : tuple of UnfitError
+    """
+
+    def __init__(self, errors: tuple[UnfitError, ...]) -> None:
+        super().__init__("; ".join(map(str, errors)))
+        self.errors = errors
+
+
+def raise_all(errors: Iterable[UnfitError]) -> None:
+    """Raise all errors together, if there are any."""
+    found = tuple(errors)
+    if found:
+        raise AllUnfitError(found)
 
 
 def _require_sensible(value: float) -> float:

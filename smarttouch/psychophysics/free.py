@@ -9,10 +9,11 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 
+from smarttouch.closing import Closing
 from smarttouch.errors import ExperimentError
 from smarttouch.events import Note
 from smarttouch.files import unwritable
@@ -71,7 +72,7 @@ def up_to_the_ceiling(profile: Profile) -> Profile:
     return Profile.model_validate({**profile.model_dump(), "perception": perception})
 
 
-class FreeLog:
+class FreeLog(Closing):
     """Every change, on disk at once.
 
     Parameters
@@ -119,12 +120,6 @@ class FreeLog:
     def close(self) -> None:
         """Let go of the file."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 class HandControls(Controls):

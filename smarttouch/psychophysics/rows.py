@@ -1,22 +1,22 @@
 """One row of a CSV file for each trial, as users of PsychoPy know it; on disk at once."""
 
-import csv
-import io
 import os
 from dataclasses import dataclass, fields
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
+from smarttouch.closing import Closing
 from smarttouch.errors import ExperimentError
 from smarttouch.files import (
     MOST_TABLE_BYTES,
+    decoded,
     open_alone,
     read_bytes,
     require_file,
     unwritable,
 )
 from smarttouch.psychophysics.cells import read_cell, write_cell, write_line
+from smarttouch.tables import parse_csv
 
 _BOM = "\N{ZERO WIDTH NO-BREAK SPACE}".encode()
 """By which spreadsheets know UTF-8."""
@@ -118,7 +118,7 @@ class About:
     seed: int
 
 
-class RowFile:
+class RowFile(Closing):
     """A file that rows are added to, each on disk before `append` returns.
 
     A file that is there already goes on; a line that was cut off when a program was killed is
@@ -197,17 +197,6 @@ class RowFile:
         """Let go of the file."""
         self._file.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
     def _write(self, data: bytes) -> None:
         self._file.write(data)
         self._file.flush()
@@ -241,16 +230,8 @@ def read_rows(path: Path) -> list[TrialRow]:
 
 
 def _parse(data: bytes, path: Path) -> list[TrialRow]:
-    try:
-        lines = list(csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ExperimentError(
-            f"{path} is no CSV file in UTF-8: {error}",
-            about="file",
-            problem="malformed",
-            value=path,
-        ) from None
-    head = lines[0] if lines else []
+    table = parse_csv(decoded(data, path, ExperimentError), path, ExperimentError, strict=True)
+    head = table.head
     for column in COLUMNS.values():
         if column not in head:
             raise ExperimentError(
@@ -262,9 +243,7 @@ def _parse(data: bytes, path: Path) -> list[TrialRow]:
     place = {each.name: head.index(COLUMNS[each.name]) for each in fields(TrialRow)}
     kinds = {each.name: each.type for each in fields(TrialRow)}
     rows, name = [], ""
-    for number, line in enumerate(lines[1:], start=2):
-        if not line:
-            continue
+    for number, line in zip(table.lines, table.rows, strict=True):
         try:
             values: dict[str, Any] = {}
             for name, kind in kinds.items():

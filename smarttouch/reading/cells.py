@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.braille.cells import POSITION, cells_to_dots, dots_to_cells
+from smarttouch.delivered.line import LinePicture
 from smarttouch.electrodes import ElectrodeArray
 from smarttouch.errors import ReadingError
 from smarttouch.imaging.mapping import Tone
 from smarttouch.profile import Profile
-from smarttouch.reading.delivered import LinePicture
 from smarttouch.reading.touch_line import Place, TouchLine
 from smarttouch.reading.window import pixel_of
 

@@ -8,14 +8,14 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from smarttouch.boards.emulator.simulated import SimulatedBoard
+from smarttouch.delivered.line import LinePicture
+from smarttouch.delivered.perception import DeliveredAnswers
 from smarttouch.imaging.mapping import Tone
 from smarttouch.imaging.registration import Registration
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.perception import Perception
 from smarttouch.primary import Mode
 from smarttouch.profile import Profile
 from smarttouch.reading.cursor import Motion, SweepingCursor
-from smarttouch.reading.delivered import LinePicture
 from smarttouch.reading.feed import LineFeed
 from smarttouch.reading.sensor import ReadingSensor
 from smarttouch.reading.touch_line import TouchLine
@@ -23,7 +23,6 @@ from smarttouch.reading.window import pixel_of, press_n
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.runner import Runner
-from smarttouch.running.step import StepResult
 from smarttouch.stimulation.frames import NO_SHARING, Sharing
 
 
@@ -68,29 +67,22 @@ def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
     cursor = SweepingCursor(feed, reading.motion, press_n(profile))
     sensor = ReadingSensor("a line", profile, feed, cursor)
     feed.wait_for_end()
-    places: dict[int, float] = {}
-
-    def note_place(result: StepResult) -> None:
-        if result.number is not None and result.sequence.intensity > 0:
-            places[result.number] = result.frame.pose.x_mm
-
+    answers = DeliveredAnswers(profile, reading.bank, reading.mode.primaries)
     config = RunConfig(mode=reading.mode, tone=reading.tone, scan=reading.sharing)
     with Display("simulated:", profile) as display:
         Runner(
             sensor,
             display,
             config,
-            listeners=[note_place],
+            listeners=[answers.watch],
             load_kernels=lambda _: reading.bank,
         ).run()
         board = display.board
         assert isinstance(board, SimulatedBoard)
-        pulses = board.take_pulses()
-    answers = Perception(profile, reading.bank, reading.mode.primaries).answers(*pulses)
+        answers.deliver(*board.take_pulses())
     picture = LinePicture(profile.electrodes, _length_mm(line, profile))
-    silent = np.zeros(len(profile.electrodes), np.float32)
-    for number, x_mm in places.items():
-        picture.add(x_mm, answers.get(number, silent))
+    for pose, answer in answers:
+        picture.add(pose.x_mm, answer)
     return picture
 
 

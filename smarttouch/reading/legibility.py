@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from smarttouch.braille.tables import open_table
+from smarttouch.delivered.line import LinePicture
 from smarttouch.reading.braille import Braille
 from smarttouch.reading.deliver import Reading, deliver_lines, ideal_picture
-from smarttouch.reading.delivered import LinePicture
 from smarttouch.reading.error_rate import character_error_rate, word_error_rate
 from smarttouch.reading.ocr import Layout, recognize
 from smarttouch.reading.printed import LINE_PIXELS, recognized_lines

@@ -2,17 +2,17 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from smarttouch.boards.board import Board, make_board, require_gate, usual_profile
+from smarttouch.closing import Closing
 from smarttouch.errors import SmartTouchError
 from smarttouch.profile import Profile, load_profile
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 
 
-class Display:
+class Display(Closing):
     """A board, the profile of the finger on it, and what ends a run on it.
 
     Its line is open only while it is run; every sequence goes through the safety gate.
@@ -98,17 +98,6 @@ class Display:
     def close(self) -> None:
         """Put all electrodes at zero and let go of the board; a second time does nothing."""
         self.board.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def open_display(

@@ -1,10 +1,9 @@
 """Base of sensors and sources of force."""
 
-from types import TracebackType
-from typing import Self
+from smarttouch.closing import Closing
 
 
-class Device:
+class Device(Closing):
     """Base of what is opened by its URL and closed, and has notes for the user.
 
     Parameters
@@ -24,17 +23,3 @@ class Device:
         self.title = title
         self.url = ""
         self.notes: list[str] = []
-
-    def close(self) -> None:
-        """Let go of what is held open; a second time does nothing."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()

@@ -1,7 +1,5 @@
 """How a finger moves over a page: line by line, or as it was recorded."""
 
-import csv
-import io
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -13,9 +11,9 @@ from numpy.typing import NDArray
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.text_lines import TextLine, find_lines
 from smarttouch.errors import SensorError
-from smarttouch.files import read_text
 from smarttouch.profile import Profile
 from smarttouch.sources.frame import Pose
+from smarttouch.tables import read_csv
 
 Floats = NDArray[np.float64]
 
@@ -123,42 +121,7 @@ class RecordedPath:
     """
 
     def __init__(self, path: Path) -> None:
-        try:
-            rows = list(csv.reader(io.StringIO(read_text(path, SensorError), newline="")))
-        except csv.Error:
-            raise SensorError(
-                f"cannot read the path {path}: it is not a text table",
-                about="file",
-                problem="malformed",
-                value=path,
-            ) from None
-        heading = tuple(cell.strip() for cell in rows[0]) if rows else ()
-        if heading != _COLUMNS:
-            raise SensorError(
-                f"{path} must begin with the line {','.join(_COLUMNS)}",
-                about="columns",
-                value=heading,
-                allowed=_COLUMNS,
-            )
-        table = [_numbers(path, number, row) for number, row in enumerate(rows[1:], 2) if row]
-        if len(table) < 2:
-            raise SensorError(
-                f"{path} has {len(table)} points: a path needs at least two",
-                about="rows",
-                problem="too few",
-                value=len(table),
-                allowed=2,
-            )
-        self._table = np.array(table)
-        steps = np.diff(self._table[:, 0])
-        if (steps <= 0).any():
-            number = int(np.argmax(steps <= 0)) + 3
-            raise SensorError(
-                f"{path}, line {number}: time must rise from line to line",
-                about="line",
-                problem="falling",
-                value=number,
-            )
+        self._table = read_csv(path, SensorError).numbers(_COLUMNS)
         self._start_s = float(self._table[0, 0])
         self.duration_s = float(self._table[-1, 0]) - self._start_s
 
@@ -200,18 +163,3 @@ def _course(line: TextLine, field_mm: float) -> tuple[Floats, Floats, Floats, Fl
     y = line.baseline_mm(x) + (line.descent_mm - line.ascent_mm) / 2
     passed_mm = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
     return x, y, np.arctan(line.slope(x)), passed_mm
-
-
-def _numbers(path: Path, number: int, row: list[str]) -> list[float]:
-    try:
-        values = [float(cell) for cell in row]
-    except ValueError:
-        values = []
-    if len(values) != len(_COLUMNS) or not all(map(math.isfinite, values)):
-        raise SensorError(
-            f"{path}, line {number}: needs {len(_COLUMNS)} numbers, has {row}",
-            about="line",
-            problem="malformed",
-            value=number,
-        )
-    return values

@@ -1,13 +1,11 @@
 """A hand's way as it was recorded."""
 
-import csv
-import io
 from pathlib import Path
 
 import numpy as np
 
 from smarttouch.errors import SensorError
-from smarttouch.files import read_text
+from smarttouch.tables import read_csv
 from smarttouch.texture.motion import Motion
 
 RESOLUTION_MM = 0.01
@@ -42,16 +40,9 @@ class PathMotion(Motion):
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"the way of {path.name}")
-        heading, rows = _read_table(path)
-        self.knows_force = "force_n" in heading
-        columns = [*_NEEDED, *(["force_n"] if self.knows_force else [])]
-        places = [heading.index(name) for name in columns]
-        table = np.array([_numbers(path, line, row, places, columns) for line, row in rows])
-        falling = np.diff(table[:, 0]) <= 0
-        if falling.any():
-            line = rows[int(np.argmax(falling)) + 1][0]
-            message = f"{path}, line {line}: time must rise from line to line"
-            raise SensorError(message, about="line", problem="falling", value=line)
+        read = read_csv(path, SensorError)
+        self.knows_force = "force_n" in read.head
+        table = read.numbers((*_NEEDED, "force_n") if self.knows_force else _NEEDED)
         table[:, 0] -= table[0, 0]
         self._table = table
         self.duration_s = float(table[-1, 0])
@@ -67,33 +58,3 @@ class PathMotion(Motion):
             self.force_n = max(0.0, force[0])
         assert self.origin_mm is not None
         return x - self.origin_mm[0], y - self.origin_mm[1]
-
-
-def _read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    try:
-        reader = csv.reader(io.StringIO(read_text(path, SensorError), newline=""))
-        heading = [cell.strip() for cell in next(reader, [])]
-        rows = [(reader.line_num, row) for row in reader if row]
-    except csv.Error:
-        message = f"cannot read the path {path}: it is not a text table"
-        raise SensorError(message, about="file", problem="malformed", value=path) from None
-    if not set(_NEEDED) <= set(heading):
-        message = f"{path} must begin with a line that names {','.join(_NEEDED)}"
-        raise SensorError(message, about="columns", value=tuple(heading), allowed=_NEEDED)
-    if len(rows) < 2:
-        message = f"{path} has {len(rows)} points: a path needs at least two"
-        raise SensorError(message, about="rows", problem="too few", value=len(rows), allowed=2)
-    return heading, rows
-
-
-def _numbers(
-    path: Path, line: int, row: list[str], places: list[int], columns: list[str]
-) -> list[float]:
-    try:
-        numbers = [float(row[place]) for place in places]
-    except (ValueError, IndexError):
-        numbers = [float("nan")]
-    if not np.isfinite(numbers).all():
-        message = f"{path}, line {line}: needs numbers for {','.join(columns)}, has {row}"
-        raise SensorError(message, about="line", problem="malformed", value=line)
-    return numbers

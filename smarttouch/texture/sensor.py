@@ -13,7 +13,7 @@ from smarttouch.profile import Profile
 from smarttouch.reading.window import pixel_of
 from smarttouch.sources.frame import Frame, Pose, PulseRequest, Sensor
 from smarttouch.sources.notes import StandingNotes
-from smarttouch.texture.felt import FeltMap
+from smarttouch.texture.felt import TextureDrawing
 from smarttouch.texture.motion import Motion
 from smarttouch.texture.steady import Steady
 from smarttouch.texture.texture import Texture
@@ -158,9 +158,9 @@ class MouseSensor(Sensor):
             request=PulseRequest(activation, self._period_us),
         )
 
-    def drawing(self, profile: Profile, bank: KernelBank) -> FeltMap:
+    def drawing(self, profile: Profile, bank: KernelBank) -> TextureDrawing:
         """Return what draws the pulses of a run: the mouse's are too few to be averaged."""
-        return FeltMap(profile, bank, (self._primary,), self.texture)
+        return TextureDrawing(profile, bank, (self._primary,), self.texture)
 
     def close(self) -> None:
         """Let go of what tells the motion, and say what was left out."""

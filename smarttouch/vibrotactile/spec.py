@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from smarttouch.errors import SmartTouchError
-from smarttouch.vibrotactile.files import read_csv
+from smarttouch.vibrotactile.files import read_trace
 from smarttouch.vibrotactile.trace import LONGEST_S, SAMPLE_HZ, Array, Trace
 
 RAMP_S = 0.05
@@ -75,7 +75,7 @@ def open_trace(text: str, seconds: float = 2.0, seed: int = 0) -> Trace:
         if not Path(text).exists():
             message = f"{text!r} is neither a file nor a trace in a line: {_EXAMPLE}"
             raise SmartTouchError(message, about="trace", problem="missing", value=text)
-        return read_csv(Path(text), seconds, seed)
+        return read_trace(Path(text), seconds, seed)
     random = np.random.default_rng(seed)
     time = np.arange(max(2, round(seconds * SAMPLE_HZ))) / SAMPLE_HZ
     displacement, force = np.zeros_like(time), np.zeros_like(time)

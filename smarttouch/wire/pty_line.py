@@ -4,16 +4,34 @@ import errno
 import os
 import pty
 import select
+import tempfile
 import time
 import tty
+from pathlib import Path
 
 LARGEST_READ = 65536
 
 
 class PtyLine:
-    """A serial port of this machine, raw from the start."""
+    """A serial port of this machine, raw from the start.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    keeps_name : bool
+        The port has the same name after it was pulled out and plugged in again.
+    """
+
+    def __init__(self, keeps_name: bool = False) -> None:
+        self.keeps_name = keeps_name
+        self._folder = tempfile.TemporaryDirectory(prefix="smarttouch-") if keeps_name else None
+        self.plug_in()
+
+    @property
+    def plugged_in(self) -> bool:
+        return self._master >= 0
+
+    def plug_in(self) -> None:
+        """Have a port."""
         self._master, slave = pty.openpty()
         self.name = os.ttyname(slave)
         # What a host writes must pass as it is, whenever it sets up its end.
@@ -21,8 +39,30 @@ class PtyLine:
         os.set_blocking(self._master, False)
         # With our end of the slave closed, the host's last close shows as a hang-up.
         os.close(slave)
+        if self._folder is not None:
+            link = Path(self._folder.name) / "port"
+            link.symlink_to(self.name)
+            self.name = str(link)
+
+    def pull_out(self) -> None:
+        """Have none: the host's end hangs up."""
+        if self._folder is not None:
+            Path(self.name).unlink(missing_ok=True)
+        if self.plugged_in:
+            os.close(self._master)
+        self._master = -1
+
+    def close(self) -> None:
+        """Leave nothing behind."""
+        self.pull_out()
+        if self._folder is not None:
+            self._folder.cleanup()
 
     def read(self, timeout_s: float) -> bytes | None:
+        """Return what has come, empty if nothing; None while there is no host."""
+        if not self.plugged_in:
+            time.sleep(timeout_s)
+            return None
         try:
             if not select.select([self._master], [], [], timeout_s)[0]:
                 return b""
@@ -37,13 +77,10 @@ class PtyLine:
             raise
 
     def write(self, data: bytes) -> bytes:
+        """Write what fits; return the rest."""
         try:
             return data[os.write(self._master, data) :]
         except BlockingIOError:
             return data
         except OSError:
             return b""
-
-    def close(self) -> None:
-        """Hang up; what a host has open there is an error from now on."""
-        os.close(self._master)

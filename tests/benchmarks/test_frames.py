@@ -12,13 +12,13 @@ from smarttouch.errors import DesignError
 from smarttouch.kernels.frames.bound import color_classes
 from smarttouch.kernels.frames.figures import FrameBounds
 from smarttouch.kernels.frames.operator import FrameOperator, Weights, keeps
-from smarttouch.kernels.frames.programme import joint_programme
 from smarttouch.kernels.frames.slots import likely_slots, plan_slots
-from smarttouch.kernels.frames.spread import Worst, spread_judges, uneven_levels, with_gain_error
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.frames import FrameSlots
 
+from ..reference.joint_programme import joint_programme
+from ..reference.spread import Worst, spread_judges, uneven_levels, with_gain_error
 from .frame_sets import LETTERS, drawn, judge_of, scattered
 
 FREE_MA = 50.0

@@ -94,12 +94,12 @@ def ways(folder):
     yield "to and fro", path_motion(folder, swing, there, 20 + swing - 3)
 
 
-def residual_of(felt, texture):
+def residual_of(drawing, texture):
     """Return by how much pulses are off the object, mm: centroid, and best shift of the picture."""
     wide, high = texture.size_mm
     shape = (round(high / 0.1), round(wide / 0.1))
     drawn = 255 - texture.draw(0.0, 0.0, shape, 0.1).astype(np.float32)
-    got = 255 - felt.picture((0.0, 0.0), shape, 0.1).astype(np.float32)
+    got = 255 - drawing.picture((0.0, 0.0), shape, 0.1).astype(np.float32)
     y, x = np.mgrid[: shape[0], : shape[1]] * 0.1 + 0.05
     middle = [
         float((each * got).sum() / got.sum() - (each * drawn).sum() / drawn.sum())
@@ -118,7 +118,7 @@ def test_objects_stay_put(row, quick, bank, tmp_path):
         texture = open_texture(str(object_file(tmp_path / "o.png", kind)))
         for name, motion in itertools.islice(ways(tmp_path), 1 if quick else None):
             touched, _ = touch(texture, motion, PROFILE, bank)
-            middle, shift, _ = residual_of(touched.felt, texture)
+            middle, shift, _ = residual_of(touched.drawing, texture)
             assert max(map(abs, middle)) < 1
             row(
                 "Objects stay where they are",

@@ -17,10 +17,10 @@ from smarttouch.kernels.frames.figures import FrameBounds
 from smarttouch.kernels.frames.judge import FrameJudge, full_wish
 from smarttouch.kernels.frames.operator import FrameOperator, keeps
 from smarttouch.kernels.frames.slots import plan_slots
-from smarttouch.kernels.frames.switched import SwitchedSearch, plan_switched_slots
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
+from ..reference.switched import SwitchedSearch, plan_switched_slots
 from .frame_sets import LETTERS, scattered
 
 BOTH = {"output.polarities": ("anodic", "cathodic"), "output.kind": "three-state"}

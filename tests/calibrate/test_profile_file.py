@@ -8,11 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.calibrate.profile_file import ProfileFile
+from smarttouch.calibrate.profile_file import ProfileFile, file_to_calibrate
 from smarttouch.errors import CalibrationError, ProfileError
 from smarttouch.profile import list_profiles, load_profile
 from smarttouch.resources import data_folder
 
+from ..profile.first_version import first_version
 from ..raising import raises
 
 numbers = st.floats(0.01, 1e6, allow_nan=False)
@@ -156,3 +157,114 @@ def test_a_disk_that_is_full(tmp_path, monkeypatch):
     with raises(CalibrationError, about="file", problem="unwritable", value=tmp_path / "mine.toml"):
         file.write()
     assert list(tmp_path.iterdir()) == []
+
+
+def calibrated(part, key, value, output, start=None, overwrite=False):
+    file = file_to_calibrate(part, start, "electric-mouse", output, overwrite)
+    file.set(key, value)
+    file.note(part, f"{part} {value}")
+    return file.write()
+
+
+def test_calibrations_of_one_profile_accumulate(tmp_path):
+    mine = tmp_path / "mine.toml"
+    calibrated("thresholds", "perception.threshold_ma", [1.1] * 64, mine)
+    calibrated("force", "force.curve", [0.0, 1e-6], mine)
+    calibrated("contact", "output.masked", [3], mine, start="electric-mouse")
+    profile = calibrated("registration", "optics.sensor_columns", 640, mine, start=str(mine))
+    assert set(profile.calibrated) == {"thresholds", "force", "contact", "registration"}
+    assert profile.perception.threshold_ma == (1.1,) * 64
+    assert profile.force.curve == (0.0, 1e-6)
+    assert profile.output.masked == (3,)
+    assert comments(mine.read_text()) == comments(
+        (data_folder("calibration") / "electric-mouse.toml").read_text()
+    )
+
+
+def test_a_part_again_needs_overwrite_and_keeps_the_rest(tmp_path):
+    mine = tmp_path / "mine.toml"
+    calibrated("force", "force.curve", [0.0, 1e-6], mine)
+    calibrated("contact", "output.masked", [3], mine)
+    before = mine.read_bytes()
+    with raises(
+        CalibrationError, about="force", problem="exists", value=mine, remedy="--overwrite"
+    ):
+        file_to_calibrate("force", None, "electric-mouse", mine)
+    assert mine.read_bytes() == before
+    profile = calibrated("force", "force.curve", [0.5, 1e-6], mine, overwrite=True)
+    assert profile.force.curve == (0.5, 1e-6)
+    assert profile.output.masked == (3,)
+
+
+def test_a_simulation_does_not_mix_with_what_was_measured(tmp_path):
+    mine = tmp_path / "mine.toml"
+    start = (None, "electric-mouse", mine)
+    calibrated("force", "force.curve", [0.0, 1e-6], mine)
+    with raises(CalibrationError, about="contact", problem="simulated", value=mine):
+        file_to_calibrate("contact", *start, simulated=True)
+    assert file_to_calibrate("contact", *start, overwrite=True, simulated=True)
+    again = file_to_calibrate("force", *start, overwrite=True, simulated=True)
+    again.note("force", "simulated: a line")
+    again.write()
+    assert file_to_calibrate("contact", *start, simulated=True)
+
+
+def test_a_start_of_another_device_or_with_other_limits_is_refused(tmp_path, changed, profile):
+    mine, other = tmp_path / "mine.toml", tmp_path / "other.toml"
+    calibrated("force", "force.curve", [0.0, 1e-6], mine)
+    lowered = ProfileFile("electric-mouse", other)
+    lowered.set("limits.current_ma", 4.0)
+    lowered.write()
+    for start, overwrite in ((str(other), False), (str(other), True)):
+        with raises(CalibrationError, about="limits.current_ma", problem="conflict", value=mine):
+            file_to_calibrate("contact", start, "electric-mouse", mine, overwrite)
+    with raises(CalibrationError, problem="conflict", value=mine):
+        file_to_calibrate("contact", "line-7", "electric-mouse", mine)
+
+
+def test_an_output_that_is_no_profile_is_kept(tmp_path):
+    mine = tmp_path / "mine.toml"
+    mine.write_text("what was there")
+    for overwrite in (False, True):
+        with raises(ProfileError, about="file", problem="malformed", value=mine):
+            file_to_calibrate("force", None, "electric-mouse", mine, overwrite)
+    assert mine.read_text() == "what was there"
+
+
+def test_what_another_has_written_meanwhile_is_kept(tmp_path):
+    mine = tmp_path / "mine.toml"
+    calibrated("force", "force.curve", [0.0, 1e-6], mine)
+    slow = file_to_calibrate("thresholds", None, "electric-mouse", mine)
+    calibrated("contact", "output.masked", [3], mine)
+    before = mine.read_bytes()
+    slow.set("perception.threshold_ma", [1.1] * 64)
+    with raises(CalibrationError, about="file", problem="changed", value=mine):
+        slow.write()
+    assert mine.read_bytes() == before
+
+
+def test_one_of_the_first_version_keeps_its_calibrations(tmp_path):
+    mine = tmp_path / "mine.toml"
+    calibrated("force", "force.curve", [0.0, 1e-6], mine)
+    noted = mine.read_text()[mine.read_text().index("[calibrated") :]
+    old = (
+        first_version("electric-mouse", 25.5)
+        .replace("[force]", "[force]\ncurve = [0.0, 1e-6]")
+        .replace("[optics]", '[optics]\nflat_field = "mine.flat-field.npz"')
+    )
+    mine.write_text(old + "\n" + noted)
+    with raises(ProfileError, about="limits.total_ma"):
+        load_profile(mine)
+    file = ProfileFile(str(mine), mine, update=True)
+    assert {each.key for each in file.changes} == {
+        "limits.total_ma", "limits.density_uc_cm2", "limits.session_s", "limits.session_mc",
+        "frames.share",
+    }  # fmt: skip
+    profile = file.write()
+    assert profile == load_profile(mine)
+    assert profile.force.curve == (0.0, 1e-6)
+    assert profile.calibrated["force"].found == "force [0.0, 1e-06]"
+    assert Path(profile.optics.flat_field) == tmp_path / "mine.flat-field.npz"
+    assert (profile.limits.total_ma, profile.shares) == (10.0, True)
+    assert comments(mine.read_text()) == comments(old)
+    assert ProfileFile(str(mine), mine, update=True).changes == []

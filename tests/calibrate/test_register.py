@@ -7,7 +7,7 @@ from PIL import Image
 from smarttouch.calibrate.dots import apply, find_dots
 from smarttouch.calibrate.register import register
 from smarttouch.calibrate.target import LARGE_DOTS, DotTarget, target_for
-from smarttouch.calibrate.view import View, bench_view, random_view
+from smarttouch.calibrate.view import View, bench_view
 from smarttouch.errors import CalibrationError
 from smarttouch.imaging.registration import Registration
 from smarttouch.profile import list_profiles, load_profile
@@ -16,6 +16,25 @@ from ..raising import raises
 
 TENTH = 0.1
 COARSE, FINE = (64, 64), (480, 640)
+
+
+def random_view(seed, shape, optics):
+    """Return a view such as a careless bench gives: any turn, up to 25° of tilt."""
+    random = np.random.default_rng((seed, *shape))
+    field_mm = min(optics.field_width_mm, optics.field_height_mm)
+    pixels = min(shape)
+    return View(
+        tilt_deg=random.uniform(0, 25),
+        toward_deg=random.uniform(0, 360),
+        turn_deg=random.uniform(-180, 180),
+        offset_mm=tuple(random.uniform(-0.05, 0.05, 2) * field_mm),
+        distance_mm=random.uniform(4, 10) * field_mm,
+        zoom=random.uniform(0.8, 1.0),
+        blur_px=random.uniform(0.005, 0.012) * pixels,
+        noise_levels=random.uniform(1, 5),
+        uneven=random.uniform(0.0, 0.5),
+        seed=seed,
+    )
 
 
 def true_error(found, profile, view, shape):

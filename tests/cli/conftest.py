@@ -159,8 +159,10 @@ def start_emulator(tmp_path):
             [
                 sys.executable,
                 "-m",
-                "smarttouch.boards.emulator",
-                f"--protocol={protocol}",
+                "smarttouch.emulator",
+                "board",
+                protocol,
+                "--port-only",
                 f"--electrodes={electrodes}",
                 f"--books={books}",
                 "--linger=2",

@@ -21,6 +21,7 @@ from smarttouch.errors import (
     SensorError,
 )
 from smarttouch.profile import load_profile
+from smarttouch.profile.load import profile_path
 from smarttouch.stimulation.safety import SafetyLimits
 
 from .conftest import refused, says
@@ -39,7 +40,8 @@ def folder(tmp_path):
     (tmp_path / "none.png").write_bytes(png_header(0, 0))
     Image.fromarray(np.zeros((1, 1), np.uint8)).save(tmp_path / "one.png")
     Image.fromarray(np.full((90, 90), 255, np.uint8)).save(tmp_path / "page.png")
-    (tmp_path / "wrong.toml").write_text("title = 'x'\nfoo = 1\n")
+    shipped = profile_path("line-7").read_text(encoding="utf-8")
+    (tmp_path / "wrong.toml").write_text(f"foo = 1\n{shipped}")
     (tmp_path / "taken.mcap").write_text("precious")
     return tmp_path
 

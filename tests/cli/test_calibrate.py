@@ -61,10 +61,11 @@ def test_walked_through_without_hardware(run, tmp_path, what):
     profile = load_profile(tmp_path / "mine.toml")
     assert profile.calibrated[what].found.startswith("simulated: ")
     assert profile.calibrated[what].found in " ".join(shown.split())
-    # Never overwritten without being told to.
+    # Never measured again without being told to.
     before = (tmp_path / "mine.toml").read_bytes()
-    again = run(what, "--simulate", "--output", "mine.toml")
-    wrong("mine.toml", "--overwrite")(again.exception)
+    again = run(what, "--simulate", "--output", "mine.toml").exception
+    assert isinstance(again, CalibrationError)
+    assert (again.about, again.problem, again.remedy) == (what, "exists", "--overwrite")
     assert (tmp_path / "mine.toml").read_bytes() == before
     done(run(what, "--simulate", "--output", "mine.toml", "--overwrite"))
 
@@ -72,8 +73,7 @@ def test_walked_through_without_hardware(run, tmp_path, what):
 def test_one_profile_for_all(run, tmp_path):
     done(run("optics", "--simulate", "--output", "mine.toml"))
     for what in ("registration", "force"):
-        more = ("--profile", "mine.toml", "--output", "mine.toml", "--overwrite", "--simulate")
-        done(run(what, *more))
+        done(run(what, "--output", "mine.toml", "--simulate"))
     profile = load_profile(tmp_path / "mine.toml")
     assert set(profile.calibrated) == {"optics", "registration", "force"}
     assert FlatField.load(profile.optics.flat_field).gain.shape == (64, 64)
@@ -143,7 +143,8 @@ def test_a_target_alone(run, tmp_path):
 def load_cell(monkeypatch):
     """An emulated cell on a serial line; who is asked for a weight lays it on."""
     with subprocess.Popen(
-        [sys.executable, "-m", "smarttouch.sources.emulator", "loadcell", "--rate=400"],
+        [sys.executable, "-m", "smarttouch.emulator", "sensor", "loadcell", "--rate=400",
+         "--port-only", "--linger=2"],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     ) as process:  # fmt: skip
         port = process.stdout.readline().strip()

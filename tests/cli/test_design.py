@@ -1,4 +1,4 @@
-"""``profiles``, ``design`` and ``figures`` show what is shipped, and what a user describes."""
+"""``design`` and ``figures`` show what is shipped, and what a user describes."""
 
 import csv
 import json
@@ -11,7 +11,6 @@ from PIL import Image
 
 from smarttouch.errors import DesignError, ProfileError, SmartTouchError
 from smarttouch.primary import Primary
-from smarttouch.profile import DEFAULT_PROFILE, list_profiles
 
 from .conftest import refused, says
 
@@ -37,15 +36,6 @@ def designed(program_here, tmp_path):
         return done.stdout, table
 
     return run
-
-
-def test_profiles(program_here):
-    done = program_here("profiles")
-    assert done.returncode == 0
-    lines = done.stdout.splitlines()
-    for name in list_profiles():
-        assert name in done.stdout
-    assert [line.split()[0] for line in lines if "(default)" in line] == [DEFAULT_PROFILE]
 
 
 def test_one_site_of_the_paper(designed):

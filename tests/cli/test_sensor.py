@@ -104,7 +104,7 @@ def test_a_force_is_shown(run, tmp_path):
         ),
         (
             ["emulate", "hx711", "--rate", "-1"],
-            says(SensorError, "--rate -1 ", about="emulator", problem="gone"),
+            says(about="--rate", problem="out of range", value=-1, allowed=(0.01, 2000)),
         ),
     ],
 )

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from smarttouch.physiology.cable import cable_response
+from ..reference.cable import cable_response
 
 LENGTH_CONSTANT_MM = 0.4
 TIME_CONSTANT_US = 90.0

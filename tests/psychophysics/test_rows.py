@@ -136,7 +136,7 @@ def test_a_bad_line_is_named(tmp_path, column, cell):
 @pytest.mark.parametrize(
     ("data", "about", "problem"),
     [
-        (b"\xff\xfe\x00\n", "file", "malformed"),
+        (b"\xff\xfe\x00\n", "file", "not UTF-8"),
         (b"a,b\n1,2\n", "thisRepN", "missing"),
         (b"", "thisRepN", "missing"),
     ],

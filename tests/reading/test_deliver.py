@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smarttouch.delivered.line import PIXELS_PER_PITCH, LinePicture
 from smarttouch.errors import SafetyError
 from smarttouch.imaging.mapping import Tone
 from smarttouch.primary import Primary
 from smarttouch.reading.cursor import Motion
 from smarttouch.reading.deliver import Reading, deliver_line, deliver_lines, ideal_picture
-from smarttouch.reading.delivered import PIXELS_PER_PITCH, LinePicture
 from smarttouch.reading.shapes import Shapes, Style
 from smarttouch.reading.window import usual_speed
 from smarttouch.stimulation.frames import Sharing

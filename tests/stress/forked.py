@@ -23,15 +23,16 @@ import smarttouch.boards.etactilekit
 import smarttouch.boards.kajimoto61
 import smarttouch.boards.link
 import smarttouch.cli.session
-import smarttouch.felt
+import smarttouch.delivered.drawing
 import smarttouch.sources.forces.force
 import smarttouch.sources.page  # noqa: F401
-from smarttouch.boards.emulator import serve
 from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
+from smarttouch.boards.emulator.firmware import Firmware
 from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.cli import driving, main
+from smarttouch.emulator.server import Server
 from smarttouch.wire.pty_line import PtyLine
 
 KINDS = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
@@ -44,7 +45,7 @@ _PAGE = struct.Struct("<qqqqqq")
 _NEVER = -1
 
 
-class _Noted:
+class _Noted(Firmware):
     """A firmware whose last pulse, and the time of a flag, are kept in shared memory."""
 
     def __init__(self, firmware, page, trace):
@@ -117,7 +118,7 @@ class Emulated:
         self.process = os.fork()
         if self.process == 0:
             run_and_exit(lambda: self._serve(line, trace))
-        os.close(line._master)
+        line.close()
 
     def _serve(self, line, trace):
         quiet(out=os.devnull)
@@ -128,7 +129,7 @@ class Emulated:
             "etactilekit": lambda: ETactileKitFirmware(books),
         }[self.kind]()
         with Path(trace or os.devnull).open("wb") as file:
-            serve.serve(_Noted(firmware, self._page, file), line, 60.0)
+            Server(_Noted(firmware, self._page, file), line).serve(60.0)
 
     def flag(self):
         """Write down when it is, by the board's clock."""

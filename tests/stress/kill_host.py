@@ -25,9 +25,9 @@ from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
 from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
 from smarttouch.boards.emulator.link import LinkFirmware
-from smarttouch.boards.emulator.serve import BoardClock
 from smarttouch.boards.emulator.skin import COMPLIANCE_V
 from smarttouch.boards.probe import one_each
+from smarttouch.emulator.server import DeviceClock
 from smarttouch.errors import BoardRestartedError
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.wire.pty_line import PtyLine
@@ -129,7 +129,7 @@ def reap(deadline):
 
 
 def one_run(kind, how, option, opening, at_s):
-    line, firmware, clock = PtyLine(), firmware_of(kind), BoardClock()
+    line, firmware, clock = PtyLine(), firmware_of(kind), DeviceClock()
     host = fork_host(line, f"{kind}:{line.name}{option}", ELECTRODES[kind])
     books, pending, gone_ns, drove = firmware.books, b"", None, False
     begun = time.monotonic()

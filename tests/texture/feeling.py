@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.clock import SimulatedClock
 from smarttouch.kernels.bank import KernelBank
@@ -15,8 +18,42 @@ from smarttouch.running.statistics import RunStatistics
 from smarttouch.running.step import StepResult
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
-from smarttouch.texture.felt import FeltMap
+from smarttouch.texture.felt import TextureDrawing
 from smarttouch.texture.sensor import MouseSensor
+
+
+@dataclass(frozen=True, eq=False)
+class FeltPulses:
+    """Pulses that were felt, in the order in which they were delivered.
+
+    Attributes
+    ----------
+    number : ndarray, (N,)
+        Of the sequence.
+    electrode : ndarray, (N,)
+    place_mm : ndarray, (N, 2)
+        On the texture.
+    answer : ndarray, (N,) in [0, 1]
+    """
+
+    number: NDArray[np.int64]
+    electrode: NDArray[np.intp]
+    place_mm: NDArray[np.float64]
+    answer: NDArray[np.float32]
+
+
+def pulses_of(drawing: TextureDrawing) -> FeltPulses:
+    """Return the pulses that a drawing shows."""
+    known = [number for number in drawing.answer if number in drawing.poses]
+    if not known:
+        nothing = np.zeros(0)
+        return FeltPulses(nothing, nothing.astype(int), nothing.reshape(0, 2), nothing)
+    answers = np.array([drawing.answer[number] for number in known])
+    row, electrode = np.nonzero(answers)
+    places = np.array([drawing.places_mm(drawing.poses[number]) for number in known])
+    return FeltPulses(
+        np.array(known)[row], electrode, places[row, electrode], answers[row, electrode]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +62,8 @@ class Touched:
 
     Attributes
     ----------
-    felt : FeltMap
+    drawing : TextureDrawing
+    felt : FeltPulses
         Every delivered pulse, in the world.
     times_ns : dict of int to int, ns
         When each sequence began, by its number.
@@ -34,7 +72,8 @@ class Touched:
     tally : RunStatistics
     """
 
-    felt: FeltMap
+    drawing: TextureDrawing
+    felt: FeltPulses
     times_ns: dict[int, int]
     poses_mm: dict[int, tuple[float, float]]
     tally: RunStatistics
@@ -63,13 +102,13 @@ def feel(
     SmartTouchError
         Whatever would end such a run.
     """
-    felt = sensor.drawing(profile, bank)
+    drawing = sensor.drawing(profile, bank)
     times_ns: dict[int, int] = {}
     poses_mm: dict[int, tuple[float, float]] = {}
     tally = RunStatistics()
 
     def watch(sent: StepResult) -> None:
-        felt.watch(sent)
+        drawing.watch(sent)
         if sent.number is not None:
             frame = sent.step.frame
             times_ns[sent.number] = frame.time_ns
@@ -88,5 +127,5 @@ def feel(
             controls=Controls(ControlState(sensor.mode)),
             clock=SimulatedClock(),
         )
-        felt.deliver(*board.take_pulses())
-    return Touched(felt, times_ns, poses_mm, tally)
+        drawing.deliver(*board.take_pulses())
+    return Touched(drawing, pulses_of(drawing), times_ns, poses_mm, tally)

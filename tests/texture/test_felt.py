@@ -26,7 +26,7 @@ def cross(tmp_path_factory, mouse, mouse_bank):
 
 def test_what_is_drawn_looks_like_what_was_touched(cross):
     texture, touched = cross
-    got = touched.felt.picture((0.0, 0.0), (200, 400), 0.1).astype(float)
+    got = touched.drawing.picture((0.0, 0.0), (200, 400), 0.1).astype(float)
     drawn = texture.draw(0.0, 0.0, (200, 400), 0.1).astype(float)
     assert np.corrcoef(got.ravel(), drawn.ravel())[0, 1] > 0.8
 
@@ -43,7 +43,7 @@ def test_pulses_are_where_their_electrodes_were(cross, mouse):
 
 def test_the_sheet_shows_both(cross, tmp_path):
     _, touched = cross
-    touched.felt.save(tmp_path / "felt.png")
+    touched.drawing.save(tmp_path / "felt.png")
     sheet = 255.0 - np.asarray(Image.open(tmp_path / "felt.png").convert("L"), float)
     half = (sheet.shape[0] - 24) // 2
     above, below = sheet[52:half], sheet[52 + half : 2 * half]
@@ -51,14 +51,14 @@ def test_the_sheet_shows_both(cross, tmp_path):
     assert np.corrcoef(above.ravel(), below.ravel())[0, 1] > 0.8
     path = tmp_path / "none" / "felt.png"
     with raises(SmartTouchError, about="file", problem="unwritable", value=path):
-        touched.felt.save(path)
+        touched.drawing.save(path)
 
 
 def test_nothing_felt_is_said(mouse, mouse_bank, tmp_path):
     from smarttouch.primary import Primary
-    from smarttouch.texture.felt import FeltMap
+    from smarttouch.texture.felt import TextureDrawing
 
-    empty = FeltMap(mouse, mouse_bank, (Primary.RA,), open_texture("grating:4mm"))
+    empty = TextureDrawing(mouse, mouse_bank, (Primary.RA,), open_texture("grating:4mm"))
     empty.deliver(np.zeros(0, np.uint32), np.zeros(0, np.float32), np.zeros((0, 64), np.int16))
     assert (empty.picture((0.0, 0.0), (20, 20), 1.0) == 255).all()
     with raises(SmartTouchError, about="felt", problem="empty"):

@@ -107,7 +107,7 @@ def test_an_object_stays_put_while_the_hand_moves(tmp_path, mouse, mouse_bank, k
     texture = open_texture(str(object_file(tmp_path / "o.png", kind)))
     touched, _ = touch(texture, path_motion(tmp_path, time_s, x, y), mouse, mouse_bank)
     felt = touched.felt
-    drawn = 255 - felt.picture((20.0, 0.0), (400, 400), 0.1).astype(float)
+    drawn = 255 - touched.drawing.picture((20.0, 0.0), (400, 400), 0.1).astype(float)
     rows, columns = np.mgrid[:400, :400] * 0.1 + 0.05
     middle = np.array([(columns * drawn).sum(), (rows * drawn).sum()]) / drawn.sum()
     assert np.hypot(*(middle - 20.0)) < 0.4

@@ -16,9 +16,10 @@ from smarttouch.running.statistics import RunStatistics
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 from smarttouch.vibrotactile.mix import mix_colors
-from smarttouch.vibrotactile.recover import recover
 from smarttouch.vibrotactile.sensor import ColorSensor
 from smarttouch.vibrotactile.spec import open_trace
+
+from ..reference.recover import recover
 
 RISEN_S = 0.55
 """By then intensity is full."""

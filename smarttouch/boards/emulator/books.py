@@ -104,7 +104,7 @@ class Books:
         self.max_charge_uc = max(self.max_charge_uc, charge_uc)
         self.max_volts = max(self.max_volts, delivered.source_v)
         self.keep(number, width_us, delivered.current_ua)
-        self._write_down(number, slot, site, delivered, residual_uc, time_us, more)
+        self._record((number, slot, site, time_us), delivered, residual_uc, more)
 
     def enter_recharge(
         self,
@@ -122,31 +122,24 @@ class Books:
             or width_us > SAFE_RECHARGE_US
             or peak_ua * width_us * 1e-6 > SAFE_RECHARGE_UC * _ROUNDING
         )
-        self._write_down(number, _RECHARGE, _RECHARGE, delivered, residual_uc, time_us)
+        self._record((number, _RECHARGE, _RECHARGE, time_us), delivered, residual_uc)
 
-    def _write_down(
+    def _record(
         self,
-        number: int,
-        slot: int,
-        site: int,
+        head: tuple[int, int, int, float],
         delivered: Delivered,
         residual_uc: NDArray[np.float64],
-        time_us: float,
         more: bool = False,
     ) -> None:
         """Add up charge, and keep the record on disk."""
-        self.passed_uc += delivered.charge_pc * 1e-6
+        charge_uc = delivered.charge_pc * 1e-6
+        self.passed_uc += charge_uc
         if not more:
             left_uc = float(np.abs(residual_uc).max(initial=0))
             self.max_net_charge_uc = max(self.max_net_charge_uc, left_uc)
         if self.folder is not None:
-            record = np.zeros((), _record(self.electrodes))
-            record["number"], record["slot"], record["site"] = number, slot, site
-            record["time_us"] = time_us
-            record["current_ua"] = np.rint(delivered.current_ua)
-            record["charge_uc"] = delivered.charge_pc * 1e-6
-            record["volts"], record["residual_uc"] = delivered.volts, residual_uc
-            self._delivered += record.tobytes()
+            record = (*head, np.rint(delivered.current_ua), charge_uc, delivered.volts, residual_uc)
+            self._delivered += np.array([record], _record(self.electrodes)).tobytes()
 
     def keep(self, number: int, width_us: float, current_ua: NDArray[np.float64]) -> None:
         """Have a pulse at hand, where someone asks for it later."""

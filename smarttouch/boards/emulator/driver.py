@@ -11,6 +11,7 @@ from pathlib import Path
 from smarttouch.boards.link import LinkBoard
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
+from smarttouch.registry import refuse_rest
 from smarttouch.stimulation.safety import SafetyLimits
 
 _STARTS_WITHIN_S = 30.0
@@ -46,22 +47,11 @@ class EmulatorBoard(LinkBoard):
         events: Sequence[str] = (),
     ) -> None:
         super().__init__("", limits, output)
-        if rest:
-            raise BoardError(
-                f"emulator: takes nothing after the colon, not {rest!r}",
-                about="board",
-                problem="malformed",
-                value=rest,
-            )
+        refuse_rest("emulator:", rest, BoardError)
         kind = "weighted" if output is None else output.kind
-        self._command = [
-            sys.executable,
-            "-m",
-            "smarttouch.boards.emulator",
-            f"--electrodes={limits.electrodes}",
-            f"--output={kind}",
-            "--linger=0.2",
-        ]
+        options = f"--electrodes={limits.electrodes} --output={kind} --linger=0.2 --port-only"
+        self._command = [sys.executable, "-m", "smarttouch.emulator", "board", "link"]
+        self._command += options.split()
         self._command += [f"--event={event}" for event in events]
         if books is not None:
             self.keep_books(books)
@@ -98,28 +88,23 @@ class EmulatorBoard(LinkBoard):
         assert self._process.stdout is not None
         deadline, said = time.monotonic() + _STARTS_WITHIN_S, b""
         with self._process.stdout as output:
-            while not said.endswith(b"\n") and time.monotonic() < deadline:
-                if select.select([output], [], [], 0)[0]:
-                    piece = os.read(output.fileno(), 256)
-                    if not piece:
-                        code = self._process.wait()
-                        raise BoardError(
-                            f"the emulator did not start (exit {code})",
-                            about="emulator",
-                            problem="gone",
-                            value=code,
-                        )
-                    said += piece
-                else:
+            while not said.endswith(b"\n"):
+                if time.monotonic() > deadline:
+                    raise BoardError(
+                        f"the emulator has not started within {_STARTS_WITHIN_S:g} s: this "
+                        "computer is too busy, try again",
+                        about="emulator",
+                        problem="late",
+                        allowed=_STARTS_WITHIN_S,
+                    )
+                if not select.select([output], [], [], 0)[0]:
                     self._pause(0.01)
-        if not said.endswith(b"\n"):
-            raise BoardError(
-                f"the emulator has not started within {_STARTS_WITHIN_S:g} s: this computer is "
-                "too busy, try again",
-                about="emulator",
-                problem="late",
-                allowed=_STARTS_WITHIN_S,
-            )
+                    continue
+                if not (piece := os.read(output.fileno(), 256)):
+                    message = f"the emulator did not start (exit {self._process.wait()})"
+                    code = self._process.returncode
+                    raise BoardError(message, about="emulator", problem="gone", value=code)
+                said += piece
         return said.decode().strip()
 
     def _close(self) -> None:

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from smarttouch.boards.emulator import etactilekit_generations as op
 from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.finger import Finger
+from smarttouch.boards.emulator.firmware import Firmware
 from smarttouch.boards.emulator.single_source import LARGEST_READING, SingleSource
 from smarttouch.boards.emulator.skin import COMPLIANCE_V
 
@@ -59,7 +60,7 @@ class _Scan:
     pulsed: bool = False
 
 
-class ETactileKitFirmware:
+class ETactileKitFirmware(Firmware):
     """The kit between its line and its electrodes.
 
     Parameters
@@ -77,6 +78,7 @@ class ETactileKitFirmware:
 
     longest_step_ns = 400_000_000
     """Its scans go on by its own clock, whatever keeps its process waiting."""
+    books: Books
 
     def __init__(
         self,
@@ -116,10 +118,6 @@ class ETactileKitFirmware:
         """Do all that is due; return what there is to answer."""
         self._pass_time(now_ns)
         return self._take_answers()
-
-    def hang_up(self, now_ns: int) -> None:
-        """The host has closed the line, which this board does not notice."""
-        self.advance(now_ns)
 
     def zero(self, reason: str, now_ns: int) -> None:
         """Forget the pattern, as without power."""

@@ -16,10 +16,10 @@ import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 
+from smarttouch.boards.emulator.events import Event, bad_event, parse
 from smarttouch.boards.emulator.skin import Skin
 from smarttouch.errors import BoardError
 
@@ -31,19 +31,16 @@ SHORT_FACTOR = 1e-4
 """A few ohm to the tissue."""
 _FINEST = 0.005
 
-Kind = Literal["lift", "touch", "force", "drift", "peel", "open", "short", "heal"]
-_VALUES: dict[Kind, str] = {"force": "NEWTON", "drift": "FACTOR SECONDS", "peel": "AREA"}
-_WHOLE_FINGER = ("lift", "touch", "force")
-
-
-@dataclass(frozen=True)
-class Event:
-    """One thing that happens at a time."""
-
-    time_s: float
-    kind: Kind
-    electrode: int = 0
-    values: tuple[float, ...] = ()
+FORMS = {
+    "lift": "",
+    "touch": "",
+    "force": "NEWTON",
+    "drift": "ELECTRODE FACTOR SECONDS",
+    "peel": "ELECTRODE AREA",
+    "open": "ELECTRODE",
+    "short": "ELECTRODE",
+    "heal": "ELECTRODE",
+}
 
 
 @dataclass(frozen=True)
@@ -69,36 +66,13 @@ def parse_event(text: str) -> Event:
     BoardError
         Saying what cannot be understood, and how it is written.
     """
-    words = text.split()
-    kind = next((each for each in get_args(Kind) if words[1:2] == [each]), None)
-    if kind is None:
-        what = f" is none: write a time in s and one of {', '.join(get_args(Kind))}"
-        raise _bad(text, what, "unknown", get_args(Kind))
-    form = "TIME " + kind
-    if kind not in _WHOLE_FINGER:
-        form += " ELECTRODE"
-    form = " ".join([form, _VALUES.get(kind, "")]).strip()
-    try:
-        electrode = 0 if kind in _WHOLE_FINGER else int(words.pop(2))
-        time_s, *values = (float(word) for word in (words[0], *words[2:]))
-    except (IndexError, ValueError):
-        what = f" has no number where one belongs: write {form}"
-        raise _bad(text, what, "malformed", form) from None
-    if (few := len(_VALUES.get(kind, "").split())) != len(values):
-        problem = "too few" if len(values) < few else "too many"
-        raise _bad(text, f" has {len(values)} values after its name: write {form}", problem, form)
-    if not all(0 <= value < math.inf for value in (time_s, *values)) or electrode < 0:
-        raise _bad(text, " has a number that is negative or not finite", "negative")
+    event = parse(text, FORMS, BoardError)
+    kind, values = event.kind, event.values
     if (kind == "drift" and values[0] == 0) or (kind == "peel" and not 0 < values[0] <= 1):
         limit = "above 0" if kind == "drift" else "above 0 and at most 1"
         what = f": {values[0]:g} is out of range, it must be {limit}"
-        raise _bad(text, what, "out of range", limit)
-    return Event(time_s, kind, electrode, tuple(values))
-
-
-def _bad(text: str, what: str, problem: str, allowed: object = None) -> BoardError:
-    message = f"event {text!r}{what}"
-    return BoardError(message, about="event", problem=problem, value=text, allowed=allowed)
+        raise bad_event(BoardError, text, what, "out of range", limit)
+    return event
 
 
 class Finger:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.finger import Finger
+from smarttouch.boards.emulator.firmware import Firmware
 from smarttouch.boards.emulator.single_source import SingleSource
 from smarttouch.boards.emulator.skin import COMPLIANCE_V
 
@@ -53,7 +54,7 @@ class _Scan:
         return self.start_ns + len(self.pulses) * self.slot_ns
 
 
-class Kajimoto61Firmware:
+class Kajimoto61Firmware(Firmware):
     """The kit between its serial line and its electrodes.
 
     Parameters
@@ -64,6 +65,8 @@ class Kajimoto61Firmware:
         What happens to the skin while it runs.
     compliance_v : float, V
     """
+
+    books: Books
 
     def __init__(
         self, books: Books, finger: Finger | None = None, compliance_v: float = COMPLIANCE_V
@@ -96,10 +99,6 @@ class Kajimoto61Firmware:
         """Do all that is due; return what there is to answer."""
         self._run(now_ns)
         return self._take_replies(now_ns)
-
-    def hang_up(self, now_ns: int) -> None:
-        """The host has closed the line, which this board does not notice."""
-        self.advance(now_ns)
 
     def zero(self, reason: str, now_ns: int) -> None:
         """Drop everything that waits, as without power."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.finger import Finger
+from smarttouch.boards.emulator.firmware import Firmware
 from smarttouch.boards.emulator.rules import MAX_CURRENT_UA, MAX_SLOTS, Rules
 from smarttouch.boards.emulator.session import BoardSession
 from smarttouch.boards.emulator.skin import COMPLIANCE_V, Skin
@@ -55,7 +56,7 @@ class _Table:
         self.volts.clear()
 
 
-class LinkFirmware:
+class LinkFirmware(Firmware):
     """The board between its serial line and its electrodes.
 
     Parameters
@@ -73,6 +74,8 @@ class LinkFirmware:
     session : BoardSession, optional
         Which packets it takes.
     """
+
+    books: Books
 
     def __init__(
         self,

@@ -12,11 +12,12 @@ from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.emulator.books import Books
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.rules import MAX_CURRENT_UA, MAX_SLOTS
+from smarttouch.boards.link import encode_scan
 from smarttouch.boards.link_protocol import Kind
-from smarttouch.boards.link_sequence import encode_sequence
 from smarttouch.boards.link_session import HostSession
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
+from smarttouch.registry import refuse_rest
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.framing import Deframer
@@ -70,13 +71,7 @@ class SimulatedBoard(Board):
         self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
     ) -> None:
         super().__init__(limits, output)
-        if rest:
-            raise BoardError(
-                f"simulated: takes nothing after the colon, not {rest!r}",
-                about="board",
-                problem="malformed",
-                value=rest,
-            )
+        refuse_rest("simulated:", rest, BoardError)
         self._kind = "weighted" if output is None else output.kind
         # A stop comes from another thread, between two sequences.
         self._speaking = threading.Lock()
@@ -113,18 +108,7 @@ class SimulatedBoard(Board):
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         self._number += 1
-        payload = encode_sequence(
-            self._kind,
-            sequence.period_us,
-            sequence.width_us,
-            sequence.discharge_us,
-            sequence.site,
-            sequence.current_ua,
-            times,
-            False,
-            sequence.recharge_ua,
-            sequence.recharge_us,
-        )
+        payload = encode_scan(self._kind, sequence, times, False)
         with self._speaking:
             self._say(Kind.SEQUENCE, self._number, payload)
             self._wait(sequence.period_us * times * 1000)

@@ -1,7 +1,5 @@
 """Answers from CSV files: our own, and those of others that have a comparison and a success."""
 
-import csv
-import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +9,7 @@ import numpy as np
 from smarttouch.errors import ExperimentError
 from smarttouch.files import read_text
 from smarttouch.psychophysics.fitting.answers import Answers
+from smarttouch.tables import finite, parse_csv
 
 _DELIMITERS = (",", ";", "\t")
 _YES = {"1", "1.0", "true", "yes", "y", "correct"}
@@ -65,23 +64,15 @@ def read_table(
         If it cannot be read, or has no such columns or values.
     """
     head, lines = _cells(path)
-    for option, name in (("--x", x), ("--y", y)):
-        if name not in head:
+    for option, name in (("--x", x), ("--y", y), ("--standard", standard)):
+        if name not in head and name != "standard":
             raise ExperimentError(
                 f"{path} has no column {name!r}, but {', '.join(head)}: name one with {option}",
                 about=option,
                 problem="missing",
                 value=name,
-                allowed=tuple(head),
+                allowed=head,
             )
-    if standard != "standard" and standard not in head:
-        raise ExperimentError(
-            f"{path} has no column {standard!r}, but {', '.join(head)}: name one with --standard",
-            about="--standard",
-            problem="missing",
-            value=standard,
-            allowed=tuple(head),
-        )
     rows = []
     for number, cells in lines:
         where = f"{path}, line {number}"
@@ -113,37 +104,31 @@ def read_table(
     return Table(path.stem, units.pop() if len(units) == 1 else "", tuple(found))
 
 
-def _cells(path: Path) -> tuple[list[str], list[tuple[int, _Cells]]]:
+def _cells(path: Path) -> tuple[tuple[str, ...], list[tuple[int, _Cells]]]:
     """Return names of columns, and the cells of each line with its number in the file."""
     text = read_text(path, ExperimentError)
     first = text.partition("\n")[0]
     delimiter = max(_DELIMITERS, key=first.count)
-    try:
-        reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
-        lines = [(reader.line_num, line) for line in reader if any(map(str.strip, line))]
-    except csv.Error as error:
-        raise ExperimentError(
-            f"{path} is no CSV file: {error}", about="file", problem="malformed", value=path
-        ) from None
-    if not lines:
+    table = parse_csv(text, path, ExperimentError, delimiter, strict=True)
+    head, rows = table.head, table.rows
+    if not head:
         raise ExperimentError(
             f"{path} is empty: give a file of answers", about="file", problem="empty", value=path
         )
-    head = [each.strip() for each in lines[0][1]]
-    if len(lines) > 1 and not text.endswith("\n") and len(lines[-1][1]) < len(head):
-        lines.pop()
+    if rows and not text.endswith("\n") and len(rows[-1]) < len(head):
+        rows.pop()
     found = []
-    for number, line in lines[1:]:
-        if len(line) < len(head):
+    for number, row in zip(table.lines, rows, strict=False):
+        if len(row) < len(head):
             raise ExperimentError(
-                f"{path}, line {number}: {len(line)} cells, not {len(head)} as in the first line; "
+                f"{path}, line {number}: {len(row)} cells, not {len(head)} as in the first line; "
                 "mend or delete it",
                 about="line",
                 problem="too few",
-                value=len(line),
+                value=len(row),
                 allowed=len(head),
             )
-        cells = dict(zip(head, map(str.strip, line), strict=False))
+        cells = dict(zip(head, map(str.strip, row), strict=False))
         if delimiter == ";":
             cells = {name: cell.replace(",", ".") for name, cell in cells.items()}
         found.append((number, cells))
@@ -151,11 +136,8 @@ def _cells(path: Path) -> tuple[list[str], list[tuple[int, _Cells]]]:
 
 
 def _number(text: str, where: str, column: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
+    number = finite(text)
+    if math.isnan(number):
         raise ExperimentError(
             f"{where}: {column} is {text!r}, not a number; mend or delete it",
             about=column,

@@ -1,51 +1,43 @@
-"""Where on the array an interval was felt, and what a subject can say of it."""
+"""Answers of all classes to one interval, site by site; their middle and their width."""
 
 import math
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.delivered.perception import Perception
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.perception import Perception
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.observers.interval import Interval
 
+Floats = NDArray[np.float32]
+
 
 class FeltMap:
-    """The answers of all classes that the board reaches, site by site.
-
-    Parameters
-    ----------
-    profile : Profile
-    bank : KernelBank
-        The profile's.
-    """
+    """Map of the strongest answers of the classes that a board reaches."""
 
     def __init__(self, profile: Profile, bank: KernelBank) -> None:
         self._perception = Perception(profile, bank, tuple(sorted(bank.weights)))
         self._position_mm = profile.electrodes.position_mm
 
-    def of(self, interval: Interval) -> NDArray[np.float32]:
+    def of(self, interval: Interval) -> Floats:
         """Return how strongly each site was felt at most, (E,) in [0, 1]."""
         slots, _ = interval.distinct()
-        answers = self._perception.answers(
-            np.zeros(len(slots), np.uint32), interval.width_us[slots], interval.current_ua[slots]
-        )
+        width_us, current_ua = interval.width_us[slots], interval.current_ua[slots]
+        answers = self._perception.answers(np.zeros(len(slots), np.uint32), width_us, current_ua)
         return answers.get(0, np.zeros(len(self._position_mm), np.float32))
 
-    def center_mm(self, felt: NDArray[np.float32]) -> NDArray[np.float64]:
+    def center_mm(self, felt: Floats) -> NDArray[np.float64]:
         """Return the middle of a map, (2,) mm; NaN where nothing is felt."""
-        if not felt.any():
-            return np.full(2, np.nan)
-        return np.asarray(felt @ self._position_mm / felt.sum())
+        return np.asarray(felt @ self._position_mm / (felt.sum() if felt.any() else math.nan))
 
-    def width_mm(self, felt: NDArray[np.float32]) -> float:
-        """Return how far apart two equal points would lie that spread as a map does, mm.
+    def width_mm(self, felt: Floats) -> float:
+        """Return the distance of two equal points that spread as a map does, mm.
 
         Twice its largest standard deviation; NaN where nothing is felt.
         """
-        away_mm = self._position_mm - self.center_mm(felt)
-        if np.isnan(away_mm).any():
+        if not felt.any():
             return math.nan
+        away_mm = self._position_mm - self.center_mm(felt)
         spread = (felt[:, None] * away_mm).T @ away_mm / felt.sum()
         return 2 * math.sqrt(max(0.0, float(np.linalg.eigvalsh(spread)[-1])))

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
+from smarttouch.delivered.perception import strength
 from smarttouch.errors import ExperimentError
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.observers.felt_map import FeltMap
 from smarttouch.psychophysics.observers.interval import Interval
-from smarttouch.psychophysics.observers.percept import FrequencySense, Recruitment, strength
+from smarttouch.psychophysics.observers.percept import FrequencySense, Recruitment
 
 __all__ = [
     "Interval", "Observer", "RandomObserver", "SameObserver", "SilentObserver",

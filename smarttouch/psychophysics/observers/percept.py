@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
+from smarttouch.delivered.perception import strength
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.receptors import MEETING_HZ, best_hz, sensitivity
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
-from smarttouch.profile.device import Pulse
 from smarttouch.psychophysics.observers.interval import Interval
 
 Array = NDArray[np.float64]
@@ -108,16 +108,6 @@ class Recruitment:
         above = current_ua @ axons
         above /= self._threshold_ua
         return np.asarray(1 - 1 / np.maximum(above, 1), np.float32)
-
-
-def strength(width_us: NDArray[np.float32], pulse: Pulse) -> NDArray[np.float32]:
-    """Return what pulses of given widths do, (N,), of what the profile's full pulse does.
-
-    By Weiss's law, as in `smarttouch.perception`.
-    """
-    chronaxie_us = pulse.chronaxie_us
-    full = 1 + chronaxie_us / pulse.width_us
-    return np.asarray(full / (1 + chronaxie_us / np.maximum(width_us, 1)), np.float32)
 
 
 def _hz(time_s: Array, recruited: NDArray[np.float32]) -> float:

@@ -16,6 +16,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.closing import Closing
 from smarttouch.errors import SensorError, SourceLostError
 from smarttouch.profile import Profile
 from smarttouch.sources.forces.force import ForceSource
@@ -73,7 +74,7 @@ def open_cell(url: str) -> "LoadCell":
     return LoadCell(url, presses=lambda reading: reading != 0)
 
 
-class LoadCell:
+class LoadCell(Closing):
     """A load cell whose readings a thread takes in.
 
     Parameters
@@ -142,12 +143,6 @@ class LoadCell:
         """End the thread and let go of the port."""
         self._closing.set()
         self._thread.join(JOIN_S)
-
-    def __enter__(self) -> "LoadCell":
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        self.close()
 
     def _await_first(self) -> None:
         with self._news:

@@ -1,13 +1,11 @@
 """What happens to the finger, and how it is written."""
 
-from typing import get_args
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.boards.emulator.finger import Finger, Kind, parse_event
+from smarttouch.boards.emulator.finger import FORMS, Finger, parse_event
 from smarttouch.boards.emulator.skin import Skin
 from smarttouch.errors import BoardError
 
@@ -89,9 +87,9 @@ def test_a_change_leaves_the_voltage_on_an_electrode():
 @pytest.mark.parametrize(
     ("text", "problem", "allowed"),
     [
-        ("", "unknown", get_args(Kind)),
-        ("lift", "unknown", get_args(Kind)),
-        ("1 jump", "unknown", get_args(Kind)),
+        ("", "unknown", tuple(FORMS)),
+        ("lift", "unknown", tuple(FORMS)),
+        ("1 jump", "unknown", tuple(FORMS)),
         ("soon lift", "malformed", "TIME lift"),
         ("1 lift 3", "too many", "TIME lift"),
         ("1 drift 3 4", "too few", "TIME drift ELECTRODE FACTOR SECONDS"),

@@ -8,12 +8,12 @@ from smarttouch.errors import DesignError
 from smarttouch.kernels.frames.figures import FrameBounds
 from smarttouch.kernels.frames.judge import FrameJudge
 from smarttouch.kernels.frames.operator import FrameOperator
-from smarttouch.kernels.frames.programme import joint_programme
 from smarttouch.kernels.problem import Problem
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
 from ...raising import raises
+from ...reference.joint_programme import joint_programme
 from .test_operator import scattered
 
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from smarttouch.kernels.frames.spread import Worst, spread_judges, uneven_levels, with_gain_error
 from smarttouch.kernels.problem import Problem
 from smarttouch.primary import Primary
 
+from ...reference.spread import Worst, spread_judges, uneven_levels, with_gain_error
 from .test_operator import make_operator, scattered
 
 __all__ = ["make_operator"]

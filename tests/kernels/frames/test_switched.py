@@ -13,11 +13,11 @@ from smarttouch.kernels.bank import load_bank
 from smarttouch.kernels.frames.figures import FrameBounds
 from smarttouch.kernels.frames.judge import FrameJudge, full_wish
 from smarttouch.kernels.frames.operator import keeps
-from smarttouch.kernels.frames.switched import SwitchedSearch, plan_switched_slots
 from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
 from ...raising import raises
+from ...reference.switched import SwitchedSearch, plan_switched_slots
 from .test_operator import LETTER_T, drawn, scattered
 
 WISH_AF = {Primary.RA: 2.275, Primary.SAI: 0.714}

@@ -6,22 +6,25 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from smarttouch.delivered.drawing import PageDrawing
 from smarttouch.documents.page_image import Page
 from smarttouch.errors import SmartTouchError
-from smarttouch.felt import FeltImage
 from smarttouch.primary import Mode, Primary
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.sequence import ScanSequence
 
-from .raising import raises
+from ..raising import raises
+
+AREA = ((0.0, 0.0), (200, 300), 0.1)
+"""Of the whole page."""
 
 
 @pytest.fixture
 def drawing(profile, make_bank):
     """An array whose receptors answer only to anodic current of their own electrode."""
     own = -np.eye(64, dtype=np.float32)
-    return FeltImage(
+    return PageDrawing(
         profile, make_bank(own, own), (Primary.RA,), Page(np.full((200, 300), 255, np.uint8), 0.1)
     )
 
@@ -54,25 +57,29 @@ def darkest(picture):
 def test_a_pulse_is_drawn_where_the_electrode_was(drawing):
     drawing.watch(at(1, 12.0, 9.0))
     deliver(drawing, [1], slot(0))
-    assert darkest(drawing.picture()) == pytest.approx((12.0 - 7 / 3.2, 9.0 - 7 / 3.2), abs=0.11)
+    assert darkest(drawing.picture(*AREA)) == pytest.approx(
+        (12.0 - 7 / 3.2, 9.0 - 7 / 3.2), abs=0.11
+    )
 
 
 def test_the_array_turns_with_the_finger(drawing):
     drawing.watch(at(1, 12.0, 9.0, angle=np.pi / 2))
     deliver(drawing, [1], slot(0))
-    assert darkest(drawing.picture()) == pytest.approx((12.0 + 7 / 3.2, 9.0 - 7 / 3.2), abs=0.11)
+    assert darkest(drawing.picture(*AREA)) == pytest.approx(
+        (12.0 + 7 / 3.2, 9.0 - 7 / 3.2), abs=0.11
+    )
 
 
 def test_cathodic_current_is_not_what_ra_feels(drawing):
     drawing.watch(at(1, 12.0, 9.0))
     deliver(drawing, [1], slot(0, 2000))
-    assert drawing.picture().min() == 255
+    assert drawing.picture(*AREA).min() == 255
 
 
 def test_below_threshold_nothing_is_felt(drawing):
     drawing.watch(at(1, 12.0, 9.0))
     deliver(drawing, [1], slot(0, -1200))
-    assert drawing.picture().min() == 255
+    assert drawing.picture(*AREA).min() == 255
 
 
 def test_a_full_pulse_is_black_and_a_weaker_one_grey(drawing):
@@ -80,7 +87,7 @@ def test_a_full_pulse_is_black_and_a_weaker_one_grey(drawing):
     drawing.watch(at(2, 20.0, 9.0))
     currents = np.vstack([slot(0, -2400), slot(0, -1800)])
     deliver(drawing, [1, 2], currents)
-    picture = drawing.picture()
+    picture = drawing.picture(*AREA)
     assert picture.min() == 0
     assert abs(int(picture[:, 150:].min()) - 128) <= 2
 
@@ -89,7 +96,7 @@ def test_a_shorter_pulse_does_less_than_a_long_one_and_more_than_its_charge(draw
     drawing.watch(at(1, 12.0, 9.0))
     # Weiss, chronaxie 200 µs: at 100 µs a current does 2/3 of what it does at 200 µs.
     deliver(drawing, [1], slot(0, -2400), 100.0)
-    assert drawing.picture().min() == pytest.approx(255 * (1 - 1 / 3), abs=2)
+    assert drawing.picture(*AREA).min() == pytest.approx(255 * (1 - 1 / 3), abs=2)
 
 
 def test_a_sequence_that_was_lost_with_the_board_is_not_drawn(drawing):
@@ -98,19 +105,19 @@ def test_a_sequence_that_was_lost_with_the_board_is_not_drawn(drawing):
         drawing.watch(replace(at(1, 12.0, 9.0), number=None))
     deliver(drawing, [1], slot(0, -2400))
     # Nor does it make what was felt there paler.
-    assert drawing.picture().min() == 0
+    assert drawing.picture(*AREA).min() == 0
 
 
 def test_nothing_delivered_nothing_drawn(drawing):
     drawing.watch(at(1, 12.0, 9.0))
     deliver(drawing, [], np.empty((0, 64), np.int16))
-    assert drawing.picture().min() == 255
+    assert drawing.picture(*AREA).min() == 255
 
 
 def test_off_the_page_is_left_out(drawing):
     drawing.watch(at(1, -50.0, 900.0))
     deliver(drawing, [1], slot(0))
-    assert drawing.picture().min() == 255
+    assert drawing.picture(*AREA).min() == 255
 
 
 def test_save(drawing, tmp_path):

@@ -1,4 +1,6 @@
-"""What the skin makes of delivered pulses: how strongly the receptors under each site answer."""
+"""Answers of the skin to delivered pulses, and the poses that they were sent for."""
+
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,6 +8,11 @@ from numpy.typing import NDArray
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
+from smarttouch.profile.device import Pulse
+from smarttouch.running.step import StepResult
+from smarttouch.sources.frame import Pose
+
+Floats = NDArray[np.float32]
 
 
 class Perception:
@@ -37,11 +44,8 @@ class Perception:
         self._threshold = profile.threshold_ma / profile.full_ma
 
     def answers(
-        self,
-        numbers: NDArray[np.uint32],
-        width_us: NDArray[np.float32],
-        current_ua: NDArray[np.int16],
-    ) -> dict[int, NDArray[np.float32]]:
+        self, numbers: NDArray[np.uint32], width_us: Floats, current_ua: NDArray[np.int16]
+    ) -> dict[int, Floats]:
         """Return the strongest answer at each site to the slots of each sequence.
 
         Parameters
@@ -49,23 +53,59 @@ class Perception:
         numbers : ndarray, (N,)
             The sequence each slot belongs to; slots of one follow each other.
         width_us : ndarray, (N,), µs
-            How long it lasted: by Weiss's law a shorter pulse does less.
+            How long it lasted.
         current_ua : ndarray, (N, E) int16, µA
             Delivered current, positive cathodic.
 
         Returns
         -------
         dict
-            By number of the sequence, (E,) in [0, 1]; those without a slot are
-            not in it.
+            By number of the sequence, (E,) in [0, 1]; those without a slot are not in it.
         """
         if not len(numbers):
             return {}
-        chronaxie_us, full_us = self._pulse.chronaxie_us, self._pulse.width_us
-        strength = (1 + chronaxie_us / full_us) / (1 + chronaxie_us / np.maximum(width_us, 1))
-        current = current_ua * strength[:, None].astype(np.float32)
+        current = current_ua * strength(width_us, self._pulse)[:, None]
         activation = np.maximum.reduce([current @ axons / full for axons, full in self._receptors])
         answers = np.clip((activation - self._threshold) / (1 - self._threshold), 0, 1)
         starts = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
         strongest = np.maximum.reduceat(answers, starts, axis=0)
         return dict(zip(numbers[starts].tolist(), strongest, strict=True))
+
+
+class DeliveredAnswers(Perception):
+    """Poses of the sequences of a run, and after it the answers to them.
+
+    Iterating yields the pose and the answer, (E,) in [0, 1], of each sequence that the board got
+    while the finger touched.
+    """
+
+    def __init__(self, profile: Profile, bank: KernelBank, primaries: tuple[Primary, ...]) -> None:
+        super().__init__(profile, bank, primaries)
+        self.poses: dict[int, Pose] = {}
+        self.answer: dict[int, Floats] = {}
+        self._silent = np.zeros(len(profile.electrodes), np.float32)
+
+    def watch(self, sent: StepResult) -> None:
+        """Remember the pose of a step."""
+        if sent.number is not None and sent.sequence.intensity > 0:
+            self.poses[sent.number] = sent.frame.pose
+
+    def deliver(
+        self, numbers: NDArray[np.uint32], width_us: Floats, current_ua: NDArray[np.int16]
+    ) -> None:
+        """Take delivered slots, see `answers`."""
+        self.answer = self.answers(numbers, width_us, current_ua)
+
+    def __iter__(self) -> Iterator[tuple[Pose, Floats]]:
+        for number, pose in self.poses.items():
+            yield pose, self.answer.get(number, self._silent)
+
+
+def strength(width_us: Floats, pulse: Pulse) -> Floats:
+    """Return the effect of pulses of given widths, (N,), relative to the profile's full pulse.
+
+    By Weiss's law: a shorter pulse does less.
+    """
+    chronaxie_us = pulse.chronaxie_us
+    full = 1 + chronaxie_us / pulse.width_us
+    return np.asarray(full / (1 + chronaxie_us / np.maximum(width_us, 1)), np.float32)

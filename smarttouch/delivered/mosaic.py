@@ -32,8 +32,8 @@ class Mosaic:
         self._optics = optics
         self._sum = np.zeros((0, 0), np.float32)
         self._count = np.zeros((0, 0), np.float32)
-        self._first = (0, 0)
-        """Row and column of the canvas's corner, in pixels of the page."""
+        self._first = self._end = np.zeros(2, np.intp)
+        """Rows and columns where the canvas begins and ends, in pixels of the page."""
         self._number: int | None = None
 
     def add(self, frame: Frame) -> None:
@@ -67,29 +67,26 @@ class Mosaic:
         size = (side, side)
         tile = cv2.warpAffine(image, to_tile, size, borderMode=cv2.BORDER_REPLICATE)
         seen = cv2.warpAffine(np.ones_like(image), to_tile, size, flags=cv2.INTER_NEAREST)
-        rows = slice(top - self._first[0], top - self._first[0] + side)
-        columns = slice(left - self._first[1], left - self._first[1] + side)
-        self._sum[rows, columns] += tile * seen
-        self._count[rows, columns] += seen
+        row, column = np.array([top, left]) - self._first
+        place = (slice(row, row + side), slice(column, column + side))
+        self._sum[place] += tile * seen
+        self._count[place] += seen
 
     def _reach(self, top: int, left: int, side: int) -> bool:
         """Grow the canvas so that a tile lies on it; return whether it does."""
-        rows, columns = self._sum.shape
-        if not rows:
-            self._first = (top, left)
-        before = [max(0, self._first[0] - top), max(0, self._first[1] - left)]
-        after = [
-            max(0, top + side - self._first[0] - rows),
-            max(0, left + side - self._first[1] - columns),
-        ]
-        before = [grow and max(grow, _BLOCK) for grow in before]
-        after = [grow and max(grow, _BLOCK) for grow in after]
-        if (rows + before[0] + after[0]) * (columns + before[1] + after[1]) > LARGEST_PIXELS:
+        start = np.array([top, left])
+        if not self._sum.size:
+            self._first = self._end = start
+        first = np.where(start < self._first, np.minimum(start, self._first - _BLOCK), self._first)
+        end = np.where(
+            start + side > self._end, np.maximum(start + side, self._end + _BLOCK), self._end
+        )
+        if np.prod(end - first) > LARGEST_PIXELS:
             return False
-        if any(before) or any(after):
-            borders = list(zip(before, after, strict=True))
+        borders = np.column_stack([self._first - first, end - self._end])
+        if borders.any():
             self._sum, self._count = (np.pad(each, borders) for each in (self._sum, self._count))
-            self._first = (self._first[0] - before[0], self._first[1] - before[1])
+            self._first, self._end = first, end
         return True
 
     def page(self) -> tuple[Page, tuple[float, float]]:
@@ -109,8 +106,5 @@ class Mosaic:
         count = self._count[area]
         paper = np.full_like(count, 226.0)
         grey: NDArray[np.float32] = np.divide(self._sum[area], count, out=paper, where=count > 0)
-        corner_mm = (
-            (self._first[1] + int(columns[0])) * PIXEL_MM,
-            (self._first[0] + int(rows[0])) * PIXEL_MM,
-        )
-        return Page(np.rint(grey).astype(np.uint8), PIXEL_MM), corner_mm
+        top, left = (np.add(self._first, (rows[0], columns[0])) * PIXEL_MM).tolist()
+        return Page(np.rint(grey).astype(np.uint8), PIXEL_MM), (left, top)

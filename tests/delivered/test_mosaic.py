@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smarttouch.delivered.mosaic import Mosaic
 from smarttouch.documents.printed_text import print_text
 from smarttouch.errors import SmartTouchError
-from smarttouch.mosaic import Mosaic
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.sources.page import PageSensor
 
-from .raising import raises
+from ..raising import raises
 
 
 class Still:

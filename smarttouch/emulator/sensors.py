@@ -1,20 +1,23 @@
-"""What emulated sensors send: frames of an array, readings of a load cell."""
+"""Emulated sensors: frames of an array, readings of a load cell, sent at a steady rate."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.boards.emulator.firmware import Clock, Firmware
 from smarttouch.errors import SensorError
 from smarttouch.profile import Profile
-from smarttouch.sources import open_sensor
-from smarttouch.sources.emulator.faults import Kind
+from smarttouch.sources import open_source
 from smarttouch.sources.forces.force import open_recorded
 from smarttouch.sources.sensor_protocol import encode_force, encode_frame, encode_info
 
 GRAVITY_N_PER_G = 9.80665e-3
+_LONGEST_WAIT_S = 0.02
+_BEHIND_NS = 100_000_000
+"""After such a delay it goes on from now: hardware would not send in a burst."""
 _BLOCK = 4
 _PATTERN_SIDE = 1024
 _PATTERN_PIXELS_S = 40
@@ -24,17 +27,49 @@ Look = Callable[[float], NDArray[np.uint8]]
 """From a time in seconds to the image, (H, W)."""
 
 
-class Device(Protocol):
-    """What sends something at each tick of its rate."""
+class SensorFirmware(Firmware):
+    """Sends what a sensor measures at absolute deadlines; nothing of it waits.
 
-    def packet(self, number: int, time_s: float, wrong: frozenset[Kind]) -> bytes:
+    Parameters
+    ----------
+    rate_hz : float
+    """
+
+    longest_step_ns = sys.maxsize
+    """Its time never stands still: hosts compare it with their own."""
+    backlog = 1
+
+    def __init__(self, rate_hz: float) -> None:
+        self._period_ns = 1e9 / rate_hz
+        self._start_ns: int | None = None
+        self._next_ns = 0.0
+        self._number = 0
+
+    def wait_s(self, clock: Clock) -> float:
+        left_s = (self._next_ns - clock.now_ns()) / 1e9
+        return min(max(left_s, 0.0), _LONGEST_WAIT_S)
+
+    def idle(self, now_ns: int) -> None:
+        self._next_ns = now_ns + self._period_ns
+
+    def advance(self, now_ns: int) -> bytes:
+        if self._start_ns is None:
+            self._start_ns = now_ns
+            self._next_ns = now_ns
+        if now_ns < self._next_ns:
+            return b""
+        if now_ns - self._next_ns > _BEHIND_NS:
+            self._next_ns = now_ns
+        self._next_ns += self._period_ns
+        number, self._number = self._number, self._number + 1
+        return self.packet(number, (now_ns - self._start_ns) / 1e9)
+
+    def packet(self, number: int, time_s: float) -> bytes:
         """Return what goes over the line now."""
-
-    def heed(self, words: list[str]) -> bool:
-        """Do what a line of input says; return whether it was understood."""
+        raise NotImplementedError
 
 
-class ArrayDevice:
+class SensorArray(SensorFirmware):
     """A sensor array.
 
     Parameters
@@ -45,28 +80,22 @@ class ArrayDevice:
     """
 
     def __init__(self, look: Look, rate_hz: float) -> None:
+        super().__init__(rate_hz)
         self._look = look
         self._every = max(1, round(rate_hz))
-        self._random = np.random.default_rng(0)
         self._image: NDArray[np.uint8] | None = None
 
-    def packet(self, number: int, time_s: float, wrong: frozenset[Kind]) -> bytes:
+    def packet(self, number: int, time_s: float) -> bytes:
         """Return a frame, and once a second what the device is."""
-        if "freeze" not in wrong or self._image is None:
+        if "freeze" not in self.wrong or self._image is None:
             self._image = self._look(time_s)
         data = encode_frame(number, round(time_s * 1e6), self._image)
-        if "garbage" in wrong:
-            return self._random.bytes(len(data))
         if number % self._every:
             return data
         return encode_info(number // self._every, "emulated sensor array") + data
 
-    def heed(self, words: list[str]) -> bool:
-        """Return False: an array takes no orders."""
-        return False
 
-
-class CellDevice:
+class LoadCell(SensorFirmware):
     """A load cell with its converter.
 
     Parameters
@@ -79,6 +108,7 @@ class CellDevice:
         Packets instead of lines of text.
     seed : int
         Of the noise.
+    rate_hz : float
     """
 
     def __init__(
@@ -89,26 +119,25 @@ class CellDevice:
         noise: float = 60.0,
         framed: bool = False,
         seed: int = 0,
+        rate_hz: float = 80.0,
     ) -> None:
+        super().__init__(rate_hz)
         self._force_n = force_n
         self._line = (counts_per_n, zero, noise)
         self._framed = framed
         self._random = np.random.default_rng(seed)
         self._reading: int | None = None
 
-    def packet(self, number: int, time_s: float, wrong: frozenset[Kind]) -> bytes:
+    def packet(self, number: int, time_s: float) -> bytes:
         """Return a reading as the cell sends it."""
-        if "freeze" not in wrong or self._reading is None:
+        if "freeze" not in self.wrong or self._reading is None:
             self._reading = self._convert(time_s)
-        if "garbage" in wrong:
-            # Neither end of a line nor of a packet may be missing in it for ever.
-            return self._random.bytes(18) + (b"\0" if self._framed else b"\r\n")
-        reading = None if "nan" in wrong else self._reading
+        reading = None if "nan" in self.wrong else self._reading
         if self._framed:
             return encode_force(number, round(time_s * 1e6), reading)
         return f"HX711 reading: {'nan' if reading is None else reading}\r\n".encode()
 
-    def heed(self, words: list[str]) -> bool:
+    def take_order(self, words: list[str]) -> bool:
         """Let something else press: ``weight GRAMS`` or ``force NEWTONS``."""
         match words:
             case ["weight", grams]:
@@ -158,7 +187,7 @@ def look_at_page(url: str, profile: Profile, rows: int, columns: int) -> Look:
         )
     shape = {"sensor_rows": rows, "sensor_columns": columns}
     optics = profile.optics.model_copy(update=shape)
-    sensor = open_sensor(url, profile.model_copy(update={"optics": optics}))
+    sensor = open_source(url, profile.model_copy(update={"optics": optics}))
     lasts_ns = round(1e9 * (sensor.duration_s or 1.0))
 
     def look(time_s: float) -> NDArray[np.uint8]:

@@ -1,0 +1,60 @@
+"""Events of emulated devices as texts: a time in seconds, what happens then, and its numbers."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from smarttouch.errors import SmartTouchError
+
+
+@dataclass(frozen=True)
+class Event:
+    """One thing that happens at a time."""
+
+    time_s: float
+    kind: str
+    electrode: int = 0
+    values: tuple[float, ...] = ()
+
+
+def parse(text: str, forms: Mapping[str, str], error: type[SmartTouchError]) -> Event:
+    """Return the event of a text.
+
+    Parameters
+    ----------
+    text : str
+    forms : mapping
+        From each kind to the names of its numbers: ``ELECTRODE`` comes first, one in brackets
+        may be left out.
+    error : type
+        Raised where the text cannot be understood; it says how an event is written.
+    """
+    words = text.split()
+    kind = next((each for each in forms if words[1:2] == [each]), None)
+    if kind is None:
+        what = f" is none: write a time in s and one of {', '.join(forms)}"
+        raise bad_event(error, text, what, "unknown", tuple(forms))
+    form = f"TIME {kind} {forms[kind]}".strip()
+    try:
+        electrode = int(words.pop(2)) if "ELECTRODE" in form else 0
+        time_s, *values = (float(word) for word in (words[0], *words[2:]))
+    except (IndexError, ValueError):
+        what = f" has no number where one belongs: write {form}"
+        raise bad_event(error, text, what, "malformed", form) from None
+    names = [name for name in forms[kind].split() if name != "ELECTRODE"]
+    if not len(names) - form.count("[") <= len(values) <= len(names):
+        problem = "too few" if len(values) < len(names) else "too many"
+        what = f" has {len(values)} values after its name: write {form}"
+        raise bad_event(error, text, what, problem, form)
+    if not all(0 <= value < math.inf for value in (time_s, *values)) or electrode < 0:
+        what = " has a number that is negative or not finite"
+        raise bad_event(error, text, what, "negative")
+    return Event(time_s, kind, electrode, tuple(values))
+
+
+def bad_event(
+    error: type[SmartTouchError], text: str, what: str, problem: str, allowed: object = None
+) -> SmartTouchError:
+    """Return the error of an event's text."""
+    message = f"event {text!r}{what}"
+    return error(message, about="event", problem=problem, value=text, allowed=allowed)

@@ -1,0 +1,64 @@
+"""What the firmware of every emulated device has in common."""
+
+from typing import Protocol
+
+from smarttouch.boards.emulator.books import Books
+
+
+class Clock(Protocol):
+    """The device's time."""
+
+    def now_ns(self) -> int: ...
+
+
+class Firmware:
+    """A device between its line and what it touches; it has no clock of its own.
+
+    Attributes
+    ----------
+    books : Books or None
+        Account of what flowed.
+    longest_step_ns : int
+        How long its process may have been kept waiting before its time stands still.
+    backlog : int
+        As soon as so many bytes wait for the host, further messages are dropped.
+    wrong : frozenset of str
+        Faults at this time, of those that are not of the line.
+    """
+
+    books: Books | None = None
+    longest_step_ns = 10_000_000
+    backlog = 65536
+    wrong: frozenset[str] = frozenset()
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is due soon."""
+        return False
+
+    def wait_s(self, clock: Clock) -> float:
+        """Return how long bytes from the host may be waited for."""
+        return 0.001 if self.busy else 0.004
+
+    def feed(self, data: bytes, now_ns: int) -> bytes:
+        """Take bytes from the host; return what there is to answer."""
+        return self.advance(now_ns)
+
+    def advance(self, now_ns: int) -> bytes:
+        """Do all that is due; return what there is to send."""
+        raise NotImplementedError
+
+    def idle(self, now_ns: int) -> None:
+        """Let time pass without a line; what is sent meanwhile is lost."""
+        self.advance(now_ns)
+
+    def hang_up(self, now_ns: int) -> None:
+        """The host has closed the line, which the device need not notice."""
+        self.idle(now_ns)
+
+    def zero(self, reason: str, now_ns: int) -> None:
+        """Lose power."""
+
+    def take_order(self, words: list[str]) -> bool:
+        """Do what a line of input says; return whether it is an order."""
+        return False

@@ -1,0 +1,1 @@
+"""Delivered pulses: how strongly the skin answers to them, and pictures of that."""

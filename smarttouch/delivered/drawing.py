@@ -1,0 +1,158 @@
+"""Pictures of what the skin got, below what it touched."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from smarttouch.delivered.mosaic import Mosaic
+from smarttouch.delivered.perception import DeliveredAnswers
+from smarttouch.delivered.raster import Raster, as_ink
+from smarttouch.documents.page_image import Page
+from smarttouch.files import write_bytes
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+from smarttouch.running.step import StepResult
+from smarttouch.sources.frame import Pose
+
+FINEST_MM = 0.1
+"""Finest pixel of a picture, on what was touched."""
+_WIDTH = (900, 1400)
+"""Pixels that a picture is drawn wide at least, and at most."""
+_MARGIN, _LABEL = 24, 28
+Grey = NDArray[np.uint8]
+Place = tuple[float, float]
+Under = tuple[str, Place, Place, Callable[[tuple[int, int], float], Grey]]
+"""Title, top left corner, width and height in mm; and what draws it in rows and columns of pixels
+of so many mm."""
+
+
+class FeltDrawing(DeliveredAnswers, ABC):
+    """Delivered pulses where the electrodes were, below what they touched.
+
+    Every place shows the mean answer of the electrodes that passed it, or the strongest.
+
+    Parameters
+    ----------
+    profile, bank, primaries
+        See `Perception`.
+    magnification : float
+        Millimeters of the array for one of what it touches.
+    """
+
+    strongest = False
+    """Whether a place shows the strongest answer, and not the mean."""
+    longest_px = 4000
+    """Pixels of the longer side at most."""
+
+    def __init__(
+        self,
+        profile: Profile,
+        bank: KernelBank,
+        primaries: tuple[Primary, ...],
+        magnification: float = 1.0,
+    ) -> None:
+        super().__init__(profile, bank, primaries)
+        self._position_mm = profile.electrodes.position_mm / magnification
+        self._cell_mm = tuple(side / magnification for side in profile.electrodes.cell_mm)
+        self._names = " and ".join(each.name for each in primaries)
+
+    @abstractmethod
+    def under(self) -> Under:
+        """Return what was touched.
+
+        Raises
+        ------
+        SmartTouchError
+            If nothing was.
+        """
+
+    def places_mm(self, pose: Pose) -> NDArray[np.float64]:
+        """Return where the electrodes are at a pose, (E, 2) mm."""
+        cos, sin = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
+        x, y = self._position_mm.T
+        return np.column_stack([pose.x_mm + x * cos - y * sin, pose.y_mm + x * sin + y * cos])
+
+    def picture(self, corner_mm: Place, shape: tuple[int, int], pixel_mm: float) -> Grey:
+        """Return the touch of an area as ink on paper, (H, W); 255 is nothing, 0 the strongest."""
+        raster = Raster(shape, self.strongest)
+        for pose, answer in self:
+            place = self.places_mm(pose) - corner_mm
+            pixel = place // pixel_mm if self.strongest else np.rint(place / pixel_mm)
+            column, row = pixel.astype(np.intp).T
+            raster.add(row, column, answer)
+        wide, high = (max(1, round(side / pixel_mm)) for side in self._cell_mm)
+        if self.strongest:
+            cell = np.ones((high, wide), np.uint8)
+            return as_ink(np.asarray(cv2.dilate(raster.value, cell), np.float32))
+        return as_ink(raster.mean(lambda each: np.asarray(cv2.blur(each, (wide, high)))))
+
+    def save(self, path: Path) -> None:
+        """Write what was touched with the touch below it as one PNG.
+
+        Raises
+        ------
+        SmartTouchError
+            If there is nothing to draw, or the file cannot be written.
+        """
+        title, corner_mm, (width_mm, height_mm), draw_under = self.under()
+        pixel_mm = max(FINEST_MM, max(width_mm, height_mm) / self.longest_px)
+        height, width = round(height_mm / pixel_mm), round(width_mm / pixel_mm)
+        felt = self.picture(corner_mm, (height, width), pixel_mm)
+        rows = (
+            (title, draw_under((height, width), pixel_mm)),
+            (f"Felt: {self._names} pulses where the electrodes were", felt),
+        )
+        scale = min(max(1.0, _WIDTH[0] / width), _WIDTH[1] / width)
+        size = (round(width * scale), round(height * scale))
+        step = size[1] + _LABEL + _MARGIN
+        sheet = Image.new("L", (size[0] + 2 * _MARGIN, 2 * step + _MARGIN), 226)
+        draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(17)
+        for top, (title, image) in zip((_MARGIN, _MARGIN + step), rows, strict=True):
+            draw.text((_MARGIN, top), title, fill=40, font=font)
+            resized = Image.fromarray(image).resize(size, Image.Resampling.LANCZOS)
+            sheet.paste(resized, (_MARGIN, top + _LABEL))
+        content = BytesIO()
+        sheet.save(content, format="PNG")
+        write_bytes(path, content.getvalue())
+
+
+class PageDrawing(FeltDrawing):
+    """Shows the mean answer at every place of a page.
+
+    Parameters
+    ----------
+    profile, bank, primaries
+        See `Perception`.
+    page : Page, optional
+        What the finger passed over; put together from the frames if not given.
+    """
+
+    def __init__(
+        self, profile: Profile, bank: KernelBank, primaries: tuple[Primary, ...], page: Page | None
+    ) -> None:
+        super().__init__(profile, bank, primaries, profile.optics.magnification)
+        self._page = page
+        self._mosaic = Mosaic(profile.optics) if page is None else None
+
+    def watch(self, sent: StepResult) -> None:
+        """Remember the pose of a step, and the frame where the page is not known."""
+        super().watch(sent)
+        if self._mosaic is not None and sent.number in self.poses:
+            self._mosaic.add(sent.frame)
+
+    def under(self) -> Under:
+        """Return the whole page."""
+        title, page, corner_mm = "The page, as it lies under the finger", self._page, (0.0, 0.0)
+        if self._mosaic is not None:
+            title = "The frames that passed under the finger, put together"
+            page, corner_mm = self._mosaic.page()
+        assert page is not None
+        grey = page.grey
+        return title, corner_mm, page.size_mm, lambda _shape, _pixel_mm: grey

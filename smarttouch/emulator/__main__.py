@@ -1,0 +1,32 @@
+"""``python -m smarttouch.emulator``: ``smarttouch board emulate`` and ``sensor emulate`` alone."""
+
+import sys
+from collections.abc import Sequence
+
+import typer
+
+from smarttouch.emulator.commands import emulate_board, emulate_sensor
+from smarttouch.errors import SmartTouchError
+
+app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
+app.command("board")(emulate_board)
+app.command("sensor")(emulate_sensor)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run an emulated device until its host is gone.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Instead of the command line's.
+    """
+    try:
+        app(arguments)
+    except SmartTouchError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,296 @@
+"""The commands that emulate a board or a sensor, with all their options."""
+
+import math
+from collections.abc import Callable
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from smarttouch.errors import SmartTouchError
+from smarttouch.wire.pty_line import PtyLine
+from smarttouch.wire.tcp_line import TcpLine
+
+if TYPE_CHECKING:
+    from smarttouch.boards.emulator.firmware import Firmware
+    from smarttouch.emulator.server import LineStatistics
+
+_ELECTRODES = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
+"""How many each board has if nothing is said."""
+_MOST_ELECTRODES = {"link": 1024, "kajimoto61": 61, "etactilekit": 255}
+"""Of a link board because the skin between them takes the square of that."""
+_RATE_HZ = {"serial-array": 200.0, "hx711": 80.0, "loadcell": 80.0}
+_RATES_HZ = (0.01, 2000.0)
+_COMPLIANCES_V = (1.0, 10_000.0)
+_LARGEST = 1e9
+
+_Linger = Annotated[
+    float, typer.Option("--linger", metavar="S", help="How long to live on without a host.")
+]
+_Parent = Annotated[
+    int | None, typer.Option("--parent", metavar="PID", help="Process that it is not to outlive.")
+]
+_PortOnly = Annotated[
+    bool, typer.Option("--port-only", help="Print the name of the port and no advice.")
+]
+
+
+def emulate_board(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="link, kajimoto61 or etactilekit")],
+    electrodes: Annotated[
+        int | None, typer.Option(metavar="N", help="Of a link board or an eTactileKit.")
+    ] = None,
+    output: Annotated[
+        str, typer.Option(metavar="KIND", help="Of a link board: weighted, three-state, ...")
+    ] = "weighted",
+    firmware: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Of an eTactileKit: v1.0, 936c6c0, 71adee2 or newest."),
+    ] = None,
+    tcp: Annotated[bool, typer.Option("--tcp", help="Serve TCP instead of a serial port.")] = False,
+    discovery_port: Annotated[
+        int | None, typer.Option(metavar="N", help="With --tcp: UDP port to answer ETK? on.")
+    ] = None,
+    event: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TEXT",
+            help="What happens to the finger: '2 lift', '3 touch', '0 force 0.6', "
+            "'0 drift 12 4 60', '5 peel 7 0.3', '5 open 7', '5 short 7', '5 heal 7'",
+        ),
+    ] = None,
+    compliance: Annotated[
+        float | None, typer.Option(metavar="V", help="Most volts of its sources.")
+    ] = None,
+    books: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="For state.json and delivered.bin.")
+    ] = None,
+    linger: _Linger = math.inf,
+    parent: _Parent = None,
+    port_only: _PortOnly = False,
+) -> None:
+    """Emulate a board on skin, behind a port whose name is printed, until Ctrl-C."""
+    from smarttouch.boards.emulator.books import Books
+    from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
+    from smarttouch.boards.emulator.etactilekit_generations import GENERATIONS
+    from smarttouch.boards.emulator.finger import Finger
+    from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
+    from smarttouch.boards.emulator.link import LinkFirmware
+    from smarttouch.boards.emulator.skin import COMPLIANCE_V
+    from smarttouch.boards.link_protocol import OUTPUTS, Output
+
+    _require_one_of("emulator", name, tuple(_ELECTRODES))
+    usual, most = _ELECTRODES[name], _MOST_ELECTRODES[name]
+    electrodes = usual if electrodes is None else electrodes
+    volts = COMPLIANCE_V if compliance is None else compliance
+    _require_within("--electrodes", electrodes, 61 if name == "kajimoto61" else 1, most)
+    _require_within("--compliance", volts, *_COMPLIANCES_V)
+    _require_one_of("--output", output, OUTPUTS)
+    if firmware is not None:
+        if name != "etactilekit":
+            message = f"--firmware is for etactilekit, and a {name} has only one: leave it out"
+            raise _error(message, "--firmware", "conflict", name, ("etactilekit",))
+        _require_one_of("--firmware", firmware, tuple(GENERATIONS))
+    if discovery_port is not None:
+        _require_within("--discovery-port", discovery_port, 1, 65_535)
+        if not tcp:
+            message = "--discovery-port is for a board on the network: add --tcp"
+            raise _error(message, "--discovery-port", "conflict", discovery_port)
+    if books is not None and not books.is_dir():
+        message = f"--books {books} is no folder: make it first"
+        raise _error(message, "--books", "no folder", books)
+    kept, finger = Books(electrodes, books), Finger(electrodes, event or ())
+    device: Firmware
+    if name == "kajimoto61":
+        device = Kajimoto61Firmware(kept, finger, volts)
+    elif name == "etactilekit":
+        device = ETactileKitFirmware(kept, finger, volts, firmware or "71adee2")
+    else:
+        kind: Output = next(each for each in OUTPUTS if each == output)
+        device = LinkFirmware(electrodes, kind, kept, finger, volts)
+
+    def advice(port: str) -> str:
+        return (
+            f"A {name} board on emulated skin. In another terminal:\n\n"
+            f"  smarttouch live --board {name}:{port}\n\nCtrl-C ends it."
+        )
+
+    _serve(
+        device,
+        lambda: TcpLine(discovery_port) if tcp else PtyLine(),
+        str if port_only else advice,
+        linger,
+        parent,
+    )
+
+
+def emulate_sensor(
+    name: Annotated[str, typer.Argument(metavar="KIND", help="serial-array, hx711 or loadcell")],
+    rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="200 frames or 80 readings if not given.")
+    ] = None,
+    sight: Annotated[
+        str | None,
+        typer.Option("--sensor", metavar="URL", help="What an array looks at: page:FILE, text:..."),
+    ] = None,
+    rows: Annotated[int, typer.Option(metavar="N", help="Of an array.")] = 64,
+    columns: Annotated[int, typer.Option(metavar="N", help="Of an array.")] = 64,
+    force: Annotated[float, typer.Option(metavar="N", help="On a load cell, newtons.")] = 0.5,
+    path: Annotated[
+        Path | None, typer.Option(metavar="CSV", help="Or as recorded: time_s,force_n.")
+    ] = None,
+    counts_per_n: Annotated[float, typer.Option(help="Of a load cell.")] = 50_000.0,
+    zero: Annotated[float, typer.Option(help="Its reading at rest, counts.")] = 80_000.0,
+    noise: Annotated[float, typer.Option(help="Its noise, counts.")] = 60.0,
+    seed: Annotated[int, typer.Option(metavar="N", help="Of the noise.")] = 0,
+    event: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TEXT",
+            help="What goes wrong: '2 garbage 0.5', '3 nan', '4 freeze', '5 silent', '6 unplug 1'",
+        ),
+    ] = None,
+    count: Annotated[
+        int | None, typer.Option(metavar="N", help="Fall silent after so many.")
+    ] = None,
+    books: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="For what it has sent in full; printed if not given."),
+    ] = None,
+    profile: Annotated[
+        str | None, typer.Option(metavar="NAME|FILE", help="Device and finger; electric-mouse.")
+    ] = None,
+    linger: _Linger = math.inf,
+    parent: _Parent = None,
+    port_only: _PortOnly = False,
+) -> None:
+    """Emulate a sensor, behind a port whose name is printed, until Ctrl-C."""
+    import json
+    from dataclasses import asdict
+
+    from smarttouch.boards.emulator.events import parse
+    from smarttouch.emulator import sensors
+    from smarttouch.emulator.server import FAULTS, Orders
+    from smarttouch.errors import SensorError
+    from smarttouch.profile import DEFAULT_PROFILE, load_profile
+    from smarttouch.sources.sensor_protocol import MOST_PIXELS_A_SIDE
+
+    _require_one_of("emulator", name, tuple(_RATE_HZ))
+    rate_hz = _RATE_HZ[name] if rate is None else rate
+    for about, value, least, most in (
+        ("--rate", rate_hz, *_RATES_HZ),
+        ("--rows", rows, 2, MOST_PIXELS_A_SIDE),
+        ("--columns", columns, 2, MOST_PIXELS_A_SIDE),
+        ("--force", force, -_LARGEST, _LARGEST),
+        ("--zero", zero, -_LARGEST, _LARGEST),
+        ("--counts-per-n", abs(counts_per_n), 0.001, _LARGEST),
+        ("--noise", noise, 0, _LARGEST),
+    ):
+        _require_within(about, value, least, most)
+    if books is not None and (books.is_dir() or not books.absolute().parent.is_dir()):
+        message = f"cannot write {books}: give a file in a folder that exists"
+        raise _error(message, "file", "unwritable", books)
+    faults = [parse(text, FAULTS, SensorError) for text in event or ()]
+    kinds = {fault.kind for fault in faults}
+    chosen = load_profile(profile or DEFAULT_PROFILE)
+    device: sensors.SensorFirmware
+    if name == "serial-array":
+        if "nan" in kinds:
+            message = "a pixel is always a number: event nan is for load cells"
+            raise _error(message, "event", "conflict", "nan")
+        look = sensors.look_at_pattern(rows, columns)
+        if sight is not None:
+            import cv2
+
+            cv2.setNumThreads(1)
+            look = sensors.look_at_page(sight, chosen, rows, columns)
+        device = sensors.SensorArray(look, rate_hz)
+    else:
+        device = sensors.LoadCell(
+            sensors.press(force, path, chosen),
+            counts_per_n,
+            zero,
+            noise,
+            framed=name == "loadcell",
+            seed=seed,
+            rate_hz=rate_hz,
+        )
+
+    def advice(port: str) -> str:
+        if name == "serial-array":
+            return (
+                f"A sensor array. In another terminal:\n\n  smarttouch sensor show {name}:{port}\n"
+                f"  smarttouch live --sensor {name}:{port} --force fixed:0.5\n\nCtrl-C ends it."
+            )
+        curve = f"curve = [{-zero / counts_per_n:g}, {1 / counts_per_n:g}]"
+        return (
+            f"A load cell. In another terminal:\n\n"
+            f"  smarttouch sensor show --force {name}:{port} --profile P\n"
+            f"  smarttouch live --force {name}:{port} --profile P\n\n"
+            f"with {curve} in [force] of the profile P, or smarttouch calibrate force to find it. "
+            "A line typed here puts something else on it: weight 100 (grams), force 0.5 (newtons). "
+            "Ctrl-C ends it."
+        )
+
+    sent = _serve(
+        device,
+        lambda: PtyLine(keeps_name="unplug" in kinds),
+        str if port_only else advice,
+        linger,
+        parent,
+        faults=faults,
+        count=count,
+        orders=Orders(),
+    )
+    account = json.dumps(asdict(sent))
+    if books is not None:
+        books.write_text(account + "\n", encoding="utf-8")
+    else:
+        with suppress(BrokenPipeError):
+            print(account, flush=True)
+
+
+def _serve(
+    device: "Firmware",
+    open_line: Callable[[], PtyLine | TcpLine],
+    describe: Callable[[str], str],
+    linger_s: float,
+    parent: int | None,
+    **more: Any,
+) -> "LineStatistics":
+    """Serve until the end; return what was sent."""
+    from threadpoolctl import threadpool_limits
+
+    from smarttouch.emulator.server import Server
+
+    if not linger_s >= 0:
+        message = f"--linger {linger_s:g} is no time: give seconds, or inf"
+        raise _error(message, "--linger", "negative", linger_s)
+    try:
+        line = open_line()
+    except OSError as error:
+        raise _error(f"cannot open a port: {error}", "port", "unavailable") from None
+    server = Server(device, line, **more)
+    # Circuits and images are small: a second thread would only take the host's processor.
+    with threadpool_limits(1), closing(line):
+        server.serve(linger_s, parent, describe)
+    return server.statistics
+
+
+def _require_one_of(about: str, value: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        message = f"no {about} {value!r}: choose {', '.join(allowed)}"
+        raise _error(message, about, "unknown", value, allowed)
+
+
+def _require_within(about: str, value: float, least: float, most: float) -> None:
+    if not least <= value <= most:
+        message = f"{about} {value:g} is out of range: give {least:g} to {most:g}"
+        raise _error(message, about, "out of range", value, (least, most))
+
+
+def _error(
+    message: str, about: str, problem: str, value: object = None, allowed: object = None
+) -> SmartTouchError:
+    return SmartTouchError(message, about=about, problem=problem, value=value, allowed=allowed)

@@ -1,0 +1,253 @@
+"""Runs an emulated device on a line: as long as there is a host, and a while longer.
+
+What goes wrong on the way are events as texts: seconds since a host first opened the line, what
+happens, and for how many seconds; for ever if that is not given::
+
+    2 garbage 0.5       bytes that are nothing, in place of what it would send
+    3 nan 1             readings that say that there is none (load cells)
+    4 freeze 3          the same image or reading again and again (sensors)
+    5 silent 1          nothing passes
+    6 unplug 1.5        the port is gone; its name is valid again afterwards
+"""
+
+import contextlib
+import math
+import os
+import random
+import select
+import signal
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from types import FrameType
+
+from smarttouch.boards.emulator.events import Event, parse
+from smarttouch.boards.emulator.firmware import Firmware
+from smarttouch.errors import SensorError
+from smarttouch.wire.pty_line import PtyLine
+from smarttouch.wire.tcp_line import TcpLine
+
+FAULTS = dict.fromkeys(("garbage", "nan", "freeze", "silent", "unplug"), "[SECONDS]")
+FIRST_HOST_S = 8.0
+"""How much longer than its lingering it waits for the first host."""
+_WRITE_EVERY_NS = 50_000_000
+_FULL_WAIT_S = 0.0005
+"""How soon the rest of a message is tried again."""
+
+
+@dataclass
+class LineStatistics:
+    """Messages that were sent, counted when the last byte had been taken."""
+
+    sent: int = 0
+    dropped: int = 0
+    """Due, but not sent: the line was still full."""
+    garbage: int = 0
+
+
+def faults_at(faults: Iterable[Event], time_s: float) -> frozenset[str]:
+    """Return what is wrong at a time."""
+    return frozenset(
+        fault.kind
+        for fault in faults
+        if fault.time_s <= time_s < fault.time_s + (*fault.values, math.inf)[0]
+    )
+
+
+class Orders:
+    """Lines on standard input, as long as it is open."""
+
+    def __init__(self) -> None:
+        # In the background of a terminal there are no orders, and reading must not stop it.
+        signal.signal(signal.SIGTTIN, signal.SIG_IGN)
+        self._open = sys.stdin is not None
+        self._waiting = b""
+
+    def read(self) -> list[str]:
+        """Return the lines that have come, without waiting."""
+        try:
+            if not self._open or not select.select([0], [], [], 0)[0]:
+                return []
+            data = os.read(0, 4096)
+        except OSError:
+            data = b""
+        self._open = bool(data)
+        *lines, self._waiting = (self._waiting + data).split(b"\n")
+        return [line.decode("utf-8", "replace").strip() for line in lines if line.strip()]
+
+
+class Server:
+    """Serves one host after another.
+
+    Parameters
+    ----------
+    firmware : Firmware
+        Of the device.
+    line : PtyLine or TcpLine
+    faults : iterable of Event
+        What goes wrong.
+    count : int, optional
+        Nothing passes any more after so many messages were sent.
+    orders : Orders, optional
+        What the device is to do, or an event without its time, such as ``garbage 0.5``.
+    """
+
+    def __init__(
+        self,
+        firmware: Firmware,
+        line: PtyLine | TcpLine,
+        faults: Iterable[Event] = (),
+        count: int | None = None,
+        orders: Orders | None = None,
+    ) -> None:
+        self.statistics = LineStatistics()
+        self._firmware, self._line, self._faults = firmware, line, list(faults)
+        self._count = math.inf if count is None else count
+        self._orders = orders
+        self._first_host_ns: int | None = None
+        self._hosted = False
+        self._waiting: deque[tuple[bytes, bool]] = deque()
+        """Messages that have not been taken, and whether they are garbage."""
+        self._random = random.Random(0)
+
+    def serve(
+        self,
+        linger_s: float = 2.0,
+        parent: int | None = None,
+        describe: Callable[[str], str] = str,
+    ) -> None:
+        """Print the port's name and run until SIGTERM, or so long without a host.
+
+        With the process id of its ``parent`` it ends too when that has, even where it was killed.
+
+        With ``describe`` it prints what that makes of the name.
+
+        Ctrl-C belongs to the host, which ends with a stop and a closed port; it ends the
+        device only if that would go on for ever by itself.
+        """
+        ended: list[str] = []
+
+        def end(_number: int, _frame: FrameType | None) -> None:
+            ended.append("signal")
+
+        signal.signal(signal.SIGTERM, end)
+        signal.signal(signal.SIGINT, end if math.isinf(linger_s) else signal.SIG_IGN)
+        self._write_books()
+        # Who reads the name may signal at once.
+        print(describe(self._line.name), flush=True)
+        clock = DeviceClock(self._firmware.longest_step_ns)
+        host_ns, written_ns = FIRST_HOST_S * 1e9, 0
+        while not ended:
+            if parent not in (None, os.getppid()):
+                ended.append("parent gone")
+                break
+            data = self._line.read(_FULL_WAIT_S if self._waiting else self._firmware.wait_s(clock))
+            now_ns = clock.now_ns()
+            if self._firmware.books is not None:
+                self._firmware.books.stood_still_ms = clock.stood_still_ns / 1e6
+            self.step(data, now_ns)
+            if self._hosted or not self._line.plugged_in:
+                host_ns = now_ns
+            elif now_ns > host_ns + linger_s * 1e9:
+                break
+            if now_ns - written_ns > _WRITE_EVERY_NS:
+                self._write_books()
+                written_ns = now_ns
+        if ended:
+            self._firmware.zero(ended[0], clock.now_ns())
+        self._write_books()
+
+    def step(self, data: bytes | None, now_ns: int) -> None:
+        """Do what is due now, with what the host has written; None if there is no host."""
+        if data is not None and self._first_host_ns is None:
+            self._first_host_ns = now_ns
+        wrong = self._wrong_at(now_ns)
+        if ("unplug" in wrong) is self._line.plugged_in:
+            (self._line.pull_out if self._line.plugged_in else self._line.plug_in)()
+            data = None
+        had_host, self._hosted = self._hosted, data is not None
+        if data is None:
+            self._waiting.clear()
+            if had_host:
+                self._firmware.hang_up(now_ns)
+                self._write_books()
+        self._push()
+        if data is None or "silent" in wrong or self.statistics.sent >= self._count:
+            self._firmware.idle(now_ns)
+            return
+        self._firmware.wrong = wrong
+        feed, advance = self._firmware.feed, self._firmware.advance
+        if message := feed(data, now_ns) if data else advance(now_ns):
+            self._send(message, "garbage" in wrong)
+
+    def _send(self, message: bytes, garbage: bool) -> None:
+        if sum(len(each) for each, _ in self._waiting) >= self._firmware.backlog:
+            self.statistics.dropped += 1
+            return
+        if garbage:
+            # Neither end of a line nor of a packet may be missing in it for ever.
+            message = self._random.randbytes(max(0, len(message) - 2)) + message[-2:]
+        self._waiting.append((message, garbage))
+        self._push()
+
+    def _push(self) -> None:
+        while self._waiting:
+            message, garbage = self._waiting.popleft()
+            if rest := self._line.write(message):
+                self._waiting.appendleft((rest, garbage))
+                return
+            self.statistics.garbage += garbage
+            self.statistics.sent += not garbage
+
+    def _wrong_at(self, now_ns: int) -> frozenset[str]:
+        first_ns = now_ns if self._first_host_ns is None else self._first_host_ns
+        time_s = (now_ns - first_ns) / 1e9
+        for line in self._orders.read() if self._orders is not None else ():
+            with contextlib.suppress(BrokenPipeError):
+                try:
+                    if not self._firmware.take_order(line.split()):
+                        self._add(parse(f"{time_s:.6f} {line}", FAULTS, SensorError))
+                except SensorError as error:
+                    print(error, file=sys.stderr, flush=True)
+        return frozenset() if self._first_host_ns is None else faults_at(self._faults, time_s)
+
+    def _add(self, fault: Event) -> None:
+        if fault.kind == "unplug" and not self._line.keeps_name:
+            raise SensorError(
+                "the port's name would change: start it with --event '0 unplug 0'",
+                about="event",
+                problem="impossible",
+                value=fault.kind,
+                remedy="--event",
+            )
+        self._faults.append(fault)
+
+    def _write_books(self) -> None:
+        if self._firmware.books is not None:
+            self._firmware.books.write()
+
+
+class DeviceClock:
+    """The device's time, from 0 on, which stands still while the machine runs other processes.
+
+    Hardware is never kept waiting; what plays it is, and must not take its own
+    absence for the host's silence, nor for pulses delivered.
+
+    Parameters
+    ----------
+    longest_step_ns : int
+        How long it may have been away without standing still.
+    """
+
+    def __init__(self, longest_step_ns: int = Firmware.longest_step_ns) -> None:
+        self._longest_step_ns = longest_step_ns
+        self._begun = self._last = time.monotonic_ns()
+        self.stood_still_ns = 0
+
+    def now_ns(self) -> int:
+        now = time.monotonic_ns()
+        self.stood_still_ns += max(0, now - self._last - self._longest_step_ns)
+        self._last = now
+        return now - self._begun - self.stood_still_ns

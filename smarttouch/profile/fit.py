@@ -1,0 +1,149 @@
+"""Values of a profile that do not fit each other."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from smarttouch.profile.table import UnfitError
+
+if TYPE_CHECKING:
+    from smarttouch.profile.profile import Profile
+
+
+def misfits(profile: "Profile") -> Iterator[UnfitError]:
+    """Yield all that does not fit: of currents only where there is one for each electrode."""
+    of_array = [*_misfits_of_array(profile)]
+    yield from of_array or _misfits_of_current(profile)
+
+
+def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
+    count = len(profile.electrodes)
+    masked, wiring = profile.output.masked, profile.output.wiring
+    if max(masked, default=0) >= count:
+        yield UnfitError(
+            f"output.masked lists {max(masked)}, the array has electrodes 0 to {count - 1}: "
+            "remove it",
+            about="output.masked",
+            problem="too large",
+            value=max(masked),
+            allowed=count - 1,
+        )
+    if count - len(masked) < 2:
+        yield UnfitError(
+            f"output.masked leaves {count - len(masked)} of {count} electrodes: current needs "
+            "at least two, shorten the list or repair the array",
+            about="output.masked",
+            problem="too many",
+            value=len(masked),
+            allowed=count - 2,
+        )
+    if wiring is not None and len(wiring) != count:
+        yield _of_another_length("output.wiring", len(wiring), count, "leave it out")
+    for key, values in (
+        ("perception.threshold_ma", profile.perception.threshold_ma),
+        ("perception.comfort_ma", profile.perception.comfort_ma),
+        ("output.impedance_kohm", profile.output.impedance_kohm),
+    ):
+        if isinstance(values, tuple) and len(values) != count:
+            yield _of_another_length(key, len(values), count, "one for all")
+    if profile.skin.medium == "plane" and profile.array.layout != "lines":
+        yield UnfitError(
+            f"skin.medium 'plane' does not go with array.layout {profile.array.layout!r}: "
+            "it is for 'lines'; 'half-space' is for all",
+            about="skin.medium",
+            problem="conflict",
+            value="plane",
+            allowed=("half-space",),
+            remedy="array.layout",
+        )
+    lowered = profile.limits.electrode_ma
+    if lowered is not None and len(lowered) != count:
+        yield _of_another_length("limits.electrode_ma", len(lowered), count, "leave it out")
+
+
+def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
+    lowered = profile.limits.electrode_ma
+    full_ma = profile.full_ma
+    measured = profile.perception.comfort_ma is not None
+    strongest_of = "comfort_ma" if measured else "threshold_ma × comfort_ratio"
+    strongest_key = "perception." + ("comfort_ma" if measured else "comfort_ratio")
+    painful = full_ma <= profile.threshold_ma
+    if painful.any():
+        index = int(painful.argmax())
+        yield UnfitError(
+            f"comfort_ma is {full_ma[index]:.2f} mA at electrode {index}, not above its "
+            f"threshold_ma of {profile.threshold_ma[index]:.2f}: measure both again",
+            about="perception.comfort_ma",
+            problem="too small",
+            value=float(full_ma[index]),
+            allowed=float(profile.threshold_ma[index]),
+            electrode=index,
+        )
+    # Thresholds are single precision: a limit of just their product is kept.
+    over = full_ma > np.multiply(np.inf if lowered is None else lowered, 1 + 1e-6)
+    if lowered is not None and over.any():
+        index = int(over.argmax())
+        yield UnfitError(
+            f"{strongest_of} is {full_ma[index]:.2f} mA at electrode {index}, "
+            f"above its limits.electrode_ma {lowered[index]:g}: lower one of the two",
+            about="limits.electrode_ma",
+            problem="too large",
+            value=float(full_ma[index]),
+            allowed=lowered[index],
+            remedy=strongest_key,
+            electrode=index,
+        )
+    strongest = float(full_ma.max())
+    if strongest > profile.limits.current_ma:
+        yield UnfitError(
+            f"{strongest_of} reaches {strongest:.2f} mA, above "
+            f"limits.current_ma {profile.limits.current_ma}: lower one of the two",
+            about="limits.current_ma",
+            problem="too large",
+            value=strongest,
+            allowed=profile.limits.current_ma,
+            remedy=strongest_key,
+        )
+    total = profile.limits.total_ma
+    if total is not None and total < strongest:
+        yield UnfitError(
+            f"limits.total_ma {total:g} is below the {strongest:.2f} mA that {strongest_of} "
+            "sends through one electrode: raise it, or lower one of the two",
+            about="limits.total_ma",
+            problem="too large",
+            value=strongest,
+            allowed=total,
+            remedy=strongest_key,
+        )
+    if profile.pulse.width_us > profile.limits.pulse_us:
+        yield UnfitError(
+            f"pulse.width_us {profile.pulse.width_us} is above limits.pulse_us "
+            f"{profile.limits.pulse_us:g}: lower it",
+            about="pulse.width_us",
+            problem="too large",
+            value=profile.pulse.width_us,
+            allowed=profile.limits.pulse_us,
+        )
+    charge = strongest * profile.pulse.width_us / 1000
+    if charge > profile.limits.charge_uc:
+        yield UnfitError(
+            f"the strongest pulse carries {charge:.3f} µC, above limits.charge_uc "
+            f"{profile.limits.charge_uc}: lower {strongest_of} or pulse.width_us",
+            about="limits.charge_uc",
+            problem="too large",
+            value=charge,
+            allowed=profile.limits.charge_uc,
+            remedy=strongest_key,
+        )
+
+
+def _of_another_length(key: str, numbers: int, electrodes: int, otherwise: str) -> UnfitError:
+    return UnfitError(
+        f"{key} lists {numbers} electrodes, the array has {electrodes}: "
+        f"give {electrodes} numbers, or {otherwise}",
+        about=key,
+        problem="too few" if numbers < electrodes else "too many",
+        value=numbers,
+        allowed=electrodes,
+    )

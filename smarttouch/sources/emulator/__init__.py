@@ -1,1 +1,0 @@
-"""Sensors without hardware: a process of its own behind a pseudo-terminal."""

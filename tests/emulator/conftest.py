@@ -1,0 +1,18 @@
+"""Devices by themselves: firmware sent what no gate has proved, and sensors that start slowly."""
+
+import pytest
+
+from smarttouch.sources import capture
+from smarttouch.sources.forces import load_cell
+
+
+@pytest.fixture
+def judged_books():
+    """What real firmware lets flow, unasked by a gate, is not what the oracle judges."""
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch):
+    """Wait for a first image or reading until a test would hang: how soon it comes says nothing."""
+    monkeypatch.setattr(capture, "FIRST_IMAGE_S", 60.0)
+    monkeypatch.setattr(load_cell, "FIRST_READING_S", 60.0)

@@ -1,0 +1,271 @@
+"""The server of emulated devices: deadlines, statistics, faults and orders."""
+
+from pathlib import Path
+
+import pytest
+
+from smarttouch.boards.emulator.events import Event, parse
+from smarttouch.boards.emulator.firmware import Firmware
+from smarttouch.emulator import sensors
+from smarttouch.emulator.sensors import LoadCell, SensorArray, SensorFirmware, press
+from smarttouch.emulator.server import FAULTS, Server, faults_at
+from smarttouch.errors import SensorError
+from smarttouch.sources.forces.readings import TextReadings
+from smarttouch.sources.sensor_protocol import MessageStream
+from smarttouch.wire.pty_line import PtyLine
+
+from ..raising import raises
+
+MS = 10**6
+
+
+class FakeLine:
+    """Takes so many bytes at a time."""
+
+    def __init__(self, room=10**9):
+        self.room, self.taken = room, b""
+        self.plugged_in, self.keeps_name = True, False
+
+    def write(self, data):
+        taken, rest = data[: self.room], data[self.room :]
+        self.taken += taken
+        self.room -= len(taken)
+        return rest
+
+    def pull_out(self):
+        self.plugged_in = False
+
+    def plug_in(self):
+        self.plugged_in = True
+
+
+class FakeOrders:
+    def __init__(self, *lines):
+        self.lines = list(lines)
+
+    def read(self):
+        return [self.lines.pop(0)] if self.lines else []
+
+
+class Counter(SensorFirmware):
+    """A device that sends its numbers, four bytes each."""
+
+    def packet(self, number, time_s):
+        return b"%03d;" % number
+
+
+def parse_fault(text):
+    return parse(text, FAULTS, SensorError)
+
+
+def make_server(device=None, line=None, faults=(), count=None, orders=()):
+    line = line or FakeLine()
+    wrong = [parse_fault(text) for text in faults]
+    server = Server(device or Counter(100.0), line, wrong, count, FakeOrders(*orders))
+    return server, line
+
+
+def step(server, now_ms, present=True):
+    """Let a server do what is due, with or without a host."""
+    server.step(b"" if present else None, now_ms * MS)
+
+
+def test_one_packet_at_each_deadline_and_none_without_a_host():
+    server, line = make_server()
+    step(server, 5, False)
+    assert line.taken == b""
+    for now_ms in range(100, 151):
+        step(server, now_ms)
+    assert line.taken == b"000;001;002;003;004;005;"
+    assert (server.statistics.sent, server.statistics.dropped) == (6, 0)
+
+
+def test_a_late_tick_moves_no_deadline_but_a_long_one_is_not_made_up_for():
+    server, _ = make_server()
+    for now_ms in (0, 17, 20, 26, 30):
+        step(server, now_ms)
+    assert server.statistics.sent == 4
+    for now_ms in range(1000, 1010):
+        step(server, now_ms)
+    assert server.statistics.sent == 5
+
+
+def test_what_the_host_does_not_take_is_dropped_and_never_queued():
+    server, line = make_server(line=FakeLine(room=6))
+    for now_ms in range(0, 50):
+        step(server, now_ms)
+    assert line.taken == b"000;00"
+    assert (server.statistics.sent, server.statistics.dropped) == (1, 3)
+    line.room = 100
+    for now_ms in range(50, 61):
+        step(server, now_ms)
+    assert line.taken == b"000;001;005;006;"
+    assert (server.statistics.sent, server.statistics.dropped) == (4, 3)
+
+
+def test_a_host_that_goes_takes_its_half_packet_along():
+    server, line = make_server(line=FakeLine(room=2))
+    step(server, 0)
+    step(server, 1, False)
+    line.room = 100
+    step(server, 20)
+    assert line.taken == b"00001;"
+    assert server.statistics.sent == 1
+
+
+def test_after_the_count_it_is_silent():
+    server, line = make_server(count=3)
+    for now_ms in range(0, 100):
+        step(server, now_ms)
+    assert line.taken == b"000;001;002;"
+
+
+def test_faults_of_the_line():
+    server, line = make_server(faults=["0.0625 silent 0.0625", "0.25 unplug 0.125"])
+    present = []
+    for now_ms in range(0, 400):
+        step(server, now_ms, line.plugged_in)
+        present.append((len(line.taken), line.plugged_in))
+    assert present[62][0] == present[124][0] == 4 * 7
+    assert present[190][0] > 4 * 7
+    gone = [not plugged_in for _, plugged_in in present]
+    assert gone == [250 <= now_ms < 375 for now_ms in range(400)]
+    assert present[-1][0] > present[375][0]
+
+
+def test_orders(capsys):
+    cell = LoadCell(press(0.0, None, None), counts_per_n=1000, zero=0, noise=0)
+    orders = ("weight 100", "force x", "silent 0.02", "unplug", "dance")
+    server, line = make_server(cell, orders=orders)
+    for now_ms in range(0, 60):
+        step(server, now_ms)
+    assert line.taken == b"HX711 reading: 981\r\n" * server.statistics.sent
+    assert server.statistics.sent == 4
+    number, unplugged, dance = capsys.readouterr().err.splitlines()
+    assert "'x'" in number
+    assert "--event '0 unplug 0'" in unplugged
+    assert "'0.004000 dance'" in dance
+    assert "garbage, nan, freeze, silent, unplug" in dance
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("2 garbage 0.5", Event(2, "garbage", values=(0.5,))),
+        ("3 nan", Event(3, "nan")),
+        (" 0.5  unplug  1 ", Event(0.5, "unplug", values=(1,))),
+    ],
+)
+def test_events(text, fault):
+    assert parse_fault(text) == fault
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        *((text, "unknown") for text in ("", "2", "nan", "2 dance")),
+        *((text, "malformed") for text in ("x nan", "2 nan x")),
+        *((text, "negative") for text in ("-1 nan", "inf nan", "2 nan -1", "2 nan inf")),
+        ("2 nan 1 1", "too many"),
+    ],
+)
+def test_what_is_no_event(text, problem):
+    with raises(SensorError, about="event", problem=problem, value=text):
+        parse_fault(text)
+
+
+def test_orders_that_cannot_be():
+    cell = LoadCell(press(0.0, None, None))
+    with raises(SensorError, about="order", problem="malformed", value="x"):
+        cell.take_order(["force", "x"])
+    server, _ = make_server()
+    with raises(SensorError, about="event", problem="impossible", value="unplug"):
+        server._add(Event(0, "unplug"))
+
+
+def test_what_is_wrong_at_a_time():
+    faults = [Event(1, "nan", values=(1,)), Event(1.5, "silent")]
+    assert faults_at(faults, 0.99) == frozenset()
+    assert faults_at(faults, 1) == {"nan"}
+    assert faults_at(faults, 1.6) == {"nan", "silent"}
+    assert faults_at(faults, 2) == {"silent"}
+
+
+def test_garbage_is_nothing_and_ends_as_what_it_stands_for():
+    array = SensorArray(sensors.look_at_pattern(8, 8), rate_hz=100.0)
+    cell = LoadCell(press(1.0, None, None), framed=True, rate_hz=100.0)
+    for device in (array, cell):
+        server, line = make_server(device, faults=["0 garbage 0.05"])
+        for now_ms in range(0, 50):
+            step(server, now_ms)
+        assert (server.statistics.sent, server.statistics.garbage) == (0, 5)
+        stream = MessageStream()
+        assert stream.feed(line.taken) == []
+        assert stream.broken > 0
+        line.taken = b""
+        step(server, 50)
+        assert [each.number for each in stream.feed(line.taken)] == [5]
+    text, line = make_server(LoadCell(press(1.0, None, None)), faults=["0 garbage"])
+    step(text, 0)
+    assert line.taken.endswith(b"\r\n")
+    assert TextReadings().feed(b"\n" + line.taken) == []
+
+
+class Answering(Firmware):
+    """A board that answers what it hears, and notes what happens to it."""
+
+    def __init__(self):
+        self.heard, self.calls = b"", []
+
+    def feed(self, data, now_ns):
+        self.heard += data
+        return data
+
+    def advance(self, now_ns):
+        self.calls.append(now_ns // MS)
+        return b""
+
+    def hang_up(self, now_ns):
+        self.calls.append("hung up")
+
+
+def test_a_boards_answers_wait_for_a_host_that_reads_later_and_not_for_ever():
+    board = Answering()
+    server, line = make_server(board, FakeLine(room=3))
+    server.step(b"abcd", 0)
+    server.step(b"efgh", MS)
+    line.room = 100
+    server.step(b"", 2 * MS)
+    assert line.taken == b"abcdefgh"
+    line.room, board.backlog = 0, 8
+    for now_ms, data in enumerate((b"ijkl", b"mnop", b"qrst"), 3):
+        server.step(data, now_ms * MS)
+    line.room = 100
+    server.step(b"", 6 * MS)
+    assert line.taken == b"abcdefghijklmnop"
+    assert (server.statistics.sent, server.statistics.dropped) == (4, 1)
+
+
+def test_a_board_goes_on_without_a_host_and_hears_nothing_on_a_silent_line():
+    board = Answering()
+    server, line = make_server(board, faults=["0.002 silent 0.002"])
+    for now_ms, data in enumerate((None, b"a", b"", b"lost", None, None)):
+        server.step(data, now_ms * MS)
+    assert (board.heard, line.taken) == (b"a", b"a")
+    assert board.calls == [0, 2, 3, "hung up", 4, 5]
+
+
+def test_a_port_whose_name_stays():
+    line = PtyLine(keeps_name=True)
+    try:
+        name = Path(line.name)
+        assert name.exists()
+        line.pull_out()
+        assert not name.is_symlink()
+        assert line.read(0) is None
+        line.plug_in()
+        assert Path(line.name) == name
+        assert name.resolve().is_char_device()
+    finally:
+        line.close()
+    assert not name.parent.exists()
