@@ -1,58 +1,265 @@
-"""Sources and boards by URL: a name before the first colon picks the opener."""
+"""Sources, forces and boards by URL: a name before the first colon picks the opener."""
 
+import functools
 import inspect
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import Any, NamedTuple
 
 from smarttouch.errors import SmartTouchError
 
+_OWN = {
+    "smarttouch.sources": {
+        "camera": "smarttouch.sources.camera:open_camera",
+        "frames": "smarttouch.sources.video:open_frames",
+        "page": "smarttouch.sources.page:open_page",
+        "recording": "smarttouch.recording.source:open_recording",
+        "serial-array": "smarttouch.sources.serial_array:open_serial_array",
+        "text": "smarttouch.sources.page:open_text",
+        "video": "smarttouch.sources.video:open_video",
+    },
+    "smarttouch.forces": {
+        "fixed": "smarttouch.sources.forces.force:open_fixed",
+        "hx711": "smarttouch.sources.forces.load_cell:open_hx711",
+        "loadcell": "smarttouch.sources.forces.load_cell:open_loadcell",
+        "recorded": "smarttouch.sources.forces.force:open_recorded",
+    },
+    "smarttouch.boards": {
+        "emulator": "smarttouch.boards.emulator.driver:EmulatorBoard",
+        "etactilekit": "smarttouch.boards.etactilekit:ETactileKitBoard",
+        "kajimoto61": "smarttouch.boards.kajimoto61:Kajimoto61Board",
+        "link": "smarttouch.boards.link:LinkBoard",
+        "memory": "smarttouch.boards.memory:MemoryBoard",
+        "simulated": "smarttouch.boards.emulator.simulated:SimulatedBoard",
+        "vibrators": "smarttouch.boards.vibrators:VibratorBoard",
+    },
+}
+"""The package's own, by entry-point group; no other package can take their names."""
 _FORMER = {"smarttouch.sources": "smarttouch.sensors"}
-"""Former names of entry-point groups: packages of others may still be in them."""
+"""What entry-point groups were called before."""
+_BY_POSITION = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
-def known_openers(group: str) -> dict[str, EntryPoint]:
-    """Return the entry points of a group by name, also those in the group of its former name."""
-    former = {point.name: point for point in entry_points(group=_FORMER.get(group, group))}
-    return former | {point.name: point for point in entry_points(group=group)}
+class Fault(NamedTuple):
+    """One way in which a class or opener breaks the contract of its kind."""
+
+    about: str
+    """Name of the method or class."""
+    problem: str
+    sentence: str
+
+
+def known_names(group: str) -> list[str]:
+    """Return the names that a URL of a group can begin with, those of plug-ins too."""
+    return sorted({*_OWN[group], *(point.name for point in _plug_ins(group))})
 
 
 def find_opener(
-    group: str, url: str, error: type[SmartTouchError]
+    group: str,
+    url: str,
+    error: type[SmartTouchError],
+    base: type,
+    arguments: tuple[str, ...],
 ) -> tuple[Callable[..., Any], str]:
     """Return what opens ``url`` and the part of it after the name.
+
+    That of another package is checked: whether it can be called as it will be, and whether
+    its class keeps the contract of ``base``.
 
     Parameters
     ----------
     group : str
-        Entry-point group, ``smarttouch.sources`` or ``smarttouch.boards``. The
-        package's own kinds stand in the same group as anyone else's.
+        Entry-point group: ``smarttouch.sources``, ``smarttouch.forces`` or
+        ``smarttouch.boards``.
     url : str
         ``name:rest``, for example ``page:letter.png`` or ``link:/dev/ttyACM0``.
     error : type
-        What to raise if no such name is known.
-
-    Warns
-    -----
-    DeprecationWarning
-        If the package that offers the name has it in a group of a former name.
+        What to raise if no such name is known, or what has it cannot be used.
+    base : type
+        Class of what it opens.
+    arguments : tuple of str
+        Names of what the opener is given by position.
     """
     name, colon, rest = url.partition(":")
-    known = known_openers(group)
-    if not colon or name not in known:
-        raise unknown(group.rpartition(".")[2].removesuffix("s"), url, sorted(known), error)
-    point = known[name]
-    if point.group != group:
-        package = point.dist.name if point.dist is not None else point.module
-        warnings.warn(
-            f"{package} offers {name}: in the entry-point group {point.group}, which is now "
-            f"{group}: rename it in the pyproject.toml of {package}",
-            DeprecationWarning,
-            stacklevel=3,
+    kind = _kind(group)
+    if colon and name in _OWN[group]:
+        return EntryPoint(name, _OWN[group][name], group).load(), rest
+    points = [point for point in _plug_ins(group) if point.name == name] if colon else []
+    if not points:
+        raise unknown(kind, url, known_names(group), error)
+    packages = sorted({package_of(point) for point in points})
+    if len(packages) > 1:
+        raise error(
+            f"the packages {' and '.join(packages)} both have a {kind} {name}: remove one of them",
+            about=kind,
+            problem="ambiguous",
+            value=name,
+            allowed=tuple(packages),
         )
-    opener: Callable[..., Any] = point.load()
-    return opener, rest
+    return _load(points[0], error, base, arguments), rest
+
+
+def unknown(
+    kind: str, url: str, known: Sequence[str], error: type[SmartTouchError]
+) -> SmartTouchError:
+    """Return the error of a URL that begins with none of the names that are known."""
+    names = ", ".join(f"{each}:" for each in known)
+    return error(
+        f"unknown {kind} {url!r}: it must begin with one of {names}",
+        about=kind,
+        problem="unknown",
+        value=url,
+        allowed=tuple(known),
+    )
+
+
+def given_options(
+    opener: Callable[..., Any],
+    url: str,
+    options: dict[str, Any],
+    error: type[SmartTouchError],
+) -> dict[str, Any]:
+    """Return the options that were given, which those that are None were not.
+
+    Raises
+    ------
+    SmartTouchError
+        Of the type given, if the opener does not take one of them by its name.
+    """
+    given = {name: value for name, value in options.items() if value is not None}
+    parameters = inspect.signature(opener).parameters.values()
+    taken = tuple(each.name for each in parameters if each.default is not each.empty)
+    for name in given:
+        if name not in taken:
+            takes = ", ".join(taken) or "none"
+            raise error(
+                f"{url.partition(':')[0]}: does not take {name}: leave it out (it takes {takes})",
+                about=name,
+                problem="unknown",
+                value=given[name],
+                allowed=taken,
+            )
+    return given
+
+
+def package_of(point: EntryPoint) -> str:
+    """Return the name of the package that an entry point is of."""
+    return point.dist.name if point.dist is not None else point.module
+
+
+def fault_of(kind: type, base: type) -> Fault | None:
+    """Return the first way in which a class breaks the contract of ``base``; None if in none.
+
+    It must have every abstract method, replace no method that is final, and take in each
+    what the one of ``base`` takes.
+    """
+    if not issubclass(kind, base):
+        return Fault(kind.__name__, "not a subclass", f"{kind.__name__} is no {base.__name__}")
+    replaced = replaced_finals(kind, base)
+    if replaced:
+        which = f"{base.__name__}.{replaced[0]}"
+        return Fault(replaced[0], "replaced", f"{kind.__name__} replaces {which}, which is final")
+    missing = sorted(getattr(kind, "__abstractmethods__", ()))
+    if missing:
+        return Fault(missing[0], "missing", f"{kind.__name__} has no method {missing[0]}")
+    for name in sorted(dir(base)):
+        wanted, own = inspect.getattr_static(base, name), inspect.getattr_static(kind, name)
+        if not inspect.isfunction(wanted) or own is wanted or name.startswith("__"):
+            continue
+        called = _positions(wanted)
+        if not inspect.isfunction(own) or not _can_take(own, called):
+            how = f"{kind.__name__}.{name} cannot be called as {name}({', '.join(called[1:])})"
+            return Fault(name, "signature", how)
+    return None
+
+
+def final_names(base: type) -> list[str]:
+    """Return the names of the final methods and properties of a class."""
+    return [name for name in dir(base) if _is_final(inspect.getattr_static(base, name))]
+
+
+def replaced_finals(kind: type, base: type) -> list[str]:
+    """Return the names of the final methods of ``base`` that a class has replaced."""
+    static = inspect.getattr_static
+    return [name for name in final_names(base) if static(kind, name) is not static(base, name)]
+
+
+def _is_final(member: object) -> bool:
+    inner = member.fget if isinstance(member, property) else member
+    return getattr(inner, "__final__", False) is True
+
+
+def _positions(function: Callable[..., Any]) -> tuple[str, ...]:
+    parameters = inspect.signature(function).parameters.values()
+    return tuple(each.name for each in parameters if each.kind in _BY_POSITION)
+
+
+def _can_take(function: Callable[..., Any], arguments: Iterable[str]) -> bool:
+    try:
+        inspect.signature(function).bind(*arguments)
+    except (TypeError, ValueError):
+        return False
+    return True
+
+
+def _kind(group: str) -> str:
+    return group.rpartition(".")[2].removesuffix("s")
+
+
+def _plug_ins(group: str) -> list[EntryPoint]:
+    """Return the entry points of other packages; those of the group's former name come last."""
+    found = [*entry_points(group=group)]
+    if group in _FORMER:
+        found += entry_points(group=_FORMER[group])
+    return [point for point in found if point.name not in _OWN[group]]
+
+
+def _load(
+    point: EntryPoint, error: type[SmartTouchError], base: type, arguments: tuple[str, ...]
+) -> Callable[..., Any]:
+    """Return the opener of an entry point, if it and its class keep the contract."""
+    group = next((new for new, old in _FORMER.items() if old == point.group), point.group)
+    package = package_of(point)
+    if group != point.group:
+        warnings.warn(
+            f"{package} names {point.name} in the entry-point group {point.group}, which is now "
+            f"called {group}: rename it in its pyproject.toml",
+            DeprecationWarning,
+            stacklevel=4,
+        )
+
+    def refusal(fault: Fault) -> SmartTouchError:
+        return error(
+            f"{point.name}: of the package {package} cannot be used: {fault.sentence}",
+            about=fault.about,
+            problem=fault.problem,
+            value=package,
+        )
+
+    try:
+        opener = point.load()
+    except Exception as broken:
+        why = f"{point.value} cannot be loaded ({type(broken).__name__}: {broken})"
+        raise refusal(Fault(point.value, "cannot be loaded", why)) from broken
+    if not callable(opener) or not _can_take(opener, arguments):
+        how = f"{point.attr} cannot be called as {point.attr}({', '.join(arguments)})"
+        raise refusal(Fault(point.attr, "signature", how))
+    if isinstance(opener, type):
+        fault = fault_of(opener, base)
+        if fault is not None:
+            raise refusal(fault)
+        return opener
+
+    @functools.wraps(opener)
+    def checked(*given: Any, **options: Any) -> Any:
+        made = opener(*given, **options)
+        fault = fault_of(type(made), base)
+        if fault is not None:
+            raise refusal(fault)
+        return made
+
+    return checked
 
 
 def unknown(

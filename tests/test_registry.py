@@ -1,54 +1,268 @@
-"""Openers are found by name; those in a group of a former name still are, and are named."""
+"""Sources and boards of other packages: found, and refused at once where they are broken."""
 
-from importlib.metadata import EntryPoint
-from types import SimpleNamespace
+import warnings
+from dataclasses import replace
+from importlib.metadata import entry_points
 
 import pytest
 
-from smarttouch import registry
-from smarttouch.errors import SensorError
-from smarttouch.registry import find_opener, known_openers
+from smarttouch.boards.board import Board, make_board, may_touch_a_finger, usual_profile
+from smarttouch.boards.memory import MemoryBoard
+from smarttouch.errors import BoardError, SensorError, SmartTouchError
+from smarttouch.profile import DEFAULT_PROFILE
+from smarttouch.registry import fault_of, find_opener, known_names
+from smarttouch.running.display import open_display
+from smarttouch.sources import open_source
+from smarttouch.sources.forces.force import open_force
+from smarttouch.stimulation.safety import SafetyLimits
 
+from .installed import install
 from .raising import raises
 
-NEW, FORMER = "smarttouch.sources", "smarttouch.sensors"
+BOARD = """
+from smarttouch.boards.board import Board, BoardReport, Capabilities
 
+class Mine(Board):
+    def __init__(self, rest, limits, output=None):
+        super().__init__(limits, output)
+        self.capabilities = Capabilities(
+            limits.electrodes, "weighted", limits.current_ma, 100, 0.0, "mine"
+        )
 
-class Owned(EntryPoint):
-    """An entry point of a package."""
+    def drain(self, timeout_s=1.0): ...
+    def report(self):
+        return BoardReport(0, 0, 0, 0, 0.0, 0.0, 0.0)
+    def _open(self): ...
+    def _send(self, sequence, times):
+        return 1
+    def _stop(self): ...
+    def _close(self): ...
+"""
+SOURCE = """
+from smarttouch.sources.source import OpticalSource
 
-    dist = SimpleNamespace(name="their-package")
+class Mine(OpticalSource):
+    def __init__(self, rest, profile):
+        super().__init__("mine")
+
+    def read(self, time_ns):
+        return None
+
+def open_mine(rest, profile, *, shade=0):
+    return Mine(rest, profile)
+
+def open_nothing(rest, profile):
+    return object()
+"""
 
 
 @pytest.fixture
-def offered(monkeypatch):
-    """Have these be all entry points, each a name, a function and a group."""
-
-    def offer(*points):
-        points = [Owned(*each) for each in points]
-        monkeypatch.setattr(
-            registry, "entry_points", lambda group: [each for each in points if each.group == group]
-        )
-
-    return offer
+def limits(profile):
+    return SafetyLimits.of(profile)
 
 
-def test_the_package_s_own_sources_are_in_the_group():
-    assert {"camera", "page", "recording", "text"} <= known_openers(NEW).keys()
-    opener, rest = find_opener(NEW, "page:a:b.png", SensorError)
-    assert (opener.__name__, rest) == ("open_page", "a:b.png")
+@pytest.fixture
+def installed(tmp_path, monkeypatch, request):
+    """Return an installer of one module under an entry-point group; its name is `mine`."""
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def put(text, group="smarttouch.boards", target="Mine", package="their-board", name="mine"):
+        # Modules stay imported: each test has its own.
+        module = f"{package}_{abs(hash(request.node.name))}".replace("-", "_")
+        install(tmp_path, package, {group: {name: f"{module}:{target}"}}, {module: text})
+
+    return put
 
 
-def test_a_name_in_the_former_group_is_found_and_its_package_named(offered):
-    offered(("theirs", "math:floor", FORMER), ("mine", "math:floor", NEW))
-    with pytest.warns(DeprecationWarning, match="their-package"):
-        opener, rest = find_opener(NEW, "theirs:x", SensorError)
-    assert (opener(1.5), rest) == (1, "x")
-    assert find_opener(NEW, "mine:y", SensorError)[1] == "y"
-    with raises(SensorError, about="source", value="none:", allowed=("mine", "theirs")):
-        find_opener(NEW, "none:", SensorError)
+def test_a_board_of_others(installed, limits):
+    installed(BOARD)
+    board = make_board("mine:anything", limits)
+    with board:
+        assert board.capabilities.firmware == "mine"
+    assert may_touch_a_finger("mine:")
+    assert usual_profile("mine:") == DEFAULT_PROFILE
+    assert "mine" in known_names("smarttouch.boards")
 
 
-def test_the_new_group_goes_first(offered):
-    offered(("page", "math:floor", NEW), ("page", "math:ceil", FORMER))
-    assert find_opener(NEW, "page:x", SensorError)[0](1.5) == 1
+def test_a_source_of_others(installed, profile):
+    installed(SOURCE, "smarttouch.sources", "open_mine")
+    with open_source("mine:", profile, shade=3) as source:
+        assert source.read(0) is None
+    with raises(SensorError, about="color", problem="unknown", allowed=("shade",)):
+        open_source("mine:", profile, color=1)
+
+
+def test_a_source_under_the_former_name_of_the_group(installed, profile):
+    installed(SOURCE, "smarttouch.sensors", package="older")
+    with pytest.warns(DeprecationWarning, match="older"):
+        open_source("mine:", profile)
+
+
+def test_one_that_is_under_both_names_warns_of_nothing(installed, profile, tmp_path):
+    installed(SOURCE, "smarttouch.sensors")
+    points = tmp_path / "their_board-1.0.dist-info" / "entry_points.txt"
+    text = points.read_text("utf-8")
+    points.write_text(text + text.replace("sensors", "sources"), encoding="utf-8")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        open_source("mine:", profile)
+
+
+def test_no_other_package_takes_a_name_of_ours(installed, limits):
+    installed(BOARD, name="memory")
+    assert entry_points(group="smarttouch.boards", name="memory")
+    assert type(make_board("memory:", limits)) is MemoryBoard
+    assert known_names("smarttouch.boards").count("memory") == 1
+
+
+def test_two_packages_with_one_name(installed, limits):
+    installed(BOARD)
+    installed(BOARD, package="another")
+    both = {"problem": "ambiguous", "value": "mine", "allowed": ("another", "their-board")}
+    with raises(BoardError, about="board", **both):
+        make_board("mine:", limits)
+
+
+def without(line, text=BOARD):
+    assert line in text
+    return text.replace(line, "")
+
+
+FINAL = "\n    def {}(self, *given, **named): ...\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "about", "problem"),
+    [
+        (without("    def _stop(self): ...\n"), "_stop", "missing"),
+        (BOARD.replace("sequence, times", "sequence"), "_send", "signature"),
+        (BOARD.replace("drain(self, timeout_s=1.0)", "drain(self)"), "drain", "signature"),
+        (BOARD + "    _recover = 5\n", "_recover", "signature"),
+        ("import nothing_of_that_name\n" + BOARD, "", "cannot be loaded"),
+        ("Mine = 1\n", "Mine", "signature"),
+        ("class Mine:\n    def __init__(self, *given): ...\n", "Mine", "not a subclass"),
+        (BOARD.replace("rest, limits, output=None", "rest"), "Mine", "signature"),
+        ("Theirs = 1\n", "", "cannot be loaded"),
+        # Refused where it is defined, by Board itself.
+        *((BOARD + FINAL.format(name), "", "cannot be loaded") for name in (
+            "send", "open", "close", "stop", "halt", "measure", "_refuse_late", "__exit__",
+        )),
+        (BOARD + "    clock = dose = None\n", "", "cannot be loaded"),
+    ],
+)  # fmt: skip
+def test_a_broken_board_is_refused_by_its_package(installed, limits, text, about, problem):
+    installed(text)
+    with raises(BoardError, problem=problem, value="their-board") as caught:
+        make_board("mine:", limits)
+    assert about in caught.value.about
+    assert "their-board" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "target", "about", "problem"),
+    [
+        (SOURCE.replace("read(self", "reads(self"), "Mine", "read", "missing"),
+        (SOURCE.replace("read(self, time_ns)", "read(self)"), "Mine", "read", "signature"),
+        (SOURCE.replace("read(self, time_ns)", "read(self)"), "open_mine", "read", "signature"),
+        (SOURCE.replace("rest, profile, *,", "rest, *,"), "open_mine", "open_mine", "signature"),
+        (SOURCE, "open_nothing", "object", "not a subclass"),
+        (SOURCE, "open_other", "", "cannot be loaded"),
+    ],
+)  # fmt: skip
+def test_a_broken_source_is_refused_by_its_package(
+    installed, profile, text, target, about, problem
+):
+    installed(text, "smarttouch.sources", target, "their-source")
+    with raises(SensorError, problem=problem, value="their-source") as caught:
+        open_source("mine:", profile)
+    assert about in caught.value.about
+
+
+def test_a_broken_force_is_refused_by_its_package(installed, profile):
+    installed(SOURCE, "smarttouch.forces", "open_mine", "their-force")
+    with raises(SensorError, about="Mine", problem="not a subclass", value="their-force"):
+        open_force("mine:", profile)
+
+
+@pytest.mark.parametrize(
+    ("more", "about"),
+    [
+        ("        from dataclasses import replace; limits = replace(limits, current_ma=5.0)", ""),
+        ("        self._gate = type('Open', (), {'prove': lambda *_: None})()", "gate"),
+        ("        self._gate.prove = lambda sequence, times: sequence", "gate"),
+        ("        self.send = print", "send"),
+        ("        self._clock = type('Clock', (), {'now_ns': lambda _: 0})()", "clock"),
+        ("    def _time(self): ...", "clock"),
+    ],
+)  # fmt: skip
+def test_a_board_that_goes_around_its_gate_is_refused(installed, limits, more, about):
+    head, tail = BOARD.split("        super().__init__(limits, output)\n")
+    base = "        super().__init__(limits, output)\n"
+    if about:
+        rest, methods = tail.split("\n    def drain")
+        text = head + base + rest + "\n" + more + "\n\n    def drain" + methods
+    else:
+        text = head + more + "\n" + base + tail
+    installed(text)
+    with raises(BoardError, about=about or "limits", problem="replaced", value="Mine"):
+        make_board("mine:", limits)
+
+
+def test_where_no_finger_can_be_time_is_what_sequences_claim(installed, limits):
+    installed(BOARD + "    on_a_finger = False\n    def _time(self): ...\n")
+    assert make_board("mine:", limits)
+    assert not may_touch_a_finger("mine:")
+
+
+def test_a_board_that_does_not_say_what_it_can_do(installed, limits):
+    start, end = BOARD.index("        self.capabilities"), BOARD.index("    def drain")
+    installed(BOARD[:start] + BOARD[end:])
+    board = make_board("mine:", limits)
+    with raises(BoardError, about="capabilities", problem="missing", value="Mine"):
+        board.open()
+    with raises(BoardError, about="board", problem="closed"):
+        board.send(None)
+
+
+@pytest.mark.parametrize("name", ["send", "stop", "halt", "close", "open", "dose", "clock"])
+def test_no_board_is_defined_without_its_safety(name):
+    with raises(BoardError, about=name, problem="replaced", value="Theirs"):
+        type("Theirs", (MemoryBoard,), {name: lambda self: None})
+
+
+def test_ours_keep_the_contract():
+    def all_of(kind):
+        return {kind}.union(*(all_of(each) for each in kind.__subclasses__()))
+
+    from smarttouch.boards import etactilekit, hybrid, kajimoto61, link, vibrators  # noqa: F401
+
+    ours = [each for each in all_of(Board) if each.__module__.startswith("smarttouch.")]
+    assert len(ours) > 5
+    faults = [fault_of(each, Board) for each in ours]
+    # Those in between have something left to be done.
+    assert {fault.problem for fault in faults if fault} <= {"missing"}
+
+
+@pytest.mark.parametrize(
+    ("group", "base"),
+    [
+        ("smarttouch.sources", object),
+        ("smarttouch.forces", object),
+        ("smarttouch.boards", Board),
+    ],
+)
+def test_ours_are_where_they_are_said_to_be(group, base):
+    for name in known_names(group):
+        opener, rest = find_opener(group, f"{name}:rest", SmartTouchError, base, ())
+        assert callable(opener)
+        assert rest == "rest"
+
+
+def test_a_display_of_a_class_has_the_gate_too(profile):
+    class Wide(MemoryBoard):
+        def __init__(self, rest, limits, output=None):
+            super().__init__(rest, replace(limits, rate_hz=200.0), output)
+
+    with raises(BoardError, about="limits", problem="replaced", value="Wide"):
+        open_display(Wide, profile)
+    assert open_display(MemoryBoard, profile).board.capabilities is not None

@@ -4,7 +4,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from types import TracebackType
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from smarttouch.boards.capabilities import BOTH, BoardReport, Capabilities, Polarity
 from smarttouch.boards.impedance import Impedance
 from smarttouch.boards.timely import Timely
+from smarttouch.clock import MonotonicClock
 from smarttouch.errors import BoardError, BoardRestartedError, LineLostError, SequenceLateError
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.profile.device import Output
-from smarttouch.registry import find_opener
+from smarttouch.registry import final_names, find_opener, replaced_finals
 from smarttouch.stimulation.exposure import Dose
 from smarttouch.stimulation.safety import Now, SafetyGate, SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
@@ -42,7 +43,8 @@ class Board(Timely, ABC):
 
     A driver implements the underscored methods. `send` cannot be reached
     around: it proves every sequence safe, on the board's own clock, and the
-    driver sees nothing but the frozen copy that was proved.
+    driver sees nothing but the frozen copy that was proved. A class that replaces
+    a final method is refused where it is defined.
 
     Parameters
     ----------
@@ -73,6 +75,18 @@ class Board(Timely, ABC):
     lifted: bool = False
     """Whether by the voltages of the last scan nothing touches the electrodes."""
 
+    def __init_subclass__(cls, **more: Any) -> None:
+        super().__init_subclass__(**more)
+        replaced = replaced_finals(cls, Board)
+        if replaced:
+            raise BoardError(
+                f"{cls.__name__} replaces {replaced[0]}, which keeps every board safe: implement "
+                "the underscored methods of Board instead",
+                about=replaced[0],
+                problem="replaced",
+                value=cls.__name__,
+            )
+
     def __init__(self, limits: SafetyLimits, output: Output | None = None) -> None:
         if output is not None and output.wiring is not None and not self.takes_wiring:
             raise BoardError(
@@ -88,6 +102,7 @@ class Board(Timely, ABC):
         self._gate = SafetyGate(limits, self._time())
         self._opened = False
 
+    @final
     def open(self) -> None:
         """Connect, shake hands, and put all electrodes at zero."""
         if self._opened:
@@ -99,10 +114,20 @@ class Board(Timely, ABC):
         self._begin_unless_halted()
         self._open()
         self._opened = True
+        if not isinstance(getattr(self, "capabilities", None), Capabilities):
+            self.close()
+            raise BoardError(
+                f"{type(self).__name__} does not say what the board can do: set capabilities, at "
+                "the latest in _open",
+                about="capabilities",
+                problem="missing",
+                value=type(self).__name__,
+            )
         if self._stopped.is_set():
             self.close()
             self._go_on_unless_stopped()
 
+    @final
     def send(self, sequence: ScanSequence, times: int = 1, due_ns: int | None = None) -> int:
         """Prove a sequence safe, then send it.
 
@@ -194,6 +219,7 @@ class Board(Timely, ABC):
             raise
 
     @property
+    @final
     def dose(self) -> Dose:
         """Current that the skin has had since the board was opened."""
         return self._gate.dose
@@ -222,6 +248,7 @@ class Board(Timely, ABC):
         """
         return []
 
+    @final
     def measure(self) -> Impedance:
         """Measure the impedance of every electrode, with small currents.
 
@@ -240,6 +267,7 @@ class Board(Timely, ABC):
             # What comes next begins at zero, and its time may start anew.
             self._gate.restart()
 
+    @final
     def _require_open(self, what: str) -> None:
         if not self._opened:
             raise BoardError(
@@ -259,16 +287,20 @@ class Board(Timely, ABC):
                 "FTDI, set the port's latency timer to 1 ms"
             )
 
+    @final
     def stop(self) -> None:
         """Put all electrodes at zero now, from any thread; nothing can be sent after."""
         self._stopped.set()
         self._stop()
 
+    @final
     def halt(self) -> None:
         """Stop for good, from any thread: also while it is being opened, which then fails."""
         self._halted = True
-        self.stop()
+        self._stopped.set()
+        self._halt()
 
+    @final
     def close(self) -> None:
         """Put all electrodes at zero and let go of the board."""
         if self._opened:
@@ -308,10 +340,16 @@ class Board(Timely, ABC):
     @abstractmethod
     def _close(self) -> None: ...
 
+    def _halt(self) -> None:
+        """Put all electrodes at zero, for good."""
+        self._stop()
+
+    @final
     def __enter__(self) -> Self:
         self.open()
         return self
 
+    @final
     def __exit__(
         self,
         kind: type[BaseException] | None,
@@ -334,20 +372,57 @@ def make_board(
     Raises
     ------
     BoardError
-        If no driver has that name.
+        If no driver has that name, or that of another package does not keep the contract.
     """
-    opener, rest = find_opener("smarttouch.boards", url, BoardError)
+    opener, rest = _find(url)
     board: Board = opener(rest, limits, output, **options)
+    require_gate(board, limits)
     return board
+
+
+def require_gate(board: Board, limits: SafetyLimits) -> None:
+    """Raise unless a board has the gate of these limits, on the machine's clock.
+
+    Raises
+    ------
+    BoardError
+        If its driver has other limits, another gate, or something in place of a method that
+        is final; or if there may be a finger on it and it has another clock.
+    """
+    kind = type(board)
+    gate = getattr(board, "_gate", None)
+    about = ""
+    if type(gate) is not SafetyGate or "prove" in vars(gate):
+        about, remedy = "gate", "leave _gate as it is"
+    elif gate.limits is not limits:
+        about, remedy = "limits", "hand those that it is given to super().__init__"
+    elif put := [name for name in final_names(Board) if name in vars(board)]:
+        about, remedy = put[0], "implement the underscored methods of Board instead"
+    elif (
+        # Only where no finger can be is time what sequences claim.
+        board.on_a_finger
+        and kind.__module__.partition(".")[0] != "smarttouch"
+        and (kind._time is not Board._time or type(board.clock) is not MonotonicClock)
+    ):
+        about, remedy = "clock", "leave _time and _clock as they are"
+    if about:
+        raise BoardError(
+            f"{kind.__name__} goes around the safety gate by its {about}: {remedy}",
+            about=about,
+            problem="replaced",
+            value=kind.__name__,
+        )
 
 
 def may_touch_a_finger(url: str) -> bool:
     """Return whether there may be a finger on the board of a URL."""
-    opener, _ = find_opener("smarttouch.boards", url, BoardError)
-    return bool(getattr(opener, "on_a_finger", True))
+    return bool(getattr(_find(url)[0], "on_a_finger", True))
 
 
 def usual_profile(url: str) -> str:
     """Return the name of the shipped profile that goes with a board's URL."""
-    opener, _ = find_opener("smarttouch.boards", url, BoardError)
-    return str(getattr(opener, "usual_profile", DEFAULT_PROFILE))
+    return str(getattr(_find(url)[0], "usual_profile", DEFAULT_PROFILE))
+
+
+def _find(url: str) -> tuple[Callable[..., Any], str]:
+    return find_opener("smarttouch.boards", url, BoardError, Board, ("rest", "limits", "output"))

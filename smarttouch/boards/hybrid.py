@@ -110,9 +110,7 @@ class HybridBoard(Board):
     def report(self) -> BoardReport:
         return self.electric.report()
 
-    def halt(self) -> None:
-        self._halted = True
-        self._stopped.set()
+    def _halt(self) -> None:
         try:
             self.electric.halt()
         finally:

@@ -1,7 +1,7 @@
 """A board in time: stopped from any thread at any instant, and never sent what is too late."""
 
 import threading
-from typing import ClassVar
+from typing import ClassVar, final
 
 from smarttouch.clock import LATE_NS, Clock, MonotonicClock
 from smarttouch.errors import BoardStoppedError, SequenceLateError
@@ -26,10 +26,12 @@ class Timely:
         self._halted = False
 
     @property
+    @final
     def clock(self) -> Clock:
         """Clock by which sequences are planned."""
         return self._clock
 
+    @final
     def _begin_unless_halted(self) -> None:
         self._stopped.clear()
         # In this order: a halt from another thread is seen here, or comes after the clearing.
@@ -37,6 +39,7 @@ class Timely:
             self._stopped.set()
         self._go_on_unless_stopped()
 
+    @final
     def _go_on_unless_stopped(self) -> None:
         if self._stopped.is_set():
             raise BoardStoppedError(
@@ -50,15 +53,18 @@ class Timely:
         self._stopped.wait(seconds)
         self._go_on_unless_stopped()
 
+    @final
     def _is_late(self, due_ns: int) -> bool:
         return not self.waits_for_nothing and self.clock.now_ns() - due_ns > LATE_NS
 
+    @final
     def _refuse_late(self, due_ns: int) -> None:
         """Drop a sequence that was to start too long ago."""
         if self._is_late(due_ns):
             self.dropped_late += 1
             raise self._late()
 
+    @final
     def _late(self) -> SequenceLateError:
         return SequenceLateError(
             f"this computer stood still for more than {LATE_NS // 1_000_000} ms: what was due then "

@@ -13,11 +13,10 @@ def boards(
     ] = True,
 ) -> None:
     """List serial ports and boards. Nothing is opened, no unknown device gets a byte."""
-    from importlib.metadata import entry_points
-
     from rich.table import Table
 
     from smarttouch.boards.discovery import network_boards, serial_ports
+    from smarttouch.registry import known_names
 
     console = terminal.console()
     table = Table("port", "what the system says of it", box=None)
@@ -29,7 +28,7 @@ def boards(
         console.print(table)
     else:
         console.print("No serial port, and no board answers on the network.")
-    names = ", ".join(sorted(f"{each.name}:" for each in entry_points(group="smarttouch.boards")))
+    names = ", ".join(f"{each}:" for each in known_names("smarttouch.boards"))
     console.print(
         f"\nDrivers: {names}. You choose which one fits what is plugged in, for example "
         "--board kajimoto61:/dev/ttyUSB0.\nWithout hardware: smarttouch board emulate kajimoto61",

@@ -4,6 +4,11 @@ from collections.abc import Callable
 
 import pytest
 
+# So that the asserts of the contracts say what they compared.
+pytest.register_assert_rewrite(
+    *(f"smarttouch.testing.{each}" for each in ("boards", "forces", "sources"))
+)
+
 
 @pytest.fixture(scope="session")
 def replays() -> Callable[..., None]:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from smarttouch.boards.board import Board, make_board, usual_profile
+from smarttouch.boards.board import Board, make_board, require_gate, usual_profile
 from smarttouch.closing import Closing
 from smarttouch.errors import SmartTouchError
 from smarttouch.profile import Profile, load_profile
@@ -54,6 +54,7 @@ class Display(Closing):
             board = make_board(url, limits, profile.output, **options)
         else:
             board = url("", limits, profile.output, **options)  # type: ignore[call-arg, arg-type]
+            require_gate(board, limits)
             url = f"{url.__module__}.{url.__qualname__}:"
         self.url, self.profile, self.vibrators_url = url, profile, vibrators_url
         self._stop = StopRequest()

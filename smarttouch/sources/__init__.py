@@ -37,7 +37,7 @@ def open_source(
     ...     source.read(0).image.shape
     (64, 64)
     """
-    opener, rest = find_opener("smarttouch.sources", url, SensorError)
+    opener, rest = find_opener("smarttouch.sources", url, SensorError, Source, ("rest", "profile"))
     given = given_options(opener, url, options, SensorError)
     if light_on_dark and "light_on_dark" in inspect.signature(opener).parameters:
         given["light_on_dark"] = True

@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import Any
 
 from smarttouch.errors import SensorError
-from smarttouch.registry import given_options, known_openers, unknown
+from smarttouch.registry import given_options, known_names, unknown
 from smarttouch.sources.device import Device
 
 _OPENERS = {
@@ -74,9 +74,9 @@ def open_motion(url: str, **options: Any) -> Motion:
         If there is no such kind, it does not take an option, or cannot be opened.
     """
     kind, colon, rest = url.partition(":")
-    sources = known_openers("smarttouch.sources")
-    if not colon or kind not in _OPENERS.keys() | sources.keys():
-        raise unknown("motion", url, (*_OPENERS, *sorted(sources)), SensorError)
+    sources = known_names("smarttouch.sources")
+    if not colon or kind not in {*_OPENERS, *sources}:
+        raise unknown("motion", url, (*_OPENERS, *sources), SensorError)
     opener = import_module(_OPENERS.get(kind, _ANY_SOURCE)).open_it
     given = given_options(opener, url, options, SensorError)
     motion: Motion = opener(rest if kind in _OPENERS else url, **given)

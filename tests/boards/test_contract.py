@@ -1,18 +1,15 @@
 """What every driver keeps, run over each way to reach a board."""
 
-import threading
-
 import numpy as np
 import pytest
 
 from smarttouch.boards.board import make_board
 from smarttouch.boards.emulator.books import read_slots, read_state
 from smarttouch.boards.emulator.rules import Rules
-from smarttouch.errors import BoardError, BoardStoppedError, SafetyError
+from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
 from smarttouch.realtime import prioritized
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.testing.boards import BoardContract
 from tests.boards.fresh import fresh_state, until
 
 from ..raising import raises
@@ -20,21 +17,19 @@ from ..raising import raises
 SECOND = 10**9
 
 
-class Contract:
-    """Drivers subclass this with a fixture `url` and what their boards can do."""
+class Contract(BoardContract):
+    """What every board keeps, by the books of what stands in for it.
 
-    electrodes = 8
+    Drivers subclass this with a fixture `url` and what their boards can do.
+    """
+
     kinds = ("weighted", "three-state", "one-against-all")
-    cathodic = True
-    width_us, discharge_us, period_us = 100, 50, 10_000
+    # Time is what sequences claim: they need not begin softly.
+    intensity, level_ua = 1.0, 720
     step_ua = 1.0
     """Of its currents."""
     loops = False
     """Whether it scans on its own clock until it is told otherwise."""
-
-    @pytest.fixture
-    def limits(self):
-        return SafetyLimits(self.electrodes, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 
     @pytest.fixture
     def make_board(self, url, limits):
@@ -49,28 +44,14 @@ class Contract:
         return make
 
     @pytest.fixture(autouse=True)
-    def _in_time(self, monkeypatch):
-        """Let nothing be late, however busy the machine is, and the keeper hear of the host."""
-        monkeypatch.setattr("smarttouch.boards.timely.LATE_NS", 60 * SECOND)
-        with prioritized():
-            yield
+    def _given(self, tmp_path, make_board):
+        self.folder, self.make = tmp_path, lambda limits: make_board()
 
     @pytest.fixture(autouse=True)
-    def _folder(self, tmp_path):
-        self.folder = tmp_path
-
-    def sequence(self, step, level_ua=720, electrodes=None, sites=range(4)):
-        """One electrode against all others in each slot; the first of a run is silent."""
-        count = electrodes or self.electrodes
-        site = np.array(list(sites) if step else [], np.uint16)
-        current = np.full((len(site), count), -(level_ua // (count - 1)), np.int16)
-        current[np.arange(len(site)), site] = 0
-        current[np.arange(len(site)), site] = -current.sum(axis=1)
-        column = np.ones(len(site), np.uint16)
-        return ScanSequence(
-            current if self.cathodic else -current, column * self.width_us,
-            column * self.discharge_us, site, self.period_us, float(step > 0), step * SECOND,
-        )  # fmt: skip
+    def _in_time(self):
+        """Let the keeper hear of the host, however busy the machine is."""
+        with prioritized():
+            yield
 
     def state(self):
         process = getattr(self.board, "_process", None)
@@ -85,15 +66,9 @@ class Contract:
         assert before["state"] == "shorted"
         assert self.state()["slots"] == before["slots"]
 
-    # -- what is kept ------------------------------------------------------
-
-    def test_it_tells_what_it_can_do(self, make_board):
+    def test_it_is_the_output_that_was_asked_for(self, make_board):
         with make_board() as board:
-            can = board.capabilities
-            assert (can.electrodes, can.output) == (self.electrodes, self.kinds[0])
-            assert can.time_to_zero_ms is None or can.time_to_zero_ms <= 600
-            assert all(name and value for name, value in can.describe())
-            assert board.report().slots == 0
+            assert board.capabilities.output == self.kinds[0]
 
     def test_what_is_sent_is_delivered(self, make_board):
         for kind in self.kinds:
@@ -144,79 +119,6 @@ class Contract:
             board.send(self.sequence(2, sites=[5]))
             until(lambda: read_slots(self.folder)["site"][-1] == 5)
         assert self.state()["slots"] < 2000
-
-    def test_a_stop_from_another_thread_ends_it(self, make_board):
-        with make_board() as board:
-            board.send(self.sequence(0))
-            board.drain()
-            board.send(self.sequence(1), times=1000)
-            thread = threading.Thread(target=board.stop)
-            thread.start()
-            thread.join(5)
-            assert not thread.is_alive()
-            with raises(BoardStoppedError, about="board", problem="stopped"):
-                board.send(self.sequence(2))
-            self.assert_silent()
-
-    def test_closing_puts_it_at_zero(self, make_board):
-        with make_board() as board:
-            board.send(self.sequence(0))
-            board.drain()
-            board.send(self.sequence(1), times=1000)
-        self.assert_silent()
-        with raises(BoardError, about="board", problem="closed"):
-            board.send(self.sequence(2))
-
-    def test_an_exception_puts_it_at_zero(self, make_board):
-        broken = RuntimeError("something broke")
-
-        def run():
-            with make_board() as board:
-                board.send(self.sequence(0))
-                board.drain()
-                board.send(self.sequence(1), times=1000)
-                raise broken
-
-        with pytest.raises(RuntimeError) as error:
-            run()
-        assert error.value is broken
-        self.assert_silent()
-
-    def test_another_number_of_electrodes_is_refused(self, make_board):
-        more = self.electrodes + 1
-        refused = {"about": "electrodes", "value": more, "allowed": self.electrodes}
-        with make_board() as board, raises(BoardError, **refused):
-            board.send(self.sequence(0, electrodes=more))
-
-    def test_an_unsafe_sequence_never_leaves(self, make_board, monkeypatch):
-        with make_board() as board:
-            board.send(self.sequence(0))
-            board.drain()
-            written = []
-            with monkeypatch.context() as patch:
-                patch.setattr(board, "_send", lambda *given: written.append(given))
-                with pytest.raises(SafetyError):
-                    board.send(self.sequence(1, level_ua=3100))
-            assert written == []
-
-    def test_impossible_repetitions_are_named(self, make_board):
-        with make_board() as board:
-            for times in (0, -1, 65_536):
-                with raises(BoardError, about="times", value=times):
-                    board.send(self.sequence(0), times)
-
-    def test_it_can_be_opened_again_and_begins_at_zero(self, make_board):
-        board = make_board()
-        board.close()
-        for _ in range(2):
-            with board:
-                with raises(SafetyError, limit="ramp_s", value=1, allowed=0):
-                    board.send(self.sequence(1))
-                board.send(self.sequence(0))
-                board.drain()
-                board.send(self.sequence(1))
-                board.drain()
-        board.close()
 
 
 class TestEmulator(Contract):

@@ -37,7 +37,9 @@ def open_force(url: str, profile: Profile) -> ForceSource:
     SensorError
         If there is no such kind or it cannot be opened.
     """
-    opener, rest = find_opener("smarttouch.forces", url, SensorError)
+    opener, rest = find_opener(
+        "smarttouch.forces", url, SensorError, ForceSource, ("rest", "profile")
+    )
     source: ForceSource = opener(rest, profile)
     return source
 

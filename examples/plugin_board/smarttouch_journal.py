@@ -1,0 +1,93 @@
+"""A board that writes each pulse into a text file: ``journal:run.txt``."""
+
+from pathlib import Path
+from typing import IO
+
+from smarttouch.boards.board import Board, BoardReport, Capabilities
+from smarttouch.boards.books import HostBooks
+from smarttouch.errors import BoardError
+from smarttouch.profile.device import Output
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
+
+
+class JournalBoard(Board):
+    """Writes a line for each slot, and ``zero`` where all electrodes would be shorted.
+
+    Parameters
+    ----------
+    rest : str
+        The file, written anew each time the board is opened.
+    limits : SafetyLimits
+        Of the finger's profile.
+    output : Output, optional
+        What the profile says of the board.
+    """
+
+    on_a_finger = False
+    """A file makes no current. A board that does leaves this out."""
+
+    def __init__(self, rest: str, limits: SafetyLimits, output: Output | None = None) -> None:
+        super().__init__(limits, output)
+        if not rest:
+            raise BoardError(
+                "journal: needs a file, for example journal:run.txt",
+                about="file",
+                problem="missing",
+            )
+        self._path = Path(rest)
+        self._file: IO[str] | None = None
+        self._number = 0
+        self.capabilities = Capabilities(
+            electrodes=limits.electrodes,
+            output="weighted",
+            max_current_ma=limits.current_ma,
+            max_slots=0xFFFF,
+            time_to_zero_ms=0.0,
+            firmware="journal 1.0",
+            clock="host",
+        )
+
+    def _open(self) -> None:
+        try:
+            self._file = self._path.open("w", encoding="utf-8")
+        except OSError as error:
+            raise BoardError(
+                f"cannot write {self._path} ({error.strerror}): give another file",
+                about="file",
+                problem="unwritable",
+                value=self._path,
+            ) from None
+        self._number = 0
+        self._books = HostBooks(self.capabilities.electrodes)
+        self._write("zero")
+
+    def _send(self, sequence: ScanSequence, times: int) -> int:
+        self._number += 1
+        self._write(f"scan {self._number}: {times} x {sequence.period_us} us")
+        for site, width_us, current_ua in zip(
+            sequence.site, sequence.width_us, sequence.current_ua, strict=True
+        ):
+            flows = ", ".join(f"{each:+d}" for each in current_ua)
+            self._write(f"  site {site}, {width_us} us: {flows} uA")
+        self._books.add(sequence, times)
+        self.acknowledged += 1
+        return self._number
+
+    def drain(self, timeout_s: float = 1.0) -> None:
+        """Nothing waits here: a line is written when it is sent."""
+
+    def report(self) -> BoardReport:
+        return self._books.report()
+
+    def _stop(self) -> None:
+        self._write("zero")
+
+    def _close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def _write(self, line: str) -> None:
+        if self._file is not None:
+            print(line, file=self._file, flush=True)

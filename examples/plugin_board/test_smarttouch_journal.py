@@ -1,0 +1,40 @@
+"""The journal keeps what every board keeps, and says what was sent."""
+
+from pathlib import Path
+
+import pytest
+from smarttouch_journal import JournalBoard
+
+from smarttouch.boards.board import Board
+from smarttouch.errors import BoardError
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.testing.boards import BoardContract
+
+
+class TestJournal(BoardContract):
+    @pytest.fixture(autouse=True)
+    def _file(self, tmp_path: Path) -> None:
+        self.path = tmp_path / "run.txt"
+
+    def make(self, limits: SafetyLimits) -> Board:
+        return JournalBoard(str(self.path), limits)
+
+    def assert_silent(self) -> None:
+        assert self.path.read_text("utf-8").splitlines()[-1] == "zero"
+
+    def test_each_slot_is_a_line(self, new_board) -> None:
+        with new_board() as board:
+            board.send(self.sequence(0))
+            board.send(self.sequence(1), times=3)
+        zero, first, second, *slots, end = self.path.read_text("utf-8").splitlines()
+        assert (zero, first, end) == ("zero", "scan 1: 1 x 10000 us", "zero")
+        assert second == "scan 2: 3 x 10000 us"
+        assert slots[0] == "  site 0, 100 us: +315, -45, -45, -45, -45, -45, -45, -45 uA"
+        assert len(slots) == 4
+
+
+@pytest.mark.parametrize("rest", ["", "no/such/folder/run.txt"])
+def test_files_that_cannot_be(rest: str) -> None:
+    with pytest.raises(BoardError) as error:
+        JournalBoard(rest, SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)).open()
+    assert error.value.about == "file"

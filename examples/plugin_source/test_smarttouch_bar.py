@@ -1,0 +1,33 @@
+"""The bar keeps what every source keeps, and passes."""
+
+import numpy as np
+import pytest
+from smarttouch_bar import open_bar
+
+from smarttouch.errors import SensorError
+from smarttouch.profile import Profile
+from smarttouch.sources.source import OpticalSource
+from smarttouch.testing.sources import SourceContract
+
+
+class TestBar(SourceContract):
+    longest_s = 10.0
+
+    def make(self, profile: Profile) -> OpticalSource:
+        return open_bar("", profile)
+
+    def make_impossible(self, profile: Profile) -> None:
+        open_bar("wide", profile)
+
+    def test_it_moves_to_the_right(self, profile: Profile) -> None:
+        with open_bar("2", profile, speed_mm_s=20.0) as source:
+            centers = [np.flatnonzero(source.read(t * 10**8).image[0] < 100).mean() for t in (1, 2)]
+        optics = profile.optics
+        moved_mm = (centers[1] - centers[0]) / optics.sensor_columns * optics.field_width_mm
+        assert moved_mm == pytest.approx(2.0, abs=0.1)
+
+    @pytest.mark.parametrize("speed_mm_s", [0.0, -1.0, 1001.0])
+    def test_speeds_that_cannot_be(self, profile: Profile, speed_mm_s: float) -> None:
+        with pytest.raises(SensorError) as error:
+            open_bar("1", profile, speed_mm_s=speed_mm_s)
+        assert error.value.about == "speed_mm_s"

@@ -1,0 +1,1 @@
+"""Contract tests that drivers of others can run, and the pytest plugin."""

@@ -1,0 +1,299 @@
+"""Contract tests of a display board: subclass `BoardContract` beside your driver."""
+
+import threading
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from smarttouch.boards.board import Board, require_gate
+from smarttouch.errors import BoardError, BoardStoppedError, SafetyError
+from smarttouch.registry import fault_of
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
+
+SECOND = 10**9
+UNSAFE = {
+    "strong": "current_ma",
+    "unbalanced": "balance",
+    "long": "pulse_us",
+    "often": "rate_hz",
+    "intense": "intensity",
+    "sudden": "ramp_s",
+    "earlier": "time_ns",
+}
+"""Limits that a sequence of `BoardContract.unsafe_sequence` breaks, by how."""
+
+
+class BoardContract:
+    """What every board keeps: subclass it as ``TestMine``, with `make`.
+
+    Attributes
+    ----------
+    electrodes : int
+        Of the board that is made.
+    cathodic : bool
+        Whether it can make cathodic currents; else all are anodic.
+    width_us, discharge_us, period_us : int, µs
+        Of the sequences that are sent.
+    intensity, level_ua : float, int
+        The same: as strong as may be without a ramp.
+    made : Board
+        The last that was made.
+    calls : list of (str, tuple)
+        Names of the driver's methods that were called, and what with.
+    """
+
+    electrodes = 8
+    cathodic = True
+    width_us, discharge_us, period_us = 100, 50, 10_000
+    intensity, level_ua = 0.15, 320
+    made: Board
+    calls: list[tuple[str, tuple[Any, ...]]]
+
+    def make(self, limits: SafetyLimits) -> Board:
+        """Return a new board, not opened yet; all that were made share one device."""
+        raise NotImplementedError("return your board, with these limits")
+
+    def assert_silent(self) -> None:
+        """Fail unless the device is at zero, and stays so.
+
+        Replace it: look at the device, or at what stands in for it. As it is, it only looks
+        whether the driver was asked to stop after the last that it was sent.
+        """
+        names = [name for name, _ in self.calls]
+        assert "_stop" in names
+        assert "_send" not in names[names.index("_stop") :]
+
+    @pytest.fixture(autouse=True)
+    def never_late(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Let nothing be dropped for being late, however busy the machine is."""
+        monkeypatch.setattr("smarttouch.boards.timely.LATE_NS", 60 * SECOND)
+
+    @pytest.fixture
+    def limits(self) -> SafetyLimits:
+        """Limits of the finger on the board."""
+        return SafetyLimits(self.electrodes, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
+
+    @pytest.fixture
+    def new_board(self, limits: SafetyLimits) -> Callable[[], Board]:
+        """Return a maker of boards, whose drivers' calls are kept."""
+
+        def make() -> Board:
+            self.made, self.calls = self.make(limits), []
+            for name in ("_open", "_send", "_stop", "_close"):
+                setattr(self.made, name, self._kept(name, getattr(self.made, name)))
+            return self.made
+
+        return make
+
+    def _kept(self, name: str, method: Callable[..., Any]) -> Callable[..., Any]:
+        def called(*given: Any) -> Any:
+            self.calls.append((name, given))
+            return method(*given)
+
+        return called
+
+    def sequence(
+        self,
+        step: int,
+        level_ua: int | None = None,
+        electrodes: int | None = None,
+        sites: Iterable[int] = range(4),
+    ) -> ScanSequence:
+        """Return one electrode against all others in each slot; step 0 is silent.
+
+        Parameters
+        ----------
+        step : int
+            Seconds since the start.
+        level_ua : int, µA
+            Of the one electrode; positive is cathodic, where the board can be.
+        electrodes : int
+        sites : iterable of int
+        """
+        level_ua = self.level_ua if level_ua is None else level_ua
+        count = electrodes or self.electrodes
+        site = np.array(list(sites) if step else [], np.uint16)
+        current = np.full((len(site), count), -(level_ua // (count - 1)), np.int16)
+        current[np.arange(len(site)), site] = 0
+        current[np.arange(len(site)), site] = -current.sum(axis=1)
+        column = np.ones(len(site), np.uint16)
+        return ScanSequence(
+            current if self.cathodic else -current,
+            column * self.width_us,
+            column * self.discharge_us,
+            site,
+            self.period_us,
+            self.intensity if step else 0.0,
+            step * SECOND,
+        )
+
+    def unsafe_sequence(self, how: str, limits: SafetyLimits) -> ScanSequence:
+        """Return a sequence for step 1 that breaks a limit in one of the ways of `UNSAFE`."""
+        sequence = self.sequence(1)
+        if how == "strong":
+            return self.sequence(1, level_ua=round(1000 * limits.current_ma) + 100)
+        if how == "unbalanced":
+            current_ua = sequence.current_ua.copy()
+            current_ua[-1, -1] += 1
+            return replace(sequence, current_ua=current_ua)
+        if how == "long":
+            return replace(
+                sequence, width_us=np.full_like(sequence.width_us, int(limits.pulse_us) + 1)
+            )
+        if how == "often":
+            return replace(sequence, period_us=round(1e6 / limits.rate_hz) - 1)
+        if how == "earlier":
+            return replace(sequence, time_ns=0)
+        return replace(sequence, intensity={"intense": 1.1, "sudden": 1.0}[how], time_ns=1)
+
+    def _start(self, board: Board) -> None:
+        """Send a silent sequence, then one that goes on for a while."""
+        board.send(self.sequence(0))
+        board.drain()
+        board.send(self.sequence(1), times=1000)
+
+    # -- what is kept ------------------------------------------------------
+
+    def test_its_driver_keeps_the_contract(
+        self, new_board: Callable[[], Board], limits: SafetyLimits
+    ) -> None:
+        board = new_board()
+        assert fault_of(type(board), Board) is None
+        require_gate(board, limits)
+
+    def test_it_tells_what_it_can_do(self, new_board: Callable[[], Board]) -> None:
+        with new_board() as board:
+            can = board.capabilities
+            assert can.electrodes == self.electrodes
+            assert can.time_to_zero_ms is None or 0 <= can.time_to_zero_ms <= 600
+            assert all(name and value for name, value in can.describe())
+            assert board.report().slots == 0
+
+    def test_what_is_sent_is_what_was_proved(self, new_board: Callable[[], Board]) -> None:
+        with new_board() as board:
+            for step in range(5):
+                board.send(self.sequence(step))
+                board.drain()
+            assert (board.acknowledged, board.refused, board.replaced) == (5, 0, 0)
+            assert board.report().violations == 0
+            assert board.dose.seconds > 0
+        given = [given for name, given in self.calls if name == "_send"]
+        assert len(given) == 5
+        for step, (sequence, times) in enumerate(given):
+            wanted = self.sequence(step)
+            assert (times, sequence.time_ns) == (1, wanted.time_ns)
+            assert type(sequence) is ScanSequence
+            np.testing.assert_array_equal(sequence.current_ua, wanted.current_ua)
+            np.testing.assert_array_equal(sequence.width_us, wanted.width_us)
+            assert not sequence.current_ua.flags.writeable
+
+    @pytest.mark.parametrize("how", UNSAFE)
+    def test_an_unsafe_sequence_never_leaves(
+        self, new_board: Callable[[], Board], limits: SafetyLimits, how: str
+    ) -> None:
+        with new_board() as board:
+            board.send(self.sequence(0))
+            board.drain()
+            before = len(self.calls)
+            with pytest.raises(SafetyError) as error:
+                board.send(self.unsafe_sequence(how, limits))
+            assert error.value.limit == UNSAFE[how]
+            assert self.calls[before:] == []
+
+    def test_a_stop_from_another_thread_ends_it(self, new_board: Callable[[], Board]) -> None:
+        with new_board() as board:
+            self._start(board)
+            thread = threading.Thread(target=board.stop)
+            thread.start()
+            thread.join(5)
+            assert not thread.is_alive()
+            with pytest.raises(BoardStoppedError) as error:
+                board.send(self.sequence(2))
+            assert (error.value.about, error.value.problem) == ("board", "stopped")
+            self.assert_silent()
+
+    def test_one_that_was_halted_is_never_opened(self, new_board: Callable[[], Board]) -> None:
+        board = new_board()
+        board.halt()
+        with pytest.raises(BoardStoppedError):
+            board.open()
+        assert {"_open", "_send"}.isdisjoint(name for name, _ in self.calls)
+
+    def test_closing_puts_it_at_zero(self, new_board: Callable[[], Board]) -> None:
+        with new_board() as board:
+            self._start(board)
+        self.assert_silent()
+        assert [name for name, _ in self.calls][-2:] == ["_stop", "_close"]
+        with pytest.raises(BoardError) as error:
+            board.send(self.sequence(2))
+        assert (error.value.about, error.value.problem) == ("board", "closed")
+
+    def test_an_exception_puts_it_at_zero(self, new_board: Callable[[], Board]) -> None:
+        broken = RuntimeError("something broke")
+
+        def run() -> None:
+            with new_board() as board:
+                self._start(board)
+                raise broken
+
+        with pytest.raises(RuntimeError) as error:
+            run()
+        assert error.value is broken
+        self.assert_silent()
+
+    def test_a_driver_that_breaks_is_put_at_zero(
+        self, new_board: Callable[[], Board], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        broken = RuntimeError("the driver broke")
+
+        def send(*_: object) -> int:
+            raise broken
+
+        def run() -> None:
+            with new_board() as board:
+                self._start(board)
+                monkeypatch.setattr(board, "_send", send)
+                board.send(self.sequence(2))
+
+        with pytest.raises(RuntimeError) as error:
+            run()
+        assert error.value is broken
+        self.assert_silent()
+
+    def test_another_number_of_electrodes_is_refused(self, new_board: Callable[[], Board]) -> None:
+        more = self.electrodes + 1
+        with new_board() as board, pytest.raises(BoardError) as error:
+            board.send(self.sequence(0, electrodes=more))
+        refused = (error.value.about, error.value.value, error.value.allowed)
+        assert refused == ("electrodes", more, self.electrodes)
+
+    @pytest.mark.parametrize("times", [0, -1, 65_536])
+    def test_impossible_repetitions_are_named(
+        self, new_board: Callable[[], Board], times: int
+    ) -> None:
+        with new_board() as board, pytest.raises(BoardError) as error:
+            board.send(self.sequence(0), times)
+        assert (error.value.about, error.value.value) == ("times", times)
+
+    def test_it_can_be_opened_again_and_begins_at_zero(
+        self, new_board: Callable[[], Board]
+    ) -> None:
+        board = new_board()
+        board.close()
+        for _ in range(2):
+            with board:
+                with pytest.raises(BoardError):
+                    board.open()
+                with pytest.raises(SafetyError) as error:
+                    board.send(self.sequence(1))
+                assert (error.value.limit, error.value.allowed) == ("ramp_s", 0)
+                assert error.value.value == pytest.approx(self.intensity)
+                board.send(self.sequence(0))
+                board.drain()
+                board.send(self.sequence(1))
+                board.drain()
+        board.close()

@@ -1,0 +1,117 @@
+"""What every source keeps, run over the kinds that there are."""
+
+import threading
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from smarttouch.sources import open_source
+from smarttouch.sources.sensor_protocol import encode_frame
+from smarttouch.testing.sources import SourceContract
+from smarttouch.wire.pty_line import PtyLine
+
+GOLDENS = Path(__file__).parents[1] / "recording" / "goldens"
+
+
+class Contract(SourceContract):
+    """The contract of a source of a URL; `nowhere` is one that is not there."""
+
+    url = nowhere = ""
+    unpaced = width_mm = fps = None
+
+    def make(self, profile):
+        options = {"unpaced": self.unpaced, "page_width_mm": self.width_mm, "fps": self.fps}
+        return open_source(self.url, profile, **options)
+
+    def make_impossible(self, profile):
+        open_source(self.nowhere, profile)
+
+
+class TestPage(Contract):
+    nowhere, width_mm = "page:nothing.png", 20.0
+
+    @pytest.fixture(autouse=True)
+    def _page(self, tmp_path):
+        grey = np.full((80, 200), 255, np.uint8)
+        grey[30:50, 20:180:10] = 0
+        Image.fromarray(grey).save(tmp_path / "page.png")
+        self.url = f"page:{tmp_path / 'page.png'}"
+
+
+class TestText(Contract):
+    url, nowhere = "text:a word", "text:"
+
+
+class TestUnpacedFolder(Contract):
+    nowhere = "frames:nothing"
+    unpaced = True
+
+    @pytest.fixture(autouse=True)
+    def _folder(self, tmp_path):
+        for number in range(40):
+            grey = np.full((48, 64), 5 * number, np.uint8)
+            Image.fromarray(grey).save(tmp_path / f"{number}.png")
+        self.url = f"frames:{tmp_path}"
+
+
+class TestPacedFolder(TestUnpacedFolder):
+    unpaced, fps = None, 200.0
+
+    def pause(self):
+        time.sleep(0.005)
+
+
+class TestUnpacedVideo(Contract):
+    nowhere = "video:nothing.avi"
+    unpaced = True
+
+    @pytest.fixture(autouse=True)
+    def _video(self, tmp_path):
+        path = tmp_path / "clip.avi"
+        writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 200.0, (64, 48))
+        for number in range(40):
+            writer.write(np.full((48, 64, 3), 5 * number, np.uint8))
+        writer.release()
+        self.url = f"video:{path}"
+
+
+class TestPacedVideo(TestUnpacedVideo):
+    unpaced = None
+
+    def pause(self):
+        time.sleep(0.005)
+
+
+class TestSerialArray(Contract):
+    ends = False
+    nowhere = "serial-array:/dev/nothing"
+
+    @pytest.fixture(autouse=True)
+    def _device(self):
+        line, over = PtyLine(), threading.Event()
+
+        def stream():
+            number = 0
+            while not over.wait(0.005):
+                line.write(encode_frame(number, 0, np.full((8, 8), number % 256, np.uint8)))
+                number += 1
+
+        device = threading.Thread(target=stream)
+        device.start()
+        self.url = f"serial-array:{line.name}"
+        yield
+        over.set()
+        device.join()
+        line.close()
+
+    def pause(self):
+        time.sleep(0.005)
+
+
+class TestRecording(Contract):
+    nowhere = "recording:nothing.mcap"
+    url = f"recording:{GOLDENS / 'ra.mcap'}"

@@ -1,0 +1,171 @@
+"""The contracts find what is broken in boards, sources and forces."""
+
+import re
+import subprocess
+import sys
+
+BROKEN = """
+import math, time
+import numpy as np
+from smarttouch.boards.memory import MemoryBoard
+from smarttouch.errors import SmartTouchError
+from smarttouch.sources.forces.force import ForceSource
+from smarttouch.sources.frame import Frame, Pose
+from smarttouch.sources.source import OpticalSource
+from smarttouch.testing.boards import BoardContract
+from smarttouch.testing.forces import ForceContract
+from smarttouch.testing.sources import SourceContract
+
+
+class Boards(BoardContract):
+    def make(self, limits):
+        return self.kind("", limits)
+
+    def assert_silent(self):
+        assert self.made.current == 0
+
+
+class Device(MemoryBoard):
+    current = 0
+    def _send(self, sequence, times):
+        self.current = int(np.abs(sequence.current_ua).sum())
+        return super()._send(sequence, times)
+    def _stop(self):
+        self.current = 0
+
+
+class TestNever(Boards):
+    class kind(Device):
+        def _stop(self): ...
+
+
+class TestLater(Boards):
+    class kind(Device):
+        def _stop(self): ...
+        def _close(self):
+            self.current = 0
+
+
+class TestUncounted(Boards):
+    class kind(Device):
+        def _send(self, sequence, times):
+            number = super()._send(sequence, times)
+            self.acknowledged = 0
+            return number
+
+
+class TestLimits(Boards):
+    class kind(Device):
+        def __init__(self, rest, limits):
+            from dataclasses import replace
+            super().__init__(rest, replace(limits, current_ma=5.0))
+
+
+class Sources(SourceContract):
+    def make(self, profile):
+        return self.kind("a source")
+    def make_impossible(self, profile):
+        raise SmartTouchError("no")
+
+
+class Plain(OpticalSource):
+    duration_s, wait_s = 1.0, 0.0
+    def read(self, time_ns):
+        time.sleep(self.wait_s)
+        if time_ns > 1e9:
+            return None
+        self.frames += 1
+        return self.seen(time_ns)
+    def seen(self, time_ns):
+        image = np.full((4, 4), self.frames, np.uint8)
+        return Frame(image, time_ns, Pose(0, 0), math.nan, self.frames - 1)
+
+
+class TestPlain(Sources):
+    kind = Plain
+
+
+class TestShared(Sources):
+    class kind(Plain):
+        image = np.zeros((4, 4), np.uint8)
+        def seen(self, time_ns):
+            self.image[:] = self.frames
+            return Frame(self.image, time_ns, Pose(0, 0), math.nan, self.frames - 1)
+
+
+class TestNumbers(Sources):
+    class kind(Plain):
+        def seen(self, time_ns):
+            return Frame(np.zeros((4, 4), np.uint8), time_ns, Pose(0, 0), math.nan, 7)
+
+
+class TestWide(Sources):
+    class kind(Plain):
+        def seen(self, time_ns):
+            return Frame(np.zeros((4, 4)), time_ns, Pose(0, 0), math.nan, self.frames - 1)
+
+
+class TestWaits(Sources):
+    class kind(Plain):
+        wait_s = 0.02
+
+
+class TestOnce(Sources):
+    class kind(Plain):
+        closed = False
+        def close(self):
+            assert not self.closed
+            self.closed = True
+
+
+class TestEndless(Sources):
+    class kind(Plain):
+        def read(self, time_ns):
+            self.frames += 1
+            return self.seen(time_ns)
+
+
+class Forces(ForceContract):
+    def make(self, profile):
+        return self.kind("a force")
+    def make_impossible(self, profile):
+        raise SystemError("no")
+
+
+class TestPull(Forces):
+    class kind(ForceSource):
+        def read(self, time_ns):
+            return -1.0
+"""
+
+FOUND = {
+    "TestNever": {
+        "a_stop_from_another_thread_ends_it", "closing_puts_it_at_zero",
+        "an_exception_puts_it_at_zero", "a_driver_that_breaks_is_put_at_zero",
+    },
+    "TestLater": {"a_stop_from_another_thread_ends_it"},
+    "TestUncounted": {"what_is_sent_is_what_was_proved"},
+    "TestLimits": {"its_driver_keeps_the_contract", "an_unsafe_sequence_never_leaves"},
+    "TestShared": {"one_number_is_one_image_and_stays_it"},
+    "TestNumbers": {"every_frame_is_counted"},
+    "TestWide": {"frames_are_what_they_are_to_be"},
+    "TestWaits": {"reading_waits_for_nothing"},
+    "TestOnce": {"it_can_be_closed_twice"},
+    "TestEndless": {"it_ends_and_stays_at_its_end"},
+    "TestPull": {
+        "it_is_a_force_or_not_known", "it_can_be_closed_twice_and_still_be_read",
+        "one_that_is_not_there_is_an_error_with_a_sentence",
+    },
+}  # fmt: skip
+
+
+def test_what_is_broken_fails_the_test_that_is_about_it(tmp_path):
+    (tmp_path / "test_them.py").write_text(BROKEN, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-rf", "--tb=no", "-p", "no:cacheprovider", "."],
+        cwd=tmp_path, capture_output=True, text=True, timeout=110, check=False,
+    )  # fmt: skip
+    found = {}
+    for kind, name in re.findall(r"^FAILED \S+::(\w+)::test_(\w+)", done.stdout, re.MULTILINE):
+        found.setdefault(kind, set()).add(name)
+    assert found == FOUND
