@@ -262,49 +262,6 @@ def _load(
     return checked
 
 
-def unknown(
-    kind: str, url: str, known: Sequence[str], error: type[SmartTouchError]
-) -> SmartTouchError:
-    """Return the error of a URL that begins with none of the names that are known."""
-    names = ", ".join(f"{each}:" for each in known)
-    return error(
-        f"unknown {kind} {url!r}: it must begin with one of {names}",
-        about=kind,
-        problem="unknown",
-        value=url,
-        allowed=tuple(known),
-    )
-
-
-def given_options(
-    opener: Callable[..., Any],
-    url: str,
-    options: dict[str, Any],
-    error: type[SmartTouchError],
-) -> dict[str, Any]:
-    """Return the options that were given, which those that are None were not.
-
-    Raises
-    ------
-    SmartTouchError
-        Of the type given, if the opener does not take one of them by its name.
-    """
-    given = {name: value for name, value in options.items() if value is not None}
-    parameters = inspect.signature(opener).parameters.values()
-    taken = tuple(each.name for each in parameters if each.default is not each.empty)
-    for name in given:
-        if name not in taken:
-            takes = ", ".join(taken) or "none"
-            raise error(
-                f"{url.partition(':')[0]}: does not take {name}: leave it out (it takes {takes})",
-                about=name,
-                problem="unknown",
-                value=given[name],
-                allowed=taken,
-            )
-    return given
-
-
 def refuse_rest(url: str, rest: str, error: type[SmartTouchError]) -> None:
     """Raise an error if something comes after the colon of a URL that takes nothing there."""
     if rest:
