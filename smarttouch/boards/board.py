@@ -21,6 +21,7 @@ from smarttouch.stimulation.exposure import Dose
 from smarttouch.stimulation.safety import Now, SafetyGate, SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.timing import ScanTiming
+from smarttouch.url_options import read_options
 
 __all__ = [
     "BOTH",
@@ -369,13 +370,17 @@ def make_board(
 ) -> Board:
     """Make the driver for a board's URL; it is not opened yet.
 
+    Options of the driver may stand in the URL, as in ``emulator:?books=FOLDER``.
+
     Raises
     ------
     BoardError
-        If no driver has that name, or that of another package does not keep the contract.
+        If no driver has that name, it has no such option, or that of another package does not
+        keep the contract.
     """
     opener, rest = _find(url)
-    board: Board = opener(rest, limits, output, **options)
+    rest, told = read_options(opener, rest, BoardError, but=("output",))
+    board: Board = opener(rest, limits, output, **{**told, **options})
     require_gate(board, limits)
     return board
 

@@ -1,7 +1,7 @@
 """What a board's own measurement says of each electrode on the skin."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,19 @@ class Impedance:
     def lifted(self) -> bool:
         """Whether nothing touches the electrodes."""
         return all(each == "open" for each in self.condition)
+
+    def figures(self) -> dict[str, Any]:
+        """Return all of it for a JSON file; what is open has no number."""
+        kohm = [
+            None if condition == "open" else float(f"{each:.4g}")
+            for each, condition in zip(self.kohm, self.condition, strict=True)
+        ]
+        return {
+            "impedance_kohm": kohm,
+            "condition": self.condition,
+            "current_ma": self.current_ma,
+            "masked": self.broken,
+        }
 
 
 def judge(

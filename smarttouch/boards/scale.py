@@ -145,3 +145,29 @@ def check_reading(volts: float, ohm: float, current_ma: float) -> float:
         value=volts,
         allowed=tuple(edge * ohm * current_ma / 1000 for edge in (1 - BAND, 1 + BAND)),
     )
+
+
+def measured_scale(kind: str, before_ua: float | None, ratio: float) -> float | None:
+    """Return a board's scale by what was measured, µA a count; None if it has none.
+
+    Parameters
+    ----------
+    kind : str
+        Of the board.
+    before_ua : float or None, µA
+        Its scale so far.
+    ratio : float
+        From `check_reading`.
+
+    Raises
+    ------
+    BoardError
+        If that is no scale of such a board.
+    """
+    if before_ua is None:
+        return None
+    scale_ua = before_ua * ratio
+    if kind in NOMINAL_UA:
+        # The scale of the profile may have been a measured one; the band is of the nominal.
+        scale_of(kind, float(f"{scale_ua:.4g}"))
+    return scale_ua

@@ -1,6 +1,7 @@
 """A load cell's curve from known weights."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from smarttouch.calibrate.polynomial import fit, hysteresis, left_out, rises, zero_of
 from smarttouch.errors import CalibrationError
 from smarttouch.profile import ForceLaw
+from smarttouch.sources.forces.load_cell import open_cell
 
 STANDARD_GRAVITY = 9.80665
 """m/s²"""
@@ -115,6 +117,30 @@ class ForceFound:
             f"{self.residual_n:.4f} N ({self.residual_n / self.full_n:.2%} of full force), worst "
             f"{self.worst_n:.4f} N, noise {self.noise_n:.4f} N{twice}"
         )
+
+
+def weigh_on(url: str, weights: Iterable[float], seconds: float) -> list[Weighing]:
+    """Weigh on a load cell by its URL, each of some weights in grams when its turn has come.
+
+    Raises
+    ------
+    SmartTouchError
+        If it cannot be opened, or does not answer.
+    """
+    with open_cell(url) as cell:
+        return [weigh(cell, grams, seconds) for grams in weights]
+
+
+def parse_grams(text: str) -> list[float]:
+    """Return what ``0,20,50`` names."""
+    try:
+        grams = [float(each) for each in text.split(",")]
+    except ValueError:
+        grams = [math.nan]
+    if not all(0 <= each < math.inf for each in grams):
+        message = f"weights {text!r} are not understood: give grams like 0,20,50,100"
+        raise CalibrationError(message, about="--weights", problem="malformed", value=text)
+    return grams
 
 
 def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import CalibrationError
 from smarttouch.profile import Profile
+from smarttouch.sources import open_source
 from smarttouch.sources.source import Source
 
 Images = list[NDArray[np.uint8]]
@@ -14,6 +15,21 @@ Images = list[NDArray[np.uint8]]
 SILENCE_S = 5.0
 """A sensor that shows nothing new for so long has no more to show."""
 _LOOK_S = 0.002
+
+
+def images_of(url: str, profile: Profile, count: int, *, corrected: bool) -> Images:
+    """Return the next images of a sensor by its URL; with the profile's flat field, or without.
+
+    Raises
+    ------
+    SmartTouchError
+        If it cannot be opened, or see `collect_images`.
+    """
+    # What lies in files need not be waited for.
+    from_file = url.startswith(("frames:", "video:")) and "unpaced" not in url
+    seen_by = profile if corrected else uncorrected(profile)
+    with open_source(url, seen_by, unpaced=from_file or None) as source:
+        return collect_images(source, count)
 
 
 def collect_images(sensor: Source, count: int) -> Images:

@@ -1,11 +1,12 @@
 """A sensor patch and a load cell that do not exist, whose truth is known."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.calibrate.force_curve import STANDARD_GRAVITY
+from smarttouch.calibrate.force_curve import STANDARD_GRAVITY, Weighing, weigh
 
 
 @dataclass
@@ -113,3 +114,12 @@ class SimulatedPatch:
             ).astype(np.uint8)
             for _ in range(count)
         ]
+
+
+def weigh_simulated(listed: Sequence[float] | None, seconds: float) -> list[Weighing]:
+    """Weigh some grams, or a usual set, on a cell that does not exist."""
+    cell, found = SimulatedCell(bend=0.02, hysteresis_n=0.005), []
+    for grams in listed or (0, 20, 50, 100, 50, 20, 0):
+        cell.put(grams)
+        found.append(weigh(cell, grams, seconds))
+    return found

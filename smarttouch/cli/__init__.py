@@ -3,8 +3,11 @@
 import os
 import resource
 import sys
+from collections.abc import Callable
+from typing import Annotated
 
 import typer
+from typer.core import TyperGroup
 
 from smarttouch.cli.board import board
 from smarttouch.cli.boards import boards
@@ -30,31 +33,60 @@ from smarttouch.terminal import guarded_output
 
 _FEWEST_FILES = 64
 
+_COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
+    "Run": {"live": live, "mouse": mouse, "color": color, "stop": stop},
+    "Read, Braille": {"read": read, "braille": braille, "legibility": legibility},
+    "Calibrate": {"calibrate": calibrate},
+    "Experiment": {"experiment": experiment},
+    "Boards, sensors": {"boards": boards, "board": board, "sensor": sensor},
+    "Recordings": {"replay": replay, "recordings": recordings},
+    "Design": {"profiles": profiles, "design": design, "figures": figures},
+}
+"""Commands by the panel of the help that lists them."""
+
+
+class _InOrder(TyperGroup):
+    """The commands in the order of their panels."""
+
+    def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]
+        """Return their names."""
+        return [name for panel in _COMMANDS.values() for name in panel]
+
+
 app = typer.Typer(
     name="smarttouch",
-    help="Touch what a sensor sees: print becomes current in the skin of a fingertip.",
+    cls=_InOrder,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command()(live)
-app.command()(read)
-app.command()(braille)
-app.command()(legibility)
-app.command()(mouse)
-app.command()(color)
-app.command()(stop)
-app.command()(replay)
-app.command()(design)
-app.command()(figures)
-app.command()(boards)
+for _panel, _commands in _COMMANDS.items():
+    for _name, _command in _commands.items():
+        if isinstance(_command, typer.Typer):
+            app.add_typer(_command, name=_name, rich_help_panel=_panel)
+        else:
+            app.command(_name, rich_help_panel=_panel)(_command)
 experiment.command()(fit)
-app.add_typer(profiles, name="profiles")
-app.add_typer(experiment, name="experiment")
-app.add_typer(board, name="board")
-app.add_typer(sensor, name="sensor")
-app.add_typer(calibrate, name="calibrate")
-app.add_typer(recordings, name="recordings")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(f"smarttouch {version('smarttouch')}")
+        raise typer.Exit
+
+
+@app.callback()
+def smarttouch(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", is_eager=True, callback=_print_version, help="Print the version and exit."
+        ),
+    ] = False,
+) -> None:
+    """Touch what a sensor sees: print becomes current in the skin of a fingertip."""
 
 
 def main() -> None:
@@ -73,7 +105,7 @@ def main() -> None:
 def _run() -> int:
     try:
         _require_files()
-        app()
+        app(prog_name="smarttouch")
     except SystemExit as ended:
         return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
     except RunStopped as stopped:

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch import terminal
 from smarttouch.cli.driving import asks_a_board, drives_a_board, opened
+from smarttouch.cli.tables import print_table
 from smarttouch.emulator.commands import emulate_board
 
 if TYPE_CHECKING:
@@ -72,19 +72,7 @@ def measure(
         found = display.measure()
     _print_impedance(found)
     if json_file is not None:
-        kohm = [
-            None if condition == "open" else float(f"{each:.4g}")
-            for each, condition in zip(found.kohm, found.condition, strict=True)
-        ]
-        write_json(
-            json_file,
-            {
-                "impedance_kohm": kohm,
-                "condition": found.condition,
-                "current_ma": found.current_ma,
-                "masked": found.broken,
-            },
-        )
+        write_json(json_file, found.figures())
 
 
 @board.command("test")
@@ -107,7 +95,8 @@ def try_out(
     import sys
 
     from smarttouch.boards.board import may_touch_a_finger
-    from smarttouch.cli.walk import walk
+    from smarttouch.boards.walk import walk
+    from smarttouch.cli.keyboard import keyboard, read_key
     from smarttouch.errors import SmartTouchError
 
     chosen, display = _driver(url, profile)
@@ -121,8 +110,11 @@ def try_out(
                 remedy="--current-ma",
             )
         current_ma = _WALK_MA
-    with opened(display):
-        felt = walk(display, chosen, current_ma, seconds)
+    if seconds is None and not sys.stdin.isatty():
+        message = "there is no keyboard to wait for: give --seconds"
+        raise SmartTouchError(message, about="keyboard", problem="missing", remedy="--seconds")
+    with opened(display), keyboard():
+        felt = walk(display, chosen, current_ma, seconds, read_key, typer.echo)
     typer.echo(f"{felt} of {len(chosen.electrodes)} electrodes tried; all are at zero.")
 
 
@@ -142,9 +134,9 @@ def calibrate_scale(
     profile: _ProfileName = None,
 ) -> None:
     """Check the scale of a board's current with a resistor in place of the finger."""
-    from smarttouch.boards.scale import NOMINAL_UA, check_reading, scale_of
+    from smarttouch.boards.scale import check_reading, measured_scale
+    from smarttouch.boards.walk import pulse
     from smarttouch.cli.files import require_site
-    from smarttouch.cli.walk import pulse_until_line
     from smarttouch.errors import SmartTouchError
 
     # Before anything pulses; the voltage is not known yet.
@@ -157,9 +149,9 @@ def calibrate_scale(
                 f"Pulses of nominally {current_ma:g} mA go through electrode {electrode}. No "
                 f"finger on the array: {ohm:g} ohm between it and all others."
             )
-            answer = pulse_until_line(
-                display, chosen, electrode, current_ma, "Peak voltage across it, V: "
-            )
+            steps = pulse(display, chosen, electrode, current_ma)
+            typer.echo("Peak voltage across it, V: ", nl=False)
+            answer = next((line for _ in steps if (line := _line_entered()) is not None), "")
         try:
             volts = float(answer)
         except ValueError:
@@ -168,11 +160,7 @@ def calibrate_scale(
                 message, about="--volts", problem="malformed", value=answer
             ) from None
     ratio = check_reading(volts, ohm, current_ma)
-    scale_ua = None if display.ua_per_count is None else display.ua_per_count * ratio
-    kind = url.partition(":")[0]
-    if scale_ua is not None and kind in NOMINAL_UA:
-        # The scale of the profile may have been a measured one; the band is of the nominal.
-        scale_of(kind, float(f"{scale_ua:.4g}"))
+    scale_ua = measured_scale(url.partition(":")[0], display.ua_per_count, ratio)
     typer.echo(
         f"{volts:g} V across {ohm:g} ohm are {1000 * volts / ohm:.3f} mA: {ratio:.3f} of nominal."
     )
@@ -181,23 +169,28 @@ def calibrate_scale(
         typer.echo(f"[output]\nua_per_count = {scale_ua:.4g}")
 
 
-def _driver(url: str, profile: str | None) -> tuple["Profile", "Board"]:
-    from smarttouch.boards.board import make_board, usual_profile
-    from smarttouch.profile import load_profile
-    from smarttouch.stimulation.safety import SafetyLimits
+def _line_entered() -> str | None:
+    """Return a line if one was entered; never waits."""
+    import select
+    import sys
 
-    chosen = load_profile(profile or usual_profile(url))
-    return chosen, make_board(url, SafetyLimits.of(chosen), chosen.output)
+    ready = select.select([sys.stdin], [], [], 0)[0]
+    return sys.stdin.readline().strip() if ready else None
+
+
+def _driver(url: str, profile: str | None) -> tuple["Profile", "Board"]:
+    from smarttouch.running.display import open_display
+
+    display = open_display(url, profile)
+    return display.profile, display.board
 
 
 def _print_impedance(found: "Impedance") -> None:
-    from rich.table import Table
-
-    table = Table("electrode", "kohm", "", box=None)
-    for index, (kohm, condition) in enumerate(zip(found.kohm, found.condition, strict=True)):
-        value = "-" if condition == "open" else f"{kohm:.1f}"
-        table.add_row(str(index), value, "" if condition == "good" else condition)
-    terminal.console().print(table)
+    rows = [
+        (str(index), "-" if condition == "open" else f"{kohm:.1f}", condition.removeprefix("good"))
+        for index, (kohm, condition) in enumerate(zip(found.kohm, found.condition, strict=True))
+    ]
+    print_table(rows, ("electrode", "kohm", ""), left=3)
     if found.lifted:
         typer.echo("No electrode touches anything: put the finger on, and measure again.")
     elif found.broken:

@@ -5,13 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch import terminal
-from smarttouch.cli.options import (
-    LanguageOption,
-    PagesOption,
-    PasswordOption,
-    TableOption,
-)
+from smarttouch.cli.option_groups import takes_options
+from smarttouch.cli.source_options import DocumentOptions, TableOption
+from smarttouch.cli.standard_input import or_standard_input
 
 if TYPE_CHECKING:
     from smarttouch.braille.source import Loaded
@@ -19,12 +15,16 @@ if TYPE_CHECKING:
 _DOCUMENTS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pdf", ".bmp", ".webp")
 
 
+@takes_options()
 def braille(
+    document: DocumentOptions,
     source: Annotated[
         str | None,
         typer.Argument(
-            metavar="TEXT|FILE",
-            help="A text, a .txt, .brf or .pef file, or an image or PDF of print or Braille.",
+            callback=or_standard_input,
+            metavar="TEXT|FILE|-",
+            help="A text, a .txt, .brf or .pef file, or an image or PDF of print or Braille; - for "
+            "standard input.",
         ),
     ] = None,
     table: TableOption = "en-1",
@@ -38,9 +38,6 @@ def braille(
     leave_out: Annotated[
         bool, typer.Option("--leave-out", help="Leave out what the table has no cells for.")
     ] = False,
-    language: LanguageOption = "eng",
-    page_list: PagesOption = None,
-    password: PasswordOption = None,
     tables: Annotated[bool, typer.Option("--tables", help="List the tables.")] = False,
 ) -> None:
     """Turn a text into Braille, or Braille into a text."""
@@ -59,7 +56,7 @@ def braille(
         raise BrailleError(message, about="text", problem="missing", remedy="--tables")
     require_folder(output)
     code = open_table(table)
-    loaded = _seen(source, table, page_list, password, language)
+    loaded = _seen(source, table, document)
     loaded = loaded or load_cells(source, code, leave_out)
     for note in loaded.notes:
         typer.echo(note, err=True)
@@ -89,39 +86,33 @@ def braille(
     print(f"{output}: pages {len(pages)}, lines {sum(map(len, pages))}")
 
 
-def _seen(
-    source: str, table: str, pages: str | None, password: str | None, languages: str
-) -> "Loaded | None":
+def _seen(source: str, table: str, document: DocumentOptions) -> "Loaded | None":
     """Return what an image or a PDF shows, as cells; None for anything else."""
     if Path(source).suffix.lower() not in _DOCUMENTS:
         return None
     from smarttouch.braille.source import Loaded
     from smarttouch.reading.braille import Braille
-    from smarttouch.reading.printed import HowToLook
     from smarttouch.reading.source import Source
 
     notes: list[str] = []
-    how = HowToLook(pages, password=password, languages=languages)
-    document = Source(source, how, notes.append)
-    return Loaded(Braille(table).paragraphs(document), None, notes)
+    shown = Source(source, document.look(), notes.append)
+    return Loaded(Braille(table).paragraphs(shown), None, notes)
 
 
 def _print_tables() -> None:
-    from rich.table import Table
-
     from smarttouch.braille import louis
     from smarttouch.braille.tables import DEFAULT_TABLE, known_tables
+    from smarttouch.cli.tables import print_table
 
-    table = Table("name", "what it is", box=None, pad_edge=False)
-    for name, title in known_tables().items():
-        table.add_row(name + (" (default)" if name == DEFAULT_TABLE else ""), title)
-    console = terminal.console()
-    console.print(table)
     version = louis.version()
-    console.print(
-        f"And the file name of any table of liblouis {version}."
+    print_table(
+        [
+            (name + " (default)" * (name == DEFAULT_TABLE), title)
+            for name, title in known_tables().items()
+        ],
+        ("name", "what it is"),
+        note=f"And the file name of any table of liblouis {version}."
         if version
         else f"liblouis is not here: of these only en-1 and ja work. For all: {louis.INSTALL}",
-        style="dim",
-        soft_wrap=True,
+        left=2,
     )

@@ -1,11 +1,13 @@
 """``smarttouch calibrate``: one device on one finger, measured, and written to a profile."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from smarttouch.cli.driving import drives_a_board, opened, the_stop
+from smarttouch.cli.option_groups import OptionGroup, takes_options
 
 if TYPE_CHECKING:
     from smarttouch.calibrate.profile_file import ProfileFile
@@ -14,17 +16,59 @@ calibrate = typer.Typer(
     help="Measure one device on one finger, and write a profile of it.", no_args_is_help=True
 )
 
-_Start = Annotated[
-    str | None,
-    typer.Option("--profile", metavar="NAME|FILE", help="What a new --output starts from."),
-]
-_Output = Annotated[Path, typer.Option(metavar="FILE.toml", help="The profile to write.")]
-_Overwrite = Annotated[bool, typer.Option("--overwrite", help="Measure what --output has already.")]
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationOptions(OptionGroup):
+    """Options of every calibration."""
+
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="The profile to write.")
+    ] = None
+    profile: Annotated[
+        str | None, typer.Option(metavar="NAME|FILE", help="What a new --output starts from.")
+    ] = None
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Measure what --output has already.")
+    ] = False
+
+    def start(self, board_url: str) -> str:
+        """Return the profile to start from; a board's usual one if none was given."""
+        from smarttouch.boards.board import usual_profile
+
+        return self.profile or usual_profile(board_url)
+
+    def begun(self) -> str:
+        """Return what was given to start from, or the output if it is there already."""
+        from smarttouch.profile import DEFAULT_PROFILE
+
+        there = self.output is not None and self.output.exists()
+        return self.profile or (str(self.output) if there else DEFAULT_PROFILE)
+
+    def file(self, part: str, simulated: bool, board_url: str | None = None) -> "ProfileFile":
+        """Return the profile on its way from one file to another."""
+        from smarttouch.boards.board import usual_profile
+        from smarttouch.calibrate.profile_file import file_to_calibrate
+        from smarttouch.cli.profiles import tell_changes
+        from smarttouch.errors import CalibrationError
+        from smarttouch.profile import DEFAULT_PROFILE
+
+        if self.output is None:
+            message = "give --output FILE.toml for what is measured"
+            raise CalibrationError(message, about="--output", problem="missing")
+        usual = DEFAULT_PROFILE if board_url is None else usual_profile(board_url)
+        file = file_to_calibrate(
+            part, self.profile, usual, self.output, self.overwrite, simulated=simulated
+        )
+        tell_changes(file)
+        return file
+
+
 _Yes = Annotated[bool, typer.Option("--yes", help="Ask nothing: everything is in place.")]
 _Simulate = Annotated[bool, typer.Option("--simulate", help="Walk through it without hardware.")]
 _Frames = Annotated[int, typer.Option(metavar="N", min=1, help="Frames to take the mean of.")]
-_SensorUrl = Annotated[
-    str | None, typer.Option(metavar="URL", help="camera:0, serial-array:PORT, ...")
+_SourceUrl = Annotated[
+    str | None,
+    typer.Option("--source", "--sensor", metavar="URL", help="camera:0, serial-array:PORT, ..."),
 ]
 _BoardUrl = Annotated[
     str,
@@ -33,9 +77,10 @@ _BoardUrl = Annotated[
 
 
 @calibrate.command()
+@takes_options()
 def optics(
-    output: _Output,
-    sensor: _SensorUrl = None,
+    calibration: CalibrationOptions,
+    source: _SourceUrl = None,
     dark: Annotated[
         str | None, typer.Option(metavar="URL", help="Dark frames from here: frames:DIR, ...")
     ] = None,
@@ -43,17 +88,16 @@ def optics(
         str | None, typer.Option(metavar="URL", help="Frames of white paper from here.")
     ] = None,
     frames: _Frames = 16,
-    profile: _Start = None,
-    overwrite: _Overwrite = False,
     yes: _Yes = False,
     simulate: _Simulate = False,
 ) -> None:
     """Dark level and gain of every pixel, by the sensor covered and on blank white paper."""
+    from smarttouch.calibrate.frames import images_of
     from smarttouch.calibrate.optics import measure_optics
     from smarttouch.calibrate.tables import show_optics
-    from smarttouch.cli.calibrate_steps import ask, images_of, missing
+    from smarttouch.cli.calibrate_steps import ask, missing
 
-    file = _profile_file("optics", profile, output, overwrite, simulate)
+    file = calibration.file("optics", simulate)
     if simulate:
         from smarttouch.calibrate.simulated import SimulatedPatch
 
@@ -61,15 +105,15 @@ def optics(
         patch = SimulatedPatch((of.sensor_rows, of.sensor_columns), dead=2, hot=1)
         seen = [patch.images(frames, light=light) for light in (False, True)]
     else:
-        sources = (dark or sensor, white or sensor)
+        sources = (dark or source, white or source)
         if None in sources:
-            raise missing("--sensor", "give --sensor, or --dark and --white, or --simulate")
+            raise missing("--source", "give --source, or --dark and --white, or --simulate")
         asked = ("Cover the sensor: no light.", "Put it on blank white paper, in its usual light.")
         seen = []
-        for source, question in zip(sources, asked, strict=True):
-            assert source is not None
-            ask(question, yes or source != sensor)
-            seen.append(images_of(source, file.profile, frames, corrected=False))
+        for url, question in zip(sources, asked, strict=True):
+            assert url is not None
+            ask(question, yes or url != source)
+            seen.append(images_of(url, file.profile, frames, corrected=False))
     found = measure_optics(*seen)
     show_optics(found)
     field_file = file.beside("flat-field.npz")
@@ -78,11 +122,10 @@ def optics(
 
 
 @calibrate.command()
+@takes_options()
 def registration(
-    output: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="The profile to write.")
-    ] = None,
-    sensor: _SensorUrl = None,
+    calibration: CalibrationOptions,
+    source: _SourceUrl = None,
     target: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Write the target, to be printed.")
     ] = None,
@@ -94,48 +137,43 @@ def registration(
         typer.Option(metavar="target|image", help="What lies in the middle of the array."),
     ] = "target",
     frames: _Frames = 16,
-    profile: _Start = None,
-    overwrite: _Overwrite = False,
     yes: _Yes = False,
     simulate: _Simulate = False,
 ) -> None:
     """Where in the sensor's image each electrode's point lies, by a printed target."""
+    from smarttouch.calibrate.frames import images_of
     from smarttouch.calibrate.register import register
     from smarttouch.calibrate.tables import show_registration
     from smarttouch.calibrate.target import target_for
-    from smarttouch.cli.calibrate_steps import ask, images_of, missing
+    from smarttouch.cli.calibrate_steps import ask, missing
     from smarttouch.cli.files import not_offered
     from smarttouch.errors import CalibrationError
-    from smarttouch.profile import DEFAULT_PROFILE, load_profile
+    from smarttouch.profile import load_profile
     from smarttouch.sources.flat_field import mean_image
 
     if center not in ("target", "image"):
         raise not_offered("--center", center, ("target", "image"), CalibrationError)
-    begun = None if output is None or not output.exists() else str(output)
-    grid = target_for(load_profile(profile or begun or DEFAULT_PROFILE), dot_pitch_mm)
+    grid = target_for(load_profile(calibration.begun()), dot_pitch_mm)
     if target is not None:
-        if target.exists() and not overwrite:
+        if target.exists() and not calibration.overwrite:
             message = f"{target} exists already: give another --target, or --overwrite"
             raise CalibrationError(
                 message, about="file", problem="exists", value=target, remedy="--overwrite"
             )
         grid.draw(target)
         typer.echo(f"{target}: dots {grid.pitch_mm:g} mm apart; print it at 100 %, black on white.")
-    if output is None:
-        if target is None or sensor is not None or simulate:
-            message = "give --output FILE.toml for what is measured"
-            raise CalibrationError(message, about="--output", problem="missing")
+    if calibration.output is None and target is not None and source is None and not simulate:
         return
-    file = _profile_file("registration", profile, output, overwrite, simulate)
+    file = calibration.file("registration", simulate)
     if simulate:
         from smarttouch.calibrate.view import bench_view
 
         image = bench_view(grid, file.profile.optics)
-    elif sensor is None:
-        raise missing("--sensor", "give --sensor, or --simulate")
+    elif source is None:
+        raise missing("--source", "give --source, or --simulate")
     else:
         ask("Lay the target under the sensor, the L upright under the array's middle.", yes)
-        mean = mean_image(images_of(sensor, file.profile, frames, corrected=True))
+        mean = mean_image(images_of(source, file.profile, frames, corrected=True))
         image = mean.round().astype("uint8")
     found = register(image, file.profile, grid, "target" if center == "target" else "image")
     show_registration(found)
@@ -146,8 +184,9 @@ def registration(
 
 
 @calibrate.command()
+@takes_options()
 def force(
-    output: _Output,
+    calibration: CalibrationOptions,
     cell: Annotated[
         str | None, typer.Option(metavar="URL", help="hx711:PORT or loadcell:PORT")
     ] = None,
@@ -156,28 +195,27 @@ def force(
         typer.Option(metavar="G,G,...", help="Grams, in order; asked for one by one if none."),
     ] = None,
     seconds: Annotated[float, typer.Option(metavar="S", help="To read each weight for.")] = 2.0,
-    profile: _Start = None,
-    overwrite: _Overwrite = False,
     yes: _Yes = False,
     simulate: _Simulate = False,
 ) -> None:
     """The load cell's curve, by known weights; one given twice tells the hysteresis."""
-    from smarttouch.calibrate.force_curve import fit_curve
+    from smarttouch.calibrate.force_curve import fit_curve, parse_grams, weigh_on
+    from smarttouch.calibrate.simulated import weigh_simulated
     from smarttouch.calibrate.tables import show_force
-    from smarttouch.cli.calibrate_steps import missing, parse_grams, weigh_all, weigh_simulated
+    from smarttouch.cli.calibrate_steps import missing, weights_laid
     from smarttouch.errors import CalibrationError
 
     if not 0 < seconds <= 600:
         message = f"--seconds {seconds:g} must be above 0 and at most 600"
         raise CalibrationError(message, about="--seconds", value=seconds, allowed=(0, 600))
     listed = None if weights is None else parse_grams(weights)
-    file = _profile_file("force", profile, output, overwrite, simulate)
+    file = calibration.file("force", simulate)
     if simulate:
         weighings = weigh_simulated(listed, seconds)
     elif cell is None:
         raise missing("--cell", "give --cell hx711:PORT or loadcell:PORT, or --simulate")
     else:
-        weighings = weigh_all(cell, listed, seconds, yes)
+        weighings = weigh_on(cell, weights_laid(listed, yes), seconds)
     found = fit_curve(weighings, file.profile.force)
     show_force(found)
     file.set("force.curve", found.curve)
@@ -186,8 +224,9 @@ def force(
 
 @calibrate.command()
 @drives_a_board
+@takes_options()
 def thresholds(
-    output: _Output,
+    calibration: CalibrationOptions,
     board: _BoardUrl = "emulator:",
     electrodes: Annotated[
         str | None, typer.Option(metavar="0-7,12", help="Which; all that are not masked if none.")
@@ -199,77 +238,67 @@ def thresholds(
         int, typer.Option(metavar="N", min=1, max=10, help="Of the rising current.")
     ] = 3,
     seed: Annotated[int, typer.Option(min=0, help="Of pauses, starts and the simulation.")] = 0,
-    profile: _Start = None,
-    overwrite: _Overwrite = False,
     simulate: _Simulate = False,
 ) -> None:
     """Per electrode, the current first felt and the strongest that is comfortable."""
-    from smarttouch.boards.board import make_board, usual_profile
-    from smarttouch.calibrate.found import filled, parse_electrodes, sentence
-    from smarttouch.calibrate.progress import Progress
-    from smarttouch.calibrate.session import StoppedError
-    from smarttouch.calibrate.stimulus import measuring_limits
-    from smarttouch.cli.calibrate_steps import feel_all, require_subject
-    from smarttouch.errors import BoardStoppedError, CalibrationError
+    import queue
 
-    start = profile or usual_profile(board)
+    from smarttouch.calibrate.found import parse_electrodes
+    from smarttouch.calibrate.thresholds import STOPPED, ThresholdProcedure
+    from smarttouch.cli.calibrate_steps import require_subject
+    from smarttouch.cli.keyboard import keys_heeded
+
     simulated = simulate or board.startswith("emulator:")
-    file = _profile_file("thresholds", profile, output, overwrite, simulated, usual_profile(board))
-    chosen = file.profile
-    sites = parse_electrodes(electrodes, chosen)
+    file = calibration.file("thresholds", simulated, board)
+    sites = parse_electrodes(electrodes, file.profile)
     require_subject(simulate, board)
-    stop = the_stop()
-    # A simulated subject does not wait, and the emulator's clock would refuse to be hurried.
-    url = "simulated:" if simulate and board == "emulator:" else board
-    display = make_board(url, measuring_limits(chosen), chosen.output)
-    progress = Progress(
-        file.beside("thresholds.json"),
-        {
-            "profile": start, "electrodes": len(chosen.electrodes),
-            "board": board.partition(":")[0],
-            "pulse_us": chosen.pulse.width_us, "adaptive": adaptive, "repeats": repeats,
-            "simulate": simulate,
-        },
-    )  # fmt: skip
+    procedure = ThresholdProcedure(
+        start=calibration.start(board),
+        file=file,
+        board_url=board,
+        sites=sites,
+        adaptive=adaptive,
+        repeats=repeats,
+        seed=seed,
+        simulate=simulate,
+    )
+    keys: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def next_key(seconds: float) -> str | None:
+        try:
+            return keys.get(timeout=seconds)
+        except queue.Empty:
+            return None
+
+    stop, made = the_stop(), procedure.make_board()
+    progress = procedure.progress()
     try:
-        with progress, opened(display, stop):
-            feel_all(display, chosen, sites, progress, stop, adaptive, repeats, seed, simulate)
-    except (StoppedError, BoardStoppedError):
-        left = len(set(sites) - set(progress.found))
-        raise CalibrationError(
-            f"stopped, all electrodes are off: {left} of {len(sites)} electrodes are left, the "
-            "same command goes on there",
-            about="thresholds",
-            problem="stopped",
-            value=left,
-        ) from None
-    threshold_ma, comfort_ma = filled(chosen, progress.found)
-    file.set("perception.threshold_ma", threshold_ma)
-    file.set("perception.comfort_ma", comfort_ma)
-    told = sentence(progress.found, adaptive=adaptive)
+        with progress, opened(made, stop) as opened_board, keys_heeded(keys.put):
+            procedure.measure(opened_board, progress, next_key, typer.echo, stop.event.is_set)
+    except STOPPED:
+        raise procedure.stopped(progress) from None
+    told = procedure.put_down(progress)
     _finish(file, "thresholds", told, simulated)
     progress.forget()
 
 
 @calibrate.command()
 @drives_a_board
+@takes_options()
 def contact(
-    output: _Output,
+    calibration: CalibrationOptions,
     board: _BoardUrl = "emulator:",
     repeats: Annotated[int, typer.Option(metavar="N", min=1, max=100, help="Measurements.")] = 5,
-    profile: _Start = None,
-    overwrite: _Overwrite = False,
 ) -> None:
     """Which electrodes touch the skin, by repeated measurements of their impedance."""
-    from smarttouch.boards.board import make_board, usual_profile
     from smarttouch.calibrate.contact import judge_contact
     from smarttouch.calibrate.tables import show_contact
-    from smarttouch.stimulation.safety import SafetyLimits
+    from smarttouch.running.display import open_display
 
     simulated = board.startswith("emulator:")
-    file = _profile_file("contact", profile, output, overwrite, simulated, usual_profile(board))
+    file = calibration.file("contact", simulated, board)
     chosen = file.profile
-    with opened(make_board(board, SafetyLimits.of(chosen), chosen.output)) as display:
+    with opened(open_display(board, chosen).board) as display:
         found = judge_contact([display.measure() for _ in range(repeats)])
     show_contact(found, chosen.electrodes)
     masked = found.masked(chosen)
@@ -281,25 +310,6 @@ def contact(
     file.set("output.impedance_kohm", found.impedances(chosen))
     file.set("output.masked", masked)
     _finish(file, "contact", found.sentence(), simulated)
-
-
-def _profile_file(
-    part: str,
-    start: str | None,
-    output: Path,
-    overwrite: bool,
-    simulated: bool,
-    usual: str | None = None,
-) -> "ProfileFile":
-    from smarttouch.calibrate.profile_file import file_to_calibrate
-    from smarttouch.cli.profiles import tell_changes
-    from smarttouch.profile import DEFAULT_PROFILE
-
-    file = file_to_calibrate(
-        part, start, usual or DEFAULT_PROFILE, output, overwrite, simulated=simulated
-    )
-    tell_changes(file)
-    return file
 
 
 def _finish(

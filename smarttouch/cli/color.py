@@ -1,32 +1,18 @@
 """``smarttouch color``: a vibration as tactile primary colors."""
 
 import math
-import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from smarttouch import terminal
 from smarttouch.cli.driving import drives_a_board
-from smarttouch.cli.run_options import RunOptions, takes_run_options
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from smarttouch.primary import Primary
-    from smarttouch.profile import Profile
-    from smarttouch.vibrotactile.mix import Mixture
-    from smarttouch.vibrotactile.source import ColorSource
-    from smarttouch.vibrotactile.split import Answer
-    from smarttouch.vibrotactile.trace import Trace
-
-    Answers = dict[Primary, Answer]
+from smarttouch.cli.option_groups import takes_options
+from smarttouch.cli.run_options import RunOptions
 
 
 @drives_a_board
-@takes_run_options(scan="points")
+@takes_options(scan="points")
 def color(
     run: RunOptions,
     source: Annotated[
@@ -67,12 +53,15 @@ def color(
     from smarttouch.cli.files import require_folder, write_json
     from smarttouch.cli.progress import bank_progress
     from smarttouch.cli.session import run_in_terminal
+    from smarttouch.cli.tables import print_table
     from smarttouch.kernels.bank import load_bank
     from smarttouch.primary import Primary
     from smarttouch.reading.window import press_n
     from smarttouch.vibrotactile.mix import mix
+    from smarttouch.vibrotactile.picture import draw
     from smarttouch.vibrotactile.price import pacinian_price
-    from smarttouch.vibrotactile.report import as_figures, notes
+    from smarttouch.vibrotactile.report import answer_rows, as_figures, mixture_rows, notes
+    from smarttouch.vibrotactile.sites import parse_places
     from smarttouch.vibrotactile.source import ColorSource
     from smarttouch.vibrotactile.spec import is_spec, open_trace
     from smarttouch.vibrotactile.split import split
@@ -88,16 +77,22 @@ def color(
     answers = split(trace, sai_full_n=chosen.force.full_n, sai_rate_hz=chosen.pulse.sai_rate_hz)
     if split_only:
         if plot is not None:
-            _draw(plot, trace, answers)
+            draw(plot, trace, answers)
         if json_file is not None:
             write_json(json_file, as_figures(answers))
         if not run.quiet:
-            _print_answers(source, answers)
+            print_table(
+                answer_rows(answers),
+                ("class", "drive", "peak", "fires at", "share"),
+                title=source,
+                note="Drive: from threshold (0) to full (1), mean over the trace. Fires at: its "
+                "afferents, while they do. Share: of the drive of all.",
+            )
         return
     with bank_progress(run.quiet) as progress:
         bank = load_bank(chosen, progress)
     display = run.display(chosen)
-    places = _places(chosen, sites, radius_mm)
+    places = parse_places(chosen, sites, radius_mm)
     shaken = run.vibrators is not None
     timing = display.board.timing
     mixture = mix(answers, trace.duration_s, chosen, bank, places, timing, shaken)
@@ -116,39 +111,15 @@ def color(
     if json_file is not None:
         _add(json_file, as_figures(answers, mixture, sensor, price))
     if plot is not None:
-        _draw(plot, trace, answers, mixture)
+        draw(plot, trace, answers, mixture)
     if not run.quiet:
-        _print_mixture(source, answers, mixture, sensor)
-
-
-def _places(
-    profile: "Profile", sites: str | None, radius_mm: float | None
-) -> "NDArray[np.intp] | list[int]":
-    from smarttouch.errors import SmartTouchError
-    from smarttouch.vibrotactile.sites import disc
-
-    if sites is not None and radius_mm is not None:
-        message = "--sites and --radius-mm both say what pulses: give one of them"
-        raise SmartTouchError(
-            message, about="--sites", problem="conflict", value=("--sites", "--radius-mm")
+        print_table(
+            mixture_rows(answers, mixture, sensor),
+            ("class", "drive", "share", "fires at", "pulses", "at", "off by, ms"),
+            title=f"{source}, at {len(mixture.sites)} sites",
+            note="Pulses: sent to each site, and how many a second. Off by: from their own time, "
+            "p50 / max.",
         )
-    if radius_mm is not None and not radius_mm >= 0:
-        message = f"--radius-mm {radius_mm:g} is not possible: give 0 or more"
-        raise SmartTouchError(message, about="--radius-mm", value=radius_mm, allowed=0)
-    if sites is None:
-        return disc(profile, radius_mm)
-    if sites == "all":
-        return profile.driven
-    named: list[int] = []
-    for part in sites.split(","):
-        found = re.fullmatch("([0-9]{1,6})(?:-([0-9]{1,6}))?", part.strip())
-        if found is None:
-            message = f"--sites {sites!r} is no list: write 27,28,35-36, or all"
-            raise SmartTouchError(message, about="--sites", problem="malformed", value=sites)
-        low, high = int(found[1]), int(found[2] or found[1])
-        # The first site that there is not is refused; those after it need no room.
-        named += range(low, min(high, max(low, len(profile.electrodes))) + 1)
-    return named
 
 
 def _add(path: Path, figures: dict[str, object]) -> None:
@@ -158,86 +129,3 @@ def _add(path: Path, figures: dict[str, object]) -> None:
     from smarttouch.files import parse_json, read_bytes
 
     write_json(path, parse_json(read_bytes(path, SmartTouchError)) | {"color": figures})
-
-
-def _draw(path: Path, trace: "Trace", answers: "Answers", mixture: "Mixture | None" = None) -> None:
-    import numpy as np
-
-    from smarttouch.plotting.colors import ClassRow, color_figure
-    from smarttouch.plotting.style import save
-    from smarttouch.primary import Primary
-
-    rows = {}
-    for primary, answer in answers.items():
-        which = np.empty(0, np.intp)
-        shaken = mixture is not None and mixture.vibrated and primary is Primary.PC
-        if mixture is not None:
-            everything = np.arange(len(mixture.time_us))
-            which = everything if shaken else mixture.carried.get(primary, which)
-            pulse_s, drive = mixture.time_us[which] / 1e6, mixture.drive[which, primary]
-        else:
-            pulse_s = drive = np.empty(0)
-        rows[primary] = ClassRow(answer.drive, pulse_s, drive.astype(np.float64), shaken)
-    figure = color_figure(trace.time_s, trace.displacement_um, trace.force_n, rows, trace.title)
-    save(figure, path)
-
-
-def _print_answers(source: str, answers: "Answers") -> None:
-    from smarttouch.vibrotactile.report import answered
-
-    _print_table(
-        source,
-        ("class", "drive", "peak", "fires at", "share"),
-        [
-            (
-                primary.name,
-                f"{row.mean_drive:.2f}",
-                f"{row.peak_drive:.2f}",
-                f"{row.rate_hz:.1f} Hz" if row.rate_hz else "–",
-                f"{row.share:.0%}",
-            )
-            for primary, row in answered(answers).items()
-        ],
-        "Drive: from threshold (0) to full (1), mean over the trace. Fires at: its afferents, "
-        "while they do. Share: of the drive of all.",
-    )
-
-
-def _print_mixture(
-    source: str, answers: "Answers", mixture: "Mixture", sensor: "ColorSource"
-) -> None:
-    from smarttouch.vibrotactile.report import answered, sent_out
-
-    sent = sent_out(mixture, sensor)
-    rows = []
-    for primary, row in answered(answers).items():
-        cells = ["–", "–", "–"]
-        if primary in sent:
-            out = sent[primary]
-            off = f"{out.off_p50_us / 1000:.2f} / {out.off_max_us / 1000:.2f}"
-            cells = [f"{out.pulses}", f"{out.rate_hz:.1f} Hz", off]
-        elif mixture.vibrated and row.share:
-            cells[0] = "vibrated"
-        fires = f"{row.rate_hz:.1f} Hz" if row.rate_hz else "–"
-        rows.append((primary.name, f"{row.mean_drive:.2f}", f"{row.share:.0%}", fires, *cells))
-    _print_table(
-        f"{source}, at {len(mixture.sites)} sites",
-        ("class", "drive", "share", "fires at", "pulses", "at", "off by, ms"),
-        rows,
-        "Pulses: sent to each site, and how many a second. Off by: from their own time, p50 / max.",
-    )
-
-
-def _print_table(
-    title: str, heading: tuple[str, ...], rows: list[tuple[str, ...]], note: str
-) -> None:
-    from rich.table import Table
-
-    table = Table(*heading, title=title, title_justify="left", box=None, pad_edge=False)
-    for column in table.columns[1:]:
-        column.justify = "right"
-    for row in rows:
-        table.add_row(*row)
-    console = terminal.console()
-    console.print(table)
-    console.print(note, style="dim")

@@ -6,12 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from smarttouch.cli.tables import print_table
+
 if TYPE_CHECKING:
-    from smarttouch.cli.kernels import Shown
-    from smarttouch.kernels.bank import KernelBank
-    from smarttouch.kernels.problem import Kernel
-    from smarttouch.primary import Primary
-    from smarttouch.profile import Profile
+    from smarttouch.kernels.report import WordTable
 
 
 def design(
@@ -49,10 +47,10 @@ def design(
     ] = None,
 ) -> None:
     """Show the kernels of a profile: current patterns that reach one class of afferents."""
-    from smarttouch.cli import kernels
     from smarttouch.cli.files import parse_primary, require_folder, require_site, write_json
     from smarttouch.cli.progress import bank_progress
     from smarttouch.errors import DesignError, SmartTouchError
+    from smarttouch.kernels import report
     from smarttouch.kernels.bank import find_bank, load_bank, make_bank
     from smarttouch.kernels.switching import possible_modes
     from smarttouch.profile import load_profile
@@ -90,111 +88,43 @@ def design(
     sites = chosen.driven.tolist() if site is None else [site]
     with bank_progress(quiet=False) as progress:
         if compare:
-            shown = _compared(chosen, modes, sites, progress)
+            shown = report.kernels_compared(chosen, modes, sites, progress)
         elif bank_file is not None:
-            shown = _from_bank(chosen, make_bank(bank_file, chosen, progress), modes, sites)
+            shown = report.kernels_of_bank(
+                chosen, make_bank(bank_file, chosen, progress), modes, sites
+            )
         elif special:
-            shown = _designed(chosen, modes, sites, special[0], robust, progress)
+            shown = report.kernels_designed(
+                chosen, modes, sites, special[0].removeprefix("--"), robust, progress
+            )
         else:
             # One site of a large array is not worth its whole bank.
             bank = load_bank(chosen, progress) if site is None else find_bank(chosen)
             if bank is not None:
-                shown = _from_bank(chosen, bank, modes, sites)
+                shown = report.kernels_of_bank(chosen, bank, modes, sites)
             else:
-                shown = _designed(chosen, modes, sites, None, False, progress)
+                shown = report.kernels_designed(chosen, modes, sites, None, False, progress)
     if compare:
-        kernels.print_comparison(chosen, shown)
+        _print(report.comparison_table(chosen, shown))
     elif site is None:
-        kernels.print_sites(chosen, shown)
+        _print(report.site_table(chosen, shown))
     else:
         for each in shown:
-            kernels.print_kernel(chosen, each)
+            _print(*report.weight_table(chosen, each))
     if json_file is not None:
-        write_json(json_file, kernels.as_json(chosen, shown))
+        write_json(json_file, report.as_json(chosen, shown))
     if plot_file is not None:
-        _plot(chosen, shown, plot_file)
+        from smarttouch.plotting.kernels import kernel_figure
+        from smarttouch.plotting.style import save
+
+        middle, drawn = report.middle_kernels(chosen, shown)
+        save(kernel_figure(chosen, drawn, middle), plot_file)
 
 
-def _from_bank(
-    profile: "Profile",
-    bank: "KernelBank",
-    modes: Sequence["Primary"],
-    sites: Sequence[int],
-) -> list["Shown"]:
-    from smarttouch.cli.kernels import Shown
-    from smarttouch.kernels.switching import kind_of
+def _print(table: "WordTable", marked: Sequence[Sequence[bool]] = ()) -> None:
+    from rich.text import Text
 
-    kind = kind_of(profile)
-    return [
-        Shown(mode, site, bank.kernel(mode, site, kind), float(bank.seconds[mode][site]))
-        for mode in modes
-        for site in sites
-    ]
-
-
-def _designed(
-    profile: "Profile",
-    modes: Sequence["Primary"],
-    sites: Sequence[int],
-    asked: str | None,
-    robust: bool,
-    progress: Any,
-) -> list["Shown"]:
-    from smarttouch.cli.kernels import Shown
-    from smarttouch.kernels.batch import design_sites
-    from smarttouch.kernels.design import design_any_node, design_kernel
-    from smarttouch.kernels.problem import Problem
-    from smarttouch.kernels.switching import design_three_state, designer
-
-    design_one = {
-        None: designer(profile),
-        "--robust": design_kernel,
-        "--three-state": design_three_state,
-        "--any-node": design_any_node,
-    }[asked]
-    shown = []
-    for index, mode in enumerate(modes):
-
-        def advance(done: int, total: int, index: int = index) -> None:
-            progress(index * total + done, len(modes) * total)
-
-        problem = Problem(profile, mode, spread=robust)
-        timed = design_sites(problem, design_one, sites, advance)
-        shown += [Shown(mode, site, *each) for site, each in zip(sites, timed, strict=True)]
-    return shown
-
-
-def _compared(
-    profile: "Profile", modes: Sequence["Primary"], sites: Sequence[int], progress: Any
-) -> list["Shown"]:
-    from smarttouch.cli.kernels import Shown
-    from smarttouch.kernels.comparison import compare
-
-    shown = []
-    for index, mode in enumerate(modes):
-
-        def advance(done: int, total: int, index: int = index) -> None:
-            progress(index * total + done, len(modes) * total)
-
-        shown += [
-            Shown(mode, each.site, each.kernel, each.seconds, each.variant, each.worst_finger)
-            for each in compare(profile, mode, sites, advance)
-        ]
-    return shown
-
-
-def _plot(profile: "Profile", shown: Sequence["Shown"], path: Path) -> None:
-    import numpy as np
-
-    from smarttouch.plotting.kernels import kernel_figure
-    from smarttouch.plotting.style import save
-
-    sites = sorted({each.site for each in shown})
-    away = np.linalg.norm(profile.electrodes.position_mm[sites], axis=1)
-    site = sites[int(away.argmin())]
-    drawn: dict[Primary, Kernel] = {}
-    for each in shown:
-        if each.site == site:
-            # Where kinds are compared, the first one, the weighted, is drawn.
-            drawn.setdefault(each.primary, each.kernel)
-    save(kernel_figure(profile, drawn, site), path)
+    rows: list[list[Any]] = [list(row) for row in table.rows]
+    for row, marks in zip(rows, marked, strict=False):
+        row[:] = [Text(cell, "bold reverse" * mark) for cell, mark in zip(row, marks, strict=True)]
+    print_table(rows, table.heading, title=table.title, note=table.note, ruled=True, left=0)

@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from smarttouch.cli import keyboard
-from smarttouch.cli.run_registry import announced, refuse_if_stopped
-from smarttouch.cli.terminal import never_waiting
 from smarttouch.errors import BoardError, BoardStoppedError
+from smarttouch.outlet import never_waiting
+from smarttouch.running.announced import announced, refuse_if_stopped
 from smarttouch.stopping import RunStopped, SignalWatch, StopRequest
 
 if TYPE_CHECKING:

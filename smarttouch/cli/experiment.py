@@ -6,7 +6,8 @@ from typing import Annotated
 import typer
 
 from smarttouch.cli.driving import drives_a_board
-from smarttouch.cli.run_options import RunOptions, takes_run_options
+from smarttouch.cli.option_groups import takes_options
+from smarttouch.cli.run_options import RunOptions
 
 experiment = typer.Typer(
     help="Psychophysics: what a finger can tell of pulses (paper, Section III).",
@@ -38,7 +39,7 @@ def list_all() -> None:
 
 @experiment.command("run")
 @drives_a_board
-@takes_run_options(scan="points")
+@takes_options(scan="points")
 def run_listed(
     run: RunOptions,
     name: Annotated[str, typer.Argument(metavar="NAME", help="See smarttouch experiment list.")],
@@ -100,19 +101,17 @@ def run_listed(
     import contextlib
     from dataclasses import replace
 
-    from smarttouch.cli.experiment_steps import (
-        Sitting,
-        numbered,
-        parse_standards,
-        require_answers,
-        sit,
-        usual_name,
-    )
+    from smarttouch.cli.experiment_steps import require_answers, sit
     from smarttouch.cli.files import parse_choice, parse_primary
     from smarttouch.psychophysics.catalog import Wanted, design
     from smarttouch.psychophysics.course import Course
-    from smarttouch.psychophysics.rows import About, RowFile
-    from smarttouch.psychophysics.session import Session
+    from smarttouch.psychophysics.rows import About
+    from smarttouch.psychophysics.sitting import (
+        numbered,
+        open_sitting,
+        parse_standards,
+        usual_name,
+    )
 
     if simulate is not None:
         simulate = parse_choice("--simulate", simulate, ("model", "random", "first", "silent"))
@@ -138,17 +137,18 @@ def run_listed(
         subject=run.subject or participant,
         note=run.note or session,
     )
-    with RowFile(path, about, overwrite) as file, contextlib.ExitStack() as stack:
-        sitting = Sitting(made, Session(made.task, made.procedure, file, _now()), chosen, course)
+    with (
+        open_sitting(made, chosen, course, about, path, overwrite=overwrite) as sitting,
+        contextlib.ExitStack() as stack,
+    ):
         if run.record is not None and sitting.session.resumed:
             run = replace(run, record=numbered(run.record))
-        force = run.open_force(chosen, stack)
-        sit(sitting, run, config, force, simulate, path)
+        sit(sitting, run, config, run.open_force(chosen, stack), simulate)
 
 
 @experiment.command()
 @drives_a_board
-@takes_run_options(scan="points")
+@takes_options(scan="points")
 def free(
     run: RunOptions,
     mode: _Mode = "RA",
@@ -182,9 +182,3 @@ def free(
         run = replace(run, intensity=0.0)
     run = replace(run, subject=run.subject or participant)
     free_run(run, load_profile(profile), parse_primary(mode), site, rate, knob, output)
-
-
-def _now() -> str:
-    from datetime import datetime
-
-    return datetime.now().astimezone().isoformat(timespec="seconds")

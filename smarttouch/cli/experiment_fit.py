@@ -10,8 +10,6 @@ from smarttouch import terminal
 from smarttouch.cli.options import JsonOption, QuietOption
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from smarttouch.psychophysics.fitting.psychometric import Guess
     from smarttouch.psychophysics.fitting.table import Table
     from smarttouch.psychophysics.fitting.verdict import Finding
@@ -129,40 +127,19 @@ def _parse_guess(text: str | None) -> "Guess | None":
 
 
 def _print(found: Sequence[tuple["Table", list["Finding"]]]) -> None:
+    from smarttouch.cli.tables import print_table
+    from smarttouch.psychophysics.fitting.report import threshold_rows
+
     console = terminal.console(highlight=False)
     for table, findings in found:
         console.print(f"{table.name}{', ' * bool(table.unit)}{table.unit}", style="bold")
         compares = any(each.answers.standard for each in findings)
-        _print_thresholds(console, [each for each in findings if not each.verdict], compares)
+        heading, *rows = threshold_rows([each for each in findings if not each.verdict], compares)
+        if rows:
+            print_table(rows, heading, left=0)
         for each in findings:
             about = f"{each.answers.standard:g}: " if compares else ""
             if each.verdict is not None:
                 console.print(f"{about}no threshold: {each.verdict}", soft_wrap=True)
             for note in each.notes:
                 console.print(f"{about}{note}", style="dim", soft_wrap=True)
-
-
-def _print_thresholds(console: "Console", findings: list["Finding"], compares: bool) -> None:
-    from rich.table import Table as Shown
-
-    from smarttouch.psychophysics.fitting.report import in_percent, in_words
-
-    if not findings:
-        return
-    shown = Shown(box=None, padding=(0, 1, 0, 0))
-    names = ["n", f"{findings[0].model.share:.0%} at", "slope", "lapse", "p"]
-    if compares:
-        names[2:2] = ["Weber", "lower", "middle"]
-        names.insert(0, "standard")
-    for name in names:
-        shown.add_column(name, justify="right", no_wrap=True)
-    for each in findings:
-        assert each.fit is not None
-        goodness = "" if each.goodness is None else f"{each.goodness:.2f}"
-        cells = [str(each.answers.answered), in_words(each.threshold)]
-        if compares:
-            lower = "" if each.lower_weber is None else f"{each.lower_weber.value:.0%}"
-            cells += [in_percent(each.weber), lower, f"{each.fit.at(0.5):.3g}"]
-            cells.insert(0, f"{each.answers.standard:g}")
-        shown.add_row(*cells, f"{each.fit.slope:.2g}", f"{each.fit.lapse:.2f}", goodness)
-    console.print(shown)

@@ -1,8 +1,6 @@
 """``smarttouch figures``: the paper's figures redrawn, and those of a user's own array."""
 
-import csv
-import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,8 +11,6 @@ from smarttouch.files import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from smarttouch.physiology.af_error import AfError
 
 
 def figures(
@@ -32,10 +28,11 @@ def figures(
 
     from smarttouch.cli.files import not_offered, require_site
     from smarttouch.cli.progress import bank_progress
+    from smarttouch.cli.tables import print_table
     from smarttouch.errors import SmartTouchError
     from smarttouch.kernels.bank import load_bank
     from smarttouch.kernels.switching import kind_of
-    from smarttouch.physiology.af_error import af_error_table
+    from smarttouch.physiology import af_error
     from smarttouch.plotting import colors, fibers, frames, kernels, paper, style
     from smarttouch.profile import load_profile
 
@@ -71,49 +68,19 @@ def figures(
             style.save(draw(), folder / f"{name}.{kind}")
         print(folder / f"{name}.{kind}")
     with console.status("looking for the thresholds of fibers"):
-        table = af_error_table(chosen)
+        table = af_error.af_error_table(chosen)
     name = f"af-against-cable-{chosen.name}"
     style.save(fibers.af_error_figure(table), folder / f"{name}.{kind}")
     print(folder / f"{name}.{kind}")
-    _write_csv(folder / f"{name}.csv", table)
+    write_bytes(folder / f"{name}.csv", af_error.as_csv(table).encode())
     print(folder / f"{name}.csv")
-    _print_table(table)
-
-
-def _write_csv(path: Path, table: Sequence["AfError"]) -> None:
-    text = io.StringIO(newline="")
-    writer = csv.writer(text)
-    writer.writerow(["fiber", "polarity", "depth_mm", "cable_ma", "af_ma", "af_over_cable"])
-    for row in table:
-        figures = (row.cable_ma, row.af_ma, row.ratio)
-        writer.writerow(
-            [row.fiber, row.polarity, row.depth_mm, *(f"{each:.4g}" for each in figures)]
-        )
-    write_bytes(path, text.getvalue().encode())
-
-
-def _print_table(table: Sequence["AfError"]) -> None:
-    from rich.table import Table
-
-    depths = list(dict.fromkeys(row.depth_mm for row in table))
-    shown = Table(
+    heading, *rows = af_error.ratio_rows(table)
+    print_table(
+        rows,
+        heading,
         title="Threshold by the AF over that of the cable model, by depth in mm",
-        title_justify="left",
-    )
-    shown.add_column("fiber")
-    shown.add_column("polarity")
-    for depth in depths:
-        shown.add_column(f"{depth:g}", justify="right")
-    lines = dict.fromkeys((row.fiber, row.polarity) for row in table)
-    for fiber, polarity in lines:
-        ratios = [row.ratio for row in table if (row.fiber, row.polarity) == (fiber, polarity)]
-        shown.add_row(
-            fiber, polarity, *("never" if r == float("inf") else f"{r:.2f}" for r in ratios)
-        )
-    console = terminal.console()
-    console.print(shown)
-    console.print(
-        "1 is right; below 1 the AF thinks the fiber easier to fire than it is. All predictions "
-        "follow from one threshold, that of the flat fiber under a cathode at 0.9 mm.",
-        style="dim",
+        note="1 is right; below 1 the AF thinks the fiber easier to fire than it is. All "
+        "predictions follow from one threshold, that of the flat fiber under a cathode at 0.9 mm.",
+        ruled=True,
+        left=2,
     )

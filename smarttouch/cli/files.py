@@ -2,7 +2,6 @@
 
 import json
 import math
-import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -53,17 +52,6 @@ def not_offered(
         value=text,
         allowed=allowed,
     )
-
-
-def parse_size(size: str | None) -> tuple[int, int] | None:
-    """Return width and height that ``--size`` names, as in 640x480."""
-    if size is None:
-        return None
-    found = re.fullmatch("([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", size.lower())
-    if found is None:
-        message = f"--size {size!r} is not a size: give width and height as 640x480"
-        raise SmartTouchError(message, about="--size", problem="malformed", value=size)
-    return int(found[1]), int(found[2])
 
 
 def require_site(profile: "Profile", site: int) -> None:

@@ -1,15 +1,16 @@
 """``smarttouch mouse``: a texture under a hand that moves."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from smarttouch.cli.driving import drives_a_board
-from smarttouch.cli.run_options import RunOptions, takes_run_options
+from smarttouch.cli.option_groups import takes_options
+from smarttouch.cli.run_options import RunOptions
 
 
 @drives_a_board
-@takes_run_options(scan="points")
+@takes_options(scan="points")
 def mouse(
     run: RunOptions,
     texture: Annotated[
@@ -77,9 +78,7 @@ def mouse(
     from smarttouch.cli.files import parse_mode
     from smarttouch.cli.session import run_in_terminal
     from smarttouch.reading.window import press_n, profile_for_reading
-    from smarttouch.texture.motion import open_motion
-    from smarttouch.texture.source import MouseSource
-    from smarttouch.texture.sweep_motion import strokes_over
+    from smarttouch.texture.source import MouseSource, open_motion_over
     from smarttouch.texture.textures import open_texture
 
     own = run.load_profile()
@@ -93,17 +92,11 @@ def mouse(
         tiled=tiled,
         light_on_dark=light_on_dark,
     )
-    kind = motion.partition(":")[0]
-    more: dict[str, Any] = {}
-    if kind == "window":
-        more = {"texture": surface}
-    elif kind == "sweep" and surface.size_mm is not None:
-        more = strokes_over(surface.size_mm, chosen.electrodes.extent_mm)
-    elif kind not in ("sweep", "path", "evdev"):
-        more = {"profile": own}
     with contextlib.ExitStack() as stack:
         moves = stack.enter_context(
-            open_motion(motion, speed_mm_s=speed, seed=seed, cpi=cpi, grab=grab or None, **more)
+            open_motion_over(
+                surface, motion, own, speed_mm_s=speed, seed=seed, cpi=cpi, grab=grab or None
+            )
         )
         sensor = MouseSource(
             surface,

@@ -5,62 +5,29 @@ from typing import Annotated
 import typer
 
 from smarttouch.cli.driving import drives_a_board
-from smarttouch.cli.options import (
-    AsOption,
-    CellsOption,
-    LanguageOption,
-    ModeOption,
-    PagesOption,
-    PasswordOption,
-    RateOption,
-    StyleOption,
-    TableOption,
-)
-from smarttouch.cli.run_options import RunOptions, takes_run_options
+from smarttouch.cli.option_groups import takes_options
+from smarttouch.cli.options import ModeOption, RateOption
+from smarttouch.cli.run_options import RunOptions
+from smarttouch.cli.source_options import DocumentOptions, FeelOptions
+from smarttouch.cli.standard_input import or_standard_input
 
 
 @drives_a_board
-@takes_run_options()
+@takes_options()
 def read(
+    feel: FeelOptions,
+    document: DocumentOptions,
     run: RunOptions,
     source: Annotated[
         str,
         typer.Argument(
-            metavar="FILE|text:WORDS",
+            callback=or_standard_input,
+            metavar="FILE|text:WORDS|-",
             help="An image or PDF of a page, a .txt file, Braille (.brf, .pef, a photograph), or "
-            "text: and words.",
+            "text: and words; - for standard input.",
         ),
     ],
-    kind: AsOption = "shapes",
-    style: StyleOption = "graded",
-    table: TableOption = "en-1",
-    cells: CellsOption = "line",
     lines: Annotated[int, typer.Option(help="Lines of Braille under the finger at once.")] = 1,
-    embossed: Annotated[
-        bool | None,
-        typer.Option(
-            "--embossed/--printed", help="Whether the image shows raised dots; found out if none."
-        ),
-    ] = None,
-    light_from: Annotated[
-        float | None,
-        typer.Option(metavar="DEG", help="Where the light on raised dots comes from."),
-    ] = None,
-    language: LanguageOption = "eng",
-    pages: PagesOption = None,
-    dpi: Annotated[float | None, typer.Option(help="Resolution of the image.")] = None,
-    page_width_mm: Annotated[float | None, typer.Option(help="Or the width of its page.")] = None,
-    password: PasswordOption = None,
-    light_on_dark: Annotated[
-        bool | None,
-        typer.Option(
-            "--light-on-dark/--dark-on-light", help="How the print is; found out if none."
-        ),
-    ] = None,
-    speed: Annotated[
-        float | None,
-        typer.Option(metavar="MM/S", help="Of the text under the finger; four pulses a pitch."),
-    ] = None,
     pause: Annotated[float, typer.Option(metavar="S", help="After each line.")] = 1.0,
     wait: Annotated[
         bool, typer.Option("--wait", help="After each line, until the right arrow is pressed.")
@@ -87,15 +54,12 @@ def read(
     import contextlib
     from dataclasses import replace
 
-    from smarttouch.cli.files import parse_choice, parse_mode
+    from smarttouch.cli.files import parse_mode
     from smarttouch.cli.progress import first_line_awaited
     from smarttouch.cli.session import run_in_terminal
-    from smarttouch.reading.braille import Braille, Presentation
     from smarttouch.reading.cursor import Cursor, FollowingCursor, SweepingCursor
     from smarttouch.reading.feed import LineFeed
     from smarttouch.reading.line_source import ReadingSource
-    from smarttouch.reading.printed import HowToLook
-    from smarttouch.reading.shapes import Shapes, Style
     from smarttouch.reading.source import Source
     from smarttouch.reading.window import press_n, profile_for_reading
     from smarttouch.sources import open_source
@@ -103,18 +67,10 @@ def read(
     run = replace(run, board=board or (None if run.frames is None else "simulated:"))
     own = run.load_profile()
     chosen, outputs = profile_for_reading(own), run.outputs()
-    wanted: Shapes | Braille
-    if parse_choice("--as", kind, ("shapes", "braille")) == "shapes":
-        wanted = Shapes(parse_choice("--style", style, Style))
-    else:
-        presentation = parse_choice("--cells", cells, Presentation)
-        wanted = Braille(table, presentation, lines, embossed, light_from)
-    motion = wanted.motion(chosen, speed, rate)
-    look = HowToLook(
-        pages, dpi, page_width_mm, password, light_on_dark, language, follow is not None
-    )
+    wanted = feel.wanted(lines)
+    motion = wanted.motion(chosen, feel.speed, rate)
     notes: list[str] = []
-    text = Source(source, look, notes.append)
+    text = Source(source, document.look(scale_matters=follow is not None), notes.append)
     config = run.config(parse_mode(mode), rate_hz=rate, tone=wanted.tone)
     with contextlib.ExitStack() as stack:
         feed = LineFeed(wanted.lines(text, chosen))

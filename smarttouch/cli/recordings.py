@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from smarttouch import terminal
+from smarttouch.cli.tables import print_table
 
 recordings = typer.Typer(
     help="Look into, repair and export what ``live --record`` kept.", no_args_is_help=True
@@ -17,16 +17,9 @@ _File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording, whole 
 @recordings.command()
 def info(file: _File) -> None:
     """Tell what was delivered to whom and when, and how much of it is kept."""
-    from rich.table import Table
-
     from smarttouch.recording.account import describe
 
-    table = Table(box=None, pad_edge=False, show_header=False)
-    table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
-    for name, value in describe(file):
-        table.add_row(name, value)
-    terminal.console().print(table)
+    print_table(describe(file), left=2)
 
 
 @recordings.command()

@@ -6,11 +6,12 @@ from typing import Annotated
 import typer
 
 from smarttouch.cli.driving import drives_a_board
-from smarttouch.cli.run_options import RunOptions, takes_run_options
+from smarttouch.cli.option_groups import takes_options
+from smarttouch.cli.run_options import RunOptions
 
 
 @drives_a_board
-@takes_run_options()
+@takes_options()
 def replay(
     run: RunOptions,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, whole or cut.")],

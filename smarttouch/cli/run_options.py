@@ -1,26 +1,21 @@
 """Options that every command takes that runs, said once; and what a run is made of by them."""
 
-import functools
-import inspect
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from smarttouch.cli.option_groups import OptionGroup
 from smarttouch.cli.options import (
-    FeltOption,
-    ForceOption,
-    FramesOption,
-    IntensityOption,
+    BOARD,
+    FINGER,
+    KEPT,
     JsonOption,
-    MarkersOption,
     ProfileOption,
     QuietOption,
-    RecordOption,
     ScanOption,
-    SecondsOption,
 )
 
 if TYPE_CHECKING:
@@ -30,55 +25,105 @@ if TYPE_CHECKING:
     from smarttouch.running.display import Display
     from smarttouch.sources.forces.force import ForceSource
 
-_T = TypeVar("_T")
-
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions:
+class RunOptions(OptionGroup):
     """Options of a run, as typed."""
 
     board: Annotated[
         str | None,
         typer.Option(
             metavar="URL",
-            help="emulator:, simulated: (waits for nothing), kajimoto61:PORT, etactilekit:PORT, "
-            "link:PORT; emulator: if none.",
+            rich_help_panel=BOARD,
+            help="emulator: if none; simulated:, or kajimoto61:, etactilekit:, link: and a port.",
         ),
     ] = None
     vibrators: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="Mechanical vibrators, to shake PC instead of current."),
+        typer.Option(
+            metavar="URL", rich_help_panel=BOARD, help="To shake what PC is to feel; no current."
+        ),
     ] = None
-    profile: ProfileOption = None
-    force: ForceOption = None
-    intensity: IntensityOption = None
     scan: ScanOption = "auto"
-    softness: Annotated[
-        float | None,
-        typer.Option(metavar="0..1", help="1: SAI pulses at a constant rate; 0: follows force."),
-    ] = None
-    seconds: SecondsOption = None
     measure: Annotated[
-        bool, typer.Option("--measure", help="First find bad electrodes, and plan around them.")
+        bool,
+        typer.Option("--measure", rich_help_panel=BOARD, help="Find and avoid bad electrodes."),
     ] = False
     hold: Annotated[
         str | None,
-        typer.Option(metavar="charge|energy", help="Against drifting impedance, if the board can."),
+        typer.Option(
+            metavar="WHAT", rich_help_panel=BOARD, help="charge or energy, as impedance drifts."
+        ),
     ] = None
     balance: Annotated[
         bool,
         typer.Option(
             "--balance",
-            help="Keep net charge at zero, by a weak recharge phase in each scan. Boards of one "
-            "source reverse scans instead, and those drive the other class (SAI for RA).",
+            rich_help_panel=BOARD,
+            help="Net charge zero: a weak recharge in each scan; of one source, reversed scans, "
+            "which drive the other class.",
         ),
     ] = False
-    felt: FeltOption = None
-    frames: FramesOption = None
-    record: RecordOption = None
-    subject: Annotated[str, typer.Option(help="Who feels it, for the recording.")] = ""
-    note: Annotated[str, typer.Option(help="Anything else, for the recording.")] = ""
-    markers: MarkersOption = False
+    profile: ProfileOption = None
+    force: Annotated[
+        str | None,
+        typer.Option(
+            metavar="URL",
+            rich_help_panel=FINGER,
+            help="hx711:PORT, loadcell:PORT, recorded:CSV, fixed:N; else what sensor or board say.",
+        ),
+    ] = None
+    intensity: Annotated[
+        float | None,
+        typer.Option(
+            metavar="0..1",
+            rich_help_panel=FINGER,
+            help="Of the strongest. Real boards begin at 0, and keys raise it up to this (1); "
+            "without a keyboard it must be given, and is reached slowly.",
+        ),
+    ] = None
+    softness: Annotated[
+        float | None,
+        typer.Option(
+            metavar="0..1",
+            rich_help_panel=FINGER,
+            help="SAI pulses at a constant rate (1), or as force has it (0).",
+        ),
+    ] = None
+    seconds: Annotated[float | None, typer.Option(metavar="S", help="Longest run, wall time.")] = (
+        None
+    )
+    felt: Annotated[
+        Path | None,
+        typer.Option(metavar="PNG", rich_help_panel=KEPT, help="Picture of what is read and felt."),
+    ] = None
+    frames: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH",
+            rich_help_panel=KEPT,
+            help="What electrodes do: .gif, .json, or PNG in a folder.",
+        ),
+    ] = None
+    record: Annotated[
+        Path | None, typer.Option(metavar="MCAP", rich_help_panel=KEPT, help="The whole run.")
+    ] = None
+    subject: Annotated[
+        str,
+        typer.Option(metavar="NAME", rich_help_panel=KEPT, help="Who feels it, for the recording."),
+    ] = ""
+    note: Annotated[
+        str,
+        typer.Option(
+            metavar="TEXT", rich_help_panel=KEPT, help="Anything else, for the recording."
+        ),
+    ] = ""
+    markers: Annotated[
+        bool,
+        typer.Option(
+            "--markers", rich_help_panel=KEPT, help="Events to the Lab Streaming Layer (extra lsl)."
+        ),
+    ] = False
     json_file: JsonOption = None
     quiet: QuietOption = False
 
@@ -139,52 +184,3 @@ class RunOptions:
         from smarttouch.sources.forces.force import open_force
 
         return stack.enter_context(open_force(self.force, profile))
-
-
-def takes_run_options(
-    **defaults: Any,
-) -> Callable[[Callable[..., _T]], Callable[..., _T]]:
-    """Let a command take each option of `RunOptions`; it is given all of them as ``run``.
-
-    An option that the command names itself is its own.
-
-    Parameters
-    ----------
-    **defaults
-        Of options that have another default in this command.
-    """
-    return functools.partial(_expanded, defaults=defaults)
-
-
-def _expanded(command: Callable[..., _T], defaults: dict[str, Any]) -> Callable[..., _T]:
-    hints = get_type_hints(command, include_extras=True)
-    options = get_type_hints(RunOptions, include_extras=True)
-    parameters = inspect.signature(command).parameters
-    own = [
-        each.replace(annotation=hints[each.name]) for each in parameters.values()
-        if each.name != "run"
-    ]  # fmt: skip
-    shared = [each for each in fields(RunOptions) if each.name not in parameters]
-
-    @functools.wraps(command)
-    def expanded(**given: Any) -> _T:
-        of_run = {each.name: given.pop(each.name) for each in shared}
-        return command(run=RunOptions(**of_run), **given)
-
-    del expanded.__wrapped__
-    more = [
-        inspect.Parameter(
-            each.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=defaults.get(each.name, each.default),
-            annotation=options[each.name],
-        )
-        for each in shared
-    ]
-    own = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in own]
-    signature = inspect.Signature([*own, *more], return_annotation=hints.get("return"))
-    expanded.__signature__ = signature  # type: ignore[attr-defined]
-    expanded.__annotations__ = {
-        each.name: each.annotation for each in signature.parameters.values()
-    }
-    return expanded

@@ -50,7 +50,7 @@ def as_options(saved: "SavedRun") -> dict[str, Any]:
         "subject", "note",
     )  # fmt: skip
     given = {
-        "sensor": saved.source,
+        "source": saved.source,
         "rate": config.rate_hz,
         "seed": config.seed or None,
         **{name: getattr(saved, name) for name in ("board", "vibrators", "force", "profile")},

@@ -18,8 +18,8 @@ from smarttouch import terminal
 from smarttouch.events import Advice, Event
 from smarttouch.profile import Profile
 from smarttouch.running.listener import Listener, RunContext
+from smarttouch.running.report import summary_lines
 from smarttouch.running.step import StepResult
-from smarttouch.stimulation.sequence import ScanSequence
 
 _SENSOR_ROWS = 16
 _REFRESH_PER_S = 10
@@ -101,7 +101,7 @@ class Screen(Listener):
         title = "asked for" if sent.step.input.image is None else "sensor sees"
         given = Panel(_given(sent, self._layout), title=title, expand=False)
         electrodes = Panel(
-            self._layout.draw(_felt_ma(sent) / self._full_ma),
+            self._layout.draw(sent.felt_ma / self._full_ma),
             title=f"{sent.step.mode} electrodes",
             expand=False,
         )
@@ -130,7 +130,7 @@ class Screen(Listener):
                 "rate",
                 f"{sequence.rate_hz:.0f} Hz, {sequence.slots} slots of {sequence.points} points",
             ),
-            ("beside", _beside(sequence)),
+            ("beside", _beside(sequence.proof.shared if sequence.proof else None)),
             ("frames", f"{statistics.felt} felt, {dropped} dropped of {self._source.frames}"),
             ("latency", f"{frame.age_ns / 1e6 + sent.latency_us / 1e3:.1f} ms, image to last byte"),
             ("own work", f"{sent.work_us:.0f} µs, {statistics.work_share:.1%} of the scans"),
@@ -156,78 +156,14 @@ class Screen(Listener):
 
     def summarize(self, figures: dict[str, Any], notes: list[str], files: list[Path]) -> None:
         """Print how the run went."""
-        latency = figures["motion_to_bytes_us"]
-        net_uc = figures["max_net_charge_uc"] or 0
-        net = (
-            f"all pulses add up to {net_uc:.2g} µC on one electrode"
-            if figures["reported_by"] == "host"
-            else f"net charge left {1e6 * net_uc:.3g} pC at worst"
-        )
-        lines = [
-            f"Ended after {figures['seconds']:.1f} s ({figures['ended']}): all electrodes off.",
-            f"  {figures['frames_in']} frames in, {figures['frames_felt']} felt, "
-            f"{figures['dropped_frames']} dropped; {figures['slots']} slots in "
-            f"{figures['acknowledged']} sequences "
-            f"{'acknowledged' if self._board.capabilities.acknowledges else 'sent'}",
-            f"  {figures['rate_hz']:.1f} Hz of {figures['rate_asked_hz'] or 0:.1f} asked"
-            + self._slowed(figures)
-            + f"; image to last byte {latency['p50'] / 1000:.1f} ms median, "
-            f"{latency['p99'] / 1000:.1f} ms p99; own work {figures['work_share']:.1%} of it",
-            f"  strongest pulse {figures['max_current_ma']:.2f} mA, "
-            f"{figures['max_charge_uc']:.3f} µC; {net}",
-            f"  dose of this session: {figures['dose_s']:.1f} s of current, "
-            f"{figures['dose_mc']:.2f} mC through one electrode at most",
-            f"  {_range(figures)} pulses by the host's own account: this board keeps none"
-            if figures["reported_by"] == "host"
-            else f"  {figures['emulator_violations']} violations by the board's own books",
-        ]
-        if figures["worst_other"] is not None:
-            lines.append(
-                f"  points shared slots: other classes got {figures['worst_other']:.2f} of them at "
-                f"worst, their own elsewhere {figures['worst_spill']:.2f}"
-            )
-        if figures["lifts"]:
-            lines.append(f"  the finger was lifted {figures['lifts']} times")
-        blind = figures["without_force_or_image"]
-        if blind:
-            lines.append(f"  {blind} sequences without current: force or image were not known")
-        lines += [f"  {note}" for note in notes]
-        lines += [f"  wrote {path}" for path in files]
-        for line in lines:
+        lines = summary_lines(figures, acknowledges=self._board.capabilities.acknowledges)
+        wrote = (f"wrote {path}" for path in files)
+        for line in (lines[0], *(f"  {each}" for each in (*lines[1:], *notes, *wrote))):
             self._console.print(line, soft_wrap=True, highlight=False)
 
-    @staticmethod
-    def _slowed(figures: dict[str, Any]) -> str:
-        if not figures["slowed_sequences"]:
-            return ""
-        return (
-            f" ({figures['slowed_sequences']} sequences did not fit and were slowed, "
-            f"at most to {figures['lowest_rate_hz']:.1f} Hz)"
-        )
 
-
-def _felt_ma(sent: StepResult) -> NDArray[np.float32]:
-    """Return the current at the point each slot stimulates, (E,) mA; 0 where none is."""
-    sequence = sent.step.sequence
-    felt = np.zeros(sequence.electrodes, np.float32)
-    strongest = np.abs(sequence.current_ua.astype(np.float32)).max(axis=1, initial=0)
-    felt[sequence.site] = strongest / 1000
-    points = np.flatnonzero(sent.step.tactile.activation.any(axis=0))
-    if sequence.points > sequence.slots:
-        # Several share a slot.
-        felt[points] = np.abs(sequence.current_ua.astype(np.float32)).max(axis=0)[points] / 1000
-    return felt
-
-
-def _range(figures: dict[str, Any]) -> str:
-    """Return a number of pulses, or the two between which it is."""
-    least, most = figures["pulses"], figures["pulses_at_most"]
-    return str(least) if least == most else f"{least} to {most}"
-
-
-def _beside(sequence: ScanSequence) -> str:
+def _beside(shared: tuple[float, float] | None) -> str:
     """Return what points that share slots do beside what they are for."""
-    shared = sequence.proof and sequence.proof.shared
     if not shared:
         return "no points share a slot"
     return f"other classes {shared[0]:.2f}, elsewhere {shared[1]:.2f} of the points"

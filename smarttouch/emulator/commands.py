@@ -221,7 +221,7 @@ def emulate_sensor(
         if name == "serial-array":
             return (
                 f"A sensor array. In another terminal:\n\n  smarttouch sensor show {name}:{port}\n"
-                f"  smarttouch live --sensor {name}:{port} --force fixed:0.5\n\nCtrl-C ends it."
+                f"  smarttouch live --source {name}:{port} --force fixed:0.5\n\nCtrl-C ends it."
             )
         curve = f"curve = [{-zero / counts_per_n:g}, {1 / counts_per_n:g}]"
         return (

@@ -6,6 +6,9 @@ threshold would give all others. Here the flat fiber under a cathode at
 from its largest AF and compared with the active cable model of `membrane`.
 """
 
+import csv
+import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -116,3 +119,27 @@ def potential_at_nodes(profile: Profile, fiber: Fiber, depth_mm: float) -> NDArr
         here, scale = field(profile.electrodes, profile.skin, center[None], float(depth))
         values.append(1000 * scale * float(here.potential[0, 0]))
     return np.array(values)
+
+
+def as_csv(table: Sequence[AfError]) -> str:
+    """Return the table as CSV with a heading."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(["fiber", "polarity", "depth_mm", "cable_ma", "af_ma", "af_over_cable"])
+    for row in table:
+        figures = (row.cable_ma, row.af_ma, row.ratio)
+        writer.writerow(
+            [row.fiber, row.polarity, row.depth_mm, *(f"{each:.4g}" for each in figures)]
+        )
+    return text.getvalue()
+
+
+def ratio_rows(table: Sequence[AfError]) -> list[list[str]]:
+    """Return a heading, and a row of ratios by depth for each fiber and polarity, in words."""
+    depths = dict.fromkeys(row.depth_mm for row in table)
+    lines: dict[tuple[str, str], list[str]] = {}
+    for row in table:
+        ratio = "never" if row.ratio == float("inf") else f"{row.ratio:.2f}"
+        lines.setdefault((row.fiber, row.polarity), []).append(ratio)
+    heading = ["fiber", "polarity", *(f"{depth:g}" for depth in depths)]
+    return [heading, *([*line, *ratios] for line, ratios in lines.items())]

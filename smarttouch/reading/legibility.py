@@ -1,10 +1,13 @@
 """How much of a text can still be read from what the skin got: the yardstick of this project."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from smarttouch.braille.files import read_text
 from smarttouch.braille.tables import open_table
 from smarttouch.delivered.line import LinePicture
 from smarttouch.reading.braille import Braille
@@ -14,6 +17,7 @@ from smarttouch.reading.ocr import Layout, recognize
 from smarttouch.reading.printed import LINE_PIXELS, recognized_lines
 from smarttouch.reading.shapes import Shapes, Style, shape_line
 from smarttouch.reading.source import Source
+from smarttouch.reading.window import require_rows, rows_of
 
 _GAP = 0.45
 """Between lines as they are recognized, of their height."""
@@ -205,3 +209,70 @@ def legibility_of_braille(
         delivered=felt,
         text=table.to_text(felt) if table.code.goes_back else None,
     )
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Legibility of a text in either presentation.
+
+    Attributes
+    ----------
+    figures : dict
+        All of it, for a JSON file.
+    rows : list of (str, str)
+        The most important figures, by name.
+    text : str
+        What was read from the delivered pulses.
+    """
+
+    figures: dict[str, Any]
+    rows: list[tuple[str, str]]
+    text: str
+
+
+def measure_legibility(
+    source: Source,
+    reading: Reading,
+    presented: Shapes | Braille,
+    truth: Path | None = None,
+    progress: Progress = _in_silence,
+) -> Measured:
+    """Let a text be felt as letter shapes or Braille, and read what was felt.
+
+    Parameters
+    ----------
+    source, reading, progress
+        See `legibility_of_shapes`.
+    presented : Shapes or Braille
+    truth : Path, optional
+        File of what the text says, for shapes.
+
+    Raises
+    ------
+    SmartTouchError
+        See `legibility_of_shapes` and `legibility_of_braille`.
+    """
+    speed = {"speed_mm_s": reading.motion.speed_mm_s}
+    if isinstance(presented, Braille):
+        cells = legibility_of_braille(source, reading, presented, progress)
+        how = {"as": "braille", "table": presented.table, "cells_as": presented.presentation.value}
+        rows = [
+            ("cells", str(cells.cells)),
+            ("lines", str(cells.lines)),
+            ("error rate, felt", f"{cells.cell_error_rate:.3f}"),
+        ]
+        text = cells.delivered if cells.text is None else cells.text
+        return Measured({**how, **speed, **asdict(cells)}, rows, text)
+    require_rows(reading.profile, source.note)
+    said = source.words if truth is None else read_text(truth)
+    found = legibility_of_shapes(source, reading, presented, said, progress)
+    rate = found.page_error_rate
+    rows = [
+        ("characters", str(len(found.truth))),
+        ("lines", str(found.lines)),
+        ("error rate, page", "-" if rate is None else f"{rate:.3f}"),
+        ("error rate, sampling limit", f"{found.sampling_limit:.3f}"),
+        ("error rate, felt", f"{found.character_error_rate:.3f}"),
+    ]
+    shape = {"as": "shapes", "style": presented.style.value, "rows": rows_of(reading.profile)}
+    return Measured({**shape, **speed, **asdict(found)}, rows, found.text)

@@ -59,3 +59,65 @@ def figures_of(
         "emulator_violations": report.violations if report and report.by == "board" else None,
         "active_fraction": statistics.active / statistics.frames if statistics.frames else 0.0,
     }
+
+
+def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
+    """Return how a run went, in lines for people.
+
+    Parameters
+    ----------
+    figures : dict
+        From `figures_of`.
+    acknowledges : bool
+        Whether the board acknowledges sequences.
+    """
+    latency = figures["motion_to_bytes_us"]
+    net_uc = figures["max_net_charge_uc"] or 0
+    net = (
+        f"all pulses add up to {net_uc:.2g} µC on one electrode"
+        if figures["reported_by"] == "host"
+        else f"net charge left {1e6 * net_uc:.3g} pC at worst"
+    )
+    lines = [
+        f"Ended after {figures['seconds']:.1f} s ({figures['ended']}): all electrodes off.",
+        f"{figures['frames_in']} frames in, {figures['frames_felt']} felt, "
+        f"{figures['dropped_frames']} dropped; {figures['slots']} slots in "
+        f"{figures['acknowledged']} sequences {'acknowledged' if acknowledges else 'sent'}",
+        f"{figures['rate_hz']:.1f} Hz of {figures['rate_asked_hz'] or 0:.1f} asked"
+        + _slowed(figures)
+        + f"; image to last byte {latency['p50'] / 1000:.1f} ms median, "
+        f"{latency['p99'] / 1000:.1f} ms p99; own work {figures['work_share']:.1%} of it",
+        f"strongest pulse {figures['max_current_ma']:.2f} mA, "
+        f"{figures['max_charge_uc']:.3f} µC; {net}",
+        f"dose of this session: {figures['dose_s']:.1f} s of current, "
+        f"{figures['dose_mc']:.2f} mC through one electrode at most",
+        f"{_pulses(figures)} pulses by the host's own account: this board keeps none"
+        if figures["reported_by"] == "host"
+        else f"{figures['emulator_violations']} violations by the board's own books",
+    ]
+    if figures["worst_other"] is not None:
+        lines.append(
+            f"points shared slots: other classes got {figures['worst_other']:.2f} of them at "
+            f"worst, their own elsewhere {figures['worst_spill']:.2f}"
+        )
+    if figures["lifts"]:
+        lines.append(f"the finger was lifted {figures['lifts']} times")
+    blind = figures["without_force_or_image"]
+    if blind:
+        lines.append(f"{blind} sequences without current: force or image were not known")
+    return lines
+
+
+def _slowed(figures: dict[str, Any]) -> str:
+    if not figures["slowed_sequences"]:
+        return ""
+    return (
+        f" ({figures['slowed_sequences']} sequences did not fit and were slowed, "
+        f"at most to {figures['lowest_rate_hz']:.1f} Hz)"
+    )
+
+
+def _pulses(figures: dict[str, Any]) -> str:
+    """Return a number of pulses, or the two between which it is."""
+    least, most = figures["pulses"], figures["pulses_at_most"]
+    return str(least) if least == most else f"{least} to {most}"

@@ -93,3 +93,16 @@ class StepResult:
     def sequence(self) -> ScanSequence:
         """Sequence that was sent."""
         return self.step.sequence
+
+    @property
+    def felt_ma(self) -> NDArray[np.float32]:
+        """Current at each point that is stimulated, (E,) mA; 0 where none is."""
+        sequence = self.step.sequence
+        felt = np.zeros(sequence.electrodes, np.float32)
+        current_ma = np.abs(sequence.current_ua.astype(np.float32)) / 1000
+        felt[sequence.site] = current_ma.max(axis=1, initial=0)
+        if sequence.points > sequence.slots:
+            # Several share a slot.
+            points = np.flatnonzero(self.step.tactile.activation.any(axis=0))
+            felt[points] = current_ma.max(axis=0)[points]
+        return felt

@@ -7,6 +7,7 @@ from smarttouch.errors import SensorError
 from smarttouch.profile import Profile
 from smarttouch.registry import find_opener, given_options
 from smarttouch.sources.source import Source
+from smarttouch.url_options import read_options
 
 
 def open_source(
@@ -17,7 +18,8 @@ def open_source(
     Parameters
     ----------
     url : str
-        Kind and place of the source.
+        Kind and place of the source; options of its kind may follow, as in
+        ``page:scan.png?dpi=300``, all but ``light_on_dark``, which others must know too.
     profile : Profile
         Its optics and the finger's force.
     light_on_dark : bool
@@ -38,7 +40,17 @@ def open_source(
     (64, 64)
     """
     opener, rest = find_opener("smarttouch.sources", url, SensorError, Source, ("rest", "profile"))
+    rest, told = read_options(opener, rest, SensorError, but=("light_on_dark",))
     given = given_options(opener, url, options, SensorError)
+    twice = sorted(given.keys() & told.keys())
+    if twice:
+        raise SensorError(
+            f"{twice[0]} is given in {url!r} and beside it: leave one out",
+            about=twice[0],
+            problem="conflict",
+            value=(told[twice[0]], given[twice[0]]),
+        )
+    given |= told
     if light_on_dark and "light_on_dark" in inspect.signature(opener).parameters:
         given["light_on_dark"] = True
     source: Source = opener(rest, profile, **given)

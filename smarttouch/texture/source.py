@@ -1,6 +1,7 @@
 """The electric mouse as a source of stimuli: pulses where a texture passes."""
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,9 @@ from smarttouch.sources.notes import StandingNotes
 from smarttouch.sources.source import StimulusSource
 from smarttouch.sources.stimulus import Stimulus
 from smarttouch.texture.felt import TextureDrawing
-from smarttouch.texture.motion import Motion
+from smarttouch.texture.motion import Motion, open_motion
 from smarttouch.texture.steady import Steady
+from smarttouch.texture.sweep_motion import strokes_over
 from smarttouch.texture.texture import Texture
 
 USUAL_RATE_HZ = 100.0
@@ -235,3 +237,26 @@ def _possible_hz(rate_hz: float, fastest_hz: float | None, most_hz: float) -> fl
             remedy="--rate",
         )
     return fastest_hz
+
+
+def open_motion_over(texture: Texture, url: str, profile: Profile, **options: Any) -> Motion:
+    """Open a motion by its URL, with what its kind needs to know of the texture or the profile.
+
+    Parameters
+    ----------
+    texture : Texture
+        What lies under the hand.
+    url : str
+    profile : Profile
+        Device and finger.
+    **options
+        See `open_motion`.
+    """
+    kind = url.partition(":")[0]
+    if kind == "window":
+        options["texture"] = texture
+    elif kind == "sweep" and texture.size_mm is not None:
+        options |= strokes_over(texture.size_mm, profile.electrodes.extent_mm)
+    elif kind not in ("sweep", "path", "evdev"):
+        options["profile"] = profile
+    return open_motion(url, **options)

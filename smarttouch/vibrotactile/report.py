@@ -59,6 +59,43 @@ def sent_out(mixture: Mixture, source: ColorSource) -> dict[Primary, SentOut]:
     return rows
 
 
+def answer_rows(answers: Mapping[Primary, Answer]) -> list[tuple[str, ...]]:
+    """Return rows of class, mean and peak drive, rate and share, in words."""
+    return [
+        (
+            primary.name,
+            f"{row.mean_drive:.2f}",
+            f"{row.peak_drive:.2f}",
+            _fires_at(row),
+            f"{row.share:.0%}",
+        )
+        for primary, row in answered(answers).items()
+    ]
+
+
+def mixture_rows(
+    answers: Mapping[Primary, Answer], mixture: Mixture, source: ColorSource
+) -> list[tuple[str, ...]]:
+    """Return rows of class, drive, share and rate, and of pulses, their rate and lateness."""
+    sent = sent_out(mixture, source)
+    rows = []
+    for primary, row in answered(answers).items():
+        cells = ["–", "–", "–"]
+        if primary in sent:
+            out = sent[primary]
+            off = f"{out.off_p50_us / 1000:.2f} / {out.off_max_us / 1000:.2f}"
+            cells = [f"{out.pulses}", f"{out.rate_hz:.1f} Hz", off]
+        elif mixture.vibrated and row.share:
+            cells[0] = "vibrated"
+        drive, share = f"{row.mean_drive:.2f}", f"{row.share:.0%}"
+        rows.append((primary.name, drive, share, _fires_at(row), *cells))
+    return rows
+
+
+def _fires_at(row: Answered) -> str:
+    return f"{row.rate_hz:.1f} Hz" if row.rate_hz else "–"
+
+
 def notes(mixture: Mixture, answers: Mapping[Primary, Answer]) -> list[str]:
     """Return what a user should know of a mixture, a sentence each."""
     said = []

@@ -1,11 +1,12 @@
 """Which electrodes pulse."""
 
+import re
 from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import ScheduleError
+from smarttouch.errors import ScheduleError, SmartTouchError
 from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.stimulation.points import felt_at
@@ -66,3 +67,37 @@ def chosen(profile: Profile, sites: Collection[int]) -> NDArray[np.intp]:
                 electrode=each,
             )
     return np.unique(np.array(list(sites), np.intp))
+
+
+def parse_places(
+    profile: Profile, sites: str | None, radius_mm: float | None
+) -> NDArray[np.intp] | list[int]:
+    """Return the electrodes that a list such as 27,28,35-36 names, or all, or a `disc`.
+
+    Raises
+    ------
+    SmartTouchError
+        If both are given, or either makes no sense. Sites that there are not: see `chosen`.
+    """
+    if sites is not None and radius_mm is not None:
+        message = "--sites and --radius-mm both say what pulses: give one of them"
+        raise SmartTouchError(
+            message, about="--sites", problem="conflict", value=("--sites", "--radius-mm")
+        )
+    if radius_mm is not None and not radius_mm >= 0:
+        message = f"--radius-mm {radius_mm:g} is not possible: give 0 or more"
+        raise SmartTouchError(message, about="--radius-mm", value=radius_mm, allowed=0)
+    if sites is None:
+        return disc(profile, radius_mm)
+    if sites == "all":
+        return profile.driven
+    named: list[int] = []
+    for part in sites.split(","):
+        found = re.fullmatch("([0-9]{1,6})(?:-([0-9]{1,6}))?", part.strip())
+        if found is None:
+            message = f"--sites {sites!r} is no list: write 27,28,35-36, or all"
+            raise SmartTouchError(message, about="--sites", problem="malformed", value=sites)
+        low, high = int(found[1]), int(found[2] or found[1])
+        # The first site that there is not is refused; those after it need no room.
+        named += range(low, min(high, max(low, len(profile.electrodes))) + 1)
+    return named

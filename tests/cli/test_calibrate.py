@@ -262,14 +262,14 @@ def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "check"),
     [
-        (["optics"], wrong(about="--sensor", problem="missing", remedy="--simulate")),
-        (["optics", "--dark", "frames:none"], wrong("--white", about="--sensor")),
+        (["optics"], wrong(about="--source", problem="missing", remedy="--simulate")),
+        (["optics", "--dark", "frames:none"], wrong("--white", about="--source")),
         (
             ["optics", "--sensor", "nothing:", "--yes"],
             says(SensorError, about="source", problem="unknown", value="nothing:"),
         ),
         (["optics", "--sensor", "frames:none", "--yes"], says(SensorError, " none:")),
-        (["registration"], wrong(about="--sensor", problem="missing", remedy="--simulate")),
+        (["registration"], wrong(about="--source", problem="missing", remedy="--simulate")),
         (
             ["registration", "--center", "left"],
             wrong(about="--center", problem="unknown", value="left", allowed=("target", "image")),

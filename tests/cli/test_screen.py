@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smarttouch.cli.screen import _ArrayLayout, _beside, _felt_ma, _given
+from smarttouch.cli.screen import _ArrayLayout, _beside, _given
 from smarttouch.primary import Primary
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
@@ -26,7 +26,7 @@ def sent(request, make_frame, profile, bank):
 
 def test_every_point_that_is_stimulated_is_shown(sent):
     points = np.flatnonzero(sent.step.tactile.activation.any(axis=0))
-    felt_ma = _felt_ma(sent)
+    felt_ma = sent.felt_ma
     assert len(points) >= 9
     assert sent.step.sequence.points == len(points)
     assert np.flatnonzero(felt_ma).tolist() == points.tolist()
@@ -37,11 +37,14 @@ def test_what_shared_slots_do_is_told(sent):
     sequence = sent.step.sequence
     if sequence.proof is None:
         assert sequence.slots == sequence.points
-        assert not re.search(r"\d", _beside(sequence))
+        assert not re.search(r"\d", _beside(None))
         return
     assert sequence.slots < sequence.points
     other, spill = sequence.proof.shared
-    assert re.findall(r"\d\.\d+", _beside(sequence)) == [f"{other:.2f}", f"{spill:.2f}"]
+    assert re.findall(r"\d\.\d+", _beside(sequence.proof.shared)) == [
+        f"{other:.2f}",
+        f"{spill:.2f}",
+    ]
 
 
 def test_where_there_is_no_image_the_activation_is_drawn(profile, bank):

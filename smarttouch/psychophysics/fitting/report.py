@@ -49,6 +49,32 @@ def as_figures(findings: Sequence[Finding]) -> list[dict[str, Any]]:
     ]
 
 
+def threshold_rows(findings: Sequence[Finding], compares: bool) -> list[list[str]]:
+    """Return a heading, and a row of words for each finding that is no verdict.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+    compares : bool
+        Whether anything was compared with a standard.
+    """
+    share = findings[0].model.share if findings else 0.0
+    heading = ["n", f"{share:.0%} at", "slope", "lapse", "p"]
+    if compares:
+        heading = ["standard", *heading[:2], "Weber", "lower", "middle", *heading[2:]]
+    rows = [heading]
+    for each in findings:
+        assert each.fit is not None
+        goodness = "" if each.goodness is None else f"{each.goodness:.2f}"
+        cells = [str(each.answers.answered), in_words(each.threshold)]
+        if compares:
+            lower = "" if each.lower_weber is None else f"{each.lower_weber.value:.0%}"
+            cells += [in_percent(each.weber), lower, f"{each.fit.at(0.5):.3g}"]
+            cells.insert(0, f"{each.answers.standard:g}")
+        rows.append([*cells, f"{each.fit.slope:.2g}", f"{each.fit.lapse:.2f}", goodness])
+    return rows
+
+
 def in_words(found: Bounded | None) -> str:
     """Return a figure with its interval; an end that is not known is an ellipsis."""
     if found is None:

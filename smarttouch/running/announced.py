@@ -1,4 +1,4 @@
-"""The runs on this machine, so that a second process can stop them, also while they start."""
+"""Runs on this machine: a second process can find and stop them, also while they start."""
 
 import contextlib
 import fcntl
@@ -6,6 +6,7 @@ import os
 import signal
 import stat
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,8 @@ from smarttouch.clock import now_ns
 from smarttouch.errors import SmartTouchError
 from smarttouch.stopping import RunStopped
 
+ENDED_WITHIN_S = 3.0
+"""Of being asked by `stop_all`."""
 _MARK = "stopped"
 _MARK_BYTES = 200
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
@@ -82,6 +85,45 @@ def running() -> list[int]:
                 with contextlib.suppress(OSError):
                     path.unlink()
     return found
+
+
+def stop_all() -> int:
+    """End every run of this user with all electrodes at zero; return how many there were.
+
+    What was started before and has not begun yet does not begin.
+
+    Raises
+    ------
+    SmartTouchError
+        If some have not ended in time, or those that are just starting could not be kept from it.
+    """
+    # First the mark: who is not listed yet will find it before it begins.
+    no_mark: SmartTouchError | None = None
+    try:
+        leave_mark()
+    except SmartTouchError as error:
+        no_mark = error
+    asked = running()
+    for process in asked:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(process, signal.SIGTERM)
+    deadline = time.monotonic() + ENDED_WITHIN_S
+    while (left := running()) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    if left:
+        raise SmartTouchError(
+            f"{len(left)} of {len(asked)} runs have not ended within {ENDED_WITHIN_S:g} s (process "
+            f"{left[0]}): switch the board off",
+            about="runs",
+            problem="late",
+            value=tuple(left),
+            allowed=ENDED_WITHIN_S,
+        )
+    if no_mark is not None:
+        raise no_mark
+    # Who is started after this is newer than the mark, in the system's steps of 10 ms too.
+    time.sleep(0.02)
+    return len(asked)
 
 
 def leave_mark() -> int:

@@ -1,15 +1,10 @@
 """Pulses on one electrode at a time, while someone feels or watches."""
 
-import select
-import sys
 import time
-from collections.abc import Iterator
-
-import typer
+from collections.abc import Callable, Iterator
 
 from smarttouch.boards.board import Board
 from smarttouch.boards.probe import one_each
-from smarttouch.cli.keyboard import keyboard, read_key
 from smarttouch.errors import SequenceLateError, SmartTouchError
 from smarttouch.profile import Profile
 from smarttouch.stimulation.safety import SafetyLimits
@@ -20,50 +15,68 @@ _TIMES = 4
 """Each sequence is repeated for longer than a step, so that pulses do not pause."""
 
 
-def walk(board: Board, profile: Profile, current_ma: float, seconds: float | None) -> int:
-    """Let one electrode after the other pulse; return how many were tried.
+def walk(
+    board: Board,
+    profile: Profile,
+    current_ma: float,
+    seconds: float | None,
+    next_key: Callable[[], str],
+    say: Callable[[str], object],
+) -> int:
+    """Let one electrode after the other pulse on an open board; return how many were tried.
+
+    Parameters
+    ----------
+    board : Board
+    profile : Profile
+    current_ma : float, mA
+        Rises to this from zero.
+    seconds : float, s, or None
+        On each electrode; until a key if not given.
+    next_key : callable
+        Returns the key that was pressed, empty if none was; never waits.
+    say : callable
+        Shows a line.
 
     Raises
     ------
     SmartTouchError
-        If nobody can press a key, or the current is out of reach.
+        If the current is out of reach, or the time is none.
     """
-    if seconds is None and not sys.stdin.isatty():
-        message = "there is no keyboard to wait for: give --seconds"
-        raise SmartTouchError(message, about="keyboard", problem="missing", remedy="--seconds")
     if seconds is not None and not seconds > 0:
         message = f"--seconds {seconds:g} must be above 0"
         raise SmartTouchError(message, about="--seconds", value=seconds, allowed=0)
-    _check(profile, current_ma)
     tried = 0
-    with keyboard():
-        for site in range(len(profile.electrodes)):
-            if site in profile.output.masked:
-                typer.echo(f"electrode {site}: masked")
-                continue
-            how = "any key: next, q: end" if seconds is None else f"{seconds:g} s"
-            typer.echo(f"electrode {site}: up to {current_ma:g} mA ({how})")
-            tried += 1
-            for step, _ in enumerate(_pulses(board, profile, site, current_ma)):
-                key = read_key()
-                if key in ("q", "\x03", "\x04"):
-                    return tried
-                # Steps that were sent, not time: a computer that stood still has tried nothing.
-                if key or (seconds is not None and step * _STEP_S >= seconds):
-                    break
+    for site in range(len(profile.electrodes)):
+        if site in profile.output.masked:
+            say(f"electrode {site}: masked")
+            continue
+        how = "any key: next, q: end" if seconds is None else f"{seconds:g} s"
+        pulses = pulse(board, profile, site, current_ma)
+        say(f"electrode {site}: up to {current_ma:g} mA ({how})")
+        tried += 1
+        for step, _ in enumerate(pulses):
+            key = next_key()
+            if key in ("q", "\x03", "\x04"):
+                return tried
+            # Steps that were sent, not time: a computer that stood still has tried nothing.
+            if key or (seconds is not None and step * _STEP_S >= seconds):
+                break
     return tried
 
 
-def pulse_until_line(
-    board: Board, profile: Profile, site: int, current_ma: float, prompt: str
-) -> str:
-    """Pulse on one electrode until a line is entered; return it."""
+def pulse(board: Board, profile: Profile, site: int, current_ma: float) -> Iterator[None]:
+    """Return an endless row of steps that each send a piece of a train on one electrode.
+
+    Current rises from zero and stays; a train that is not gone on with ends by itself.
+
+    Raises
+    ------
+    SmartTouchError
+        If the current is out of reach: before anything is sent.
+    """
     _check(profile, current_ma)
-    typer.echo(prompt, nl=False)
-    for _ in _pulses(board, profile, site, current_ma):
-        if select.select([sys.stdin], [], [], 0)[0]:
-            return sys.stdin.readline().strip()
-    return ""
+    return _pulses(board, profile, site, current_ma)
 
 
 def _check(profile: Profile, current_ma: float) -> None:

@@ -8,7 +8,7 @@ import threading
 import pytest
 from rich.console import Console
 
-from smarttouch.cli.terminal import MOST_WAITING, Outlet, never_waiting
+from smarttouch.outlet import MOST_WAITING, Outlet, never_waiting
 
 PATIENCE_S = 20
 

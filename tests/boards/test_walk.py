@@ -2,9 +2,9 @@
 
 from collections import Counter
 
+from smarttouch.boards import walk as module
 from smarttouch.boards.memory import MemoryBoard
-from smarttouch.cli import walk as module
-from smarttouch.cli.walk import walk
+from smarttouch.boards.walk import walk
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.safety import SafetyLimits
 
@@ -25,9 +25,8 @@ class TwitchingClock:
 
 def walked(monkeypatch, board, profile, clock, seconds):
     monkeypatch.setattr(module.time, "sleep", clock.sleep)
-    monkeypatch.setattr(module, "read_key", lambda: "")
     board._clock = clock
-    return walk(board, profile, 0.3, seconds)
+    return walk(board, profile, 0.3, seconds, lambda: "", lambda _line: None)
 
 
 def test_a_computer_that_is_slow_skips_no_electrode(monkeypatch):

@@ -1,0 +1,253 @@
+"""Kernels of a profile as tables of words and as JSON."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.kernels.batch import design_sites
+from smarttouch.kernels.comparison import compare
+from smarttouch.kernels.design import design_any_node, design_kernel
+from smarttouch.kernels.problem import Kernel, Problem
+from smarttouch.kernels.switching import design_three_state, designer, kind_of
+from smarttouch.primary import Primary
+from smarttouch.profile import Profile
+
+Advance = Callable[[int, int], None]
+"""Given how many sites are done, of how many."""
+DESIGNS = {"robust": design_kernel, "three-state": design_three_state, "any-node": design_any_node}
+"""Designs beside that of the profile's own board."""
+
+
+@dataclass(frozen=True, eq=False)
+class SiteKernel:
+    """One kernel with what is reported of it; the last two only where kinds are compared."""
+
+    primary: Primary
+    site: int
+    kernel: Kernel
+    seconds: float
+    variant: str = ""
+    worst_finger: Kernel | None = None
+
+
+@dataclass(frozen=True)
+class WordTable:
+    """Table of words.
+
+    Attributes
+    ----------
+    title, note : str
+        Above and below.
+    heading : list of str
+        Empty where columns have no names.
+    rows : list of list of str
+    """
+
+    title: str
+    heading: list[str]
+    rows: list[list[str]]
+    note: str
+
+
+def kernels_of_bank(
+    profile: Profile, bank: KernelBank, modes: Sequence[Primary], sites: Sequence[int]
+) -> list[SiteKernel]:
+    """Return kernels as a bank has them."""
+    kind = kind_of(profile)
+    return [
+        SiteKernel(mode, site, bank.kernel(mode, site, kind), float(bank.seconds[mode][site]))
+        for mode in modes
+        for site in sites
+    ]
+
+
+def kernels_designed(
+    profile: Profile,
+    modes: Sequence[Primary],
+    sites: Sequence[int],
+    how: str | None,
+    robust: bool,
+    progress: Advance | None,
+) -> list[SiteKernel]:
+    """Design kernels anew: one of `DESIGNS`, or as the profile's board needs them."""
+    design_one = designer(profile) if how is None else DESIGNS[how]
+    found = []
+    for index, mode in enumerate(modes):
+        problem = Problem(profile, mode, spread=robust)
+        timed = design_sites(problem, design_one, sites, _part(progress, index, len(modes)))
+        found += [SiteKernel(mode, site, *each) for site, each in zip(sites, timed, strict=True)]
+    return found
+
+
+def kernels_compared(
+    profile: Profile, modes: Sequence[Primary], sites: Sequence[int], progress: Advance | None
+) -> list[SiteKernel]:
+    """Design kernels of all kinds, and find what they do on the worst finger."""
+    return [
+        SiteKernel(mode, each.site, each.kernel, each.seconds, each.variant, each.worst_finger)
+        for index, mode in enumerate(modes)
+        for each in compare(profile, mode, sites, _part(progress, index, len(modes)))
+    ]
+
+
+def _part(progress: Advance | None, index: int, parts: int) -> Advance:
+    """Return what reports the progress of one of several parts."""
+
+    def advance(done: int, total: int) -> None:
+        if progress is not None:
+            progress(index * total + done, parts * total)
+
+    return advance
+
+
+def middle_kernels(
+    profile: Profile, kernels: Sequence[SiteKernel]
+) -> tuple[int, dict[Primary, Kernel]]:
+    """Return that of the sites which is nearest to the middle, and its kernel of each class."""
+    sites = sorted({each.site for each in kernels})
+    away_mm = np.linalg.norm(profile.electrodes.position_mm[sites], axis=1)
+    site = sites[int(away_mm.argmin())]
+    found: dict[Primary, Kernel] = {}
+    for each in kernels:
+        if each.site == site:
+            # Where kinds are compared, the first one, the weighted, is taken.
+            found.setdefault(each.primary, each.kernel)
+    return site, found
+
+
+def as_json(profile: Profile, kernels: Sequence[SiteKernel]) -> dict[str, Any]:
+    """Return kernels as a JSON object; weights in mA per V/mm², cathodic positive."""
+    return {
+        "profile": profile.name,
+        "positive": "cathodic",
+        "weights_unit": "mA for an activating function of 1 V/mm² at the target",
+        "kernels": [_one_as_json(profile, each) for each in kernels],
+    }
+
+
+def _one_as_json(profile: Profile, of: SiteKernel) -> dict[str, Any]:
+    kernel, (x_mm, y_mm) = of.kernel, profile.electrodes.position_mm[of.site]
+    table: dict[str, Any] = {
+        "mode": of.primary.name,
+        "site": of.site,
+        "x_mm": float(x_mm),
+        "y_mm": float(y_mm),
+        "weights": kernel.weights.tolist(),
+        "worst_other": float(kernel.worst_other),
+        "worst_other_class": kernel.worst_other_class.name,
+        "own_spill": float(kernel.own_spill),
+        "sum": float(kernel.weights.sum()),
+        "total_current": float(np.abs(kernel.weights).sum()),
+        "activated_node": kernel.node,
+        "kind": kernel.kind,
+        "optimal": kernel.gap == 0,
+        "gap": float(kernel.gap),
+        "seconds": float(of.seconds),
+    }
+    if of.variant:
+        worst = of.worst_finger
+        table |= {
+            "variant": of.variant,
+            "worst_other_over_spread": worst and float(worst.worst_other),
+            "own_spill_over_spread": worst and float(worst.own_spill),
+        }
+    return table
+
+
+def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
+    """Return one row for each site, with what its kernel of each mode reaches."""
+    modes = sorted({each.primary for each in kernels})
+    heading = ["site", "x mm", "y mm"]
+    for mode in modes:
+        heading += [f"{mode.name} other", "spill"] if len(modes) > 1 else [
+            "worst other", "of", "own spill", "total |w|/peak", "gap",
+        ]  # fmt: skip
+    rows: dict[int, list[str]] = {}
+    for each in kernels:
+        x, y = profile.electrodes.position_mm[each.site]
+        row = rows.setdefault(each.site, [str(each.site), f"{x:.2f}", f"{y:.2f}"])
+        kernel = each.kernel
+        row += [f"{kernel.worst_other:.4f}", f"{kernel.own_spill:.3f}"]
+        if len(modes) == 1:
+            total = abs(kernel.peak_normalized).sum()
+            row.insert(-1, kernel.worst_other_class.name)
+            row += [f"{total:.2f}", _gap(kernel.gap)]
+    names = " and ".join(mode.name for mode in modes)
+    return WordTable(
+        f"{names} kernels of {profile.name}: {profile.title}",
+        heading,
+        list(rows.values()),
+        "Worst other and own spill are activations of the target's own: above 1 another class "
+        "fires first. --site N shows weights.",
+    )
+
+
+def weight_table(profile: Profile, of: SiteKernel) -> tuple[WordTable, list[list[bool]]]:
+    """Return the weights of a kernel where they lie on the array, the largest magnitude 1.
+
+    Returns
+    -------
+    WordTable
+    list of list of bool
+        Whether a cell is the kernel's own site.
+    """
+    kernel, position = of.kernel, profile.electrodes.position_mm
+    weights = kernel.peak_normalized
+    lines = []
+    for y in sorted({round(float(each), 6) for each in position[:, 1]}):
+        line = [index for index in range(len(position)) if abs(position[index, 1] - y) < 1e-5]
+        lines.append(sorted(line, key=lambda index: position[index, 0]))
+    certain = f"within {kernel.gap:.1%} of the best possible" if kernel.gap else "proven optimal"
+    table = WordTable(
+        f"{of.primary.name} kernel ({kernel.kind}) at site {of.site} of {profile.name}, "
+        "positive cathodic",
+        [],
+        [[f"{weights[index]:+.3f}" for index in line] for line in lines],
+        f"worst other {kernel.worst_other:.4f} ({kernel.worst_other_class.name}), own spill "
+        f"{kernel.own_spill:.3f}, sum {weights.sum():+.1e}, node {kernel.node}; {certain}",
+    )
+    return table, [[index == of.site for index in line] for line in lines]
+
+
+def comparison_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
+    """Return what each kind of kernel reaches, the worst of all its sites."""
+    groups: dict[tuple[Primary, str], list[SiteKernel]] = {}
+    for each in kernels:
+        groups.setdefault((each.primary, each.variant), []).append(each)
+    rows = []
+    for (mode, variant), group in groups.items():
+        best = [each.kernel.worst_other for each in groups[mode, "weighted"]]
+        losses = [each.kernel.worst_other / b - 1 for each, b in zip(group, best, strict=True)]
+        worst = [each.worst_finger for each in group if each.worst_finger is not None]
+        on_worst = ["does not fire", "–"]
+        if len(worst) == len(group):
+            on_worst = [f"{max(each.worst_other for each in worst):.4f}"]
+            on_worst.append(f"{max(each.own_spill for each in worst):.3f}")
+        rows.append(
+            [
+                mode.name,
+                variant,
+                f"{max(each.kernel.worst_other for each in group):.4f}",
+                f"{max(each.kernel.own_spill for each in group):.3f}",
+                f"{max(losses):+.1%}" if variant != "weighted" else "",
+                *on_worst,
+                _gap(max(each.kernel.gap for each in group)),
+            ]
+        )
+    sites = len({each.site for each in kernels})
+    where = f"site {kernels[0].site}" if sites == 1 else f"the worst of {sites} sites"
+    return WordTable(
+        f"Kinds of kernels on {profile.name}, {where}",
+        ["mode", "kernel", "other", "spill", "loss", "other *", "spill *", "gap"],
+        rows,
+        "Other: largest AF of another class, of the target's. Loss: by how much it exceeds the "
+        "weighted kernel's. *: on the worst finger of the profile's skin.spread. Gap: how much "
+        "better a switching could be at most.",
+    )
+
+
+def _gap(gap: float) -> str:
+    return f"{gap:.1%}" if gap else "proven"

@@ -1,0 +1,123 @@
+"""One sitting of an experiment of the list: its files, its session, and what is said of it."""
+
+import contextlib
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import count
+from pathlib import Path
+
+from smarttouch.clock import MonotonicClock
+from smarttouch.errors import SmartTouchError
+from smarttouch.profile import Profile
+from smarttouch.psychophysics.catalog import Design
+from smarttouch.psychophysics.course import Course
+from smarttouch.psychophysics.rows import About, RowFile
+from smarttouch.psychophysics.session import Session
+from smarttouch.psychophysics.source import ExperimentSource
+from smarttouch.psychophysics.subject import Subject, make_observer
+from smarttouch.psychophysics.summary import summarize
+
+
+@dataclass(frozen=True)
+class Sitting:
+    """One run of an experiment.
+
+    Attributes
+    ----------
+    made : Design
+    session : Session
+    profile : Profile
+    course : Course
+    path : Path
+        File of the answers.
+    """
+
+    made: Design
+    session: Session
+    profile: Profile
+    course: Course
+    path: Path
+
+    def sensor(self, pressing_n: float | None, *, in_real_time: bool) -> ExperimentSource:
+        """Return the source of its stimuli; force is made up if it is given."""
+        clock = MonotonicClock() if in_real_time else None
+        sensor = ExperimentSource(self.session, self.profile, self.course, pressing_n, clock)
+        sensor.url = f"experiment:{self.session.title}"
+        return sensor
+
+    def subject(self, sensor: ExperimentSource, simulate: str, seed: int) -> Subject:
+        """Return a listener who answers in place of a person."""
+        drawn = getattr(self.made.task, "drawn", None)
+        observer = make_observer(simulate, self.profile, seed + self.session.resumed, drawn)
+        return Subject(sensor, observer)
+
+    def before(self) -> Iterator[str]:
+        """Yield lines on it before it goes on."""
+        session = self.session
+        total = "" if session.total is None else f" of {session.total}"
+        if session.resumed and not session.over:
+            yield f"goes on at trial {session.resumed + 1}{total}: {self.path}"
+        yield from self.made.notes
+
+    def after(self) -> list[str]:
+        """Return lines on how far it came."""
+        return summarize(self.made, self.session, self.path)
+
+
+@contextlib.contextmanager
+def open_sitting(
+    made: Design, profile: Profile, course: Course, about: About, path: Path, *, overwrite: bool
+) -> Iterator[Sitting]:
+    """Open the file of an experiment's answers for a block, and go on where it ends."""
+    with RowFile(path, about, overwrite) as file:
+        begun = datetime.now().astimezone().isoformat(timespec="seconds")
+        session = Session(made.task, made.procedure, file, begun)
+        yield Sitting(made, session, profile, course, path)
+
+
+def parse_standards(text: str | None) -> tuple[float, ...] | None:
+    """Return the frequencies that ``15,30`` names, in Hz."""
+    if text is None:
+        return None
+    try:
+        standards = tuple(float(each) for each in text.split(","))
+    except ValueError:
+        standards = ()
+    if not standards or not all(0 < each < 1e6 for each in standards):
+        message = f"--standards {text!r} is not understood: give frequencies in Hz, as in 15,30,45"
+        raise SmartTouchError(message, about="--standards", problem="malformed", value=text)
+    return tuple(dict.fromkeys(standards))
+
+
+def usual_name(
+    experiment: str, participant: str, session: str, seed: int | None
+) -> tuple[str, int]:
+    """Return what an experiment's file is called without ending, and the seed of its orders.
+
+    Raises
+    ------
+    SmartTouchError
+        If a name cannot be part of a file's, or the seed is negative.
+    """
+    for option, name in (("--participant", participant), ("--session", session)):
+        if any(not (each.isalnum() or each in "-_.") for each in name):
+            raise SmartTouchError(
+                f"{option} {name!r} becomes part of a file's name: use letters, digits, - and _",
+                about=option,
+                problem="malformed",
+                value=name,
+            )
+    if seed is not None and seed < 0:
+        message = f"--seed {seed} must be 0 or more"
+        raise SmartTouchError(message, about="--seed", value=seed, allowed=0)
+    named = "-".join(each for each in (participant, session, experiment) if each)
+    usual = zlib.crc32(f"{participant}/{session}".encode()) % 10_000
+    return named, usual if seed is None else seed
+
+
+def numbered(path: Path) -> Path:
+    """Return a file's name with the next number, if there is one of that name."""
+    names = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
+    return next(each for each in names if not each.exists()) if path.exists() else path

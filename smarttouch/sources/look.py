@@ -1,0 +1,102 @@
+"""A look at a source of frames or force for some seconds: how many come, how old, how strong."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.sources.forces.force import ForceSource
+from smarttouch.sources.source import Source
+from smarttouch.sources.stimulus import Input
+
+ASKED_HZ = 100.0
+"""How often a source is read."""
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What a source gave.
+
+    Attributes
+    ----------
+    force_n : ndarray, (N,) float64, N
+        At each time it was read; NaN where it is not known.
+    last : Frame, Stimulus or None
+        The newest frame.
+    age_ms : ndarray, (N,) float64, ms
+        Age of each frame.
+    lasted_s : float
+    """
+
+    force_n: NDArray[np.float64]
+    last: Input | None
+    age_ms: NDArray[np.float64]
+    lasted_s: float
+
+    def rows(self, source: Source) -> list[tuple[str, str]]:
+        """Return what is to be known of a sensor, in words."""
+        rows = [
+            ("sensor", source.title),
+            ("frames", f"{source.frames}, {source.frames / self.lasted_s:.1f} a second"),
+            ("read", f"{source.frames - source.dropped_frames}, asked {ASKED_HZ:g} times a second"),
+            ("passed over", str(source.dropped_frames)),
+        ]
+        if self.last is not None:
+            image, pose = self.last.image, self.last.pose
+            if image is not None:
+                height, width = image.shape
+                grey = f"grey {image.min()} to {image.max()}, mean {image.mean():.0f}"
+                rows.append(("size", f"{width} x {height}, {grey}"))
+            moved = f"x {pose.x_mm:.2f} mm, y {pose.y_mm:.2f} mm"
+            rows += [
+                ("age", f"{np.median(self.age_ms):.1f} ms, at most {self.age_ms.max():.1f}"),
+                ("at", moved + (", stale" if self.last.stale else "")),
+            ]
+        return [*rows, ("force", _range(self.force_n))]
+
+
+def look_at_frames(source: Source, seconds: float) -> Look:
+    """Read an open sensor for a time, or until it ends."""
+    frames = []
+    for time_ns in _ticks(seconds):
+        frame = source.read(time_ns)
+        if frame is None:
+            break
+        frames.append(frame)
+    last = frames[-1] if frames else None
+    return Look(
+        np.array([each.force_n for each in frames], np.float64),
+        last,
+        np.array([each.age_ns / 1e6 for each in frames]),
+        seconds if last is None else max(last.time_ns / 1e9, 1 / ASKED_HZ),
+    )
+
+
+def look_at_force(source: ForceSource, seconds: float) -> list[tuple[str, str]]:
+    """Read an open source of force for a time; return what is to be known of it, in words."""
+    force_n = np.array([source.read(time_ns) for time_ns in _ticks(seconds)])
+    unknown = int(np.isnan(force_n).sum())
+    return [
+        ("force of", source.title),
+        ("force", _range(force_n)),
+        ("unknown", f"{unknown} of {len(force_n)} times asked"),
+    ]
+
+
+def _ticks(seconds: float) -> Iterator[int]:
+    """Yield nanoseconds since the first answer, at absolute deadlines."""
+    yield 0
+    start_ns = time.perf_counter_ns()
+    for count in range(1, round(seconds * ASKED_HZ) + 1):
+        due_ns = round(count * 1e9 / ASKED_HZ)
+        time.sleep(max(0, start_ns + due_ns - time.perf_counter_ns()) / 1e9)
+        yield due_ns
+
+
+def _range(forces_n: NDArray[np.float64]) -> str:
+    known = forces_n[np.isfinite(forces_n)]
+    if not known.size:
+        return "not known"
+    return f"{known.min():.3f} to {known.max():.3f} N, mean {known.mean():.3f}"

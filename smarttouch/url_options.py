@@ -1,0 +1,108 @@
+"""Options of sources and boards in their URLs, as in ``page:scan.png?dpi=300&seed=2``."""
+
+import inspect
+import re
+from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
+from types import UnionType
+from typing import Any, Union, get_args, get_origin
+from urllib.parse import unquote
+
+from smarttouch.errors import SmartTouchError
+
+
+def read_options(
+    opener: Callable[..., Any], rest: str, error: type[SmartTouchError], but: Collection[str] = ()
+) -> tuple[str, dict[str, Any]]:
+    """Return what follows the name in a URL without its options, and these in their types.
+
+    A file that exists under the whole name has no options, nor has what looks like none
+    (``text:Is it so?``), nor what belongs to an opener that takes none: that may have its own.
+
+    Parameters
+    ----------
+    opener : callable
+        From `find_opener`; types are those of its annotations.
+    rest : str
+        What stands after the colon.
+    error : type
+        What to raise if there is no such option, or it cannot be read.
+    but : collection of str
+        Options that are not given in a URL.
+    """
+    place, mark, query = rest.rpartition("?")
+    known = options_of(opener, but)
+    parts = [each.partition("=")[::2] for each in query.split("&")]
+    if not (mark and known) or not all(_NAME.fullmatch(name) for name, _ in parts):
+        return rest, {}
+    # Flags without a value must be known, or "text:Why?because" had one.
+    if not all(name in known or f"{name}=" in query for name, _ in parts) or _exists(rest):
+        return rest, {}
+    found: dict[str, Any] = {}
+    for name, text in parts:
+        if name not in known:
+            raise error(
+                f"{rest!r} has no option {name}: choose {', '.join(sorted(known))}, or leave it "
+                "out",
+                about=f"?{name}",
+                problem="unknown",
+                value=name,
+                allowed=tuple(sorted(known)),
+            )
+        kind = known[name]
+        value = _read_option(name, unquote(text), kind, error)
+        if kind is Sequence:
+            found.setdefault(name, []).append(value)
+        elif name in found:
+            raise error(f"{rest!r} has {name} twice: give it once", about=f"?{name}")
+        else:
+            found[name] = value
+    return place, found
+
+
+def parse_size(text: str, error: type[SmartTouchError], about: str) -> tuple[int, int]:
+    """Return width and height, as in 640x480."""
+    found = re.fullmatch("([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", text.lower())
+    if found is None:
+        message = f"{about} {text!r} is not a size: give width and height as 640x480"
+        raise error(message, about=about, problem="malformed", value=text)
+    return int(found[1]), int(found[2])
+
+
+_NAME = re.compile("[a-z][a-z0-9_]*")
+_TRUTHS = {"": True, "1": True, "yes": True, "true": True, "0": False, "no": False, "false": False}
+
+
+def options_of(opener: Callable[..., Any], but: Collection[str] = ()) -> dict[str, Any]:
+    """Return the type of each option of an opener that text can be turned into."""
+    kinds = {}
+    for each in inspect.signature(opener).parameters.values():
+        if each.default is inspect.Parameter.empty or each.name in but:
+            continue
+        kind = each.annotation
+        if get_origin(kind) in (Union, UnionType):
+            kind = next(part for part in get_args(kind) if part is not type(None))
+        kind = get_origin(kind) or kind
+        if kind in (bool, int, float, str, tuple, Path, Sequence):
+            kinds[each.name] = kind
+    return kinds
+
+
+def _read_option(name: str, text: str, kind: Any, error: type[SmartTouchError]) -> Any:
+    if kind is tuple:
+        return parse_size(text, error, f"?{name}")
+    try:
+        if kind is bool:
+            return _TRUTHS[text.lower()]
+        return text if kind is Sequence else kind(text)
+    except (ValueError, KeyError):
+        needed = {bool: "1 or 0", int: "a whole number", float: "a number"}[kind]
+        message = f"?{name}={text} cannot be read: give {needed}, as in ?{name}=1"
+        raise error(message, about=f"?{name}", problem="malformed", value=text) from None
+
+
+def _exists(rest: str) -> bool:
+    try:
+        return Path(rest).exists()
+    except (OSError, ValueError):
+        return False

@@ -1,0 +1,117 @@
+"""Options in the URLs of sources and boards."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from smarttouch.boards.board import make_board
+from smarttouch.errors import BoardError, PageError, SensorError
+from smarttouch.profile import load_profile
+from smarttouch.sources import open_source
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.url_options import parse_size, read_options
+
+
+def opener(
+    rest: str,
+    *,
+    size: tuple[int, int] | None = None,
+    fps: float | None = None,
+    seed: int = 0,
+    path: Path | None = None,
+    unpaced: bool = False,
+    events: Sequence[str] = (),
+    light_on_dark: bool = False,
+    other: np.ndarray | None = None,
+):
+    """Take options of every type."""
+
+
+@pytest.mark.parametrize(
+    ("url", "rest", "options"),
+    [
+        ("0?size=640x480&fps=12.5", "0", {"size": (640, 480), "fps": 12.5}),
+        ("a?seed=3&path=b%20c.csv", "a", {"seed": 3, "path": Path("b c.csv")}),
+        ("a?unpaced", "a", {"unpaced": True}),
+        ("a?unpaced=0", "a", {"unpaced": False}),
+        ("?events=1 lift&events=2 press", "", {"events": ["1 lift", "2 press"]}),
+        ("a?b?seed=1", "a?b", {"seed": 1}),
+    ],
+)
+def test_options_in_their_types(url, rest, options):
+    assert read_options(opener, url, SensorError) == (rest, options)
+
+
+@pytest.mark.parametrize("url", ["", "a", "Why?", "Is it so? Yes", "a?b.png", "a?", "a?Seed=1"])
+def test_a_question_mark_need_not_begin_options(url):
+    assert read_options(opener, url, SensorError) == (url, {})
+
+
+def test_an_opener_without_options_reads_its_own():
+    url = "/dev/ttyUSB0?slow&firmware=newest"
+    assert read_options(lambda rest, limits: None, url, BoardError) == (url, {})
+
+
+@pytest.mark.parametrize(
+    ("url", "about", "value"),
+    [
+        ("a?speed=1", "?speed", "speed"),
+        ("a?other=1", "?other", "other"),
+        ("a?light_on_dark=1", "?light_on_dark", "light_on_dark"),
+        ("a?seed=x", "?seed", "x"),
+        ("a?seed=1.5", "?seed", "1.5"),
+        ("a?fps=", "?fps", ""),
+        ("a?unpaced=maybe", "?unpaced", "maybe"),
+        ("a?size=640", "?size", "640"),
+        ("a?seed=1&seed=2", "?seed", None),
+    ],
+)
+def test_options_that_are_none(url, about, value):
+    with pytest.raises(SensorError) as raised:
+        read_options(opener, url, SensorError, but=("light_on_dark",))
+    assert (raised.value.about, raised.value.value) == (about, value)
+
+
+def test_an_unknown_option_lists_what_there_is():
+    with pytest.raises(SensorError) as raised:
+        read_options(opener, "a?speed=1", SensorError)
+    assert raised.value.allowed == (
+        "events", "fps", "light_on_dark", "path", "seed", "size", "unpaced",
+    )  # fmt: skip
+
+
+def test_pages_by_url(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Image.fromarray(np.full((200, 300), 255, np.uint8)).save("a?dpi=300.png")
+    Path("a?dpi=300.png").rename("a?dpi=50")
+    Image.fromarray(np.full((200, 300), 255, np.uint8)).save("page.png")
+    profile = load_profile("electric-mouse")
+    assert open_source("page:page.png?dpi=300&seed=4", profile)
+    # A file of that name has no options; nothing says how large its page is.
+    for url in ("page:a?dpi=50", "page:page.png"):
+        with pytest.raises(PageError):
+            open_source(url, profile)
+    with pytest.raises(SensorError) as raised:
+        open_source("page:page.png?dpi=300", profile, dpi=200)
+    assert (raised.value.about, raised.value.value) == ("dpi", (300.0, 200))
+
+
+def test_boards_by_url(tmp_path):
+    profile = load_profile("electric-mouse")
+    limits = SafetyLimits.of(profile)
+    with make_board(f"emulator:?books={tmp_path}", limits, profile.output):
+        pass
+    assert (tmp_path / "state.json").exists()
+    with pytest.raises(BoardError) as raised:
+        make_board("emulator:?firmware=1", limits)
+    assert raised.value.allowed == ("books", "events")
+
+
+@pytest.mark.parametrize("text", ["", "640", "640x", "0x5", "6_4x4", "640x480x3", "123456x1"])
+def test_sizes_that_are_none(text):
+    with pytest.raises(SensorError) as raised:
+        parse_size(text, SensorError, "--size")
+    assert (raised.value.about, raised.value.value) == ("--size", text)
