@@ -22,7 +22,7 @@ def read_array(file: BinaryIO, size: int) -> NDArray[Any]:
     file : file
         At its beginning.
     size : int
-        How many bytes it has.
+        Number of its bytes.
 
     Raises
     ------

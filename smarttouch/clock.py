@@ -1,4 +1,4 @@
-"""Time, and waiting for a point in it."""
+"""Clocks, and waiting for a time."""
 
 import threading
 import time
@@ -7,21 +7,21 @@ from typing import Protocol
 from smarttouch.realtime import is_prioritized
 
 SPIN_NS = 300_000
-"""The end of each wait that is spun at real-time priority: a sleep alone wakes .1 ms late."""
+"""Spun end of each wait at real-time priority: a sleep alone wakes .1 ms late."""
 LATE_NS = 100_000_000
-"""So much after its time nothing goes to a board any more, and intensity begins at zero."""
+"""Delay after which nothing is sent to a board any more, and intensity restarts at zero."""
 
 _CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
-"""Where there is one, the clock that goes on while the machine is suspended."""
+"""Clock that runs on while the machine is suspended, if there is one."""
 
 
 def now_ns() -> int:
-    """Return nanoseconds since the machine was started, those in which it slept included."""
+    """Return nanoseconds since the machine was started, with its time of sleep."""
     return time.clock_gettime_ns(_CLOCK)
 
 
 class Clock(Protocol):
-    """What a loop knows of time; tests give it one of their own."""
+    """Interface of a loop's clock; tests use one of their own."""
 
     def now_ns(self) -> int: ...
 
@@ -37,7 +37,7 @@ class MonotonicClock:
     Parameters
     ----------
     spin_ns : int, optional
-        How much of a wait is spun; if not given, `SPIN_NS` in threads of real-time priority and
+        Spun part of a wait; if not given, `SPIN_NS` in threads of real-time priority and
         nothing in others, where it gains nothing that repeats.
     """
 
@@ -59,7 +59,7 @@ class MonotonicClock:
 
 
 class SimulatedClock:
-    """Time that passes only by being waited for: a run takes as long as its computing does."""
+    """Simulated time that passes only by waiting: a run takes as long as its computation."""
 
     def __init__(self) -> None:
         self._now_ns = 0

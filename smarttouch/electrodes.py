@@ -1,4 +1,4 @@
-"""Electrode arrays: where the electrodes are and what they look like."""
+"""Electrode arrays: places and shapes of the electrodes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from smarttouch.errors import ProfileError
 Shape = Literal["point", "disc", "annulus", "rectangle"]
 
 COINCIDENT_MM = 1e-3
-"""Electrodes closer than this are taken for one given twice."""
+"""Distance below which two electrodes count as one given twice."""
 
 KAJIMOTO_61_ROWS = (5, 6, 7, 8, 9, 8, 7, 6, 5)
 """Electrodes per row of the hexagonal 61-electrode board."""
@@ -35,7 +35,7 @@ class ElectrodeArray:
     pitch_mm : float, mm
         Distance to the nearest neighbor.
     shape : {"point", "disc", "annulus", "rectangle"}
-        What every electrode looks like.
+        Shape of every electrode.
     size_mm : tuple of float, mm
         Outer and inner diameter of an annulus, diameter and 0 of a disc, width
         and height of a rectangle.

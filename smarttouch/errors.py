@@ -1,4 +1,4 @@
-"""The errors a user can meet. Each message says what, which number, and the remedy."""
+"""Errors for the user. Each message has the subject, the number, and the remedy."""
 
 import math
 from collections.abc import Sequence
@@ -18,15 +18,15 @@ class SmartTouchError(Exception):
         Name of what is wrong: a key of a profile, an option, a limit, a parameter, or "file",
         "port", "board" and the like.
     problem : str
-        Which of the things that can be wrong with it: "missing", "unknown", "too large" ….
+        Kind of problem: "missing", "unknown", "too large" ….
     value : object
-        What it is: a number, a name, a path.
+        Actual value: a number, a name, a path.
     allowed : object
-        What it may be: a number, or the names to choose from.
+        Allowed value: a number, or the names to choose from.
     remedy : str
         The key, option or command that mends it.
     slot, electrode : int or None
-        Where, if it is of one.
+        Place of the problem, if it has one.
     """
 
     def __init__(
@@ -146,7 +146,7 @@ class SafetyError(SmartTouchError):
     limit : str
         Name of the limit: what the error is about.
     value, allowed : float
-        What was asked for and what it may be, in the limit's unit; NaN where neither is a
+        Requested and allowed value, in the limit's unit; NaN where neither is a
         number.
     """
 

@@ -1,4 +1,4 @@
-"""Files that users name: opened without waiting, read up to a limit, parsed to a bounded depth."""
+"""Files named by users: opened without waiting, read up to a limit, parsed to a bounded depth."""
 
 import contextlib
 import errno
@@ -14,13 +14,13 @@ from typing import Any, BinaryIO
 from smarttouch.errors import SmartTouchError
 
 MOST_TABLE_BYTES = 16_000_000
-"""Of a CSV or JSON file: a day of numbers, a hundred times a second, is smaller."""
+"""Largest CSV or JSON file: a day of numbers, a hundred times a second, is smaller."""
 MOST_TOML_BYTES = 1_000_000
-"""Of a profile; that of a thousand electrodes has a tenth. Parsing takes seconds a megabyte."""
+"""Largest profile; that of a thousand electrodes has a tenth. Parsing takes seconds a megabyte."""
 MOST_BANK_BYTES = 256_000_000
-"""Of arrays in a file, and of each array in it."""
+"""Largest total of arrays in a file, and largest of its arrays."""
 MOST_DOCUMENT_BYTES = 2_000_000_000
-"""Of an image, a PDF or a video, of which no more is read than is needed."""
+"""Largest image, PDF or video; only the needed parts are read."""
 
 # Parsers take the square of a key's parts: 60 kB of "a.a.a" keep tomllib for 14 s.
 _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}""")
@@ -49,7 +49,7 @@ def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> N
 
 
 def require_replaceable(path: Path, error: type[SmartTouchError]) -> None:
-    """Raise if what a new file would replace is anything but a file: a device is not to go."""
+    """Raise if a new file would replace anything but a file, such as a device."""
     if path.exists() and not path.is_file():
         message = f"cannot write {path}: it is no file; give another name"
         raise _wrong(error, "no file", path, message)
@@ -63,7 +63,7 @@ def open_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> Bina
     path : Path
         Any file; symbolic links are followed.
     error : type of SmartTouchError
-        What to raise.
+        Class of the error.
     most_bytes : int
         Above which it is refused.
 
@@ -91,7 +91,7 @@ def open_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> Bina
 def read_bytes(
     path: Path, error: type[SmartTouchError], most_bytes: int = MOST_TABLE_BYTES
 ) -> bytes:
-    """Return what a file holds; raises as `open_file` does."""
+    """Return the content of a file; raises as `open_file` does."""
     try:
         with open_file(path, error, most_bytes) as file:
             data = file.read(most_bytes + 1)
@@ -141,7 +141,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def _require_integers(value: object) -> None:
-    """Raise where an integer is longer than TOML has them: Python refuses to print the longest."""
+    """Raise if an integer is longer than in TOML: Python refuses to print the longest."""
     inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
     for each in inner:
         _require_integers(each)
@@ -150,7 +150,7 @@ def _require_integers(value: object) -> None:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Return what a JSON text says.
+    """Return the value of a JSON text.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def parse_json(text: str | bytes) -> Any:
 
 
 def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTouchError) -> None:
-    """Write a file, or into a device or a pipe that somebody reads.
+    """Write a file, or into a device or a pipe with a reader.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
 
 
 def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None) -> BinaryIO:
-    """Open a file for reading and writing, made if missing, for this program alone.
+    """Open a file for reading and writing, created if missing, locked for this program.
 
     Another program that asks for the same is refused until this one closes the file or ends,
     however it ends. File systems without locks let both in.
@@ -193,7 +193,7 @@ def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None)
     ----------
     path : Path
     error : type of SmartTouchError
-        What to raise.
+        Class of the error.
     of : Path, optional
         The file to name where this one only stands for it.
 
@@ -234,7 +234,7 @@ def write_through(path: Path, data: bytes) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Have the names of a folder's files on the disk, where its file system offers that."""
+    """Sync the names of a folder's files to the disk, if its file system offers that."""
     with contextlib.suppress(OSError):
         number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
@@ -261,12 +261,12 @@ def _wrong(error: type[SmartTouchError], problem: str, path: Path, message: str)
 
 
 def unreadable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:
-    """Return the error that a file which cannot be read ends in."""
+    """Return the error for a file that cannot be read."""
     return _wrong(error, "unreadable", path, f"cannot read {path}: {failure.strerror}")
 
 
 def unwritable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:
-    """Return the error that a file which cannot be written ends in."""
+    """Return the error for a file that cannot be written."""
     reason = "nobody reads from it" if failure.errno == errno.ENXIO else failure.strerror
     return _wrong(error, "unwritable", path, f"cannot write {path}: {reason}")
 

@@ -29,10 +29,10 @@ PULSES = (
 )
 FRAMES = (("number", "count"), ("x", "mm"), ("y", "mm"), ("force", "N"))
 _LINGER_S = 0.1
-"""What was pushed last is still on its way to who listens."""
+"""Time for the last sample to reach its listeners."""
 _STEPS = 16
 _MOVED_S = 0.001
-"""If so many steps in a row come so late, the loop has moved its schedule."""
+"""Delay of successive steps after which the loop's schedule counts as moved."""
 
 
 class Markers(Listener):
@@ -40,7 +40,7 @@ class Markers(Listener):
 
     Pulses get a sample for each sequence (the board's number, or -1 where it was lost with
     the board; slots; the strongest electrode's current; intensity; period), frames one for
-    each frame (number, place on the page, force), events a string for whatever is told in
+    each frame (number, place on the page, force), events a string for every event of
     a run: keys, faults, trials, answers. Times are those of the run on LSL's clock: of a
     sequence or frame, when it was due. Failing later than at the start ends nothing; it is
     noted.
@@ -53,7 +53,7 @@ class Markers(Listener):
     Attributes
     ----------
     notes : list of str
-        What a user should know after the run.
+        Warnings after the run.
 
     Raises
     ------
@@ -69,7 +69,7 @@ class Markers(Listener):
         self._pulses = self._frames = self._events = None
 
     def prepare(self, run: RunContext) -> None:
-        """Make the outlets."""
+        """Create the outlets."""
         self._lsl, profile, source = _import_pylsl(), run.profile, self._source
         try:
             self._pulses = self._outlet("pulses", "Stimulation", PULSES, profile, source)
@@ -119,7 +119,7 @@ class Markers(Listener):
         self._pulses = self._frames = self._events = None
 
     def _stamp_s(self, time_ns: int, ago_s: float) -> float:
-        """Return when a time of the run was, which came about so long ago, on LSL's clock."""
+        """Return the time of a moment of the run on LSL's clock, by its age."""
         now_s = float(self._lsl.local_clock()) - ago_s
         if self._begin_s is None:
             self._begin_s = now_s - time_ns / 1e9
@@ -138,7 +138,7 @@ class Markers(Listener):
         try:
             outlet.push_sample(sample, stamp_s)
         except Exception as error:
-            # Whatever it is: a finger's run does not end because nobody can be told of it.
+            # Any exception: a finger's run does not end because a marker cannot be sent.
             self.notes.append(f"markers ended before the run, the Lab Streaming Layer: {error}")
             self._pulses = self._frames = self._events = None
 
@@ -189,7 +189,7 @@ def _import_pylsl() -> Any:
             problem="missing",
             remedy="https://labstreaminglayer.org",
         ) from None
-    # Its library otherwise writes over the screen; older ones cannot be told.
+    # Its library otherwise writes over the screen; older ones cannot be silenced.
     with contextlib.suppress(AttributeError, RuntimeError):
         pylsl.set_config_content("[log]\nlevel = -3\n")
     return pylsl

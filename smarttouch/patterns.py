@@ -1,4 +1,4 @@
-"""What the electrodes do, step by step, as pictures, a film, or numbers for other programs."""
+"""Activation of the electrodes, step by step, as pictures, a film, or numbers."""
 
 import json
 from io import BytesIO
@@ -22,14 +22,14 @@ FORMATS = ".gif, .json, or the name of a folder for PNG files"
 
 
 class PatternFile:
-    """Keeps the activation of each step of a run and writes all of them.
+    """Activation of each step of a run, kept and written to files.
 
     Parameters
     ----------
     path : Path
         A file that ends in ``.gif`` or ``.json``, else a folder of PNG files.
     profile : Profile
-        Where the electrodes are.
+        Profile of the electrodes.
 
     Raises
     ------
@@ -58,14 +58,14 @@ class PatternFile:
         self._period_us: list[int] = []
 
     def watch(self, sent: StepResult) -> None:
-        """Keep a step: what is felt, so nothing where there is no current."""
+        """Keep the activation of a step, zero where there is no current."""
         tactile, sequence = sent.step.tactile, sent.step.sequence
         felt = tactile.activation.max(axis=0) * (sequence.intensity > 0)
         self._activation.append(np.rint(255 * felt).astype(np.uint8))
         self._period_us.append(sequence.period_us)
 
     def save(self) -> None:
-        """Write them.
+        """Write all files.
 
         Raises
         ------

@@ -18,7 +18,7 @@ class Primary(IntEnum):
 
 
 class Mode(StrEnum):
-    """What drives which afferents."""
+    """Modes: the afferent classes that are driven, and by what."""
 
     RA = "RA"
     """Ink drives RA alone."""

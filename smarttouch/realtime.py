@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Final
 
 LOOP: Final = 1
-"""Priority of the threads that pace and send: the lowest that goes before all usual ones."""
+"""Priority of the threads that pace and send: the lowest above all ordinary ones."""
 
 _LOCK_NOW, _LOCK_LATER, _LOCK_TOUCHED = 1, 2, 4
 _FIFO: int | None = getattr(os, "SCHED_FIFO", None)
@@ -25,7 +25,7 @@ _LIMIT: int | None = getattr(resource, "RLIMIT_RTPRIO", None)
 
 @dataclass(frozen=True)
 class Pace:
-    """What the system gave a run.
+    """Real-time resources that the system gave a run.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Pace:
 
     @property
     def notes(self) -> list[str]:
-        """One sentence on what is missing and how to allow it; none if nothing is."""
+        """One sentence on what is missing and how to allow it; empty if nothing is."""
         if self.real_time:
             return []
         if _FIFO is None:
@@ -54,7 +54,7 @@ class Pace:
 
 @contextmanager
 def paced() -> Iterator[Pace]:
-    """Pace with this thread as long as the block runs: real-time priority and locked memory.
+    """Give this thread real-time priority and lock the memory, as long as the block runs.
 
     Both are given back at the end. Threads and processes that begin meanwhile have the usual
     priority. Where the system does not allow one of them, the block runs without it.
@@ -65,7 +65,7 @@ def paced() -> Iterator[Pace]:
 
 @contextmanager
 def prioritized(level: int = LOOP) -> Iterator[bool]:
-    """Give this thread real-time priority as long as the block runs, where that is allowed.
+    """Give this thread real-time priority as long as the block runs, if that is allowed.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def _set(level: int) -> bool:
 
 
 def _raise_own_limit(level: int) -> bool:
-    """Use what an administrator allows, where the session has not asked for it."""
+    """Raise the limit to what an administrator allows, if the session has not."""
     if _LIMIT is None:
         return False
     soft, most = resource.getrlimit(_LIMIT)
@@ -126,7 +126,7 @@ def _raise_own_limit(level: int) -> bool:
 
 @contextmanager
 def _locked_memory() -> Iterator[bool]:
-    """Keep in memory what is there, and what is used later as it is used.
+    """Lock present memory, and later memory once it is used.
 
     Not where only a part may be locked: memory asked for later would be refused.
     """

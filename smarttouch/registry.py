@@ -62,7 +62,7 @@ def find_opener(
     base: type,
     arguments: tuple[str, ...],
 ) -> tuple[Callable[..., Any], str]:
-    """Return what opens ``url`` and the part of it after the name.
+    """Return the opener of ``url`` and the part of the URL after the name.
 
     That of another package is checked: whether it can be called as it will be, and whether
     its class keeps the contract of ``base``.

@@ -1,4 +1,4 @@
-"""The end of a run that is asked for from outside: by a signal, a key or another thread."""
+"""Requests to end a run: by a signal, a key or another thread."""
 
 import contextlib
 import math
@@ -17,11 +17,11 @@ from typing import Self
 from smarttouch.errors import SmartTouchError
 
 ENDS_WITHIN_S = 0.7
-"""From a signal to the end of the process, in order or not."""
+"""Time limit from a signal to the end of the process."""
 RUNS_ON_S = 5.0
-"""How much longer a process may take that is not kept waiting, but slow or on a busy machine."""
+"""Additional time for a process that is not blocked, but slow or on a busy machine."""
 ZERO_WITHIN_S = 5.0
-"""How long the end waits for a board that does not confirm that it is at zero."""
+"""Time to wait at the end for a board that does not confirm zero."""
 SIGNALS = {
     signal.SIGINT: "Ctrl-C",
     signal.SIGTERM: "SIGTERM",
@@ -33,7 +33,7 @@ _LOOKS, _LOOK_S = 5, 0.01
 
 
 def thread_states() -> Iterator[tuple[int, str]]:
-    """Yield the system's number of each thread of this process and its state, R if it runs."""
+    """Yield the id and state of each thread of this process, R if it runs."""
     with contextlib.suppress(OSError):
         for task in Path("/proc/self/task").iterdir():
             with contextlib.suppress(OSError):
@@ -56,14 +56,14 @@ class RunStopped(BaseException):
 
 @dataclass
 class StopRequest:
-    """The request that a run ends, set once from any thread; never from a signal's handler.
+    """Request to end a run, set once from any thread; never from a signal's handler.
 
     Attributes
     ----------
     event : threading.Event
-        Set when it is asked for.
+        Set by the request.
     reason : str
-        Who asked first.
+        Source of the first request.
     """
 
     event: threading.Event = field(default_factory=threading.Event)
@@ -72,7 +72,7 @@ class StopRequest:
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     def ask(self, reason: str, *, at_once: bool = True) -> None:
-        """End the run.
+        """Request the end of the run.
 
         Parameters
         ----------
@@ -86,13 +86,13 @@ class StopRequest:
             told = self._told.copy() if at_once else []
         self.event.set()
         for tell in told:
-            # A board that cannot be told is told of by its own thread when it is closed.
+            # A board that cannot be reached is reported by its own thread when it is closed.
             with contextlib.suppress(SmartTouchError):
                 tell()
 
     @contextmanager
     def telling(self, tell: Callable[[], None]) -> Iterator[None]:
-        """Call a function as soon as the end is asked for, while the block runs or before."""
+        """Call a function once the end is requested, during the block or before it."""
         with self._lock:
             self._told.append(tell)
         try:
@@ -105,7 +105,7 @@ class StopRequest:
 
 
 class SignalWatch:
-    """Lets SIGINT, SIGTERM and SIGHUP end a run in order, and in time.
+    """Handler by which SIGINT, SIGTERM and SIGHUP end a run in order, and in time.
 
     Handlers lock nothing: the system writes a signal's number into a pipe, and a thread
     that waits for it asks for the stop, whatever the main thread is doing. A process that
@@ -114,7 +114,7 @@ class SignalWatch:
     Parameters
     ----------
     stop : StopRequest
-        What is asked.
+        Request to set.
     give_up : callable
         Ends the process by force, given the number of the signal.
 
@@ -138,7 +138,7 @@ class SignalWatch:
 
     @contextmanager
     def ending_in_order(self) -> Iterator[None]:
-        """Leave it to the block to end when it is asked to stop."""
+        """Let the block end by itself when a stop is requested."""
         before, self.orderly = self.orderly, True
         try:
             yield
@@ -200,7 +200,7 @@ class SignalWatch:
         self._give_up(self.number)
 
     def _goes_on(self) -> bool:
-        """Return whether in a moment a thread of ours has run, or would if there were room."""
+        """Return whether a thread of this process runs, or would if there were a free processor."""
         own = threading.get_native_id()
         for _ in range(_LOOKS):
             if any(state == "R" for thread, state in thread_states() if thread != own):

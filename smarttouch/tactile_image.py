@@ -1,4 +1,4 @@
-"""The touch analogue of an RGB image."""
+"""The tactile image: the touch analogue of an RGB image."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The way to a terminal, on which nothing passes that a terminal would obey."""
+"""Output to a terminal, without control characters."""
 
 import contextlib
 import io
@@ -22,7 +22,7 @@ _OBEYED = re.compile(
 
 
 def printable(text: str) -> str:
-    """Return a text with a visible stand-in for each sign that a terminal would obey.
+    """Return a text with a visible stand-in for each control character.
 
     Newlines and tabs stay. A control sign becomes its picture (␛ is Escape), any other becomes �.
     """
@@ -37,14 +37,14 @@ def _stand_in(found: re.Match[str]) -> str:
 
 
 class Output:
-    """A standard stream whose failures are one sentence.
+    """Standard stream whose failures become one sentence.
 
     Parameters
     ----------
     stream : file
-        What is written to.
+        Stream to write to.
     name : str
-        What to call it in that sentence; if empty, what cannot be written is dropped.
+        Name in that sentence; if empty, what cannot be written is dropped.
     """
 
     def __init__(self, stream: TextIO, name: str) -> None:
@@ -53,7 +53,7 @@ class Output:
         self.encoding, self.errors = stream.encoding, stream.errors
 
     def onto(self, stream: TextIO) -> Self:
-        """Return one that writes to another stream in the same way."""
+        """Return a stream that writes to another one in the same way."""
         return type(self)(stream, self._name)
 
     @property
@@ -93,9 +93,9 @@ class Output:
 
 
 class PlainOutput(Output):
-    """A standard stream for plain text.
+    """Standard stream for plain text.
 
-    It is no terminal to those who ask: what would draw on one uses `console`.
+    It does not report to be a terminal: code that draws uses `console`.
     """
 
     def __init__(self, stream: TextIO, name: str) -> None:
@@ -111,7 +111,7 @@ class PlainOutput(Output):
 
 
 def console(*, stderr: bool = False, highlight: bool = True) -> "Console":
-    """Return a console that draws, and shows stand-ins in all that it is given to show."""
+    """Return a console for drawing, with stand-ins for control characters."""
     stream: Any = sys.stderr if stderr else sys.stdout
     return _console_class()(
         file=getattr(stream, "direct", stream),
@@ -140,7 +140,7 @@ def _console_class() -> "type[Console]":
 
 @contextlib.contextmanager
 def guarded_output() -> Iterator[None]:
-    """Let standard output and errors pass nothing that a terminal would obey, as long as it runs.
+    """Guard standard output and errors against control characters, while the block runs.
 
     Standard streams that were closed lead nowhere from then on: a file or port
     that is opened later must not become one of them.
@@ -160,7 +160,7 @@ def guarded_output() -> Iterator[None]:
 
 
 def _fill_closed() -> None:
-    """Open nothing in place of each standard stream that is closed."""
+    """Open the null device in place of each standard stream that is closed."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)

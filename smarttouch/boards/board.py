@@ -1,4 +1,4 @@
-"""The contract that every display board keeps."""
+"""Interface and safety gate of every display board."""
 
 import time
 from abc import ABC, abstractmethod
@@ -36,11 +36,11 @@ __all__ = [
 
 LONGEST_REPEAT = 0xFFFF
 SLOW_ANSWER_S = 0.008
-"""FTDI chips keep what comes back for 16 ms unless told otherwise."""
+"""Round trip above which a line is slow: FTDI chips delay input by 16 ms by default."""
 
 
 class Board(Timely, ABC):
-    """A display board.
+    """Base class of display boards.
 
     A driver implements the underscored methods. `send` cannot be reached
     around: it proves every sequence safe, on the board's own clock, and the
@@ -52,29 +52,29 @@ class Board(Timely, ABC):
     limits : SafetyLimits
         From the profile of the finger on the board.
     output : Output, optional
-        What the profile says of the board: kind, scale, wiring.
+        Output section of the profile: kind, scale, wiring.
     """
 
     usual_profile: ClassVar[str] = DEFAULT_PROFILE
-    """The shipped profile of such a board."""
+    """Name of the default profile of such a board."""
     takes_wiring: ClassVar[bool] = False
     on_a_finger: ClassVar[bool] = True
-    """Whether there may be a finger on it."""
+    """Whether a finger may be on it."""
     ua_per_count: float | None = None
-    """Its current scale, if it has one that can be measured."""
+    """Current scale of the board, if it can be measured."""
     timing: ScanTiming = ScanTiming()
-    """What it fixes about the time of a scan; known before it is opened."""
+    """Scan timing fixed by the board; known before it is opened."""
     capabilities: Capabilities
     acknowledged: int = 0
-    """Sequences the board has begun to deliver."""
+    """Number of sequences that the board has begun to deliver."""
     refused: int = 0
-    """Sequences the board has declined or dropped."""
+    """Number of sequences that the board has refused or dropped."""
     replaced: int = 0
-    """Sequences that a newer one overtook before they were sent."""
+    """Number of sequences replaced by a newer one before they were sent."""
     force_n: float | None = None
-    """How hard the finger presses, if the board can tell."""
+    """Finger force, if the board measures it."""
     lifted: bool = False
-    """Whether by the voltages of the last scan nothing touches the electrodes."""
+    """Whether nothing touches the electrodes, by the voltages of the last scan."""
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)
@@ -130,7 +130,7 @@ class Board(Timely, ABC):
 
     @final
     def send(self, sequence: ScanSequence, times: int = 1, due_ns: int | None = None) -> int:
-        """Prove a sequence safe, then send it.
+        """Validate a sequence by the safety gate, then send it.
 
         It is delivered ``times`` times, one period after another, unless a newer one comes.
 
@@ -144,7 +144,7 @@ class Board(Timely, ABC):
         Returns
         -------
         int
-            The number under which the board will know it.
+            The number of the sequence on the board.
 
         Raises
         ------
@@ -222,11 +222,11 @@ class Board(Timely, ABC):
     @property
     @final
     def dose(self) -> Dose:
-        """Current that the skin has had since the board was opened."""
+        """Dose of current in the skin since the board was opened."""
         return self._gate.dose
 
     def _time(self) -> Now | None:
-        """Return the clock that the gate goes by: the machine's.
+        """Return the clock of the safety gate: the machine's.
 
         Only a board that no finger can be on has another, or none: then time is what
         sequences claim.
@@ -235,11 +235,11 @@ class Board(Timely, ABC):
 
     @property
     def refused_packets(self) -> int:
-        """Packets from the board that were old, of another session, or answered nothing asked."""
+        """Number of packets from the board that were old, of another session, or unrequested."""
         return 0
 
     def take_volts(self) -> list[tuple[ScanSequence, NDArray[np.float32]]]:
-        """Return what was measured since the last call.
+        """Return the voltages measured since the last call.
 
         Returns
         -------
@@ -276,7 +276,7 @@ class Board(Timely, ABC):
             )
 
     def _note_round_trip(self, ask: Callable[[], object]) -> None:
-        """Time a question; note it if the line keeps answers back."""
+        """Time a query; add a note if the line delays answers."""
         times_s = []
         for _ in range(3):
             start = time.perf_counter()
@@ -296,14 +296,14 @@ class Board(Timely, ABC):
 
     @final
     def halt(self) -> None:
-        """Stop for good, from any thread: also while it is being opened, which then fails."""
+        """Stop for good, from any thread; a board that is being opened fails to open."""
         self._halted = True
         self._stopped.set()
         self._halt()
 
     @final
     def close(self) -> None:
-        """Put all electrodes at zero and let go of the board."""
+        """Put all electrodes at zero and close the board."""
         if self._opened:
             self._opened = False
             try:
@@ -313,21 +313,21 @@ class Board(Timely, ABC):
 
     @abstractmethod
     def drain(self, timeout_s: float = 1.0) -> None:
-        """Wait until everything sent has been delivered, or the time is over."""
+        """Wait until all sequences have been delivered, or the time is over."""
 
     @abstractmethod
     def report(self) -> BoardReport:
-        """Return the board's own account."""
+        """Return the report of what was delivered."""
 
     @abstractmethod
     def _open(self) -> None: ...
 
     @abstractmethod
     def _send(self, sequence: ScanSequence, times: int) -> int:
-        """Hand a proven sequence on; raise LineLostError where starting anew may help."""
+        """Send a validated sequence; raise LineLostError if a restart may help."""
 
     def _recover(self, lost: LineLostError) -> None:
-        """Start a lost board anew, at zero; raise if it cannot be."""
+        """Restart a lost board, at zero; raise if that fails."""
         raise lost
 
     def _measure(self) -> Impedance:
@@ -360,7 +360,7 @@ class Board(Timely, ABC):
         try:
             self.close()
         except BoardError:
-            # What went wrong first is what the user must hear of.
+            # The first fault is the one to report.
             if error is None:
                 raise
 
@@ -368,7 +368,7 @@ class Board(Timely, ABC):
 def make_board(
     url: str, limits: SafetyLimits, output: Output | None = None, **options: Any
 ) -> Board:
-    """Make the driver for a board's URL; it is not opened yet.
+    """Return the driver for a board's URL, not opened yet.
 
     Options of the driver may stand in the URL, as in ``emulator:?books=FOLDER``.
 

@@ -1,4 +1,4 @@
-"""The host's own account of what a board has scanned."""
+"""Host-side delivery statistics, for boards that report none."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from smarttouch.stimulation.sequence import ScanSequence
 
 
 class HostBooks:
-    """What was scanned, for boards that keep no account of their own.
+    """Delivery statistics kept by the host.
 
     Parameters
     ----------
@@ -24,16 +24,16 @@ class HostBooks:
     def add(
         self, sequence: ScanSequence, times: int = 1, again: bool = False, most: int | None = None
     ) -> None:
-        """Write down a sequence that was scanned.
+        """Add a sequence that was scanned.
 
         Parameters
         ----------
         times : int
-            How often, at least.
+            Least number of scans.
         again : bool
             Whether the sequence itself has been counted before.
         most : int, optional
-            How often at most, where that is not known exactly.
+            Largest number of scans, where it is not known exactly.
         """
         most = times if most is None else most
         self._sequences += not again
@@ -51,7 +51,7 @@ class HostBooks:
         self._net_uc = max(self._net_uc, self._ledger.worst_uc + self._unsure_uc)
 
     def report(self) -> BoardReport:
-        """Return the account so far."""
+        """Return the report so far."""
         return BoardReport(
             self._sequences,
             self._slots,

@@ -1,4 +1,4 @@
-"""What a board can do, and its account of what it did."""
+"""Capabilities of a board, and its delivery report."""
 
 from dataclasses import dataclass
 from itertools import compress
@@ -10,34 +10,34 @@ BOTH: tuple[Polarity, ...] = ("anodic", "cathodic")
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What a board can do, and what it cannot."""
+    """Capabilities of a board."""
 
     electrodes: int
     output: Literal["weighted", "three-state", "one-against-all", "vibration"]
     max_current_ma: float
     max_slots: int
     time_to_zero_ms: float | None
-    """Longest time from the host's silence to no current; None if it may go on for ever."""
+    """Longest time from the host's silence to zero current; None if it has no limit."""
     firmware: str
     polarities: tuple[Polarity, ...] = BOTH
     clock: Literal["board", "host"] = "board"
-    """Whose clock the pulses leave on."""
+    """Clock by which pulses are timed."""
     acknowledges: bool = True
     measures: bool = False
-    """Whether it tells the voltage that a slot needed."""
+    """Whether it measures the voltage of each slot."""
     force: bool = False
-    """Whether it tells how hard the finger presses."""
+    """Whether it measures the finger's force."""
     compliance_v: float | None = None
-    """The most its source can give, if it is known."""
+    """Compliance voltage of its source, if it is known."""
     vibrates: bool = False
-    """Whether mechanical vibrators are part of it."""
+    """Whether it has mechanical vibrators."""
     recharges: bool = False
     """Whether it can end a scan with a recharge phase."""
     kept_ms: float | None = None
-    """Longest time from the end of this program to zero, where a process beside it sees to that."""
+    """Longest time from the end of this program to zero, if a keeper process ensures that."""
 
     def describe(self) -> list[tuple[str, str]]:
-        """Return what there is to tell a user, as names and values."""
+        """Return the capabilities as names and values, for display."""
         silence = "goes on with its last pattern for ever: lift the finger before you unplug it"
         if self.time_to_zero_ms is not None:
             silence = f"no current {self.time_to_zero_ms:g} ms after the host falls silent"
@@ -59,20 +59,20 @@ class Capabilities:
 
 @dataclass(frozen=True)
 class BoardReport:
-    """Account of what a board delivered since it was opened."""
+    """Report of what a board delivered since it was opened."""
 
     sequences: int
     slots: int
     pulses: int
-    """Electrode pulses: one for each electrode that carried current in a slot."""
+    """Number of electrode pulses: one for each electrode with current in a slot."""
     violations: int
     max_current_ma: float
     max_charge_uc: float
     max_net_charge_uc: float
-    """Most charge left on an electrode: after a discharge; by the host's books, of all pulses."""
+    """Largest charge left on an electrode: after a discharge; in a host's report, of all pulses."""
     refused_packets: int = 0
-    """Old packets, and those of other sessions, that reached the board."""
+    """Number of packets refused by the board, as old or of another session."""
     by: Literal["board", "host"] = "board"
-    """Whose account it is; a host's is of what was scanned, as far as it can know."""
+    """Author of the report; a host reports what was scanned as far as it can know."""
     most_pulses: int | None = None
-    """By a host that knows only a range; pulses and slots are then the least."""
+    """Upper bound, if a host knows only a range; pulses and slots are then lower bounds."""

@@ -1,4 +1,4 @@
-"""Which ports and boards there are, without a byte to anything unknown."""
+"""Discovery of ports and boards; nothing is sent to unknown devices."""
 
 import contextlib
 import socket
@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from serial.tools import list_ports
 
 ETACTILEKIT_PORT = 8888
-"""UDP; eTactileKits answer ``ETK?`` there, other devices have no reason to listen."""
+"""UDP port on which eTactileKits answer ``ETK?``; other devices have no reason to listen."""
 
 
 @dataclass(frozen=True)
 class SerialPort:
-    """A serial port of this machine; what is behind it only its owner knows."""
+    """A serial port of this machine; it is not opened, so the device behind it is unknown."""
 
     device: str
     description: str
@@ -29,7 +29,7 @@ class NetworkBoard:
 
 
 def serial_ports() -> list[SerialPort]:
-    """Return the serial ports that the system knows; none is opened."""
+    """Return the serial ports of the system; none is opened."""
     found = list_ports.comports()
     # Built-in ports without hardware have no description.
     return [
@@ -59,7 +59,7 @@ def network_boards(
 
 
 def parse_answer(data: bytes) -> NetworkBoard | None:
-    """Return the board that an answer is of, or None if it is no such answer."""
+    """Return the board described by an answer, or None if the answer is invalid."""
     fields = data.decode("utf-8", "replace").strip().split(";")
     if fields[0] != "ETK!":
         return None

@@ -1,4 +1,4 @@
-"""Driver of the eTactileKit: the board scans on its own clock, the host puts patterns before it.
+"""Driver of the eTactileKit, which scans on its own clock; the host loads its patterns.
 
 What goes over the wire, and what guards it, stands in `etactilekit_wire`, and how each
 pattern is scanned a known number of times in `etactilekit_step`.
@@ -37,22 +37,22 @@ from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.timing import ScanTiming
 
 NEWEST_ZERO_MS = 520.0
-"""The newest firmware takes its host for lost after 500 ms; then the scan ends."""
+"""Time to zero of the newest firmware, which ends its scan 500 ms after the host's last byte."""
 IDLE_S = 0.1
-"""After so long without a sequence the pattern on the board becomes zeros."""
+"""Time without a sequence after which the pattern on the board becomes zeros."""
 ATTEMPTS = 4
-"""For a pattern of which nothing was measured, though weaker ones were."""
+"""Attempts at a pattern that gave no reading, though weaker ones did."""
 OPEN_SHARE = 0.95
-"""Of the voltage without a finger: where every slot needs that much, there is none."""
+"""Part of the voltage without a finger: if every slot reaches it, the finger is lifted."""
 
 
 class ETactileKitBoard(SteppedKit):
-    """An eTactileKit: ``etactilekit:PORT`` or ``etactilekit:tcp://HOST:8080``.
+    """The eTactileKit: ``etactilekit:PORT`` or ``etactilekit:tcp://HOST:8080``.
 
     After the port, ``?slow`` writes 8 bytes every 3 ms from the start, for USB of
     older firmware (the driver goes over to it by itself when frames get lost), and
-    ``?firmware=936c6c0``, ``71adee2`` or ``newest`` says which one it is, where asking
-    the board does not. Both: ``?slow&firmware=936c6c0``.
+    ``?firmware=936c6c0``, ``71adee2`` or ``newest`` selects the firmware if a query
+    cannot. Both: ``?slow&firmware=936c6c0``.
     """
 
     usual_profile: ClassVar[str] = "etactilekit-32"
@@ -136,7 +136,7 @@ class ETactileKitBoard(SteppedKit):
                 idle = True
 
     def _perform(self, job: Job) -> None:
-        """Let a sequence be scanned as often as it wants, or until a newer one waits."""
+        """Scan a sequence as often as requested, or until a newer one waits."""
         parts = self._parts(job)
         if not parts:
             self._begun(job)
@@ -152,7 +152,7 @@ class ETactileKitBoard(SteppedKit):
                 return
 
     def _parts(self, job: Job) -> list[Job]:
-        """Return what is scanned after one another for a sequence; none if nothing pulses."""
+        """Return the successive patterns of a sequence; none if it has no pulse."""
         sequence, nothing = job.sequence, self._codec.nothing
         payloads = [each for each in self._codec.parts(job.data) if each != nothing]
         if not sequence.slots or len(payloads) <= 1:
@@ -165,7 +165,7 @@ class ETactileKitBoard(SteppedKit):
         ]
 
     def _scan(self, job: Job, *, first: bool) -> bool:
-        """Let what one pattern holds be scanned; return False if it cannot go on."""
+        """Scan one pattern; return False if it cannot continue."""
         for attempt in range(ATTEMPTS):
             with self._line:
                 if self._closing.is_set():
@@ -183,7 +183,7 @@ class ETactileKitBoard(SteppedKit):
         return not self._closing.is_set()
 
     def _show(self, job: Job) -> bool:
-        """Let a sequence's pulses come; return whether the board has it."""
+        """Enable a sequence's pulses; return whether the board has obeyed."""
         settings = settings_of(job.sequence)
         if settings != self._settings and not self._set(settings):
             return False
@@ -198,7 +198,7 @@ class ETactileKitBoard(SteppedKit):
         return True
 
     def _set(self, settings: Settings) -> bool:
-        """Set pulse and rate while nothing flows; return whether the board has them."""
+        """Set pulse and rate while nothing flows; return whether the board has obeyed."""
         longest = max(
             each.scan_us(self._outputs, 20) for each in (settings, self._settings) if each
         )
@@ -218,7 +218,7 @@ class ETactileKitBoard(SteppedKit):
         return True
 
     def _load(self, payload: bytes) -> bool:
-        """Put a pattern on the board while nothing flows; return whether it has it."""
+        """Load a pattern while nothing flows; return whether the board has it."""
         self._on_board = b""
         if self._exchange(self._codec.load(payload)) is None:
             self._resync()
@@ -262,7 +262,7 @@ class ETactileKitBoard(SteppedKit):
         codec = self._codec
         with self._line:
             self._zero()
-            # Ten scans a second; two of them are over when the readings are asked for.
+            # Ten scans a second; two of them are over when the readings are queried.
             self._write_out(codec.lead + codec.sense)
             self._pause(0.25)
             found = self._exchange(NO_SENSE, ask=True)

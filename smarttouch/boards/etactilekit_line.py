@@ -1,4 +1,4 @@
-"""The line to an eTactileKit: which firmware is there, questions and answers, lost bytes."""
+"""The line to an eTactileKit: firmware detection, queries, and recovery from lost bytes."""
 
 import contextlib
 import time
@@ -27,23 +27,23 @@ from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.wire.port import open_port
 
 FIRMWARES = ("936c6c0", "71adee2", "newest")
-"""By the commit of the public repository that first had each."""
+"""Known firmwares, by the first commit of the public repository that has each."""
 ECHO_S = 0.1
 CHIPS_S = 0.5
-"""The longest that it takes to answer anything."""
+"""Longest time to an answer."""
 FORGETS_S = 2.15
-"""After such a silence it has dropped whatever half command it had; that of 936c6c0 has not."""
+"""Silence after which a partial command is dropped, except by 936c6c0."""
 LOSSES_UNTIL_SLOW = 2
 TRIES = 3
 LOOKS = 5
-"""So many answers in a row without an echo mean that the firmware knows none."""
+"""Answers in a row without an echo after which the firmware has none."""
 AWAY_S, AWAY_MOST_S = 0.6, 1.8
-"""A port closed for that long is a lost host to the newest firmware; half a command that waited
+"""Time of a closed port that the newest firmware takes for a lost host; half a command that waited
 longer may have been dropped by any."""
 
 
 class ETactileKitLine(KeptBoard):
-    """Finds out which eTactileKit is at a port, and exchanges bytes with it."""
+    """Line to an eTactileKit: detects its firmware, and exchanges bytes with it."""
 
     kind = "etactilekit"
     takes_wiring: ClassVar[bool] = True
@@ -70,9 +70,9 @@ class ETactileKitLine(KeptBoard):
     # -- which it is ---------------------------------------------------------
 
     def _find_out(self) -> tuple[str, int]:
-        """Put whatever firmware it is at zero; return which it is, and how many outputs it has.
+        """Put any firmware at zero; return its name and its number of outputs.
 
-        The codec is chosen by it, and the board told its number of electrodes.
+        The codec is chosen by it, and the board's number of electrodes is set.
         """
         for _ in range(TRIES - 1):
             # Bytes may be lost here too.
@@ -105,10 +105,10 @@ class ETactileKitLine(KeptBoard):
         return self._wanted or firmware, capacity
 
     def _wake(self) -> int:
-        """Put the board at zero and its parser where a command begins; return its chips."""
+        """Put the board at zero and its parser at the start of a command; return its chips."""
         for pause_s in (0.01, FORGETS_S):
             # A host before us may have left half a pattern: any other byte would complete it,
-            # as a current. What zeros do not end, it forgets in silence.
+            # as a current. What zeros do not end, it drops in a silence.
             self._write_out(ZEROS)
             self._pause(pause_s)
             for command in AT_REST:
@@ -126,10 +126,10 @@ class ETactileKitLine(KeptBoard):
         )
 
     def _echoes(self, chips: int) -> bool:
-        """Return whether it knows the echo; its number of electrodes is zero meanwhile."""
+        """Return whether the firmware echoes; its number of electrodes is zero meanwhile."""
         for _ in range(LOOKS):
             self._flush()
-            # Whether the first byte was a question, the answer to the second tells.
+            # The answer to the second byte shows whether the first was a query.
             self._write(PING + CHIPS)
             answer = self._read(1, CHIPS_S)
             if answer == b"\0" and self._read(1, CHIPS_S) == bytes([chips]):
@@ -176,7 +176,7 @@ class ETactileKitLine(KeptBoard):
         raise self._lost(what, "malformed")
 
     def _forgets_hosts(self) -> bool:
-        """Return whether it drops half a command when its host was away for a while."""
+        """Return whether it drops a partial command when its host was away for a while."""
         began = time.monotonic()
         self._write(b"\xfd")
         self._pause(0.05)
@@ -204,7 +204,7 @@ class ETactileKitLine(KeptBoard):
     def _exchange(
         self, body: bytes, *, ask: bool = False
     ) -> tuple[Span, NDArray[np.uint16] | None] | None:
-        """Send commands and wait until they have been obeyed.
+        """Send commands and wait until they are executed.
 
         Parameters
         ----------
@@ -233,7 +233,7 @@ class ETactileKitLine(KeptBoard):
         return span, readings
 
     def _resync(self) -> None:
-        """Bring the board's parser back to where a command begins; nothing flows meanwhile.
+        """Resynchronize the board's parser to the start of a command; nothing flows meanwhile.
 
         Raises
         ------
@@ -278,7 +278,7 @@ class ETactileKitLine(KeptBoard):
 
 
 def _parse(options: str) -> tuple[bool, str | None]:
-    """Return whether to write slowly, and the firmware that a user named."""
+    """Return whether to write slowly, and the firmware that the user chose."""
     slow, firmware = False, None
     for option in options.split("&") if options else ():
         name, _, value = option.partition("=")

@@ -1,4 +1,4 @@
-"""In step with the scans of an eTactileKit, which runs on its own clock.
+"""Synchronization with the scans of an eTactileKit, which runs on its own clock.
 
 What a scan does is settled when it starts, so a pattern is felt only if it is there at
 that moment. Pulses are let come, one scan or as many as are wanted start, and pulses are
@@ -6,7 +6,7 @@ stopped again: in between the next pattern is put on the board. The board does n
 when it scans; but its readings change with each scan, so two questions bracket one, and
 from then on all others are known (`ScanLock`). As long as they are not (nothing is felt
 or measured yet, or the line is too slow), a pattern stays for longer than a whole
-period: then it is scanned at least once, perhaps twice, and the account says so.
+period: then it is scanned at least once, perhaps twice, and the report has that range.
 """
 
 from abc import abstractmethod
@@ -24,38 +24,38 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits
 
 LOW, HIGH = 4, 12
-"""Readings below the one had no pulse, from the other on they had: .3 and 1 V."""
+"""Readings below the first had no pulse, those from the second on had one: .3 and 1 V."""
 POLL_NS, MARGIN_NS = 1_000_000, 100_000
 LATE_SCANS = 3
-"""So many more are waited for where no time is found that is certainly between two scans."""
+"""Additional scans to wait for if no time is certainly between two scans."""
 WIDE_NS = 1_000_000
-"""If it is less well known than that when a scan starts, a question in its middle tells."""
+"""Uncertainty of a scan's start above which a query is sent in the middle of the scan."""
 LISTEN_NS = 1_000_000_000
-"""No scan in so long, and one only, is given away to learn when it starts."""
+"""Interval in which at most one scan is left empty to find when scans start."""
 KEEP_NS = 100_000_000
-"""The newest firmware must hear something that often."""
+"""Longest silence to the newest firmware."""
 
 
 @dataclass
 class Shown:
-    """What pulses, and since when."""
+    """Pattern that pulses, and its start."""
 
     job: Job
     since: Span
     before: NDArray[np.uint16]
-    """Readings of the scan before."""
+    """Readings of the previous scan."""
     unseen_ns: int = 0
-    """When the readings were last asked for and told of none of its pulses."""
+    """Time of the last readings that showed none of its pulses."""
     risen: bool = False
-    """Whether they have told of some."""
+    """Whether readings have shown some of its pulses."""
 
     def felt(self, readings: NDArray[np.uint16]) -> NDArray[np.bool_]:
-        """Return which outputs it has certainly pulsed, by readings from now."""
+        """Return which outputs it has certainly pulsed, by the present readings."""
         return (self.before < LOW) & (readings >= HIGH)
 
 
 class SteppedKit(ETactileKitLine):
-    """Lets patterns be scanned a known number of times."""
+    """Kit that scans patterns a known number of times."""
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         super().__init__(port, limits, output)
@@ -65,7 +65,7 @@ class SteppedKit(ETactileKitLine):
         self._waits = True
         self._lock = ScanLock(1)
         self._shown: Shown | None = None
-        # The last readings, and when they were asked for.
+        # The last readings, and the time of their query.
         self._before: tuple[int, NDArray[np.uint16]] | None = None
         # How long answers have taken of late.
         self._answer_ns = 0
@@ -79,10 +79,10 @@ class SteppedKit(ETactileKitLine):
     def _note_volts(
         self, job: Job, current_ua: NDArray[np.int64], readings: NDArray[np.uint16]
     ) -> None:
-        """Take what was measured of a sequence's slots, in counts."""
+        """Take the measured voltages of a sequence's slots, in counts."""
 
     def _ask(self, body: bytes) -> Span | None:
-        """Send commands and learn from the readings before them; return when they were obeyed."""
+        """Send commands and update the scan lock by the readings; return the time of execution."""
         found = self._exchange(body, ask=True)
         if found is None:
             self._before = None
@@ -105,7 +105,7 @@ class SteppedKit(ETactileKitLine):
         answered_ns: int,
         readings: NDArray[np.uint16],
     ) -> None:
-        """Learn from two readings when a scan passed, if it did."""
+        """Update the scan lock if a scan passed between two readings."""
         asked_ns, before = last
         rises, falls = (before < LOW) & (readings >= HIGH), (before >= HIGH) & (readings < LOW)
         if not (rises | falls).any():
@@ -113,7 +113,7 @@ class SteppedKit(ETactileKitLine):
         # A pulse whose discharge is short, or one without a width, as in scans without pulses.
         rest_us = max(0, settings.discharge_us - SHORTEST_US)
         if self._waits:
-            # A question asked during a scan is answered after it: it passed as a whole.
+            # A query during a scan is answered after it: the whole scan has passed.
             pulsed = rises.any() and self._codec.even
             slot_us = rest_us + (settings.width_us if pulsed else SHORTEST_US)
             self._lock.learn(Span(asked_ns, answered_ns - 1000 * self._outputs * slot_us))
@@ -124,7 +124,7 @@ class SteppedKit(ETactileKitLine):
         self._lock.learn(Span(early_ns, answered_ns - 1000 * slots * rest_us))
 
     def _free_of_scans(self, now_ns: int) -> int:
-        """Return from when on an answer comes before the next scan can start, ns."""
+        """Return the time from which on an answer comes before the next scan can start, ns."""
         self._lock.check(now_ns)
         if not self._lock.locked:
             # Of the newest firmware a scan may still be under way that began before the stop.
@@ -138,7 +138,7 @@ class SteppedKit(ETactileKitLine):
         return now_ns if now_ns + answer_ns < following.early else following.late + MARGIN_NS
 
     def _hold(self, job: Job) -> None:
-        """Wait until as many scans of what is shown are over as are wanted."""
+        """Wait until the requested number of scans of the shown pattern is over."""
         shown, asked_ns, late = self._shown, self._clock.now_ns(), 0
         while shown is self._shown and not self._closing.is_set():
             now_ns = self._clock.now_ns()
@@ -162,7 +162,7 @@ class SteppedKit(ETactileKitLine):
                             self._look(shown, asked_ns, told[1])
 
     def _look(self, shown: Shown, asked_ns: int, readings: NDArray[np.uint16]) -> None:
-        """Keep what readings tell of the first scan of what is shown."""
+        """Keep the readings of the first scan of the shown pattern."""
         if not shown.felt(readings).any():
             shown.unseen_ns = asked_ns
             return
@@ -173,7 +173,7 @@ class SteppedKit(ETactileKitLine):
         shown.risen = True
 
     def _worth_asking(self, now_ns: int, asked_ns: int) -> int:
-        """Return when a question will tell more of the board's scans, or keep it awake."""
+        """Return when the next query is useful, to locate scans or to keep the board awake."""
         if not self._lock.locked:
             return now_ns + POLL_NS
         coming = self._lock.scan(self._lock.first_after(now_ns))
@@ -182,19 +182,19 @@ class SteppedKit(ETactileKitLine):
         return asked_ns + KEEP_NS
 
     def _over_ns(self, since: Span, times: int) -> int:
-        """Return when so many scans after an event are certainly over."""
+        """Return the time at which so many scans after an event are certainly over."""
         if not self._lock.locked:
             return int(since.late + times * self._lock.period_ns[1]) + MARGIN_NS
         last = self._lock.scan(self._lock.first_after(since.late) + times - 1)
         return last.late + self._scan_ns() + MARGIN_NS
 
     def _scan_ns(self) -> int:
-        """Return how long a scan takes."""
+        """Return the duration of a scan."""
         assert self._settings is not None
         return 1000 * self._settings.scan_us(self._outputs, self._codec.slot_extra_us)
 
     def _listen(self) -> None:
-        """Let a scan pass without pulses, where its readings will tell when it starts."""
+        """Run a scan without pulses if its readings will show when it starts."""
         now_ns, before = self._clock.now_ns(), self._before
         self._lock.check(now_ns)
         if before is None or now_ns < self._listen_ns or not (before[1] >= HIGH).any():
@@ -216,7 +216,7 @@ class SteppedKit(ETactileKitLine):
         self._listen_ns = self._clock.now_ns() + LISTEN_NS
 
     def _stop_pulses(self) -> bool:
-        """Stop all pulses, and write down the scans; return False if they seem to be none."""
+        """Stop all pulses, and record the scans; return False if there seem to be none."""
         shown, self._shown = self._shown, None
         begun_ns, told = self._clock.now_ns(), None
         try:
@@ -227,7 +227,7 @@ class SteppedKit(ETactileKitLine):
         return felt
 
     def _account(self, shown: Shown, told: Span | None, begun_ns: int) -> bool:
-        """Write down the scans of what was shown; return False if they seem to be none."""
+        """Record the scans of the shown pattern; return False if there seem to be none."""
         sequence, since, felt = shown.job.sequence, shown.since, True
         readings = None if told is None or self._before is None else self._before[1]
         certain = False if readings is None else shown.felt(readings)
@@ -253,7 +253,7 @@ class SteppedKit(ETactileKitLine):
         return felt
 
     def _give_up(self) -> None:
-        """Write down what may have been scanned when a board was lost and is back, at zero."""
+        """Record the scans that are possible before a lost board was back, at zero."""
         shown, self._shown = self._shown, None
         if shown is not None:
             sure_ns = shown.since.late if self._before is None else self._before[0]

@@ -1,4 +1,4 @@
-"""The commands of an eTactileKit, and what of a sequence goes into them.
+"""Commands of an eTactileKit, and their encoding of sequences.
 
 On the wire (native USB, or TCP port 8080; little endian, no framing, no checksum)::
 
@@ -38,25 +38,25 @@ from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
 UA_PER_COUNT = 9.99
-"""Nominal; its firmware does not cap 4095 counts, which are 41 mA."""
+"""Nominal scale; the firmware does not cap 4095 counts, which are 41 mA."""
 LARGEST = 1000
 """Counts, about 10 mA: nothing above leaves this host, whatever the limits. Its firmware does not
 cap 4095 counts, which are 41 mA."""
 VOLTS_PER_COUNT = 0.0893
 DUMMY_KOHM = 66.0
-"""A load fitted beside the skin; it takes V / 66 kΩ of the current."""
+"""Load fitted in parallel with the skin; it takes V / 66 kΩ of the current."""
 COMPLIANCE_V = 300.0
-"""Of its switches (HV513), the most a reading can be worth."""
+"""Limit of its switches (HV513), the largest voltage of a reading."""
 FIRST_COMMAND = 0xF4
 SHORTEST_US = 7
-"""Switching on and off takes 6.6 µs: a shorter pulse would be as long as that."""
+"""Shortest pulse: switching on and off takes 6.6 µs."""
 SENSE_COUNTS, SENSE_US = 100, 50
 ZEROS = bytes(2 * 255 + 4)
-"""More than any command waits for."""
+"""Padding longer than the rest of any command."""
 PING, CHIPS, READINGS = b"\xf4", b"\xf5", b"\xff"
 NO_SENSE = b"\xf9\0\0\xf8\0\0"
 _END = bytes(3)
-"""Ends any command that has lost a byte."""
+"""End of any command that has lost a byte."""
 AT_REST = (
     b"\xfc\0" + _END, NO_SENSE, b"\xfb\0\0" + _END, b"\xfa\x01\0" + _END,
     b"\xf7\0" + _END, b"\xf6\x0a\0" + _END,
@@ -68,7 +68,7 @@ or a pattern for, any other board that we know."""
 
 @dataclass(frozen=True)
 class Settings:
-    """What all slots of a scan share."""
+    """Settings shared by all slots of a scan."""
 
     width_us: int
     discharge_us: int
@@ -77,36 +77,36 @@ class Settings:
 
     @property
     def period_ns(self) -> int:
-        """Of its timer, which counts whole µs."""
+        """Period of its timer, in whole µs."""
         return 1_000_000 // self.rate_hz * 1000
 
     def scan_us(self, outputs: int, slot_extra_us: int) -> int:
-        """Return how long a scan takes."""
+        """Return the duration of a scan."""
         return outputs * (self.width_us + self.discharge_us + slot_extra_us)
 
 
 class Codec(ABC):
-    """The bytes of one generation.
+    """Wire format of one generation.
 
     Attributes
     ----------
     outputs : int
-        The N electrodes that it was told of.
+        Number N of electrodes that was set.
     nothing : bytes
         Payload of a pattern without any pulse.
     """
 
     lead: ClassVar[bytes] = b""
-    """Goes before all else: ends a command whose end was lost."""
+    """Bytes before all others, which end a command whose end was lost."""
     slot_extra_us: ClassVar[int]
     forgets: ClassVar[bool]
-    """Whether silence ends half a command."""
+    """Whether silence ends a partial command."""
     even: ClassVar[bool]
     """Whether a slot takes as long without a pulse as with one."""
     quiet: ClassVar[bytes]
-    """Stops all pulses from the next scan on."""
+    """Command that stops all pulses from the next scan on."""
     sense: ClassVar[bytes]
-    """Ten anodic sense scans a second, of `SENSE_COUNTS` and `SENSE_US`."""
+    """Command for ten anodic sense scans a second, of `SENSE_COUNTS` and `SENSE_US`."""
     nothing: bytes
 
     def __init__(self, outputs: int) -> None:
@@ -128,16 +128,16 @@ class Codec(ABC):
         """Return the patterns of slots that each drive one output, (S,), with a height."""
 
     def parts(self, payload: bytes) -> list[bytes]:
-        """Return the patterns that a payload is made of, each for a scan of its own."""
+        """Return the patterns of a payload, each for a scan of its own."""
         return [payload]
 
     @abstractmethod
     def load(self, payload: bytes) -> bytes:
-        """Return what puts a pattern on the board while nothing flows."""
+        """Return the command that loads a pattern while nothing flows."""
 
     @abstractmethod
     def go(self, payload: bytes) -> bytes:
-        """Return what lets its pulses come from the next scan on."""
+        """Return the command that starts its pulses from the next scan on."""
 
     @property
     @abstractmethod
@@ -153,7 +153,7 @@ class Codec(ABC):
     @property
     @abstractmethod
     def zero_anywhere(self) -> bytes:
-        """What puts the board at zero, wherever its parser stands.
+        """Return the bytes that put the board at zero in any state of its parser.
 
         Zeros first: they end any half command as a smaller one, and no pulse flows while a
         pattern is half written. A byte that is lost eats a spare one after it, never the
@@ -165,7 +165,7 @@ class Codec(ABC):
         return 2 * self.outputs
 
     def settings(self, settings: Settings, between_hz: int) -> bytes:
-        """Return what sets them, twice over, each command followed by zeros that end it.
+        """Return the commands of the settings, twice, each followed by zeros that end it.
 
         Were the first byte of a word lost, the zeros would make it zero, not a longer pulse.
         ``between_hz`` is a rate at which scans of the old and of the new pulses fit.
@@ -181,7 +181,7 @@ class Codec(ABC):
 
 
 class ModeCodec(Codec):
-    """The firmware of commit 71adee2, and later ones."""
+    """Wire format of commit 71adee2 and later ones."""
 
     slot_extra_us = 10
     forgets = even = True
@@ -215,7 +215,7 @@ class ModeCodec(Codec):
 
 
 class HeightCodec(Codec):
-    """The firmware of commit 936c6c0: one height for all, and no echo but its readings.
+    """Wire format of commit 936c6c0: one height for all, and no echo but its readings.
 
     A sequence of several heights is as many patterns, one scan each.
     """
@@ -268,7 +268,7 @@ class HeightCodec(Codec):
 
 
 def settings_of(sequence: ScanSequence) -> Settings:
-    """Return the settings that a sequence needs.
+    """Return the settings of a sequence.
 
     Raises
     ------
@@ -313,7 +313,7 @@ def settings_of(sequence: ScanSequence) -> Settings:
 
 
 def slots_of(sequence: ScanSequence, chosen: NDArray[np.bool_]) -> ScanSequence:
-    """Return a sequence with some of its slots only, (S,)."""
+    """Return a copy of a sequence with only some of its slots, (S,)."""
     return replace(
         sequence,
         current_ua=sequence.current_ua[chosen],
@@ -327,7 +327,7 @@ def slots_of(sequence: ScanSequence, chosen: NDArray[np.bool_]) -> ScanSequence:
 def _counts(
     sequence: ScanSequence, scale: Scale, limits: SafetyLimits
 ) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
-    """Return which electrode each slot drives, and its height in counts.
+    """Return the electrode of each slot, and its height in counts.
 
     Neither rounding nor a scale that is wrong may pass the limits.
     """

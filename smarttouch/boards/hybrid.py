@@ -1,4 +1,4 @@
-"""Electrodes and vibrators as one board: current for RA and SAI, vibration for PC.
+"""Board of electrodes and vibrators: current for RA and SAI, vibration for PC.
 
 The paper's hybrid method (Section V).
 """
@@ -19,7 +19,7 @@ from smarttouch.stimulation.timing import ScanTiming
 
 
 def _electric(name: str) -> Any:
-    """Return an attribute that is the electrode board's."""
+    """Return a property that forwards an attribute of the electrode board."""
     return property(
         lambda board: getattr(board.electric, name),
         lambda board, value: setattr(board.electric, name, value),
@@ -31,9 +31,9 @@ def _vibrating() -> Any:
 
 
 class HybridBoard(Board):
-    """Hands each sequence to two boards at once.
+    """Board that passes each sequence to two boards at once.
 
-    Whatever the one answers is answered by the electrode board; a fault of either puts
+    Queries are answered by the electrode board; a fault of either puts
     both at zero.
 
     Parameters

@@ -1,4 +1,4 @@
-"""What a board's own measurement says of each electrode on the skin."""
+"""Impedance of each electrode on the skin, from a board's own measurement."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -7,17 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 SATURATED = 0.97
-"""Part of its compliance at which a source is taken to be at its end."""
+"""Part of the compliance at which a source counts as saturated."""
 OPEN_FACTOR = 5.0
 SHORT_FACTOR = 0.1
-"""Of the median: estimates of ours; good electrodes on one finger differ two- or threefold."""
+"""Part of the median below which an electrode is shorted; good ones differ two- or threefold. An
+estimate of ours.
+"""
 
 Condition = Literal["good", "open", "short", "unsure"]
 
 
 @dataclass(frozen=True, eq=False)
 class Impedance:
-    """One measurement of all electrodes.
+    """Impedances of all electrodes, measured once.
 
     Attributes
     ----------
@@ -37,7 +39,7 @@ class Impedance:
 
     @property
     def broken(self) -> tuple[int, ...]:
-        """The electrodes that are open or shorted."""
+        """Electrodes that are open or shorted."""
         return tuple(i for i, each in enumerate(self.condition) if each in ("open", "short"))
 
     @property
@@ -65,7 +67,7 @@ def judge(
     compliance_v: float,
     unsure: NDArray[np.bool_] | None = None,
 ) -> Impedance:
-    """Return the impedances behind source voltages, one electrode against all others each.
+    """Return the impedances from source voltages, each electrode against all others.
 
     The voltage of electrode i is I (Zᵢ + 1 / Σⱼ≠ᵢ 1/Zⱼ), all others in parallel;
     solved by repeated insertion, which converges as the return is small.
@@ -73,11 +75,11 @@ def judge(
     Parameters
     ----------
     volts : ndarray, (E,)
-        What the source needed.
+        Voltage of the source.
     current_ma : float or ndarray, (E,)
-        What flowed.
+        Delivered current.
     compliance_v : float
-        What it has at most.
+        Largest voltage of the source.
     unsure : ndarray, (E,) bool, optional
         Readings that may stand for another voltage.
     """

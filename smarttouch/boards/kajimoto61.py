@@ -1,4 +1,4 @@
-"""Driver of the 61-electrode ESP32 kit: one packet is one scan, and the host is its clock.
+"""Driver of the 61-electrode ESP32 kit: one packet is one scan, timed by the host.
 
 On the wire (UART over USB, 921600 8N1, no checksum, no acknowledgment)::
 
@@ -43,20 +43,20 @@ WIDTH_US, REST_US = 50, 150
 LARGEST = 200
 COUNTS_PER_BYTE = 16
 MEASURE_MA, MEASURE_US = 2.5, 25
-"""What a MEASURE sends through every electrode, fixed by the firmware (over 20 µs)."""
+"""Pulse of a MEASURE through every electrode, fixed by the firmware (over 20 µs)."""
 READING_V = 4 * 0.0893
-"""Volts per unit of a reading, taking its divider for that of its relative, the eTactileKit."""
+"""Volts per unit of a reading, assuming the divider of its relative, the eTactileKit."""
 WRAP = 256
 COMPLIANCE_V = 300.0
-"""Of its switches (HV507)."""
+"""Limit of its switches (HV507)."""
 HURRY = 20
-"""Of a period: no two packets are closer than that by more than a twentieth."""
+"""Divisor of a period: no two packets are closer than it by more than a twentieth."""
 LEAD_S = 0.003
-"""From the first sequence of a run to its packet: what later ones may be late by."""
+"""Time from the first sequence of a run to its packet: the margin for later, delayed ones."""
 
 
 class Kajimoto61Board(StreamedBoard):
-    """The kit of 61 electrodes: ``kajimoto61:PORT``."""
+    """Kit of 61 electrodes: ``kajimoto61:PORT``."""
 
     kind = "kajimoto61"
     usual_profile: ClassVar[str] = "kajimoto-61"
@@ -103,7 +103,7 @@ class Kajimoto61Board(StreamedBoard):
     def _greet(self) -> None:
         self._flush()
         self._zero()
-        # This board never speaks unasked; an eTactileKit takes FF for a question and answers.
+        # This board sends nothing unrequested; an eTactileKit takes FF for a query and answers.
         if said := self._read(64, 0.05):
             raise BoardError(
                 f"the board at {self._port_name} answers {len(said)} bytes to a packet that a "
@@ -159,7 +159,7 @@ class Kajimoto61Board(StreamedBoard):
         return packet.tobytes()
 
     def _serve(self) -> None:
-        """Send on a grid of absolute deadlines, always the newest there is."""
+        """Send the newest sequence on a grid of absolute deadlines."""
         deadline_ns, job = 0, None
         while (newest := self._take()) is not None:
             now = self._clock.now_ns()
@@ -173,7 +173,7 @@ class Kajimoto61Board(StreamedBoard):
             self._rest()
 
     def _scan(self, job: Job, deadline_ns: int) -> tuple[Job | None, int]:
-        """Send one sequence as often as it wants.
+        """Send one sequence as often as requested.
 
         Returns
         -------
@@ -209,7 +209,7 @@ class Kajimoto61Board(StreamedBoard):
             return job
 
     def _measure(self) -> Impedance:
-        """Ask for one MEASURE; its readings wrap, so some of them fit more than one voltage."""
+        """Request one MEASURE; readings wrap, so that some of them fit more than one voltage."""
         self._gate.prove_measurement(
             one_each(
                 self._gate.limits,

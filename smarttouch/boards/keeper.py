@@ -29,13 +29,13 @@ import sys
 import time
 
 SILENCE_S = 0.09
-"""Longest time without a byte from the host: with what it takes to wake up and write, .1 s."""
+"""Longest silence of the host: with the time to wake up and write, .1 s to zero."""
 PRIORITY = 2
-"""Real-time, where that is allowed: a host that hangs at its own, 1, does not hold it up."""
+"""Real-time priority, where allowed: above the host's, 1, so that a hung host does not block it."""
 STUCK_S = 0.4
-"""A board that takes no byte for so long while zero is written takes none at all."""
+"""Time without a byte accepted by the board, while zero is written, after which it is stuck."""
 PIECE, PAUSE_S = 8, 0.003
-"""What USB of older firmware takes without losing bytes."""
+"""Piece and pause that the USB of older firmware takes without losing bytes."""
 GONE, SILENT, LINE_LOST, BLOCKED, ENDED = 0, 3, 4, 5, 6
 """Exit codes: the host has closed, or was silent; the line broke, or takes no bytes; SIGTERM."""
 HEARTBEAT, FLUSH, ZERO = b".", b"F", b"Z"
@@ -45,7 +45,7 @@ _MOST_READS = 100
 
 
 class Keeper:
-    """Passes bytes between a host and a port until one of them is gone.
+    """Relay of bytes between a host and a port until one of them is gone.
 
     Parameters
     ----------
@@ -63,11 +63,11 @@ class Keeper:
             os.set_blocking(each, False)
 
     def end(self, *_: object) -> None:
-        """Have `run` end soon; does nothing else, so that a signal handler may call it."""
+        """Request the end of `run`, and nothing else: a signal handler may call it."""
         self._ended = True
 
     def run(self) -> int:
-        """Keep the line until host, port or process end; return the exit code.
+        """Relay until host, port or process end; return the exit code.
 
         The board is at zero then, unless its line is lost or takes no bytes.
         """
@@ -120,7 +120,7 @@ class Keeper:
         return ENDED
 
     def _listen(self) -> bool:
-        """Obey the host's messages; return whether it is still there."""
+        """Handle the host's messages; return whether it is still there."""
         message = _read(self._control)
         self._told += message
         while self._told:
@@ -146,7 +146,7 @@ class Keeper:
         return bool(message)
 
     def _hear(self) -> bytes:
-        """Return what the board says; raise OSError where the line is lost."""
+        """Return the board's bytes; raise OSError if the line is lost."""
         # A flush may have taken what was there to read.
         if not select.select([self._port], [], [], 0)[0]:
             return b""
@@ -156,7 +156,7 @@ class Keeper:
         return said
 
     def _write_zero(self) -> bool:
-        """Write what means zero, twice; return whether the line took it.
+        """Write the zero command twice; return whether the line accepted it.
 
         The second time in small pieces: older firmware loses bytes that come fast.
         """
@@ -177,13 +177,13 @@ class Keeper:
 
 
 def _slept_s() -> float:
-    """Return how long the computer has been suspended, s, but for a constant."""
+    """Return the time for which the computer was suspended, s, up to a constant."""
     clock = getattr(time, "CLOCK_BOOTTIME", None)
     return 0.0 if clock is None else time.clock_gettime(clock) - time.monotonic()
 
 
 def _read(end: int) -> bytes:
-    """Return what the host wrote; empty if it is gone."""
+    """Return the host's bytes; empty if it is gone."""
     try:
         return os.read(end, _MOST)
     except OSError:
@@ -191,7 +191,7 @@ def _read(end: int) -> bytes:
 
 
 def _write(end: int, data: bytes) -> bytes:
-    """Write what fits; return the rest."""
+    """Write as many bytes as fit; return the rest."""
     try:
         return data[os.write(end, data) :]
     except BlockingIOError:
@@ -199,13 +199,13 @@ def _write(end: int, data: bytes) -> bytes:
 
 
 def _go_first() -> None:
-    """Go before the host and all usual programs, where the system allows that."""
+    """Set a priority above the host and ordinary programs, where the system allows that."""
     with contextlib.suppress(AttributeError, OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
 
 
 def main() -> None:
-    """Keep the port, data and control ends that the command line numbers."""
+    """Run the keeper on the port, data and control ends numbered by the command line."""
     _go_first()
     keeper = Keeper(*(int(number) for number in sys.argv[1:4]))
     for number in (signal.SIGINT, signal.SIGHUP):

@@ -1,4 +1,4 @@
-"""What drivers share whose boards go on by themselves: a keeper that puts the board at zero."""
+"""Base class of drivers for free-running boards, which a keeper process puts at zero."""
 
 from smarttouch.boards.kept_line import KeptLine
 from smarttouch.boards.streamed import StreamedBoard
@@ -6,11 +6,11 @@ from smarttouch.errors import OtherDeviceError
 from smarttouch.wire.port import LINE_ERRORS, Port, reason
 
 KEPT_MS = 100.0
-"""From the end of this program, or from when it hangs, to the first byte that means zero."""
+"""Longest time from the end or hang of this program to the first byte of zero."""
 
 
 class KeptBoard(StreamedBoard):
-    """A streamed board that loops its last pattern without a host.
+    """Streamed board that repeats its last pattern without a host.
 
     A driver calls `_promise_zero` before anything that can become a current.
     """
@@ -19,7 +19,7 @@ class KeptBoard(StreamedBoard):
         return KeptLine(port)
 
     def _promise_zero(self, zero: bytes, slow: bool) -> None:
-        """Tell the keeper what means zero; see `KeptLine.promise_zero`."""
+        """Set the keeper's zero command; see `KeptLine.promise_zero`."""
         assert self._serial is not None
         try:
             self._serial.promise_zero(zero, slow)
@@ -30,7 +30,7 @@ class KeptBoard(StreamedBoard):
         return self._serial is not None and bool(self._serial.at_zero)
 
     def _ask_again(self, question: bytes, answer: bytes, within_s: float, silence_s: float) -> None:
-        """Ask whether it is the board that gave this answer, again after a silence if need be.
+        """Query again, after a silence if need be, whether the board gave this answer.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""A line that a keeper process holds, so that the board is at zero when this program is gone."""
+"""Line held by a keeper process, so that the board is at zero when this program ends."""
 
 import contextlib
 import select
@@ -18,9 +18,9 @@ from smarttouch.wire.port import LINE_ERRORS, Port, reason
 
 BEAT_S = 0.02
 ANSWER_S = 2.0
-"""Longest that the keeper takes to start, or to answer."""
+"""Longest time of the keeper's start or answer."""
 ENDS_WITHIN_S = 1.5
-"""Zero for 253 outputs takes .4 s in small pieces."""
+"""Longest time of the keeper's end; zero for 253 outputs takes .4 s in small pieces."""
 WRITE_S = 0.5
 
 _WHY = {
@@ -34,7 +34,7 @@ _AT_ZERO = (keeper.GONE, keeper.SILENT, keeper.ENDED)
 
 
 class KeptLine:
-    """An open port behind a `keeper`: what drivers use of a port, and `promise_zero`.
+    """Port behind a `keeper`: the interface of a serial port, and `promise_zero`.
 
     The port is opened here, with all that may be said about that, and handed on. This program
     keeps its own end of it, unused: were the keeper killed, zero is written from here. POSIX
@@ -94,21 +94,21 @@ class KeptLine:
 
     @property
     def is_open(self) -> bool:
-        """Whether it has not been closed here."""
+        """Whether it has not been closed from here."""
         return not self._closing.is_set()
 
     @property
     def process_id(self) -> int:
-        """Of the keeper."""
+        """Process id of the keeper."""
         return self._process.pid
 
     @property
     def at_zero(self) -> bool:
-        """Whether the keeper has ended and the board is at zero by its word."""
+        """Whether the keeper has ended and reported the board at zero."""
         return self._process.poll() in _AT_ZERO
 
     def promise_zero(self, zero: bytes, slow: bool = False) -> None:
-        """Tell the keeper what means zero for this board; from then on it counts silence.
+        """Set the keeper's zero command for this board, and start its silence timer.
 
         Parameters
         ----------
@@ -125,7 +125,7 @@ class KeptLine:
             raise self._gone() from None
 
     def write(self, data: bytes) -> int:
-        """Hand bytes to the keeper; raise SerialException if it has ended."""
+        """Write bytes through the keeper; raise SerialException if it has ended."""
         try:
             self._data.sendall(data)
         except TimeoutError:
@@ -146,7 +146,7 @@ class KeptLine:
         return read
 
     def reset_input_buffer(self) -> None:
-        """Drop all that has come from the board, on its way through the keeper included."""
+        """Drop all input from the board, with what is still in the keeper."""
         try:
             self._control.sendall(keeper.FLUSH)
             if not select.select([self._control], [], [], ANSWER_S)[0]:
@@ -159,7 +159,7 @@ class KeptLine:
             self._receive(65536)
 
     def close(self) -> None:
-        """Let the keeper put the board at zero and end, then let go of the port."""
+        """Put the board at zero by the keeper, end it, and close the port."""
         if not self.is_open:
             return
         self._closing.set()
@@ -184,7 +184,7 @@ class KeptLine:
             try:
                 self._control.send(keeper.HEARTBEAT)
             except BlockingIOError:
-                # It has not read for long, and knows by what waits there that this program lives.
+                # It has not read for long; the waiting bytes show that this program lives.
                 continue
             except OSError:
                 # It is gone. Were it killed, the board would go on until the next write.
@@ -209,7 +209,7 @@ class KeptLine:
         return serial.SerialException(why)
 
     def _put_at_zero(self) -> None:
-        """Write zero from here where the keeper was killed, or failed."""
+        """Write zero from this process if the keeper was killed, or failed."""
         if self._process.poll() not in (None, keeper.GONE, *_WHY) and self._port.is_open:
             with contextlib.suppress(*LINE_ERRORS):
                 self._port.write(self._zero)

@@ -1,4 +1,4 @@
-"""Driver of boards that speak our own protocol over a serial line."""
+"""Driver of boards that implement our own protocol over a serial line."""
 
 from collections import deque
 from dataclasses import replace
@@ -24,13 +24,13 @@ from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.port import Port, UsbIdentity, identity_of, open_port, reopen_port
 
 RECOVER_S = 3.0
-"""How long a port that is gone is waited for."""
+"""Time to wait for a lost port."""
 AGAIN_S = 0.04
-"""After which a sequence that has no ACK is sent again, as long as it is not too late for it."""
+"""Time after which a sequence without an ACK is sent again, unless it is too late for it."""
 IN_FLIGHT = 1
-"""Sequences sent but not yet begun: the board has one place for those."""
+"""Sequences sent but not yet begun: the board has one place for them."""
 OPEN_SHARE = 0.97
-"""Of the compliance: where every slot needs that much, nothing touches the electrodes."""
+"""Part of the compliance: if every slot reaches it, nothing touches the electrodes."""
 
 Measured = tuple[ScanSequence, NDArray[np.float32]]
 
@@ -44,7 +44,7 @@ def encode_scan(kind: protocol.Output, scan: ScanSequence, times: int, measure: 
 
 
 class LinkBoard(Board):
-    """A board at the far end of a serial line: ``link:PORT``.
+    """Board at the far end of a serial line: ``link:PORT``.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class LinkBoard(Board):
     limits : SafetyLimits
         Of the finger's profile.
     output : Output, optional
-        What the profile says of the board.
+        Output section of the profile.
     """
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
@@ -119,7 +119,7 @@ class LinkBoard(Board):
         return self._number
 
     def _write_in_time(self, number: int, payload: bytes) -> bool:
-        """Write the sequence that is in flight, unless it is too late for it."""
+        """Write the sequence in flight, unless it is too late for it."""
         latest_ns = self._in_flight_due_ns + LATE_NS
         return self._line.send(
             Kind.SEQUENCE, number, payload, latest_ns=latest_ns, now_ns=self._clock.now_ns
@@ -143,9 +143,9 @@ class LinkBoard(Board):
         raise line.lost(f"has not acknowledged sequence {number} within {ANSWER_S:g} s", "mute")
 
     def _send_again(self) -> None:
-        """Send a sequence that has no ACK once more, as long as it is not too late for it.
+        """Send a sequence without an ACK once more, unless it is too late for it.
 
-        It has the same number: the board knows it again if it was only the ACK that got lost.
+        It has the same number: the board recognizes it if only the ACK was lost.
         """
         # Nothing newer can go out between the look and the write.
         with self._line.writing:
@@ -168,7 +168,7 @@ class LinkBoard(Board):
         try:
             self._line.ask(Kind.STOP)
         except BoardError:
-            # A board that is gone has been told of, or will be at the next send.
+            # A lost board has been reported, or will be at the next send.
             if self._line.fault is None:
                 raise
 
@@ -225,14 +225,14 @@ class LinkBoard(Board):
             )
         return found[-1].astype(np.float64) if found else np.empty(0)
 
-    # -- what the board says -----------------------------------------------
+    # -- packets of the board ----------------------------------------------
 
     def _shake_hands(self, known: Capabilities | None) -> None:
         self._line.begin(lambda offer: self._take_offer(offer, known), self._stopped)
         self._note_round_trip(self._status)
 
     def _take_offer(self, answer: Message, known: Capabilities | None) -> None:
-        """Take a board's capabilities; raise before more than HELLO is sent to a wrong one."""
+        """Take a board's capabilities; raise before a wrong board receives more than HELLO."""
         name = self._line.name
         if answer.version != protocol.VERSION:
             raise BoardError(
@@ -312,7 +312,7 @@ class LinkBoard(Board):
         )
 
     def _hear(self, message: Message) -> None:
-        """Take in what comes unasked."""
+        """Handle an unrequested packet."""
         match message.kind:
             case Kind.ALIVE:
                 if len(message.payload) == protocol.ALIVE.size:
@@ -328,7 +328,7 @@ class LinkBoard(Board):
                 self._line.session.refuse()
 
     def _answered(self, message: Message) -> bool:
-        """Return whether a sequence was on its way that this answers; count what answers none."""
+        """Return whether this answers a sequence in flight; count it if it answers none."""
         if self._in_flight.pop(message.about, None) is not None:
             return True
         if message.about not in self._repeated:
@@ -353,7 +353,7 @@ class LinkBoard(Board):
     def _refused(self, message: Message) -> None:
         why = message.payload[0] if message.payload else 0
         if why in (Refusal.GARBLED, Refusal.OLD, Refusal.FOREIGN):
-            # What of it was ours is asked or sent again; REPORT counts the rest.
+            # Our own part of it is sent again; REPORT counts the rest.
             return
         if not self._answered(message):
             return

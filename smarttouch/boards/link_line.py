@@ -1,4 +1,4 @@
-"""The line to a ``link`` board: one thread hears, one keeps the board alive."""
+"""Line to a ``link`` board: one thread reads, one keeps the board alive."""
 
 import contextlib
 import threading
@@ -16,18 +16,18 @@ from smarttouch.wire.port import LINE_ERRORS, Port, reason, write_before
 HEARTBEAT_S = 0.03
 """Longest silence of the host: the board gives up after 0.1 s."""
 SILENCE_S = 0.5
-"""Silence of the board, which speaks every 20 ms, after which it counts as gone."""
+"""Silence of the board, which sends every 20 ms, after which it counts as gone."""
 LISTENED_S = 0.1
-"""Most that one read counts as silence: a read ends sooner, the rest is our own absence."""
+"""Largest silence counted for one read: a read ends sooner, the rest is our own pause."""
 ANSWER_S = 1.0
 AGAIN_S = 0.25
-"""After which a question is sent again."""
+"""Time after which a query is sent again."""
 PIECE = 4096
 """Bytes written at once: a stop waits for one piece, not for a whole packet."""
 
 
 class LinkLine:
-    """Packets to and from one board. Whatever goes wrong is raised at the next call.
+    """Packets to and from one board. A fault is raised at the next call.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class LinkLine:
     Attributes
     ----------
     session : HostSession
-        What is sent and taken belongs to; each opening of the line has its own.
+        Session of all packets; each opening of the line has its own.
     """
 
     def __init__(
@@ -79,11 +79,11 @@ class LinkLine:
 
     @property
     def refused(self) -> int:
-        """Packets from the board that were not taken, in all sessions."""
+        """Number of refused packets from the board, in all sessions."""
         return self._refused_before + self.session.refused
 
     def open(self, port: Port) -> None:
-        """Begin to listen."""
+        """Start reading."""
         self._port = port
         self._closing.clear()
         self.fault, self.overtaken = None, False
@@ -102,15 +102,15 @@ class LinkLine:
             thread.start()
 
     def now_s(self) -> float:
-        """Return the time on the clock of all waiting here."""
+        """Return the time on the clock of all timeouts here."""
         return time.monotonic()
 
     def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait until something is true, with `news` held; return whether it is."""
+        """Wait for a condition, with `news` held; return whether it holds."""
         return self.news.wait_for(condition, timeout_s)
 
     def close(self) -> None:
-        """End both threads and let go of the port."""
+        """End both threads and close the port."""
         self._closing.set()
         for thread in self._threads:
             if thread is not threading.current_thread():
@@ -151,13 +151,13 @@ class LinkLine:
         raise self._no_answer()
 
     def overtake(self) -> None:
-        """Let a stop go before everything else; who waits for an answer looks up."""
+        """Give a stop priority over everything else, and wake whatever waits for an answer."""
         self.overtaken = True
         with self.news:
             self.news.notify_all()
 
     def ask(self, question: Kind) -> Message:
-        """Send a question until it is answered.
+        """Send a query until it is answered.
 
         Raises
         ------
@@ -174,7 +174,7 @@ class LinkLine:
     def _ask_once(
         self, question: Kind, first: int = 0, stopped: threading.Event | None = None
     ) -> Message | None:
-        """Send a question; return an answer to it, or to one asked since ``first``."""
+        """Send a query; return an answer to it, or to one sent since ``first``."""
         first = first or self.session.sent + 1
         kind = ANSWERS[question]
 
@@ -277,12 +277,12 @@ class LinkLine:
             self.news.notify_all()
 
     def raise_fault(self) -> None:
-        """Raise what went wrong, if anything did."""
+        """Raise the stored fault, if any."""
         if self.fault is not None:
             raise self.fault
 
     def lost(self, what: str, problem: str) -> LineLostError:
-        """Return a fault that starting anew may mend."""
+        """Return a fault that a restart may repair."""
         message = f"the board at {self.name} {what}{self._aftermath()}"
         return LineLostError(message, about="board", problem=problem, value=self.name)
 
@@ -311,7 +311,7 @@ class LinkLine:
                 return
 
     def take(self, data: bytes) -> int:
-        """Take bytes from the board; return how many packets of the session were in them."""
+        """Process bytes from the board; return the number of packets of the session among them."""
         taken = 0
         for packet in self._deframer.feed(data):
             with self.news:
@@ -337,7 +337,7 @@ class LinkLine:
                 return
 
     def beat(self) -> None:
-        """Send again what has got lost, and a heartbeat if one is due."""
+        """Send a lost packet again, and a heartbeat if one is due."""
         self._tend()
         if self.session.begun and self.now_s() - self._last_written > HEARTBEAT_S:
             self.send(Kind.HEARTBEAT)

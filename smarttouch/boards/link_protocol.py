@@ -1,4 +1,4 @@
-"""The ``link`` wire format, for both ends; firmware can be written from this page.
+"""The ``link`` wire format, for both ends; a specification for firmware.
 
 A packet is COBS-encoded and ends with one 0x00, so a receiver that has lost
 its place finds it again at the next zero. Decoded, all little endian::
@@ -133,9 +133,9 @@ VERSION = 3
 SILENCE_MS = 100
 ALIVE_MS = 20
 LATE_MS = 250
-"""What had heard nothing that the board said within this time is old."""
+"""A packet is old if it confirms nothing that the board sent within this time."""
 LONGEST_PACKET_MS = 1000
-"""How long a packet that is still coming in counts as a sign of life."""
+"""Longest time for which an incomplete packet counts as a sign of life."""
 LAST_NUMBER = 2**32 - 1
 HALF = 2**32 - 1
 """The host's half of a session; the board's is above it."""
@@ -147,7 +147,7 @@ ALIVE = struct.Struct("<h")
 REPORT = struct.Struct("<IIQIdddBII")
 _HEAD = struct.Struct("<QII")
 WHOLE_HEAD_BYTES = HEAD_BYTES + _HEAD.size
-"""Of a packet, decoded: all before its payload."""
+"""Bytes of a decoded packet before its payload."""
 
 
 class Kind(IntEnum):
@@ -170,7 +170,7 @@ class Kind(IntEnum):
 
 
 class Feature(IntFlag):
-    """Abilities that not every board has."""
+    """Optional abilities of a board."""
 
     VOLTAGE = 1
     FORCE = 2
@@ -178,7 +178,7 @@ class Feature(IntFlag):
 
 
 class Refusal(IntEnum):
-    """Why a board declines a sequence, or a packet."""
+    """Reasons why a board refuses a sequence or a packet."""
 
     BUSY = 1
     MALFORMED = 2
@@ -192,7 +192,7 @@ class Refusal(IntEnum):
 
 @dataclass(frozen=True)
 class Message:
-    """A packet of this protocol; of another version only ``kind`` and ``version`` are known."""
+    """Packet of this protocol; of another version only ``kind`` and ``version`` are known."""
 
     kind: int
     number: int
@@ -206,12 +206,12 @@ class Message:
 def encode(
     kind: Kind, session: int, number: int, heard: int = 0, about: int = 0, payload: bytes = b""
 ) -> bytes:
-    """Return a packet as it goes over the wire."""
+    """Return a packet in its wire format."""
     return frame_packet(VERSION, kind, number, _HEAD.pack(session, heard, about), payload)
 
 
 def decode(packet: Packet) -> Message:
-    """Return a packet as a message; one that is too short has session 0, which is nobody's."""
+    """Return a packet as a message; one that is too short has session 0, which is never valid."""
     if packet.version != VERSION or len(packet.payload) < _HEAD.size:
         return Message(packet.kind, packet.number, version=packet.version)
     session, heard, about = _HEAD.unpack_from(packet.payload)

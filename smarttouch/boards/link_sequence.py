@@ -19,7 +19,7 @@ _U16_MAX = 0xFFFF
 
 @dataclass(frozen=True, eq=False)
 class WireSequence:
-    """A sequence as it arrives at a board.
+    """Sequence received by a board.
 
     ``current_ua`` is (S, E) int16 for weighted boards; for switched ones
     ``state`` is (S, E) int8 (1 cathode, −1 anode, 0 insulated, 2 not a state)
@@ -157,7 +157,7 @@ def decode_sequence(payload: bytes) -> WireSequence:
 
 
 def encode_volts(volts: NDArray[np.float64]) -> bytes:
-    """Return the payload of VOLTAGES: what each slot's source needed, (S,) V."""
+    """Return the payload of VOLTAGES: the source's voltage in each slot, (S,) V."""
     return _u16(np.clip(np.rint(volts * _VOLT), 0, _U16_MAX))
 
 

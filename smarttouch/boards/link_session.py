@@ -1,4 +1,4 @@
-"""The host's end of a session: numbers what is sent, and takes only what is fresh and was asked."""
+"""Host's end of a session: numbers packets, and accepts only fresh, requested ones."""
 
 from collections.abc import Callable
 
@@ -87,12 +87,12 @@ class HostSession:
         return message if taken else None
 
     def refuse(self) -> None:
-        """Count a packet that is not taken; those before CAPABILITIES are of the run before."""
+        """Count a refused packet; those before CAPABILITIES are of an earlier run."""
         self.refused += self.number > HALF
 
     def _take_capabilities(self, message: Message) -> bool:
         if message.version != VERSION:
-            # An old board knows no session: what is wrong with it must still be said.
+            # An old board has no sessions: its fault must still be reported.
             return not self.begun
         if message.session & HALF != self.number & HALF or not self._was_asked(message):
             return False

@@ -1,4 +1,4 @@
-"""A board that keeps what it is sent: for offline runs and for programs that look at sequences."""
+"""Board that keeps sequences in memory: for offline runs and for programs that inspect them."""
 
 from typing import Any
 
@@ -12,12 +12,12 @@ from smarttouch.stimulation.sequence import ScanSequence
 
 
 class MemoryBoard(Board):
-    """No process, no line, no current: ``memory:``.
+    """Board without process, line or current: ``memory:``.
 
     Attributes
     ----------
     sequences : list of ScanSequence
-        All that was sent since it was opened.
+        All sequences since it was opened.
     """
 
     on_a_finger = False
@@ -40,7 +40,7 @@ class MemoryBoard(Board):
         )
 
     def _time(self) -> None:
-        """Time is what sequences claim: no finger is on this board."""
+        """Return the clock of the sequences, as no finger is on this board."""
 
     def _open(self) -> None:
         self.sequences.clear()
@@ -53,7 +53,7 @@ class MemoryBoard(Board):
         return len(self.sequences)
 
     def drain(self, timeout_s: float = 1.0) -> None:
-        """Nothing waits here."""
+        """Do nothing: no sequence is pending."""
 
     def report(self) -> BoardReport:
         return self._books.report()

@@ -1,7 +1,7 @@
-"""Impedances where one electrode against all others says nothing: in pairs.
+"""Impedances from pairs of electrodes, where one against all others is not informative.
 
 On a board whose outputs each force their own current, one open electrode among the
-returns takes all the voltage there is, whichever electrode is asked.
+returns takes all the voltage there is, whichever electrode is measured.
 """
 
 from collections.abc import Callable
@@ -15,13 +15,13 @@ from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
 MOST_REFERENCES = 16
-"""Tried before all are taken for open; far apart, as a finger may touch in part."""
+"""References to try before all are taken for open; far apart, as a finger may touch in part."""
 MOST_TRIPLES = 16
 ENOUGH = 0.5
-"""Part of the electrodes that must answer to a reference that is good itself."""
+"""Part of the electrodes that must conduct to a good reference."""
 
 Ask = Callable[[ScanSequence], NDArray[np.float64]]
-"""Delivers a scan and returns what the source needed in each slot, (S,) V."""
+"""Function that delivers a scan and returns the source's voltage in each slot, (S,) V."""
 
 
 def measure_in_pairs(
@@ -34,7 +34,7 @@ def measure_in_pairs(
 ) -> Impedance:
     """Return the impedance of each electrode, from scans of two electrodes at a time.
 
-    All are asked against one reference r: I (Zᵢ + Zᵣ). Of three electrodes that all
+    All are measured against one reference r: I (Zᵢ + Zᵣ). Of three electrodes that all
     conduct, Zᵣ = (Zᵢᵣ + Zⱼᵣ − Zᵢⱼ) / 2; the median over neighbors counts.
 
     Parameters

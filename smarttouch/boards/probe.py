@@ -1,4 +1,4 @@
-"""Small currents that ask each electrode in turn how it sits on the skin."""
+"""Measuring scans: small currents through each electrode in turn."""
 
 import time
 from collections.abc import Iterator
@@ -25,7 +25,7 @@ def probe_sequences(limits: SafetyLimits, output: Output | None) -> Iterator[Sca
     Raises
     ------
     BoardError
-        If the limits leave no room for the least current that says anything.
+        If the limits leave no room for the least informative current.
     """
     peak_ma = min(PROBE_MA, 0.9 * limits.current_ma, 0.9 * limits.full_ma)
     if limits.electrode_ma is not None:
@@ -71,7 +71,7 @@ def one_each(
     level_ua : int, µA
         Through the one; the others share it equally. No slots if 0.
     sites : list of int, optional
-        Which electrodes; all if not given.
+        Electrodes to probe; all if not given.
     masked : tuple of int
         Electrodes that take no share: an open one would need all the voltage there is.
     """

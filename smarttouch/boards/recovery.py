@@ -1,4 +1,4 @@
-"""Starting a lost board anew, at zero."""
+"""Restart of a lost board, at zero."""
 
 from collections.abc import Callable
 
@@ -8,7 +8,7 @@ TIMES = 3
 
 
 def start_anew(start: Callable[[], None], lost: LineLostError) -> None:
-    """Start a board again whose line was lost, up to three times.
+    """Restart a board after its line was lost, up to three times.
 
     A computer that stands still once more meanwhile loses the line once more.
 
@@ -17,7 +17,7 @@ def start_anew(start: Callable[[], None], lost: LineLostError) -> None:
     start : callable
         Waits for the port, and puts the board at zero.
     lost : LineLostError
-        What went wrong first.
+        First fault.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The scale of a board's current: what one count of its converter is worth, and its band.
+"""Scale of a board's current: the current per count of its converter, and its accepted band.
 
 A measured scale may differ from the board's nominal one by 30 %. That is wide enough for what
 makes boards of one kind differ: the converter and its reference (an ESP32's is good to some 10 %),
@@ -18,21 +18,21 @@ from smarttouch.errors import BoardError
 from smarttouch.stimulation.safety import SafetyLimits
 
 BAND = 0.3
-"""Of the nominal scale, up and down."""
+"""Accepted deviation from the nominal scale, up and down."""
 NOMINAL_UA = {"kajimoto61": 10_000 / 4096, "etactilekit": 9.99}
-"""Of one count of each board's converter; the kajimoto61's 4096 are 10 mA."""
+"""Current per count of each board's converter; the kajimoto61's 4096 are 10 mA."""
 
 
 @dataclass(frozen=True)
 class Scale:
-    """What one count is worth, as measured and by the board's design, µA."""
+    """Measured and nominal current per count, µA."""
 
     measured_ua: float
     nominal_ua: float
 
     @property
     def largest_ua(self) -> float:
-        """The more careful of the two: a count is taken to be worth that where a limit is kept."""
+        """The larger of the two scales, for limits."""
         return max(self.measured_ua, self.nominal_ua)
 
     def most_counts(
@@ -58,7 +58,7 @@ class Scale:
 
 
 def scale_of(kind: str, measured_ua: float | None) -> Scale:
-    """Return the scale of a kind of board, as a profile has it.
+    """Return the scale of a kind of board in a profile.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def scale_of(kind: str, measured_ua: float | None) -> Scale:
 
 
 def in_band(ratio: float) -> bool:
-    """Return whether a scale may be so many times the nominal one."""
+    """Return whether a ratio to the nominal scale is accepted."""
     return abs(ratio - 1) <= BAND + 1e-9
 
 
@@ -101,7 +101,7 @@ def _likely(kind: str, measured_ua: float) -> tuple[str, str]:
 
 
 def check_reading(volts: float, ohm: float, current_ma: float) -> float:
-    """Return how many times the nominal current a voltage across a resistor shows.
+    """Return the ratio to the nominal current, from the voltage across a resistor.
 
     Raises
     ------

@@ -1,24 +1,24 @@
-"""When a board scans that runs on its own clock and does not say so."""
+"""Estimate of the scan times of a free-running board that does not report them."""
 
 import math
 from dataclasses import dataclass
 
 TOLERANCE = 200e-6
-"""Of the ratio of two free-running clocks, each within 100 parts per million."""
+"""Uncertainty of the ratio of two free-running clocks, each within 100 parts per million."""
 WIDEST = 0.25
-"""Of a period: where it is not known better than that when a scan starts, it is not known."""
+"""Part of a period: a scan's start with a larger uncertainty counts as unknown."""
 
 
 @dataclass(frozen=True)
 class Span:
-    """From the earliest to the latest moment at which something can have happened, ns."""
+    """Earliest and latest possible time of an event, ns."""
 
     early: int
     late: int
 
 
 class ScanLock:
-    """Knows between which moments each scan of a board starts.
+    """Bounds of the start of each scan of a board.
 
     All it learns from are brackets: a scan has started after one moment and before another.
     Both ends of every bracket are certain, however late the host was woken; so are those of
@@ -42,7 +42,7 @@ class ScanLock:
         return self.last is not None
 
     def forget(self) -> None:
-        """Know nothing any more but the nominal period."""
+        """Reset to the nominal period."""
         nominal_ns = self.nominal_ns
         self.period_ns = (nominal_ns * (1 - TOLERANCE), nominal_ns * (1 + TOLERANCE))
         # Scan 0, and the one that the last bracket was of.
@@ -68,7 +68,7 @@ class ScanLock:
         return number
 
     def starts(self, begin: Span, end: Span) -> tuple[int, int]:
-        """Return the least and the most scans that started between two events."""
+        """Return the least and the largest number of scans that started between two events."""
         if self.last is None:
             shortest, longest = self.period_ns
             least = math.floor(max(0, end.early - begin.late) / longest)
@@ -82,7 +82,7 @@ class ScanLock:
         return least, most
 
     def learn(self, bracket: Span) -> None:
-        """Take in that a scan started within a bracket; what is too wide says nothing."""
+        """Update by a scan that started within a bracket; one that is too wide is ignored."""
         width_ns = bracket.late - bracket.early
         if self.last is None:
             if width_ns <= WIDEST * self.period_ns[0]:
@@ -113,7 +113,7 @@ class ScanLock:
             )
 
     def check(self, time_ns: int) -> None:
-        """Forget what has become too vague by now."""
+        """Reset what has become too uncertain by now."""
         if self.last is None:
             return
         span = self.scan(self._near(time_ns))

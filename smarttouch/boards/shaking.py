@@ -1,4 +1,4 @@
-"""Where the waveform of vibrators goes: into a file, by the time of the sequences, or to ears."""
+"""Output of vibrator waveforms: a file, by the time of the sequences, or a sound device."""
 
 import contextlib
 import importlib
@@ -18,33 +18,33 @@ from smarttouch.errors import BoardError
 
 FULL_SCALE = 32_767
 _PIECE = 1 << 14
-"""Samples that are written at once: a long pause must not fill the memory."""
+"""Samples written at once, so that a long pause does not fill the memory."""
 _LARGEST_BYTES = 0xFFFF_0000
-"""What a WAV file can hold."""
+"""Largest WAV file."""
 GRACE_NS = 50_000_000
-"""The next sequence may come so late, or a period late if that is shorter, without a gap."""
+"""Largest delay of the next sequence without a gap; a period, if that is shorter."""
 
 
 class Shaking(ABC):
-    """Takes amplitudes and times, and makes the waveform from them."""
+    """Interface of waveform outputs, driven by amplitudes and times."""
 
     time_to_zero_ms: float = 0.0
     notes: list[str]
-    """Where to write what a user should know."""
+    """List of warnings for the user."""
 
     @abstractmethod
     def open(self, waveform: Waveform, rate_hz: int) -> None:
-        """Begin, at rest."""
+        """Start, at rest."""
 
     @abstractmethod
     def shake(
         self, amplitude: NDArray[np.float32], time_ns: int, period_ns: int, times: int
     ) -> None:
-        """Shake, (C,) in [0, 1], for so many periods or until told otherwise."""
+        """Vibrate, (C,) in [0, 1], for a number of periods or until the next call."""
 
     @abstractmethod
     def silence(self) -> None:
-        """Come to rest, from any thread."""
+        """Return to rest, from any thread."""
 
     @abstractmethod
     def close(self) -> None:
@@ -52,11 +52,11 @@ class Shaking(ABC):
 
     @abstractmethod
     def drain(self, timeout_s: float) -> None:
-        """Wait until all that was asked for is over, or the time."""
+        """Wait until all requested vibration is over, or the time is."""
 
 
 class WavShaking(Shaking):
-    """Writes a WAV file whose time is that of the sequences; between them it is silent.
+    """WAV file on the time of the sequences; silent between them.
 
     What is in the file can be read at any time, also if the program is killed.
     """
@@ -112,7 +112,7 @@ class WavShaking(Shaking):
                     stream.close()
 
     def drain(self, timeout_s: float) -> None:
-        """Its time is not ours: nothing is to be waited for."""
+        """Do nothing: its time is simulated."""
 
     def _sample(self, time_ns: int) -> int:
         """Return the sample at a time since the first sequence."""
@@ -123,7 +123,7 @@ class WavShaking(Shaking):
             self._write(min(_PIECE, sample - self._written))
 
     def _write(self, count: int) -> None:
-        """Write so many samples, and a header that is true of what there is now."""
+        """Write so many samples, and a header that matches the file."""
         assert self._stream is not None
         samples = np.rint(FULL_SCALE * self._waveform.render(count)).astype("<i2")
         self._written += count
@@ -161,7 +161,7 @@ def _wav_header(channels: int, rate_hz: int, samples: int) -> bytes:
 
 
 class AudioShaking(Shaking):
-    """Plays on a sound device; silent as soon as no sequence is left.
+    """Output to a sound device; silent as soon as no sequence is left.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ class AudioShaking(Shaking):
             self.notes.append(f"the sound device of the vibrators fell behind {self._late} times")
 
     def _fill(self, out: NDArray[np.float32], frames: int, _time: Any, status: Any) -> None:
-        """Render what the sound device asks for, on its own thread."""
+        """Render the samples for the sound device, on its own thread."""
         with self._lock:
             self._late += bool(status)
             shaken = 0 if self._silenced else min(frames, self._left)

@@ -1,4 +1,4 @@
-"""Scan sequences as a board with one source plays them: one electrode against all others."""
+"""Sequences on boards with one source: one electrode against all others."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +8,7 @@ from smarttouch.stimulation.sequence import ScanSequence
 
 
 def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Return which electrode each slot drives alone, and its current.
+    """Return the electrode that each slot drives alone, and its current.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What drivers share whose boards acknowledge nothing: a thread that sends the newest sequence."""
+"""Base class of drivers without acknowledgments: a thread sends the newest sequence."""
 
 import contextlib
 import threading
@@ -28,25 +28,25 @@ from smarttouch.wire.port import (
 )
 
 BOOT_S = 1.0
-"""Opening the port may reset the board: it needs about this long to boot."""
+"""Boot time of a board that resets when its port is opened."""
 RECOVER_S = 3.0
-"""How long a port that is gone is waited for."""
+"""Time to wait for a lost port."""
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """One sequence on its way."""
+    """Sequence on its way to the board."""
 
     number: int
     sequence: ScanSequence
     data: bytes
     times: int
     due_ns: int = 0
-    """When it was planned to start, by the board's clock."""
+    """Planned start, by the board's clock."""
 
 
 class StreamedBoard(Board):
-    """A board on a line without acknowledgments.
+    """Board on a line without acknowledgments.
 
     The caller's thread proves and encodes; a thread of the driver sends. There
     is one place between them: a newer sequence replaces one that still waits,
@@ -59,15 +59,15 @@ class StreamedBoard(Board):
     limits : SafetyLimits
         Of the finger's profile.
     output : Output, optional
-        What the profile says of the board.
+        Output section of the profile.
     """
 
     kind: str
     """Name of the driver, for messages."""
     can_be_asked: ClassVar[bool] = False
-    """Whether a question that does nothing tells such a board from other devices."""
+    """Whether a harmless query identifies such a board."""
     room_s: ClassVar[float] = 0.0
-    """How long a sequence waits for that before it to be taken, beside a few of its periods,
+    """Time that a sequence waits for the one before it to be taken, beside a few of its periods,
     rather than replace it; 0 if it does not."""
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
@@ -184,7 +184,7 @@ class StreamedBoard(Board):
             except LineLostError:
                 if self._at_zero():
                     return
-                # Where silence is zero, what went wrong before is all that need be told.
+                # Where silence is zero, only the earlier fault needs a report.
                 if self._fault is None or self.capabilities.time_to_zero_ms is None:
                     raise
 
@@ -218,7 +218,7 @@ class StreamedBoard(Board):
     # -- what a driver adds ------------------------------------------------
 
     def _wrap(self, port: Port) -> Port:
-        """Return what stands for an open port."""
+        """Return the line used in place of an open port."""
         return port
 
     def _at_zero(self) -> bool:
@@ -226,9 +226,9 @@ class StreamedBoard(Board):
         return False
 
     def _recognize(self) -> None:
-        """Ask a line that is back, with a question that does nothing, whether it is the same board.
+        """Query a restored line whether it is the same board.
 
-        Only where USB does not tell.
+        Only where USB gives no identity.
 
         Raises
         ------
@@ -238,7 +238,7 @@ class StreamedBoard(Board):
 
     @abstractmethod
     def _greet(self) -> None:
-        """Find out what is there, and put it at zero."""
+        """Detect the board, and put it at zero."""
 
     @abstractmethod
     def _encode(self, sequence: ScanSequence) -> bytes:
@@ -250,7 +250,7 @@ class StreamedBoard(Board):
 
     @abstractmethod
     def _serve(self) -> None:
-        """Send what waits, as it comes, until closing."""
+        """Send waiting sequences until closing."""
 
     # -- the line ----------------------------------------------------------
 
@@ -276,7 +276,7 @@ class StreamedBoard(Board):
             return job if self._busy else None
 
     def _drop_late(self, job: Job) -> None:
-        """Count a sequence that is not sent; whoever sends next is told to begin at zero."""
+        """Count a sequence that is not sent; the next one must begin at zero."""
         with self._news:
             self.dropped_late += 1 + (self._waiting is not None)
             self._waiting = None
@@ -293,7 +293,7 @@ class StreamedBoard(Board):
             self._last_begun = job.number
 
     def _rest(self) -> None:
-        """Tell who drains that nothing is left to do."""
+        """Wake threads that drain, as nothing is left to do."""
         with self._news:
             self._busy = False
             self._news.notify_all()
@@ -306,7 +306,7 @@ class StreamedBoard(Board):
             raise self._lost(f"cannot be written to ({reason(error)})", "unwritable") from None
 
     def _write_in_time(self, data: bytes, due_ns: int) -> bool:
-        """Write what was due at a time, or nothing if that is too long ago."""
+        """Write data that is due at a time, or nothing if that is too long ago."""
         assert self._serial is not None
         try:
             return write_before(self._serial, data, due_ns + LATE_NS, self._clock.now_ns)

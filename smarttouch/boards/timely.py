@@ -1,4 +1,4 @@
-"""A board in time: stopped from any thread at any instant, and never sent what is too late."""
+"""Timing of a board: stops from any thread at any time, and refusal of late sequences."""
 
 import threading
 from typing import ClassVar, final
@@ -8,27 +8,27 @@ from smarttouch.errors import BoardStoppedError, SequenceLateError
 
 
 class Timely:
-    """Knows whether a board was stopped, and whether a sequence comes too late.
+    """Base class that tracks stops and refuses late sequences.
 
-    It goes by the machine's own clock, whatever a program would tell it.
+    It uses the machine's own clock, whatever clock a program passes.
     """
 
     waits_for_nothing: ClassVar[bool] = False
-    """Whether its time is a simulated one, that need not be waited for."""
+    """Whether its time is simulated, without waiting."""
     dropped_late: int = 0
-    """Sequences that were not sent because it was too late for them."""
+    """Number of sequences that were not sent because they were too late."""
 
     def __init__(self) -> None:
         self._clock: Clock = MonotonicClock()
         self._due_ns = 0
-        """When the sequence at hand was to start, by the clock."""
+        """Planned start of the present sequence, by the clock."""
         self._stopped = threading.Event()
         self._halted = False
 
     @property
     @final
     def clock(self) -> Clock:
-        """Clock by which sequences are planned."""
+        """Clock of planned sequences."""
         return self._clock
 
     @final
@@ -59,7 +59,7 @@ class Timely:
 
     @final
     def _refuse_late(self, due_ns: int) -> None:
-        """Drop a sequence that was to start too long ago."""
+        """Drop a sequence whose planned start is too long ago."""
         if self._is_late(due_ns):
             self.dropped_late += 1
             raise self._late()

@@ -20,17 +20,17 @@ from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
 WAV_HZ, AUDIO_HZ = 8000, 48_000
-"""Samples in a second, if not given."""
+"""Default sample rates."""
 FEWEST_SAMPLES = 4
-"""In a cycle of the carrier."""
+"""Fewest samples in a cycle of the carrier."""
 CARRIERS_HZ = (60.0, 800.0)
-"""What PC answers (paper, Section III-C)."""
+"""Range of carriers that PC responds to (paper, Section III-C)."""
 MOST_VIBRATORS = 64
 _EXAMPLE = "as in vibrators:out.wav?grid=2x2&hz=250&rate=8000"
 
 
 class VibratorBoard(Board):
-    """Shakes the skin as sequences ask for, and makes no current.
+    """Board of vibrators, driven by the activations in sequences, without current.
 
     ``vibrators:FILE.wav`` writes what the vibrators are driven with, ``vibrators:audio``
     and ``vibrators:audio:DEVICE`` play it. Options come after a question mark:
@@ -42,13 +42,13 @@ class VibratorBoard(Board):
     Parameters
     ----------
     rest : str
-        What comes after the colon.
+        Part of the URL after the colon.
     limits : SafetyLimits
         Of the finger's profile.
     output : Output, optional
         Of the profile: of no interest here.
     electrodes : ElectrodeArray, optional
-        Where the sites are; not given, all vibrators shake alike.
+        Places of the sites; without them all vibrators move alike.
 
     Raises
     ------
@@ -105,15 +105,15 @@ class VibratorBoard(Board):
         )
 
     def silence(self) -> None:
-        """Be still until the next sequence."""
+        """Stay at rest until the next sequence."""
         self._shaking.silence()
 
     def share_notes(self, notes: list[str]) -> None:
-        """Write notes into another list from now on."""
+        """Write warnings into another list from now on."""
         self.notes = self._shaking.notes = notes
 
     def _time(self) -> None:
-        """Time is what sequences claim: vibrators carry no current."""
+        """Return the clock of the sequences, as vibrators carry no current."""
 
     def _open(self) -> None:
         self._number = 0
@@ -152,7 +152,7 @@ class VibratorBoard(Board):
 
 
 def make_vibrators(url: str, limits: SafetyLimits, electrodes: ElectrodeArray) -> VibratorBoard:
-    """Make the vibrators of a URL, with or without ``vibrators:`` before it.
+    """Return the vibrators of a URL, with or without ``vibrators:`` before it.
 
     Raises
     ------
@@ -163,13 +163,13 @@ def make_vibrators(url: str, limits: SafetyLimits, electrodes: ElectrodeArray) -
 
 
 def _audio_device(target: str) -> str | None:
-    """Return the name of a sound device, empty for the usual one; None if it is a file."""
+    """Return the name of a sound device, empty for the default one; None if it is a file."""
     name, _, device = target.partition(":")
     return device if name == "audio" else None
 
 
 def _read_options(query: str) -> dict[str, Any]:
-    """Return the options that are given; the grid in any case."""
+    """Return the options that are given, and always the grid."""
     read: dict[str, Any] = {"grid": (2, 2)}
     try:
         given = parse_qsl(query, strict_parsing=True) if query else []

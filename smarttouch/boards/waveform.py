@@ -1,4 +1,4 @@
-"""What vibrators are driven with: a carrier whose amplitude moves without clicks."""
+"""Waveform of vibrators: a carrier with an amplitude that changes without clicks."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,14 +6,14 @@ from numpy.typing import NDArray
 from smarttouch.electrodes import ElectrodeArray
 
 PC_HZ = 250.0
-"""Where the Pacinian corpuscle answers best (paper, Section I and V)."""
+"""Most sensitive frequency of the Pacinian corpuscle (paper, Section I and V)."""
 GLIDE_S = 0.004
-"""How long the amplitude takes from one value to the next, however far: one cycle at 250 Hz.
+"""Time from one amplitude to the next, however different: one cycle at 250 Hz.
 An estimate of ours: short against what a finger resolves in time, long enough to make no click."""
 
 
 class Waveform:
-    """Sinusoids of one frequency and one phase, each with its own amplitude.
+    """Sinusoids of one frequency and phase, each with its own amplitude.
 
     Samples come piece by piece; the phase runs on from one to the next, and so
     does the amplitude: to a new one it glides in `GLIDE_S`.
@@ -40,11 +40,11 @@ class Waveform:
 
     @property
     def at_rest(self) -> bool:
-        """Whether all that comes is zero, unless an amplitude is set."""
+        """Whether all coming samples are zero, unless an amplitude is set."""
         return self._glided >= self._glide_samples and not self._to.any()
 
     def glide_to(self, amplitude: NDArray[np.float32]) -> None:
-        """Let the amplitudes, (C,) in [0, 1], move to others from the next sample on."""
+        """Change the amplitudes, (C,) in [0, 1], gradually from the next sample on."""
         if not np.array_equal(amplitude, self._to):
             self._from, self._to = self._amplitude(self._glided), amplitude.copy()
             self._glided = 0
@@ -60,14 +60,14 @@ class Waveform:
         return np.asarray(carrier[:, None] * amplitude, np.float32)
 
     def _amplitude(self, glided: int | NDArray[np.intp]) -> NDArray[np.float32]:
-        """Return the amplitudes so many samples after they were set."""
+        """Return the amplitudes a number of samples after they were set."""
         part = np.minimum(np.asarray(glided) / self._glide_samples, 1)
         share = ((1 - np.cos(np.pi * part)) / 2).astype(np.float32)
         return np.asarray(self._from + share * (self._to - self._from), np.float32)
 
 
 def vibrator_of(electrodes: ElectrodeArray, rows: int, columns: int) -> NDArray[np.intp]:
-    """Return which vibrator shakes each site, (E,): the nearest of a sparse grid under the array.
+    """Return the vibrator of each site, (E,): the nearest of a sparse grid under the array.
 
     The array's area is divided into ``rows`` by ``columns`` equal parts, with a vibrator
     in the middle of each, counted row by row from the top left. PC are few and answer

@@ -1,1 +1,1 @@
-"""Braille: texts into cells and back, files of cells, and cells found on photographs."""
+"""Braille: translation of texts, files of cells, and recognition on photographs."""

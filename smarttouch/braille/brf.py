@@ -10,7 +10,7 @@ from smarttouch.errors import BrailleError
 _CODE = " A1B'K2L@CIF/MSP\"E3H9O6R^DJG>NTQ,*5<-U8V.%[$+X!&;:4\\0Z7(_?W]#Y)="
 _CELL_OF = {ord(each): chr(ord(BLANK) + k) for k, each in enumerate(_CODE)}
 _CELL_OF |= {code + 32: cell for code, cell in _CELL_OF.items() if 64 <= code < 95}
-"""Each code that has a lower case may come in it."""
+"""Extension to the lower case of each code."""
 
 
 def read_brf(path: Path) -> Pages:
@@ -36,7 +36,7 @@ def write_brf(path: Path, pages: Pages) -> None:
 
 
 def format_brf(pages: Pages) -> bytes:
-    """Return pages as a BRF file has them."""
+    """Return pages in BRF."""
     sheets = []
     for number, page in enumerate(pages, 1):
         lines = [_codes(line, f"page {number}, line {k}") for k, line in enumerate(page, 1)]
@@ -50,9 +50,9 @@ def parse_brf(data: bytes, name: str = "BRF") -> Pages:
     Parameters
     ----------
     data : bytes
-        What it holds.
+        Content of the file.
     name : str
-        What to call it in an error.
+        Name for error messages.
     """
     # A DOS file may end in ^Z, and a page in a form feed.
     text = data.removesuffix(b"\x1a").decode("latin-1").replace("\r\n", "\n")

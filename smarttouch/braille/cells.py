@@ -1,4 +1,4 @@
-"""Cells of Braille: characters U+2800 to U+28FF, and the dots that each one raises."""
+"""Cells of Braille: characters U+2800 to U+28FF, and their dots."""
 
 from typing import Any, TypeAlias
 
@@ -30,7 +30,7 @@ def pattern(cell: str) -> int:
 
 
 def require_cells(line: str) -> None:
-    """Raise unless a line is made of cells.
+    """Raise unless a line consists of cells.
 
     Raises
     ------

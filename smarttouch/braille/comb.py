@@ -1,4 +1,4 @@
-"""Rows or columns of dots along one axis: groups of teeth that come again and again."""
+"""Periodic rows or columns of dots along one axis."""
 
 import math
 from dataclasses import dataclass
@@ -9,21 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 BINS = 96
-"""Parts of a period that are told apart."""
+"""Bins of a period."""
 SPREAD = 0.08
-"""Of the dot pitch: how far dots lie from where they should, to begin with."""
+"""Initial spread of dots around their places, as a part of the dot pitch."""
 CLUTTER = 0.15
-"""Share of dots that are none, to begin with."""
+"""Initial share of false dots."""
 
 
 @dataclass(frozen=True)
 class Teeth:
-    """What is known of one axis of Braille before a page is seen.
+    """Prior knowledge of one axis of Braille.
 
     Attributes
     ----------
     share : tuple of float
-        How much each tooth is used. The first a little more than the others:
+        Share of dots at each tooth. The first a little more than the others:
         where a page leaves it open which dots it uses, they are the first.
     period : tuple of float
         Least, usual and largest distance of groups, in dot pitches.
@@ -34,13 +34,15 @@ class Teeth:
 
 
 COLUMNS = Teeth((0.53, 0.47), (2.25, 2.65, 3.15))
-"""Of cells: 6.2 mm for dots of 2.34 mm (NLS 800); standards differ, from 5.9/2.5 to 7.6/2.5."""
+"""Teeth of a cell's columns: 6.2 mm for dots of 2.34 mm (NLS 800); standards differ, from 5.9/2.5
+to 7.6/2.5.
+"""
 ROWS = Teeth((0.36, 0.34, 0.30), (3.6, 4.27, 5.1))
-"""Of lines: 10.0 mm for dots of 2.34 mm; standards differ, from 9.5/2.54 to 11/2.2."""
+"""Teeth of a line's rows: 10.0 mm for dots of 2.34 mm; standards vary, 9.5/2.54 to 11/2.2."""
 _STRETCHES = (0.93, 0.965, 1.0, 1.035, 1.07)
-"""Of the pitch, that are tried."""
+"""Factors of the pitch to try."""
 _STEPS = (16, 32, 64, 128)
-"""Numbers of periods that are tried."""
+"""Numbers of periods to try."""
 _DOUBT = 6.0
 """Twice the nats that a period loses if it is off by a tenth: what is usual decides where dots
 do not."""
@@ -48,7 +50,7 @@ do not."""
 
 @dataclass(frozen=True)
 class Comb:
-    """A comb laid on places along an axis.
+    """A comb fitted to places along an axis.
 
     Attributes
     ----------
@@ -65,7 +67,7 @@ class Comb:
 
 
 def fit_comb(place: NDArray[np.floating[Any]], pitch: float, teeth: Teeth) -> Comb:
-    """Lay the likeliest comb on places, (N,), whose pitch is about the one given."""
+    """Fit the likeliest comb to places, (N,), with about the given pitch."""
     extent = float(np.ptp(place)) / pitch
     least, usual, largest = teeth.period
     # The farthest group may be off by a twelfth of a pitch.
@@ -92,7 +94,7 @@ def fit_comb(place: NDArray[np.floating[Any]], pitch: float, teeth: Teeth) -> Co
 def _template(
     teeth: Teeth, steps: int, stretch: float
 ) -> tuple[NDArray[np.complexfloating[Any, Any]], NDArray[np.floating[Any]]]:
-    """Return what one dot adds to the gain of each phase, and what each period costs.
+    """Return the gain of each phase by one dot, and the cost of each period.
 
     The first, (S, F), is the Fourier transform of the logarithm of how dense
     dots are over one period, 1 being even.

@@ -11,25 +11,25 @@ from numpy.typing import NDArray
 Image = NDArray[np.floating[Any]]
 
 MOST_DOTS = 8000
-"""The strongest are kept: a page of 25 lines of 40 full cells has 6000."""
+"""Largest number of dots: a page of 25 lines of 40 full cells has 6000."""
 WEAKEST = 0.3
-"""Of the usual strength, for a dot to be worth a look."""
+"""Least strength of a dot, relative to the usual one."""
 _PAPER_PART = 0.05
-"""Of the longer side: the light is taken as even over this."""
+"""Part of the longer side over which the light is even."""
 _DEEPEST = 0.6
-"""How much darker or lighter than the paper counts: the edge of a table is no stronger."""
+"""Largest relative difference from the paper that counts: the edge of a table is no stronger."""
 _USUAL_OF = 60
-"""What is usual is said by so many of the strongest."""
+"""Number of the strongest dots that define the usual strength."""
 _FEWEST = 8
 _GAP = 1.25
-"""If strength falls by this from one to the next, the dots of a short label were all before."""
+"""Ratio of successive strengths after which the dots of a short label end."""
 _LEAST_CONTRAST = 0.004
-"""Of the paper's grey: the noise of a good camera."""
+"""Least contrast, as a part of the paper's grey: the noise of a good camera."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """What a dot is expected to look like.
+    """Expected appearance of a dot.
 
     Attributes
     ----------
@@ -56,11 +56,11 @@ class FoundDots:
     px : ndarray, (N, 2) float, px
         Centers: column, row; pixel centers are at whole numbers.
     strength : ndarray, (N,) float
-        How well they match, 1 is usual here.
+        Strength of their match, 1 is usual here.
     usual : float
-        What that 1 is, as a part of the paper's grey.
+        Usual strength, as a part of the paper's grey.
     look : Look
-        What they were sought by.
+        Appearance by which they were found.
     """
 
     px: NDArray[np.float64]
@@ -70,7 +70,7 @@ class FoundDots:
 
 
 def even_light(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return how much lighter than the paper around it each place is, as a part of it."""
+    """Return the relative difference of each place from the paper around it."""
     rows, columns = grey.shape
     small = cv2.resize(
         grey, (max(1, columns // 8), max(1, rows // 8)), interpolation=cv2.INTER_AREA
@@ -83,7 +83,7 @@ def even_light(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def light_axis(contrast: Image, sigma_px: float) -> tuple[float, float]:
-    """Return along which axis the light falls, and how sure that is.
+    """Return the axis along which the light falls, and its certainty.
 
     Paper lit from one side shows its slope along the light. Of the gradients
     of that, three quarters of the power lie along the light too if the relief
@@ -116,7 +116,7 @@ def find_dots(contrast: Image, look: Look) -> FoundDots:
     contrast : ndarray, (H, W) float32
         Made by `even_light`.
     look : Look
-        What to look for.
+        Appearance to search for.
     """
     response = _respond(contrast, look)
     reach = math.ceil(1.8 * look.sigma_px)
@@ -141,7 +141,7 @@ def find_dots(contrast: Image, look: Look) -> FoundDots:
 
 
 def light_at(contrast: Image, px: NDArray[np.float64], sigma_px: float) -> float:
-    """Return where the light on raised dots, (N, 2) px, comes from, ° as in `Look`."""
+    """Return the direction of the light on raised dots, (N, 2) px, ° as in `Look`."""
     to_right, to_top = _slopes(contrast, sigma_px)
     columns, rows = np.rint(px).astype(int).T
     right, top = to_right[rows, columns].sum(), to_top[rows, columns].sum()
@@ -149,7 +149,7 @@ def light_at(contrast: Image, px: NDArray[np.float64], sigma_px: float) -> float
 
 
 def _respond(contrast: Image, look: Look) -> Image:
-    """Return how well each place matches, in units of the paper's grey.
+    """Return the match of each place, in units of the paper's grey.
 
     Under light from one side paper shows the slope of its relief along the
     light; the slope of that along the light again is greatest on top of a dot.
@@ -164,7 +164,7 @@ def _respond(contrast: Image, look: Look) -> Image:
 
 
 def _slopes(contrast: Image, sigma_px: float) -> tuple[Image, Image]:
-    """Return how much lighter it gets to the right and to the top, over one sigma."""
+    """Return the increase in brightness to the right and to the top, over one sigma."""
     reach = math.ceil(3 * sigma_px)
     x = np.arange(-reach, reach + 1, dtype=np.float32)
     smooth = np.exp(-((x / sigma_px) ** 2) / 2)
@@ -187,7 +187,7 @@ def _usual(strength: NDArray[np.float64]) -> float:
 def _vertex(
     response: Image, rows: NDArray[np.intp], columns: NDArray[np.intp], down: int, right: int
 ) -> NDArray[np.float64]:
-    """Return by how much the top of a parabola lies off each peak, in [-0.5, 0.5]."""
+    """Return the offset of a parabola's top from each peak, in [-0.5, 0.5]."""
     before = response[rows - down, columns - right].astype(np.float64)
     after = response[rows + down, columns + right]
     curve = before + after - 2 * response[rows, columns]

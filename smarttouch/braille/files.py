@@ -1,4 +1,4 @@
-"""Files of cells and texts, whole: what goes wrong with them becomes one sentence."""
+"""Files of cells and texts, read whole; each fault is an error with one sentence."""
 
 from pathlib import Path
 
@@ -6,11 +6,11 @@ from smarttouch import files
 from smarttouch.errors import BrailleError
 
 MOST_BYTES = 50_000_000
-"""A book has a few million cells."""
+"""Largest file; a book has a few million cells."""
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return what a file holds.
+    """Return the content of a file.
 
     Raises
     ------

@@ -14,7 +14,7 @@ _ACCENTS = {
     "\u0300": "⠘⠡", "\u0301": "⠘⠌", "\u0302": "⠘⠩", "\u0303": "⠘⠻", "\u0308": "⠘⠒",
     "\u030a": "⠘⠫", "\u030c": "⠘⠬", "\u0327": "⠘⠯",
 }  # fmt: skip
-"""By the combining mark of the letter's decomposition; they stand before the letter."""
+"""Cells of accents, by the combining mark; they stand before the letter."""
 _SIGNS = {
     " ": BLANK, ".": "⠲", ",": "⠂", ";": "⠆", ":": "⠒", "!": "⠖", "'": "⠄", "-": "⠤",
     "—": "⠠⠤", "‘": "⠠⠦", "’": "⠠⠴", "«": "⠸⠦", "»": "⠸⠴",
@@ -28,7 +28,7 @@ _SAME = str.maketrans({"–": "—", "…": "...", "‐": "-", "‑": "-", "−"
     ord(ligature): spelled for ligature, spelled in
     (("ﬀ", "ff"), ("ﬁ", "fi"), ("ﬂ", "fl"), ("ﬃ", "ffi"), ("ﬄ", "ffl"))
 }  # fmt: skip
-"""What print tells apart, and Braille does not."""
+"""Characters that differ in print, and not in Braille."""
 
 _CAPITAL, _CAPITAL_WORD, _CAPITAL_PASSAGE, _CAPITALS_END = "⠠", "⠠⠠", "⠠⠠⠠", "⠠⠄"
 _PASSAGE_WORDS = 3
@@ -36,7 +36,7 @@ _PASSAGE_WORDS = 3
 _NUMBER, _GRADE_1, _NUMBER_SPACE = "⠼", "⠰", "⠐"
 _ONE_QUOTE_OR_QUESTION, _CLOSING_QUOTE, _ANY_QUOTE, _SURE_QUOTE = "⠦", "⠴", "⠠⠶", "⠘⠦"
 _OPENING = frozenset(" ([{<—-/‘«")
-"""After these, as at the beginning, the cell of the question mark is an opening quote (7.5)."""
+"""Characters after which a question mark's cell is an opening quote, as at the start (7.5)."""
 
 _LETTER_OF = {cell: letter for letter, cell in _LETTERS.items()}
 _DIGIT_OF = {cell: digit for digit, cell in _DIGITS.items()}
@@ -47,7 +47,7 @@ _SIGN_OF = {cells: sign for sign, cells in _SIGNS.items()} | {
 
 
 class Grade1:
-    """Letters, accents, numbers, capitals and punctuation; reads its own cells back exactly.
+    """Code of letters, accents, numbers, capitals and punctuation; decodes its own cells exactly.
 
     Where print has two forms of one sign, the plain one comes back: straight
     double quotes and apostrophes, and one kind of dash.
@@ -98,7 +98,7 @@ class Grade1:
         return "".join(cells)
 
     def decode(self, cells: str) -> str:
-        """Return cells as text; a cell that means nothing stays as it is."""
+        """Return cells as text; a cell without meaning stays as it is."""
         text: list[str] = []
         numeric, opening = False, True
         passage = word = capital = False
@@ -168,7 +168,7 @@ def _is_letter(character: str) -> bool:
 
 @cache
 def _letter(character: str) -> str:
-    """Return the cells of a letter, its accents first; none if it is not one."""
+    """Return the cells of a letter, its accents first; none if it is no letter."""
     spelled = unicodedata.normalize("NFD", character.lower())
     letter, marks = spelled[0], spelled[1:]
     if letter not in _LETTERS or not all(mark in _ACCENTS for mark in marks):
@@ -231,14 +231,14 @@ def _punctuation(character: str, opening: bool, following: str) -> str:
 
 
 def _in_number(cell: str, pair: str) -> str:
-    """Return what a cell says in numeric mode; nothing if it ends it."""
+    """Return the text of a cell in numeric mode; empty if it ends the mode."""
     if cell == _NUMBER_SPACE and pair[1:] in _DIGIT_OF:
         return " "
     return {"⠂": ",", "⠲": "."}.get(cell) or _DIGIT_OF.get(cell, "")
 
 
 def _letter_at(cells: str, place: int) -> tuple[str, int] | None:
-    """Return the letter, with its accents, that begins at a place, and its number of cells."""
+    """Return the letter at a place, with its accents, and its number of cells."""
     marks, end = "", place
     while cells[end : end + 2] in _ACCENT_OF:
         marks += _ACCENT_OF[cells[end : end + 2]]

@@ -1,4 +1,4 @@
-"""Japanese kana Braille, built in: kana as they are spelled, numbers and punctuation."""
+"""Built-in Japanese kana Braille: kana as they are spelled, numbers and punctuation."""
 
 import unicodedata
 
@@ -19,7 +19,7 @@ _VOICED = dict(
 )  # fmt: skip
 _HALF_VOICED = dict(zip("ぱぴぷぺぽ", "はひふへほ", strict=True))
 _FULL_SIZE = dict(zip("ぁぃぅぇぉゃゅょゎヵヶ", "あいうえおやゆよわかか", strict=True))
-"""A small kana that belongs to no syllable below is written as a full one."""
+"""Full kana of each small one that belongs to no syllable below."""
 
 
 def _syllables() -> dict[str, str]:
@@ -51,7 +51,7 @@ _SYLLABLE_OF = {cells: kana for kana, cells in _SYLLABLES.items()}
 _DIGITS = dict(zip("1234567890", "⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚", strict=True))
 _DIGIT_OF = {cell: digit for digit, cell in _DIGITS.items()}
 _NUMBER, _JOIN = "⠼", "⠤"
-"""The join stands between a number and a kana whose cell is a digit's too."""
+"""Number sign, and join between a number and a kana whose cell is also a digit."""
 _POINT, _COMMA = "⠂", "⠄"
 
 _BRACKETS = {"「": "⠤", "」": "⠤", "『": "⠰⠤", "』": "⠤⠆", "(": "⠶", ")": "⠶"}
@@ -59,7 +59,7 @@ _STOPS = {"。": "⠲", "、": "⠰", "?": "⠢", "!": "⠖", "・": "⠐"}
 _BLANKS = {"。": 2, "?": 2, "!": 2, "、": 1, "・": 1}
 """Blank cells that follow a stop in a line."""
 _UNPARTED = frozenset("」』)。、?!・…~,.")
-"""No blank cell parts a stop from these."""
+"""Signs not separated from a stop by a blank cell."""
 _SIGNS = {**_BRACKETS, **_STOPS, "~": "⠤⠤", "…": "⠂⠂⠂"}
 _KNOWN = frozenset({*_SYLLABLES, *_FULL_SIZE, *_DIGITS, *_SIGNS, *" ,."})
 _WIDE = str.maketrans("?!()~", "？！（）〜")
@@ -117,7 +117,7 @@ class Kana:
         return "".join(cells)
 
     def decode(self, cells: str) -> str:
-        """Return cells as text; a cell that means nothing stays as it is."""
+        """Return cells as text; a cell without meaning stays as it is."""
         text: list[str] = []
         opened: list[str] = []
         place, numeric = 0, False
@@ -166,7 +166,7 @@ def _syllable(text: str, place: int) -> tuple[str, int]:
 
 
 def _sign_at(cells: str, place: int, opened: list[str]) -> str:
-    """Return the sign at a place, if one is there; brackets are noted when they open and close."""
+    """Return the sign at a place, if any; opening and closing brackets are tracked."""
     pair = cells[place : place + 2]
     closing = {"「": "」", "『": "』", "(": ")"}.get(opened[-1]) if opened else None
     if closing and cells.startswith(_BRACKETS[closing], place):

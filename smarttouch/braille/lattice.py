@@ -1,4 +1,4 @@
-"""The lattice of a page of Braille: which dot of which cell each dot is."""
+"""Lattice of a page of Braille: assignment of dots to cells."""
 
 import math
 from dataclasses import dataclass
@@ -15,26 +15,26 @@ Points = NDArray[np.floating[Any]]
 Names = NDArray[np.int_]
 
 NEAR = 0.22
-"""Of the dot pitch: a dot this far from a place of the lattice is there."""
+"""Largest distance of a dot from its place of the lattice, in dot pitches."""
 BY_CHANCE = 0.08
-"""Share of dots thrown at random that come so near: six discs in a cell."""
+"""Share of random dots that are so near: six discs in a cell."""
 _FIRST_REACH = 12.0
-"""Dot pitches around the seed's middle that are named first."""
+"""Radius around the seed, in dot pitches, that is assigned first."""
 _GROWTH = 1.25
-"""By how much the named part of the page grows at a time."""
+"""Factor by which the assigned part of the page grows."""
 _DEGREES = ((24, 1), (100, 2), (math.inf, 3))
-"""Up to so many dots, of this degree: turned and sheared; in perspective; bent."""
+"""Degree of the fit up to a number of dots: rotated and sheared; in perspective; bent."""
 _MOST_ROUNDS = 40
 _MOST_CELLS = 500.0
-"""From the page's middle: no picture resolves more."""
+"""Largest distance from the page's middle, in cells: no picture resolves more."""
 _LEAST_SINE = 0.9
 _MOST_RATIO = 1.3
-"""Of a page that leans by 40° to the camera."""
+"""Largest ratio of pitches, for a page tilted by 40° to the camera."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """Where cells are in a picture.
+    """Places of cells in a picture.
 
     A map from the picture to columns and lines of cells: polynomials, as
     perspective and bent paper are gentle over a page.
@@ -62,14 +62,14 @@ class Lattice:
         return np.asarray(powers @ self.weights)
 
     def name(self, px: Points) -> tuple[Names, NDArray[np.float64]]:
-        """Return which dot is next to each place.
+        """Return the dot nearest to each place.
 
         Returns
         -------
         names : ndarray, (N, 4) int
             Column and line of the cell; column and row of the dot in it.
         away : ndarray, (N,)
-            How far that dot is, in dot pitches.
+            Distance of that dot, in dot pitches.
         """
         place = self.place(px)
         beyond = (np.abs(place) > _MOST_CELLS).any(axis=1)
@@ -91,7 +91,7 @@ class Lattice:
         return float(np.linalg.norm(self.steps(), axis=1).mean())
 
     def is_regular(self) -> bool:
-        """Return whether dots to the right and below are about as far, and square to one another.
+        """Return whether the steps to the right and down are about equal, and perpendicular.
 
         A map that was fitted to clutter is not, or has folded.
         """
@@ -104,13 +104,13 @@ class Lattice:
         return bool(sine > _LEAST_SINE and max(across, along) < _MOST_RATIO * min(across, along))
 
     def steps(self) -> NDArray[np.float64]:
-        """Return how far a dot to the right and a dot below are, (2, 2) px, in the middle."""
+        """Return the steps to the dot on the right and the dot below, (2, 2) px, in the middle."""
         slope = np.linalg.inv(self.weights[1:3].T / self.scale_px)
         return np.asarray((slope * self.dot_part).T)
 
 
 def grow_lattice(px: Points, seed: Seed) -> Lattice:
-    """Fit a lattice to dots, some of which may be none, outwards from a seed.
+    """Fit a lattice to dots, some of them false, outwards from a seed.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def grow_lattice(px: Points, seed: Seed) -> Lattice:
 
 
 def nearest_only(names: Names, away: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which dots are the nearest of those with one name, (N,) bool."""
+    """Return which dots are the nearest of those with the same assignment, (N,) bool."""
     order = np.argsort(away, kind="stable")
     shifted = names - names.min(axis=0, initial=0)
     codes = np.ravel_multi_index(tuple(shifted.T), tuple(shifted.max(axis=0, initial=0) + 1))
@@ -147,7 +147,7 @@ def nearest_only(names: Names, away: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def cell_lines(names: Names) -> list[str]:
-    """Return the lines of cells that dots make.
+    """Return the lines of cells formed by dots.
 
     Blank cells stand before and between others where there is room for them,
     none at the end of a line; a line without dots is empty.
@@ -199,7 +199,7 @@ def _refit(lattice: Lattice, px: Points, names: Names) -> Lattice:
 
 
 def _solve(terms: Points, values: Points) -> Points:
-    """Return weights of terms, (N, T), that sum to values, (N,): the smallest that fit best."""
+    """Return weights of terms, (N, T), that fit values, (N,): the smallest with the least error."""
     # A fraction of the time that lstsq takes on the terms themselves; they are tame.
     return np.asarray(np.linalg.lstsq(terms.T @ terms, terms.T @ values, rcond=1e-10)[0])
 

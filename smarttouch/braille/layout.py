@@ -1,4 +1,4 @@
-"""Cells laid out on pages: words wrapped into lines, lines into pages, and joined again."""
+"""Layout of cells on pages: words wrapped into lines, lines into pages, and joined again."""
 
 import re
 from collections.abc import Sequence
@@ -8,11 +8,11 @@ from smarttouch.errors import BrailleError
 
 COLUMNS = 40
 ROWS = 25
-"""Of a North American Braille page."""
+"""Lines of a North American Braille page."""
 INDENT = 2
 """Cells: a paragraph begins in the third and runs over in the first, as Braille is printed."""
 CONTINUED = "⠐"
-"""Ends a line where a word goes on in the next: UEB's line continuation indicator."""
+"""Mark at the end of a line whose last word continues: UEB's line continuation indicator."""
 
 
 def lay_out(
@@ -102,5 +102,5 @@ def _fits(line: str, columns: int) -> bool:
 
 
 def _is_continued(line: str, columns: int) -> bool:
-    """Return whether a line says that its last word goes on in the next; only full ones can."""
+    """Return whether a line marks its last word as continued; only full ones can."""
     return len(line) == columns and line.endswith(CONTINUED)

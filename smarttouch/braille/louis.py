@@ -1,4 +1,4 @@
-"""liblouis, where it is installed: its tables turn texts into cells, and cells into texts."""
+"""Translation by liblouis, where it is installed."""
 
 import ctypes
 import ctypes.util
@@ -14,25 +14,25 @@ INSTALL = "apt install liblouis20 liblouis-data"
 _LIBRARIES = ("liblouis.so.20", "liblouis.so", "liblouis.20.dylib", "liblouis.dylib")
 
 _DOTS = 0x8000
-"""In back-translation a cell is this plus its pattern, in every version (LOU_DOTS)."""
+"""Offset of cells in back-translation, in every version (LOU_DOTS)."""
 _DOTS_IO, _UNICODE_CELLS, _NO_UNDEFINED = 4, 64, 128
-"""Of ``translationModes`` in liblouis.h."""
+"""Values of ``translationModes`` in liblouis.h."""
 _LOG_OFF = 60000
 _LONGEST_NAME = 200
-"""Of a table; a file name has 255 bytes at most, and old versions do not look."""
+"""Longest name of a table; a file name has 255 bytes at most, and old versions do not check."""
 _ROOMS = (8, 64)
-"""Characters of output for one of input; the second where the first was not ample."""
+"""Characters of output per one of input; the second if the first was not enough."""
 _UNDEFINED = "\uf8ff"
-"""Private use: no table defines it, so what it becomes is what undefined ones become."""
+"""Private character that no table defines, to obtain the output of undefined ones."""
 _ESCAPE = re.compile(r"\\([0-9A-F]*)/")
-"""What stands for a cell that a table cannot read: its dots."""
+"""Output for a cell that a table cannot read: its dots."""
 
 _lock = threading.Lock()
-"""liblouis keeps its state in globals."""
+"""Lock of liblouis, which keeps its state in globals."""
 
 
 class LouisCode:
-    """A Braille code as a table of liblouis has it.
+    """Braille code of a table of liblouis.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def version() -> str | None:
 
 
 def has_table(table: str) -> bool:
-    """Return whether liblouis is here, and has a table of this file name that it can use."""
+    """Return whether liblouis is installed, and has a usable table of this file name."""
     library = _library()
     if library is None or not table.isprintable() or len(table.encode()) > _LONGEST_NAME:
         return False
@@ -167,7 +167,7 @@ def _translate(table: str, text: str, mode: int, back: bool = False) -> str:
             )  # fmt: skip
         if not done:
             break
-        # Cut output is not always told by what was read of the input, but it fills its room.
+        # The consumed input does not always show cut output, but that fills its room.
         if read.value == length and written.value <= room // 2:
             return outbuf.raw[: written.value * width].decode(encoding, "replace")
     way = "cells into a text" if back else "a text into cells"
@@ -180,5 +180,5 @@ def _translate(table: str, text: str, mode: int, back: bool = False) -> str:
 
 
 def _cell(dots: str) -> str:
-    """Return a cell from the numbers of its dots, as in 1256; others are none of a cell's."""
+    """Return a cell from the numbers of its dots, as in 1256; invalid ones give no cell."""
     return chr(ord(BLANK) | sum(1 << int(dot) - 1 for dot in dots if dot in "12345678"))

@@ -38,7 +38,7 @@ def write_pef(path: Path, pages: Pages) -> None:
 
 
 def format_pef(pages: Pages, title: str) -> bytes:
-    """Return pages as a PEF file has them; equal pages give equal files."""
+    """Return pages in PEF; equal pages give equal files."""
     for page in pages:
         for line in page:
             require_cells(line)
@@ -74,9 +74,9 @@ def parse_pef(data: bytes, name: str = "PEF") -> Pages:
     Parameters
     ----------
     data : bytes
-        What it holds.
+        Content of the file.
     name : str
-        What to call it in an error.
+        Name for error messages.
     """
     try:
         _refuse_declarations(data, name)
@@ -112,7 +112,7 @@ def _add(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:
 
 
 def _refuse_declarations(data: bytes, name: str) -> None:
-    """Raise if there is a document type: entities can blow up a small file beyond all bounds."""
+    """Raise if there is a document type: its entities could expand without bounds."""
 
     def refuse(*_: object) -> None:
         raise BrailleError(

@@ -1,4 +1,4 @@
-"""A photographed page of Braille becomes lines of cells."""
+"""Recognition of Braille on a photographed page."""
 
 import math
 from collections import Counter
@@ -16,22 +16,24 @@ from smarttouch.documents.page_image import Page
 from smarttouch.errors import PageError
 
 WORKING_SIDE_PX = 2400
-"""Of the longer side; finer photographs are made smaller. A page is some 110 dot pitches high."""
+"""Longer side to which finer photographs are reduced. A page is some 110 dot pitches high."""
 GLANCE_SIDE_PX = 1200
 LEAST_CERTAINTY = 0.6
-"""Texts and photographs have less."""
+"""Least certainty of Braille; texts and photographs have less."""
 CERTAIN = 0.7
-"""So is Braille that nobody announced."""
+"""Certainty of Braille on a page that was not announced as Braille."""
 _FEWEST_CELLS = 12
 _MOST_ALIKE = 0.8
-"""Share of cells of the three commonest kinds: texts have a third to a half."""
+"""Share of the three commonest kinds of cells above which it is no text: texts have a third to a
+half.
+"""
 _DISTURBED = 0.85
-"""Below this certainty the reader is told."""
+"""Certainty below which the reader is warned."""
 
 
 @dataclass(frozen=True, eq=False)
 class BraillePage:
-    """What a page of Braille says.
+    """Cells of a page of Braille, with their places.
 
     Attributes
     ----------
@@ -39,15 +41,15 @@ class BraillePage:
         Cells of each line, without blanks at its end; empty where there is
         room for a line without dots.
     dots_px : ndarray, (N, 2) px
-        Where the dots are, column and row.
+        Places of the dots, column and row.
     dot_pitch_px : float, px
         Distance of two dots of a cell, in the middle of the page.
     skew_deg : float, °
         Positive when lines rise to the right.
     certainty : float, in [0, 1]
-        How well dots make cells, beyond chance; 1 if each strong one does.
+        Fit of dots to cells, beyond chance; 1 if each strong one does.
     notes : list of str
-        What the reader should know.
+        Warnings for the reader.
     """
 
     lines: list[str]
@@ -71,8 +73,8 @@ def read_braille(
     page : Page
         The photograph.
     light_from_deg : float, °, optional
-        Where the light comes from: 0 is the right, 90 the top of the picture.
-        It tells dots of the front from those of the back; not needed for pages
+        Direction of the light: 0 is the right, 90 the top of the picture.
+        It separates dots of the front from those of the back; not needed for pages
         embossed from one side.
     turned : bool
         The page lies upside down in the picture; cells do not tell.
@@ -138,7 +140,7 @@ def read_braille(
 
 
 def looks_like_braille(page: Page) -> bool:
-    """Return whether a page is Braille for certain, at a glance.
+    """Return whether a page is certainly Braille, by a quick look.
 
     Texts and photographs are not, nor is Braille that is hard to read.
     """

@@ -1,4 +1,4 @@
-"""The look at a page that makes cells of it: what dots are, how large, and lit from where."""
+"""Search for the appearance of dots that makes cells: their kind, size, and light."""
 
 import math
 from dataclasses import replace
@@ -12,28 +12,28 @@ from smarttouch.braille.dots import Look, even_light, light_at, light_axis
 from smarttouch.braille.view import View, look_at
 
 SIGMAS_PX = (2.0, 1.4)
-"""Scales at which dots are sought in each octave: their pitch is 7 to 13 of its pixels."""
+"""Scales of the search for dots in each octave: their pitch is 7 to 13 of its pixels."""
 SIGMA_PITCHES = 0.17
-"""Scale at which dots of both sides are told apart best, of the pitch."""
+"""Scale that separates dots of both sides best, in pitches."""
 _MOST_OCTAVES = 5
-"""The coarsest is for dots in close-up: a pitch of 200 pixels."""
+"""Largest number of octaves; the coarsest is for close-ups with a pitch of 200 pixels."""
 _LEAST_PITCH_PX = 9.0
-"""Finer, dots are less sharply seen; coarser is no better."""
+"""Least pitch; finer dots are less sharp, and coarser ones no better."""
 SURE = 0.7
-"""Of certainty: nothing else is tried."""
+"""Certainty above which the search ends."""
 _SMALLEST_SIDE = 40
 _RELIEF_RATIO = 1.25
 """Embossed pages have 1.4 and more, spots of ink 1.1 and less (see `light_axis`)."""
 _AS_SURE = 0.8
-"""Of the certainty of a view: another one with as much may be the better."""
+"""Part of a view's certainty from which another one may be the better."""
 _APART = 1.0
-"""Dot pitches: the rim of a dot is nearer to it; the other side's dots are anywhere."""
+"""Distance, in dot pitches, beyond which a dot is no rim of another, but of the other side."""
 _OTHERS = 0.1
-"""Share of dots that are no rims: with more, they are those of the other side."""
+"""Share of such dots above which they are those of the other side."""
 
 
 def octaves(grey: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
-    """Return a page under even light, and again and again at half its size."""
+    """Return a page under even light, repeatedly at half its size."""
     images = [even_light(grey)]
     while len(images) < _MOST_OCTAVES and min(images[-1].shape) >= 2 * _SMALLEST_SIDE:
         half = cv2.resize(images[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
@@ -42,7 +42,7 @@ def octaves(grey: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
 
 
 def find_view(images: list[NDArray[np.float32]], light_from_deg: float | None) -> View | None:
-    """Return the first look that surely makes cells, else the surest, none if none does.
+    """Return the first certain view, else the most certain; None if none shows cells.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def find_view(images: list[NDArray[np.float32]], light_from_deg: float | None) -
 def look_closer(
     images: list[NDArray[np.float32]], view: View, light_from_deg: float | None
 ) -> View:
-    """Return the view at the scale and in the light that its own dots ask for."""
+    """Return the view at the scale and in the light of its own dots."""
     for _ in range(2):
         finest_px = view.lattice.pitch_px() * images[0].shape[1] / view.image.shape[1]
         octave = min(max(0, math.floor(math.log2(finest_px / _LEAST_PITCH_PX))), len(images) - 1)
@@ -86,7 +86,7 @@ def look_closer(
 
 
 def shows_both_sides(view: View) -> bool:
-    """Return whether raised dots have others among them, lit as from the opposite side.
+    """Return whether raised dots are mixed with others, lit from the opposite side.
 
     The rims of a dot look like that too, but lie next to it.
     """
@@ -112,7 +112,7 @@ def _kinds(image: NDArray[np.float32], light_from_deg: float | None) -> list[lis
 
 
 def _better(views: list[View | None]) -> View | None:
-    """Return the surer view; of two that are about as sure, that of more contrast.
+    """Return the more certain view; of two about equal, the one with more contrast.
 
     The far edge of a dot's shadow looks like a dot too, but a fainter one.
     """

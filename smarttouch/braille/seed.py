@@ -1,4 +1,4 @@
-"""Where the fit of a lattice begins: skew, pitch and phase in one part of a page."""
+"""Seed of a lattice fit: skew, pitch and phase in one part of a page."""
 
 import math
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ from smarttouch.braille.comb import COLUMNS, ROWS, Comb, fit_comb
 Points = NDArray[np.floating[Any]]
 
 PITCH_SIGMAS = (4.0, 11.0)
-"""Dot pitch, in the scales at which a dot may have been found."""
+"""Range of the dot pitch, in scales of a found dot."""
 MOST_SKEW_DEG = 30.0
 PART_SIGMAS = 120.0
 """Side of the part, some 20 dot pitches: a photograph is straight and even over it."""
 MOST_DOTS = 400
 _BINS_PER_SIGMA = 3
 _TRIED = 2
-"""Guesses of skew and pitch that are tried on the rows and columns."""
+"""Guesses of skew and pitch to try on the rows and columns."""
 _HOPELESS = 0.0
-"""Nats a dot: rough guesses on pages of Braille have 0.8 and more."""
+"""Gain per dot, in nats, below which there is no Braille: rough guesses on it have 0.8 and more."""
 _ROUGH_TURNS_DEG = (-2.0, 0.0, 2.0)
 _FINE_TURNS_DEG = (-3.0, -2.2, -1.5, -0.7, 0.0, 0.7, 1.5, 2.2, 3.0)
 """Tried around a guess; rows and columns need not stand upright on one another."""
@@ -31,7 +31,7 @@ _FINE_TURNS_DEG = (-3.0, -2.2, -1.5, -0.7, 0.0, 0.7, 1.5, 2.2, 3.0)
 
 @dataclass(frozen=True, eq=False)
 class Seed:
-    """A lattice in the small.
+    """A lattice in one part of a page.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Seed:
     columns, rows : Comb
         Laid on the places along them, px from the center.
     dots : int
-        How many there are in that part.
+        Number of dots in that part.
     """
 
     center_px: NDArray[np.float64]
@@ -54,7 +54,7 @@ class Seed:
 
     @property
     def gain(self) -> float:
-        """By how much more likely this lattice makes each dot, nats: 3.5 if all fit."""
+        """Gain in log likelihood per dot by this lattice, nats: 3.5 if all fit."""
         return (self.columns.gain + self.rows.gain) / self.dots
 
 
@@ -83,7 +83,7 @@ def find_seed(px: Points, sigma_px: float) -> Seed:
 
 
 def _crowd(px: Points, reach_px: float) -> NDArray[np.float64]:
-    """Return the dot that has most others around it."""
+    """Return the dot with the most others around it."""
     few = px[:: max(1, len(px) // 500)]
     around = cKDTree(px).query_ball_point(few, reach_px, return_length=True)
     return np.asarray(few[int(np.argmax(around))], np.float64)
@@ -128,7 +128,7 @@ def _lay(
     pitch_px: float,
     turns_deg: tuple[float, ...],
 ) -> Seed:
-    """Return the seed whose rows and columns fit best, each turned by one of those turns."""
+    """Return the seed whose rows and columns fit best, each with one of the fine rotations."""
     laid = []
     for angle, teeth in ((skew, COLUMNS), (skew + math.pi / 2, ROWS)):
         turned = [angle + math.radians(turn) for turn in turns_deg]

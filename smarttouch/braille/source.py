@@ -1,4 +1,4 @@
-"""What is to be read in Braille: a text, a text file, or a file of cells; and where it goes."""
+"""Input in Braille: a text, a text file, or a file of cells; and output of cells."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,12 +12,12 @@ from smarttouch.braille.tables import Table
 from smarttouch.errors import BrailleError
 
 _MOST_NAMED = 12
-"""Characters left out that a note names."""
+"""Characters listed in a note on left-out ones."""
 
 
 @dataclass(frozen=True)
 class Loaded:
-    """What was given, as cells.
+    """Input as cells.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Loaded:
     pages : list of list of str, or None
         Pages of lines as a file of cells has them.
     notes : list of str
-        What the user should be told.
+        Warnings for the user.
     """
 
     paragraphs: list[str]
@@ -76,7 +76,7 @@ def load_cells(source: str, table: Table, leave_out: bool = False) -> Loaded:
 
 
 def write_cells(path: Path, pages: Pages) -> None:
-    """Write pages of cells as the name of the file asks.
+    """Write pages of cells in the format of the file's name.
 
     Raises
     ------

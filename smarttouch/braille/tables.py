@@ -1,4 +1,4 @@
-"""Tables by name: what turns a text into cells of one Braille code, and back."""
+"""Tables by name: translation between texts and cells of one Braille code."""
 
 import re
 import unicodedata
@@ -20,11 +20,11 @@ MISSING_NOTE = (
 
 
 class Code(Protocol):
-    """A Braille code: turns one line at a time."""
+    """Braille code that translates one line at a time."""
 
     goes_back: bool
     remedy: str
-    """What to do about characters that it has no cells for."""
+    """Remedy for characters without cells."""
 
     def missing(self, line: str) -> str:
         """Return the characters of a line that it has no cells for, each once."""
@@ -46,11 +46,11 @@ class Table:
     Attributes
     ----------
     name, title : str
-        As in ``en-1``, and what it is.
+        Name such as ``en-1``, and its title.
     code : Code
-        What does the work.
+        Braille code that translates.
     note : str or None
-        What the user should be told of it.
+        Warning for the user.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Table:
         text : str
             Its lines end with a newline.
         leave_out : bool
-            Leave out what the table has no cells for: ``missing`` tells what that is.
+            Leave out what the table has no cells for: ``missing`` lists them.
 
         Raises
         ------
@@ -91,7 +91,7 @@ class Table:
         return "\n".join(self.code.encode(line) for line in tidy.split("\n"))
 
     def to_text(self, cells: str) -> str:
-        """Return cells as text, line by line; a cell that means nothing stays as it is.
+        """Return cells as text, line by line; a cell without meaning stays as it is.
 
         Raises
         ------
@@ -113,13 +113,13 @@ class Table:
 
 
 class _EnglishLouis(LouisCode):
-    """English written by liblouis, which knows more signs, and read by our own code.
+    """English, written by liblouis, which has more signs, and read by our own code.
 
     Of a thousand sentences liblouis reads 77 back without their capitals, ours none.
     """
 
     def decode(self, cells: str) -> str:
-        """Return cells as text; what our own code leaves, liblouis reads."""
+        """Return cells as text; cells unknown to our own code are read by liblouis."""
         text = Grade1().decode(cells)
         return super().decode(cells) if any(map(is_cell, text)) else text
 
@@ -127,7 +127,7 @@ class _EnglishLouis(LouisCode):
 class _Known(NamedTuple):
     title: str
     file: str | None
-    """Of liblouis; none if it is built in."""
+    """File of liblouis; None if it is built in."""
     goes_back: bool
     built_in: Callable[[], Code] | None = None
 
@@ -149,7 +149,7 @@ _KNOWN = {
 
 
 def known_tables() -> dict[str, str]:
-    """Return what the tables with a short name are."""
+    """Return the titles of the tables with a short name."""
     return {name: known.title for name, known in _KNOWN.items()}
 
 

@@ -1,4 +1,4 @@
-"""What one look at a page of Braille shows: dots, and how well they make cells."""
+"""Dots found on a page of Braille by one appearance, and their fit to cells."""
 
 import math
 from dataclasses import dataclass
@@ -12,48 +12,48 @@ from smarttouch.braille.lattice import BY_CHANCE, NEAR, Lattice, Names, grow_lat
 from smarttouch.braille.seed import find_seed
 
 FEWEST_DOTS = 10
-"""Fewer fit some lattice by chance."""
+"""Fewest dots; fewer fit some lattice by chance."""
 _STRONG = 0.5
-"""Of the usual strength: dots that a lattice is fitted to, unless a gap tells them better."""
+"""Part of the usual strength of dots for the lattice fit, unless a gap separates them better."""
 _GAP = 0.8
-"""Of the variance of strengths, between two groups of them: even spread has 0.75."""
+"""Least part of the variance of strengths between two groups: even spread has 0.75."""
 _TIMES = 1.2
-"""As strong are dots of the stronger group, on average."""
+"""Ratio of the mean strengths of the two groups."""
 _LEAST_GAIN = 0.5
-"""Nats a dot: pages of Braille have 1.8 and more, texts and photographs 0.5 and less."""
+"""Least gain in nats per dot: Braille has 1.8 and more, texts and photographs 0.5 and less."""
 _AROUND = 12
 _LEAST_AROUND = 0.6
-"""Of so many strong dots around a place, that must fit: fewer are dirt beside the text."""
+"""Least part of strong dots around a place that fit; with less they are dirt beside the text."""
 _FEW = 12.0
-"""So few dots prove little: certainty is down by a third."""
+"""Number of dots at which certainty is lower by a third."""
 _ALONE = 14.0
-"""Dot pitches, five cells or three lines: so far from all others, a dot is dirt."""
+"""Distance from all other dots, in pitches, at which a dot is dirt: five cells or three lines."""
 _MOST_DIRT = 0.02
-"""Dots that fit nowhere, of those that do, as weak as those that are read."""
+"""Largest share of dots that do not fit, among those as weak as the ones read."""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What one look at a page shows.
+    """Result of one look at a page.
 
     Attributes
     ----------
     image : ndarray, (H, W) float32
-        What was looked at, as `even_light` makes it.
+        Image under even light, see `even_light`.
     dots : FoundDots
         In pixels of that image.
     lattice : Lattice
         Fitted to the strong ones.
     names : ndarray, (N, 4) int
-        Which dot of which cell each dot would be, as in `Lattice.name`.
+        Cell and number of each dot, as in `Lattice.name`.
     inside : ndarray, (N,) bool
-        Which of them lie within the text.
+        Whether each lies within the text.
     fit : ndarray, (N,) bool
-        Which of those lie where that dot would be.
+        Whether each of those lies at its place.
     strong : ndarray, (N,) bool
-        Which of them are strong.
+        Whether each is strong.
     certainty : float, in [0, 1]
-        How well strong dots of the lines make cells, beyond chance.
+        Fit of strong dots of the lines to cells, beyond chance.
     """
 
     image: NDArray[np.float32]
@@ -67,7 +67,7 @@ class View:
 
     @property
     def proven(self) -> NDArray[np.bool_]:
-        """Which dots, (N,) bool, are beyond doubt: strong ones that fit."""
+        """Which dots, (N,) bool, are certain: strong ones that fit."""
         return self.fit & self.strong
 
     def contrast(self) -> float:
@@ -90,14 +90,14 @@ class View:
 
 
 def look_at(image: NDArray[np.float32], look: Look) -> View | None:
-    """Return what is seen, none if it is not like cells at all.
+    """Return the view of a page, None if it is not like cells at all.
 
     Parameters
     ----------
     image : ndarray, (H, W) float32
         Made by `even_light`.
     look : Look
-        What dots should look like.
+        Expected appearance of dots.
     """
     dots = find_dots(image, look)
     strong = dots.strength >= _strong_level(dots.strength)
@@ -119,7 +119,7 @@ def look_at(image: NDArray[np.float32], look: Look) -> View | None:
 
 
 def _strong_level(strength: NDArray[np.float64]) -> float:
-    """Return where strengths fall into two groups (Otsu's way), or half of what is usual.
+    """Return the level between two groups of strengths (Otsu's way), or half of the usual one.
 
     On a page embossed from both sides, the rims of the back's dots are the weaker group.
     """
@@ -140,14 +140,14 @@ def _strong_level(strength: NDArray[np.float64]) -> float:
 def _inside(
     px: NDArray[np.float64], strong: NDArray[np.bool_], fit: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return which dots, (N,) bool, are in a text: the strong ones around them do fit."""
+    """Return which dots, (N,) bool, are in a text: most strong ones around them fit."""
     fitting = fit[strong]
     _, around = cKDTree(px[strong]).query(px, k=min(_AROUND, len(fitting)))
     return np.asarray(fitting[around].mean(axis=1) >= _LEAST_AROUND)
 
 
 def _certainty(away: NDArray[np.float64], fit: NDArray[np.bool_], free: int) -> float:
-    """Return how sure it is that dots, (N,), make cells, as so many would fit anywhere."""
+    """Return the certainty that dots, (N,), make cells, given how many fit by chance."""
     count = int(fit.sum())
     if count <= free:
         return 0.0

@@ -1,1 +1,1 @@
-"""What is measured of one device on one finger, and the profiles it is written to."""
+"""Calibration of one device on one finger, and the profiles that store it."""

@@ -1,4 +1,4 @@
-"""Yes or no, one pulse train after the other, each where the answer tells most.
+"""Adaptive yes-no threshold: each pulse train at the level of most information.
 
 A posterior over threshold, slope and guesses on a grid; each level is the one whose
 answer is expected to leave the least entropy (the psi method: Kontsevich and Tyler,
@@ -13,26 +13,26 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 GRID_FACTOR = 3.0
-"""The threshold is looked for from a third to three times where it is thought to be."""
+"""Factor by which the grid of thresholds reaches below and above the expected threshold."""
 PRIOR_SPREAD = 0.35
-"""Of the natural logarithm of the threshold, around the ascending estimate."""
+"""Spread of the prior of the logarithm of the threshold, around the ascending estimate."""
 SLOPES = (0.04, 0.08, 0.14, 0.22, 0.32)
 """Standard deviations of the psychometric function, in natural logarithms of current."""
 GUESSES = (0.01, 0.05, 0.15, 0.3)
 LAPSE = 0.03
 BLANK_SHARE = 0.15
-"""Of the trials, without current."""
+"""Part of the trials without current."""
 ENOUGH_SPREAD = 0.05
-"""Of the logarithm of the threshold: a posterior as narrow as this ends it."""
+"""Spread of the posterior of the log threshold that ends the procedure."""
 FEWEST_TRIALS = 12
 MOST_TRIALS = 30
 MOST_GUESSED = 0.4
-"""Part of the blank trials that are said to be felt: above it nothing can be told."""
+"""Part of the blank trials called felt above which the threshold is not determined."""
 
 
 @dataclass
 class AdaptiveThreshold:
-    """The procedure at one electrode.
+    """Adaptive procedure at one electrode.
 
     In a loop until `done`: show the level of `next`, then `answer` whether it was felt.
 
@@ -71,7 +71,7 @@ class AdaptiveThreshold:
 
     @property
     def threshold_ma(self) -> float:
-        """Level that is felt every second time, apart from guesses and lapses."""
+        """Level that is felt half the time, apart from guesses and lapses."""
         return float(np.exp(self._marginal @ self._log))
 
     @property
@@ -91,7 +91,7 @@ class AdaptiveThreshold:
         return self._level_ma
 
     def answer(self, felt: bool) -> None:
-        """Say whether the last level was felt."""
+        """Take the answer: whether the last level was felt."""
         self.trials += 1
         if self._level_ma == 0.0:
             self.blanks += 1
@@ -105,7 +105,7 @@ class AdaptiveThreshold:
         return np.asarray(self._posterior.sum(axis=(1, 2)))
 
     def _best(self) -> float:
-        """Return the candidate whose answer is expected to say most."""
+        """Return the candidate with the most expected information."""
         middle, width = np.log(self.threshold_ma), max(self.spread, 0.05)
         levels = np.exp(middle + width * np.linspace(-2.5, 2.5, 11))
         levels = np.minimum(levels, self.ceiling_ma)
@@ -119,7 +119,7 @@ class AdaptiveThreshold:
         return float(levels[left.argmin()])
 
     def _felt(self, levels_ma: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how likely each level is to be called felt, (L, thresholds, slopes, guesses)."""
+        """Return the chance that each level is called felt, (L, thresholds, slopes, guesses)."""
         with np.errstate(divide="ignore"):
             above = np.log(levels_ma)[:, None, None] - self._log[:, None]
         detected = ndtr(above / np.array(SLOPES))[..., None]

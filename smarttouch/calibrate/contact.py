@@ -1,4 +1,4 @@
-"""Which electrodes touch the skin, and how well: repeated measurements of a board."""
+"""Contact of each electrode with the skin, from repeated measurements by a board."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,14 +11,14 @@ from smarttouch.errors import CalibrationError
 from smarttouch.profile import Profile
 
 MOST_BROKEN = 0.5
-"""Part of the electrodes: more do not touch if the finger lies beside the array."""
+"""Largest part of open or shorted electrodes; with more, the finger lies beside the array."""
 MOST_RESTLESS = 0.5
-"""Spread of the usual electrode over its median: more, and the finger moved."""
+"""Largest spread of the median electrode over its median; with more, the finger moved."""
 
 
 @dataclass(frozen=True, eq=False)
 class ContactFound:
-    """Contact of every electrode.
+    """Contact of each electrode.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class ContactFound:
     spread_kohm : ndarray, (E,)
         Robust standard deviations; NaN of one measurement, or where open.
     condition : tuple of str, (E,)
-        What most measurements say; what they disagree on is ``unsure``.
+        Result of most measurements; ``unsure`` where they disagree.
     repeats : int
     current_ma : float
     """
@@ -40,21 +40,21 @@ class ContactFound:
 
     @property
     def broken(self) -> list[int]:
-        """The electrodes that are open or shorted."""
+        """Electrodes that are open or shorted."""
         return [i for i, each in enumerate(self.condition) if each in ("open", "short")]
 
     def masked(self, profile: Profile) -> list[int]:
-        """Return what to mask: what is broken, and what was masked before, for whatever reason."""
+        """Return the electrodes to mask: broken ones, and those that were masked before."""
         return sorted({*profile.output.masked, *self.broken})
 
     def impedances(self, profile: Profile) -> list[float]:
-        """Return an impedance for each electrode, kΩ: the usual one where none was measured."""
+        """Return an impedance for each electrode, kΩ: the median where none was measured."""
         touching = np.isfinite(self.kohm) & ~np.isin(np.arange(len(self.kohm)), self.broken)
         usual = float(np.median(self.kohm[touching]))
         return [float(f"{each:.4g}") for each in np.where(touching, self.kohm, usual)]
 
     def sentence(self) -> str:
-        """Return what goes into the profile."""
+        """Return the sentence for the profile."""
         good = np.array([each == "good" for each in self.condition])
         low, middle, high = np.percentile(self.kohm[good], [0, 50, 100])
         counts = [
@@ -71,7 +71,7 @@ class ContactFound:
 
 
 def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
-    """Return what repeated measurements say together.
+    """Return the joint result of repeated measurements.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
 
 
 def _most(conditions: Sequence[Condition]) -> Condition:
-    """Return what more than half of them say."""
+    """Return the result of more than half of the measurements."""
     for each in conditions:
         if 2 * conditions.count(each) > len(conditions):
             return each

@@ -1,4 +1,4 @@
-"""Dots in an image: where they are, and which dot of the target each one is."""
+"""Dots of the target in an image: detection, and assignment to columns and rows."""
 
 import itertools
 from dataclasses import dataclass
@@ -15,14 +15,14 @@ Points = NDArray[np.float64]
 Matrix = NDArray[np.floating[Any]]
 
 WORKING_SIDE = 480
-"""Pixels of the shorter side at which dots are looked for; coarser images are magnified."""
+"""Pixels of the shorter side at which dots are detected; coarser images are magnified."""
 FEWEST_SIDE = 16
 LEAST_INK = 0.15
-"""How much darker than the paper around it a dot is at least."""
+"""Least contrast of a dot against the paper around it."""
 LARGER = 1.6
-"""Area of a large dot, of the usual one around it, at least; it was printed 2.8 times as large."""
+"""Least area of a large dot, relative to its neighbors; it was printed 2.8 times as large."""
 NEAR = 0.28
-"""Of the pitch: a dot this far from where it is expected is that dot."""
+"""Part of the pitch: a dot this close to its expected place is that dot."""
 _MOST_LARGE = 8
 _MOST_SHEAR = 2.0
 """Ratio of the axes of a view; the L seen as its own mirror image would have 2.4."""
@@ -30,7 +30,7 @@ _MOST_SHEAR = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Dots:
-    """Dots seen in an image and named.
+    """Dots found in an image, with their names.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ def find_dots(image: NDArray[np.uint8]) -> Dots:
 
 
 def apply(homography: Matrix, points: Points) -> Points:
-    """Return where a homography takes points, (N, 2) each."""
+    """Return the points, (N, 2), mapped by a homography."""
     carried = np.column_stack([points, np.ones(len(points))]) @ homography.T
     return np.asarray(carried[:, :2] / carried[:, 2:])
 
@@ -113,7 +113,7 @@ def _blobs(image: NDArray[np.uint8]) -> tuple[Points, NDArray[np.float64]]:
 
 
 def _ink(image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], float]:
-    """Return how much darker each place is than the paper around it, and the magnification."""
+    """Return the contrast of each place against the paper around it, and the magnification."""
     scale = WORKING_SIDE / min(image.shape)
     size = (round(image.shape[1] * scale), round(image.shape[0] * scale))
     method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
@@ -194,7 +194,7 @@ def _spread(pixel: Points, affine: NDArray[np.float64]) -> Dots:
 
 
 def _unique(named: dict[int, tuple[int, int]], guess: Points) -> dict[int, tuple[int, int]]:
-    """Keep the nearest of those that claim one cell: the others are dirt."""
+    """Keep the nearest of the dots that fall into one cell: the others are dirt."""
     best: dict[tuple[int, int], tuple[float, int]] = {}
     for index, cell in named.items():
         away = float(np.abs(guess[index] - cell).max())

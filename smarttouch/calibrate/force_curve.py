@@ -17,28 +17,28 @@ STANDARD_GRAVITY = 9.80665
 """m/s²"""
 FEWEST_READINGS = 5
 MOST_MISSING = 0.5
-"""Part of the readings that may be none."""
+"""Largest part of missing readings."""
 BEND_WORTH = 0.7
-"""A quadratic must predict weights that it was not fitted to this much better than a line."""
+"""Largest error of a quadratic, relative to a line's, at weights that it was not fitted to."""
 BEND_LEAST = 0.002
-"""Of full force: a line this good is good enough."""
+"""Error, as a part of full force, below which a line is good enough."""
 MOST_RESIDUAL = 0.05
-"""Of full force, rms."""
+"""Largest rms residual, as a part of full force."""
 MOST_DRIFT = 0.03
-"""Of full force, while one weight lies on the cell."""
+"""Largest drift, as a part of full force, while one weight lies on the cell."""
 LEAST_REACH = 0.5
-"""Of full force: the heaviest weight is at least this much."""
+"""Least heaviest weight, as a part of full force."""
 
 
 class Cell(Protocol):
-    """What gives raw readings, such as a load cell on a serial port."""
+    """Source of raw readings, such as a load cell on a serial port."""
 
     def collect(self, seconds: float) -> NDArray[np.float64]: ...
 
 
 @dataclass(frozen=True)
 class Weighing:
-    """One weight on the cell.
+    """Readings of one weight on the cell.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Weighing:
     drift : float
         From the first half of the readings to the second.
     count : int
-        How many there were.
+        Number of readings.
     """
 
     grams: float
@@ -66,7 +66,7 @@ class Weighing:
 
 @dataclass(frozen=True)
 class ForceFound:
-    """A curve, and how good it is.
+    """A curve, and its errors.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class ForceFound:
     hysteresis_n : float, N
         Largest difference between two weighings of one weight; NaN if none came twice.
     full_n : float, N
-        What percentages are of.
+        Full force, the reference of percentages.
     weighings : tuple of Weighing
     """
 
@@ -99,11 +99,11 @@ class ForceFound:
     weighings: tuple[Weighing, ...]
 
     def force_n(self, reading: float) -> float:
-        """Return what the curve makes of a reading."""
+        """Return the force of a reading by the curve."""
         return float(np.polynomial.polynomial.polyval(reading, self.curve))
 
     def sentence(self) -> str:
-        """Return what goes into the profile."""
+        """Return the sentence for the profile."""
         kind = "line" if len(self.curve) == 2 else "parabola"
         grams = [each.grams for each in self.weighings]
         twice = (
@@ -179,7 +179,7 @@ def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
     ----------
     weighings : sequence of Weighing
         Of three different weights or more; one given twice, on the way up and
-        on the way down, tells the hysteresis.
+        on the way down, gives the hysteresis.
     law : ForceLaw
         Its full force is what residuals are judged by.
 

@@ -1,4 +1,4 @@
-"""What a threshold session found, as a profile keeps it."""
+"""Result of a threshold session, as a profile stores it."""
 
 import math
 import re
@@ -14,7 +14,7 @@ Found = Mapping[int, Thresholds]
 
 
 def parse_electrodes(text: str | None, profile: Profile) -> list[int]:
-    """Return the electrodes that ``0-7,12`` names; all that are not masked if None.
+    """Return the electrodes in a list such as ``0-7,12``; all that are not masked if None.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def parse_electrodes(text: str | None, profile: Profile) -> list[int]:
 def filled(profile: Profile, found: Found) -> tuple[list[float], list[float]]:
     """Return thresholds and comfortable maxima of all electrodes, mA.
 
-    What was not measured, not felt, or had no room between the two stays as it was.
+    Electrodes not measured, not felt, or without room between the two keep their values.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def filled(profile: Profile, found: Found) -> tuple[list[float], list[float]]:
 
 
 def sentence(found: Found, *, adaptive: bool) -> str:
-    """Return what goes into the profile."""
+    """Return the sentence for the profile."""
     usable = [each for each in found.values() if each.usable]
     threshold = np.array([each.threshold_ma for each in usable])
     comfort = np.array([each.comfort_ma for each in usable])

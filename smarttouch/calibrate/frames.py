@@ -1,4 +1,4 @@
-"""So many images of a sensor, one after the other."""
+"""Collection of a given number of images from a sensor."""
 
 import time
 
@@ -13,7 +13,7 @@ from smarttouch.sources.source import Source
 Images = list[NDArray[np.uint8]]
 
 SILENCE_S = 5.0
-"""A sensor that shows nothing new for so long has no more to show."""
+"""Longest time without a new image, after which the sensor has ended."""
 _LOOK_S = 0.002
 
 
@@ -75,6 +75,6 @@ def collect_images(sensor: Source, count: int) -> Images:
 
 
 def uncorrected(profile: Profile) -> Profile:
-    """Return a profile whose sensors show what they see, without its flat field."""
+    """Return a profile whose sensors give raw images, without its flat field."""
     optics = profile.optics.model_copy(update={"flat_field": None})
     return profile.model_copy(update={"optics": optics})

@@ -1,4 +1,4 @@
-"""The method of limits, rising only: current grows until it is felt, then until it is enough.
+"""Ascending method of limits: current rises until it is felt, then until it is enough.
 
 Pure: it says which level comes next and is told whether a key was pressed. Who makes the
 current flow, and how fast steps follow one another, is not its business.
@@ -12,31 +12,31 @@ from numpy.typing import NDArray
 TICK_S = 0.05
 """One step of the procedure."""
 RISE_S = 6.0
-"""From zero to where the threshold is expected, in the first run."""
+"""Time of the first run from zero to the expected threshold."""
 REACTION_S = 0.35
-"""Between feeling and the key: what counts is the level that flowed then."""
+"""Reaction time from feeling to the key; the level so long before the key counts."""
 PAUSE_S = (1.0, 2.0)
-"""At zero before a run; its length is drawn, so that time does not tell the level."""
+"""Pause at zero before a run, of random length, so that time does not reveal the level."""
 START_SHARE = (0.4, 0.7)
-"""Later runs rise fast to a drawn part of the threshold found before."""
+"""Later runs rise fast to a random part of the threshold found before."""
 LEAP = 10
-"""How much faster than elsewhere they rise there."""
+"""Factor by which they rise faster there."""
 CEILING_S = 1.0
-"""How long the ceiling is held before a run is given up."""
+"""Time at the ceiling before a run is given up."""
 MOST_APART = 1.4
-"""Largest over smallest threshold of the runs: if they differ by more, more runs are made."""
+"""Largest over smallest threshold of the runs above which more runs are made."""
 EXTRA_RUNS = 2
 HURRIED_S = 0.8
-"""A second key so soon after the first is one that is held down, or a current that hurts."""
+"""Time after the first key within which a second one is a held key, or a current that hurts."""
 MOST_HURRIED = 2
-"""Runs that end so are made again this often; then they are believed."""
+"""Times that such runs are repeated before they are accepted."""
 LEAST_ROOM = 1.05
-"""Comfort over threshold: below that, there is nothing between first felt and enough."""
+"""Least ratio of comfort to threshold that leaves a usable range."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """One rise; NaN for what was not reached before the ceiling."""
+    """Result of one rise; NaN for what was not reached before the ceiling."""
 
     threshold_ma: float
     comfort_ma: float
@@ -44,7 +44,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Thresholds:
-    """What was found at one electrode.
+    """Thresholds of one electrode.
 
     Attributes
     ----------
@@ -70,13 +70,13 @@ class Thresholds:
 
     @property
     def usable(self) -> bool:
-        """Whether there is room between first felt and enough."""
+        """Whether comfort is far enough above the threshold."""
         return self.felt and self.comfort_ma >= LEAST_ROOM * self.threshold_ma
 
 
 @dataclass
 class AscendingLimits:
-    """The procedure at one electrode.
+    """Ascending limits at one electrode.
 
     In a loop until `done`: make the current of `next` flow for `TICK_S`, then tell
     `answer` whether a key was pressed meanwhile. In each run the first key means
@@ -87,7 +87,7 @@ class AscendingLimits:
     ceiling_ma : float, mA
         Never exceeded.
     expected_ma : float, mA
-        Where the threshold is thought to be; sets how fast the current rises.
+        Expected threshold; sets the slope of the current.
     repeats : int
         Runs, if they agree.
     fastest_ma_s : float, mA/s
@@ -139,7 +139,7 @@ class AscendingLimits:
         return self._levels[-1]
 
     def answer(self, pressed: bool) -> None:
-        """Say whether a key was pressed during the last step."""
+        """Take the answer: whether a key was pressed during the last step."""
         if not self._levels:
             if pressed:
                 self.false_presses += 1
@@ -155,7 +155,7 @@ class AscendingLimits:
         self._begin()
 
     def result(self) -> Thresholds:
-        """Return what the runs say together."""
+        """Return the joint result of the runs."""
         threshold = np.array([run.threshold_ma for run in self.runs])
         comfort = np.array([run.comfort_ma for run in self.runs])
         if not len(threshold) or np.isnan(threshold).any():

@@ -1,4 +1,4 @@
-"""White and dark reference of a sensor, and what they say of its pixels."""
+"""White and dark reference of a sensor, and the state of its pixels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,12 +12,12 @@ from smarttouch.sources.flat_field import FlatField, mean_image
 Images = Sequence[NDArray[np.uint8]]
 
 MOST_UNEVEN = 0.05
-"""Of white, after correction: more is not blank paper, or it moved."""
+"""Largest unevenness of white after correction; with more, the paper is not blank, or it moved."""
 
 
 @dataclass(frozen=True, eq=False)
 class OpticsFound:
-    """A flat field, and how good the sensor is with it.
+    """A flat field, and the figures of the sensor with it.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class OpticsFound:
     frames: tuple[int, int]
 
     def sentence(self) -> str:
-        """Return what goes into the profile."""
+        """Return the sentence for the profile."""
         columns, rows = self.field.gain.shape[::-1]
         return (
             f"{columns} × {rows} pixels, blank paper uneven by {self.uneven_before:.1%} before and "
@@ -57,7 +57,7 @@ class OpticsFound:
 
 
 def measure_optics(dark: Images, white: Images) -> OpticsFound:
-    """Return the flat field of a sensor by what it saw in the dark and of blank paper.
+    """Return the flat field of a sensor from images in the dark and of blank paper.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def measure_optics(dark: Images, white: Images) -> OpticsFound:
 
 
 def _held_out(dark: Images, white: Images, field: FlatField) -> float:
-    """Return how uneven paper is after a correction made from every other frame only."""
+    """Return the unevenness of paper after a correction made from every other frame only."""
     if min(len(dark), len(white)) > 1:
         field = FlatField.measure(dark[::2], white[::2])
         white = white[1::2]

@@ -4,13 +4,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 FEWEST_FOR_BEND = 4
-"""Distinct weights."""
+"""Fewest distinct weights for a quadratic."""
 
 
 def fit(
     reading: NDArray[np.float64], force: NDArray[np.float64], degree: int
 ) -> NDArray[np.float64]:
-    """Return coefficients, lowest first; fitted about the middle, as raw counts are large."""
+    """Return coefficients, lowest first; fitted about the mean, as raw counts are large."""
     fitted = np.polynomial.Polynomial.fit(reading, force, degree)
     coefficients = np.zeros(degree + 1)
     found = fitted.convert().coef
@@ -24,7 +24,7 @@ def left_out(
     force: NDArray[np.float64],
     degree: int,
 ) -> float:
-    """Return the rms error, N, at weights that a fit was not made from; infinite if too few."""
+    """Return the rms error, N, at weights left out of the fit; infinite if too few."""
     weights = np.unique(grams)
     if len(weights) < (FEWEST_FOR_BEND if degree > 1 else 3):
         return float("inf")
@@ -54,6 +54,6 @@ def zero_of(polynomial: np.polynomial.Polynomial, reading: NDArray[np.float64]) 
 
 
 def hysteresis(grams: NDArray[np.float64], force: NDArray[np.float64]) -> float:
-    """Return how far weighings of one weight lie apart at most; NaN if none came twice."""
+    """Return the largest difference of weighings of one weight; NaN if none was repeated."""
     apart = [np.ptp(force[grams == each]) for each in np.unique(grams) if (grams == each).sum() > 1]
     return float(max(apart)) if apart else float("nan")

@@ -1,4 +1,4 @@
-"""A profile with some keys changed: written beside the one it began as, never half."""
+"""Editing of a profile: some keys changed, written beside the original in one atomic step."""
 
 import os
 from collections.abc import Mapping, MutableMapping, Sequence
@@ -28,7 +28,7 @@ _LIBRARIES = {"opencv": "opencv-contrib-python-headless", "numpy": "numpy", "sci
 
 
 class ProfileFile:
-    """A profile on its way from one file to another.
+    """Edit of a profile from one file to another.
 
     Everything but the keys that are set stays as it is, comments included; one of an earlier
     version is brought up to date.
@@ -38,7 +38,7 @@ class ProfileFile:
     start : str
         Name of a shipped profile, or a file.
     output : Path
-        What to write, a ``.toml`` file.
+        File to write, a ``.toml`` file.
     overwrite : bool
         Whether it may be there already.
     update : bool
@@ -88,7 +88,7 @@ class ProfileFile:
         self._keep_flat_field()
 
     def beside(self, ending: str) -> Path:
-        """Return where a file that belongs to the output goes."""
+        """Return the path of a file that belongs to the output."""
         return self.output.with_name(f"{self.output.stem}.{ending}")
 
     def set(self, key: str, value: Value) -> None:
@@ -97,7 +97,7 @@ class ProfileFile:
         self._table(table)[name] = value if isinstance(value, str | int | float) else in_rows(value)
 
     def note(self, what: str, found: str) -> None:
-        """Say when, with which versions and what a calibration has found."""
+        """Record time, versions and result of a calibration."""
         used = [("smarttouch", version("smarttouch"))]
         used += [(name, version(package)) for name, package in _LIBRARIES.items()]
         entry = tomlkit.table()
@@ -180,7 +180,7 @@ class ProfileFile:
         return table
 
     def _keep_flat_field(self) -> None:
-        """Let a flat field be found from where the output will lie."""
+        """Adjust the path of the flat field to the place of the output."""
         named = self._table("optics").get("flat_field")
         if named is None:
             return

@@ -1,4 +1,4 @@
-"""How far a session with a subject has come: kept after every electrode."""
+"""Progress of a session with a subject, saved after every electrode."""
 
 import json
 import math
@@ -30,7 +30,7 @@ class Progress(Closing):
     path : Path
         The file; read if it is there.
     settings : mapping
-        What must be the same for old findings to count.
+        Settings that must be the same for earlier results to count.
 
     Attributes
     ----------
@@ -60,13 +60,13 @@ class Progress(Closing):
             raise
 
     def close(self) -> None:
-        """Let others go on with the file."""
+        """Release the lock of the file."""
         if not self._lock.closed:
             self._lock_path.unlink(missing_ok=True)
             self._lock.close()
 
     def keep(self, site: int, found: Thresholds) -> None:
-        """Add one electrode, and write."""
+        """Add the result of an electrode, and write the file."""
         self.found[site] = found
         entries = {str(each): _plain(found) for each, found in sorted(self.found.items())}
         text = json.dumps({"settings": self._settings, "found": entries}, indent=1)
@@ -79,7 +79,7 @@ class Progress(Closing):
             raise unwritable(CalibrationError, self.path, error) from None
 
     def forget(self) -> None:
-        """Remove the file: the profile has it all."""
+        """Remove the file once the profile has the results."""
         self.path.unlink(missing_ok=True)
 
     def _read(self) -> dict[int, Thresholds]:
@@ -109,7 +109,7 @@ class Progress(Closing):
 
 
 def _plain(found: Thresholds) -> dict[str, Any]:
-    """Return it as JSON knows it, which has no NaN."""
+    """Return JSON values, which have no NaN."""
     return {
         name: None if isinstance(value, float) and math.isnan(value) else value
         for name, value in asdict(found).items()

@@ -1,4 +1,4 @@
-"""Where each electrode's point lies in the sensor's image, by a printed target."""
+"""Registration: the place of each electrode in the sensor's image, by a printed target."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -14,11 +14,11 @@ from smarttouch.profile import Profile
 
 FEWEST_DOTS = 12
 MOST_RESIDUAL = 0.25
-"""Of an electrode's pitch on the page: the worst dot may be this far from the fit."""
+"""Largest residual of a dot, as a part of an electrode's pitch on the page."""
 MOST_OUTSIDE = 0.25
-"""Part of the electrodes that may look beyond the image."""
+"""Largest part of the electrodes outside the image."""
 _OUTLIER = 5.0
-"""Dots this many times the usual residual away are dirt."""
+"""Factor of the median residual beyond which dots are dirt."""
 _ROUNDS = 4
 
 Center = Literal["target", "image"]
@@ -26,7 +26,7 @@ Center = Literal["target", "image"]
 
 @dataclass(frozen=True, eq=False)
 class RegistrationFound:
-    """A fit, and how good it is.
+    """A fit, and its residuals.
 
     Attributes
     ----------
@@ -69,14 +69,14 @@ class RegistrationFound:
 
     @property
     def outside(self) -> NDArray[np.intp]:
-        """The electrodes that look beyond the image."""
+        """Electrodes whose place is outside the image."""
         rows, columns = self.shape
         x, y = self.electrode_pixel.T
         inside = (x >= -0.5) & (x <= columns - 0.5) & (y >= -0.5) & (y <= rows - 0.5)
         return np.flatnonzero(~inside)
 
     def sentence(self) -> str:
-        """Return what goes into the profile."""
+        """Return the sentence for the profile."""
         return (
             f"{len(self.residual_px)} dots in {self.shape[1]} × {self.shape[0]} pixels, residual "
             f"rms {self.rms_px:.2f} px, {self.rms_mm:.4f} mm, {self.rms_mm / self.pitch_mm:.3f} "
@@ -91,7 +91,7 @@ class RegistrationFound:
 def register(
     image: NDArray[np.uint8], profile: Profile, target: DotTarget, center: Center = "target"
 ) -> RegistrationFound:
-    """Fit where on the page each pixel looks, from one image of the target.
+    """Fit the place on the page of each pixel, from one image of the target.
 
     Parameters
     ----------
@@ -100,9 +100,9 @@ def register(
     profile : Profile
         Its array and magnification.
     target : DotTarget
-        What was printed.
+        Printed target.
     center : {"target", "image"}
-        What lies in the middle of the array: the middle of the L, or of the image.
+        Center of the array: the middle of the L, or of the image.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def _page_mm(dots: Dots, target: DotTarget) -> Points:
 
 
 def _fit(dots: Dots, target: DotTarget) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the homography from page to pixels, and which dots it was fitted to."""
+    """Return the homography from page to pixels, and the dots it was fitted to."""
     page_mm, radius = _page_mm(dots, target), target.radius_mm(*dots.cell.T)
     kept = np.ones(len(page_mm), bool)
     aim = dots.pixel.copy()
@@ -182,7 +182,7 @@ def _fit(dots: Dots, target: DotTarget) -> tuple[NDArray[np.float64], NDArray[np
 def _seen_centers(
     homography: NDArray[np.float64], page_mm: Points, radius_mm: NDArray[np.float64]
 ) -> Points:
-    """Return the middles of the ellipses as which discs are seen.
+    """Return the centers of the ellipses that discs appear as.
 
     By dual conics: a disc's is p pᵀ − r² diag(1, 1, 0), a homography H takes it to
     H C Hᵀ, and an ellipse's middle is its dual conic's last column (Hartley and Zisserman,
@@ -197,7 +197,7 @@ def _seen_centers(
 
 
 def _recentered(homography: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Let the page's origin be where the middle of the image looks."""
+    """Move the page's origin to the middle of the image."""
     middle = np.array([[(shape[1] - 1) / 2, (shape[0] - 1) / 2]])
     x_mm, y_mm = apply(np.linalg.inv(homography), middle)[0]
     moved = homography @ np.array([[1, 0, x_mm], [0, 1, y_mm], [0, 0, 1]])
@@ -205,7 +205,7 @@ def _recentered(homography: NDArray[np.float64], shape: tuple[int, ...]) -> NDAr
 
 
 def _linear(homography: NDArray[np.float64]) -> tuple[NDArray[np.float64], bool]:
-    """Return pixels per millimeter along the two axes of the view's middle; whether mirrored."""
+    """Return pixels per millimeter along both axes at the view's middle; whether mirrored."""
     offset = homography[:2, 2:] @ homography[2:, :2] / homography[2, 2]
     linear = (homography[:2, :2] - offset) / homography[2, 2]
     return np.linalg.svd(linear, compute_uv=False), bool(np.linalg.det(linear) < 0)

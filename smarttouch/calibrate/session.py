@@ -1,4 +1,4 @@
-"""Thresholds of many electrodes, one after the other; what is done is kept at once."""
+"""Threshold session: many electrodes, one after the other, each result saved at once."""
 
 import contextlib
 import time
@@ -18,31 +18,31 @@ from smarttouch.errors import BoardError, BoardRestartedError, CalibrationError
 from smarttouch.profile import Profile
 
 TRIAL_S = 0.8
-"""How long a yes-or-no trial stays at its level."""
+"""Time of a yes-no trial at its level."""
 _MOST_RESTARTS = 3
 
 
 class StoppedError(CalibrationError):
-    """Someone pressed the key for it; all electrodes are at zero."""
+    """The stop key was pressed; all electrodes are at zero."""
 
 
 class Subject(Protocol):
-    """Who feels, and in whose time it happens."""
+    """Subject of a session, a person or a simulated one, with its own clock."""
 
     def now_ns(self) -> int: ...
 
     def begin(self, site: int) -> None:
-        """Be told that another electrode begins."""
+        """Begin another electrode."""
 
     def pressed(self, level_ma: float, seconds: float) -> bool:
-        """Let so much time pass; return whether a key was pressed meanwhile."""
+        """Wait for a time; return whether a key was pressed meanwhile."""
 
     def felt(self, level_ma: float) -> bool:
         """Return whether the trial that has just ended was felt."""
 
 
 class Person:
-    """Someone at a keyboard.
+    """Person at a keyboard.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class Person:
 
 
 class Simulated:
-    """A simulated subject in a time of its own.
+    """Simulated subject with simulated time.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class Simulated:
 
 @dataclass
 class ThresholdSession:
-    """Measures one electrode after the other on an open board.
+    """Session that measures one electrode after the other on an open board.
 
     Attributes
     ----------
@@ -162,7 +162,7 @@ class ThresholdSession:
         progress: Progress,
         show: Callable[[int, Thresholds], None],
     ) -> None:
-        """Measure what has not been measured yet; keep each as it is done.
+        """Measure the remaining electrodes, and save each result.
 
         Raises
         ------
@@ -178,13 +178,13 @@ class ThresholdSession:
                 progress.keep(site, found)
                 show(site, found)
         except BaseException:
-            # A board that cannot be told is gone; what went wrong first is what counts.
+            # A board that cannot be reached is gone; the first fault is what counts.
             with contextlib.suppress(BoardError):
                 self.board.stop()
             raise
 
     def _measure(self, site: int) -> Thresholds:
-        """Return what is found at one electrode; tried twice if it makes no sense."""
+        """Return the result of one electrode; a second attempt is made if it is implausible."""
         found = self._once(site, 0)
         if found.felt and not found.usable:
             found = self._once(site, 1)
@@ -262,7 +262,7 @@ class ThresholdSession:
 
 
 def simulated_subjects(profile: Profile, ceilings_ma: Sequence[float], seed: int) -> Simulated:
-    """Return a subject whose electrodes differ as those on a finger do, none above its ceiling."""
+    """Return a simulated subject with varied electrodes, none above its ceiling."""
     random = np.random.default_rng(seed)
     subjects = []
     for site, top_ma in enumerate(ceilings_ma):

@@ -1,4 +1,4 @@
-"""A sensor patch and a load cell that do not exist, whose truth is known."""
+"""Simulated sensor patch and load cell, with known true values."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,16 +11,16 @@ from smarttouch.calibrate.force_curve import STANDARD_GRAVITY, Weighing, weigh
 
 @dataclass
 class SimulatedCell:
-    """A load cell.
+    """Simulated load cell.
 
     Attributes
     ----------
     counts_per_n, zero : float
-        What an ideal one would read.
+        Scale and offset of an ideal cell.
     bend : float
-        How much less it reads at full force, as a part; at half, a quarter of that.
+        Deficit of the reading at full force, as a part; at half, a quarter of that.
     hysteresis_n : float, N
-        How far it hangs back on the way down, at half of the heaviest weight it has carried.
+        Lag of the reading on the way down, at half of the heaviest weight it has carried.
     noise_n : float, N
         Of a single reading.
     garbage : float
@@ -29,7 +29,7 @@ class SimulatedCell:
         Part of the readings that are NaN.
     full_n : float, N
     grams : float, g
-        What lies on it; set by `put`.
+        Weight on it; set by `put`.
     """
 
     counts_per_n: float = 4.1e5
@@ -49,7 +49,7 @@ class SimulatedCell:
         self._random = np.random.default_rng(self.seed)
 
     def put(self, grams: float) -> None:
-        """Lay a weight on it."""
+        """Put a weight on it."""
         self.grams = grams
         self._most_n = max(self._most_n, self._force_n)
 
@@ -58,7 +58,7 @@ class SimulatedCell:
         return self.grams / 1000 * STANDARD_GRAVITY
 
     def collect(self, seconds: float) -> NDArray[np.float64]:
-        """Return the readings of so much time, at once."""
+        """Return the readings of a duration, at once."""
         force_n, random = self._force_n, self._random
         count = round(seconds * self.rate_hz)
         if force_n < self._most_n:
@@ -75,7 +75,9 @@ class SimulatedCell:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedPatch:
-    """A sensor patch: uneven light, pixels of their own gain and dark level, some broken."""
+    """Simulated sensor patch: uneven light, pixels of varied gain and dark level, some
+    broken.
+    """
 
     shape: tuple[int, int] = (64, 64)
     shade: float = 0.3
@@ -88,11 +90,11 @@ class SimulatedPatch:
     seed: int = 0
 
     def images(self, count: int, *, light: bool) -> list[NDArray[np.uint8]]:
-        """Return what it sees of blank paper, or in the dark."""
+        """Return images of blank paper, or in the dark."""
         return self.see(np.full(self.shape, 1.0 if light else 0.0), count)
 
     def see(self, scene: NDArray[np.float64], count: int = 1) -> list[NDArray[np.uint8]]:
-        """Return what it sees of a scene, (H, W) from 0 (no light) to 1 (white)."""
+        """Return the image of a scene, (H, W) from 0 (no light) to 1 (white)."""
         fixed = np.random.default_rng(self.seed)
         y, x = np.meshgrid(*(np.linspace(-1, 1, side) for side in self.shape), indexing="ij")
         gain = 1 + 0.1 * x - self.shade / 2 * (x * x + y * y)

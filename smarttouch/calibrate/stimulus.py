@@ -1,4 +1,4 @@
-"""Current through one electrode, as strong as a procedure asks, as slow as the ramp allows."""
+"""Current through one electrode, changed no faster than the ramp allows."""
 
 import dataclasses
 import math
@@ -10,14 +10,14 @@ from smarttouch.profile import Profile
 from smarttouch.stimulation.safety import SafetyLimits
 
 _SPARE_TIMES = 3
-"""Repetitions beyond a step, so that pulses do not pause between two."""
+"""Repetitions beyond a step, so that pulses do not pause between two steps."""
 
 
 def measuring_limits(profile: Profile) -> SafetyLimits:
-    """Return limits that reach beyond the comfort of the profile, which is to be found.
+    """Return limits above the comfort of the profile, which is to be measured.
 
     Current, charge, pulse, rate, duty, sums and single electrodes stay limited
-    as the profile says, and so does the rise in mA a second.
+    as in the profile, and so does the rise in mA a second.
     """
     limits = SafetyLimits.of(profile)
     top_ma = max(limits.full_ma, _strongest_ma(profile))
@@ -26,7 +26,7 @@ def measuring_limits(profile: Profile) -> SafetyLimits:
 
 
 def ceiling_ma(profile: Profile, site: int, board: Board) -> float:
-    """Return the strongest current that an electrode may get, mA: whole microamperes."""
+    """Return the largest current of an electrode, mA: whole microamperes."""
     own = profile.limits.electrode_ma
     strongest = min(
         _strongest_ma(profile),
@@ -37,7 +37,7 @@ def ceiling_ma(profile: Profile, site: int, board: Board) -> float:
 
 
 def slew_ma_s(profile: Profile) -> float:
-    """Return how fast current may rise, mA/s."""
+    """Return the largest slope of current, mA/s."""
     limits = SafetyLimits.of(profile)
     return limits.full_ma / limits.ramp_s
 
@@ -49,7 +49,7 @@ def _strongest_ma(profile: Profile) -> float:
 
 
 class Stimulus:
-    """Pulses on one electrode of an open board, all others its return.
+    """Pulses on one electrode of an open board, with all others as its return.
 
     Parameters
     ----------
@@ -71,12 +71,12 @@ class Stimulus:
         self._fast = fast
         self._time_ns = 0
         self._next_ns = 0
-        """When the step after the one before was to begin, by the board's clock."""
+        """Planned start of the next step, by the board's clock."""
         self._steps = 0
         self.level_ma = 0.0
 
     def set(self, site: int, level_ma: float, time_ns: int) -> None:
-        """Let a level flow, or as much of it as the ramp allows by now.
+        """Set a level, or as much of it as the ramp allows by now.
 
         Raises
         ------
@@ -98,7 +98,7 @@ class Stimulus:
             self._send(site, level_ma, time_ns, due_ns)
 
     def reset(self) -> None:
-        """Begin at zero: the board is new, or was lost and is back."""
+        """Restart at zero: the board is new, or was lost and is back."""
         self.level_ma = 0.0
         self._steps = 0
 
@@ -123,4 +123,4 @@ class Stimulus:
 
 
 _FAST_STEPS = 20
-"""Of so many, one is sent."""
+"""Steps of simulated time of which one is sent."""

@@ -1,4 +1,4 @@
-"""A simulated subject whose truth is known: to try procedures on, and to walk through."""
+"""Simulated subject with known thresholds, for tests of procedures and for demonstrations."""
 
 import math
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from scipy.special import ndtr
 
 @dataclass
 class SimulatedSubject:
-    """Feels one electrode.
+    """Simulated responses at one electrode.
 
     Attributes
     ----------
@@ -20,7 +20,7 @@ class SimulatedSubject:
     slope : float
         Standard deviation of both, in natural logarithms of current.
     guess, lapse : float
-        How often a look finds what is not there, or misses what is.
+        Rates of false detections and of misses.
     look_s : float, s
         Between looks at a rising current.
     reaction_s : float, s
@@ -49,7 +49,7 @@ class SimulatedSubject:
         self._forget()
 
     def presses(self, level_ma: float, seconds: float) -> bool:
-        """Live through a step of rising current; return whether a key is pressed."""
+        """Simulate a step of rising current; return whether a key is pressed."""
         self._minutes += seconds / 60
         if level_ma == 0:
             self._forget()

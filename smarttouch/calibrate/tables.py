@@ -1,4 +1,4 @@
-"""What was measured, as tables for the terminal."""
+"""Tables of measurements for the terminal."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _MARKS = {"open": "open", "short": "short", "unsure": "?"}
 _NEAR = 0.25
-"""Electrodes whose rows differ by less than this part of a pitch stand in one."""
+"""Part of a pitch: electrodes whose heights differ by less stand in one row."""
 
 
 def show_optics(found: "OpticsFound") -> None:
@@ -31,7 +31,7 @@ def show_optics(found: "OpticsFound") -> None:
 
 
 def show_registration(found: "RegistrationFound") -> None:
-    """Show where electrodes look, and how well the dots fit."""
+    """Show the places of electrodes, and the residuals of the dots."""
     table = Table("electrode", "column", "row", "", box=None)
     outside = set(found.outside.tolist())
     for index, (column, row) in enumerate(found.electrode_pixel):
@@ -49,7 +49,7 @@ def show_registration(found: "RegistrationFound") -> None:
 
 
 def show_force(found: "ForceFound") -> None:
-    """Show each weighing, and what the curve makes of it."""
+    """Show each weighing, and its force by the curve."""
     table = Table("g", "N", "reading", "spread", "by the curve, N", "off, N", box=None)
     for each in found.weighings:
         seen_n = found.force_n(each.reading)

@@ -1,4 +1,4 @@
-"""The printed target: a grid of dots around a large L, which goes under the array's middle."""
+"""The printed target: a grid of dots around a large L, to be laid under the array's middle."""
 
 import math
 from dataclasses import dataclass
@@ -15,21 +15,21 @@ from smarttouch.files import write_bytes
 from smarttouch.profile import Profile
 
 LARGE_DOTS = ((0, -1), (0, 0), (0, 1), (1, 1))
-"""Columns and rows of the large dots: an L, whose like there is in no other way up."""
+"""Columns and rows of the large dots: an L, whose orientation is unambiguous."""
 DOT_SHARE = 0.42
 LARGE_SHARE = 0.7
-"""Diameters, of the pitch."""
+"""Diameter of large dots, as a part of the pitch."""
 FEWEST_PIXELS = 6
-"""Across a pitch: fewer, and dots run together."""
+"""Fewest pixels across a pitch; with fewer, dots merge."""
 FEWEST_PITCHES = 4
-"""Across the field of view: fewer, and the L does not fit."""
+"""Fewest pitches across the field of view; with fewer, the L does not fit."""
 PRINT_DPI = 1270
-"""50 dots a millimeter: every usual pitch is a whole number of them."""
+"""Resolution of the print, 50 dots a millimeter: every usual pitch is a whole number of them."""
 _FINEST_MM = 0.01
 _PITCHES_MM = (0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 50.0)
 _WISHED_PITCHES = 5
 _SPARE = 3
-"""Dots beyond what the field shows, on each side: the target need not be laid exactly."""
+"""Dots beyond the field of view on each side, so that the target need not be laid exactly."""
 _MOST_DOTS = 40
 _MARGIN_MM = 8.0
 _INCH_MM = 25.4
@@ -37,7 +37,7 @@ _INCH_MM = 25.4
 
 @dataclass(frozen=True)
 class DotTarget:
-    """A square grid of dots on paper.
+    """Square grid of dots on paper.
 
     Columns and rows are counted right and down from the dot where the L has
     its middle: that one is laid under the middle of the array, with the L
@@ -77,7 +77,7 @@ class DotTarget:
         return np.asarray((away <= self.radius_mm(columns, rows)) & there)
 
     def draw(self, path: Path) -> None:
-        """Write it as a PNG file that says its resolution.
+        """Write the target as a PNG file with its resolution.
 
         Raises
         ------
@@ -107,12 +107,12 @@ class DotTarget:
 
 
 def target_for(profile: Profile, pitch_mm: float | None = None) -> DotTarget:
-    """Return the target that suits a sensor: dots as large as some five fit across its field.
+    """Return the target for a sensor, with about five dots across its field.
 
     Parameters
     ----------
     profile : Profile
-        Its optics say the field of view roughly.
+        Its optics give the approximate field of view.
     pitch_mm : float, optional, mm
         Another pitch than the usual one.
 

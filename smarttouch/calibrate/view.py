@@ -1,4 +1,4 @@
-"""A simulated camera over a simulated target, whose truth is known."""
+"""Simulated camera over a simulated target, with a known homography."""
 
 import math
 from dataclasses import dataclass
@@ -15,12 +15,12 @@ _SAMPLES, _FINE_SAMPLES = 4, 2
 """Rays per pixel and axis, of coarse images and of fine ones, whose pixels are blurred anyway."""
 _FINE = 256
 _INK_LEVEL = 0.15
-"""What black print still reflects."""
+"""Reflectance of black print."""
 
 
 @dataclass(frozen=True)
 class View:
-    """How a camera looks at the page.
+    """Pose of a camera over the page.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class View:
     turn_deg : float
         About the line of sight.
     offset_mm : tuple of float, mm
-        Where on the page the middle of the image looks.
+        Place on the page at the middle of the image.
     distance_mm : float, mm
         From the page, along the line of sight; perspective grows as it falls.
     zoom : float
@@ -72,7 +72,7 @@ class View:
     def render(
         self, target: DotTarget, optics: Optics, shape: tuple[int, int]
     ) -> NDArray[np.uint8]:
-        """Return what the camera sees of the target."""
+        """Return the camera's image of the target."""
         random = np.random.default_rng(self.seed)
         back = np.linalg.inv(self.homography(optics, shape))
         rows, columns = shape
@@ -94,6 +94,6 @@ class View:
 
 
 def bench_view(target: DotTarget, optics: Optics) -> NDArray[np.uint8]:
-    """Return what a camera that is somewhat tilted sees: to walk through a calibration."""
+    """Return the view of a slightly tilted camera, for demonstrations."""
     view = View(tilt_deg=12, toward_deg=40, turn_deg=5, offset_mm=(0.1, -0.05), zoom=0.9)
     return view.render(target, optics, (optics.sensor_rows, optics.sensor_columns))

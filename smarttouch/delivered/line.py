@@ -40,7 +40,7 @@ class LinePicture:
         self._raster = Raster((height, max(1, width)))
 
     def add(self, x_mm: float, values: NDArray[np.float32]) -> None:
-        """Add what the electrodes did with the middle of the array at ``x_mm``, (E,) in [0, 1]."""
+        """Add the activation of electrodes with the array's middle at ``x_mm``, (E,) in [0, 1]."""
         column = np.rint(self._column + x_mm / self._pixel_mm).astype(np.intp)
         self._raster.add(self._row, column, values)
 
@@ -53,7 +53,7 @@ class LinePicture:
         )
 
     def at(self, x_mm: NDArray[np.floating], y_mm: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return the mean where electrodes stood, from the line's left end and the top, (N,)."""
+        """Return the mean at electrodes' places, from the line's left end and the top, (N,)."""
         # Rounding may have put them a pixel aside.
         total, count = (
             cv2.boxFilter(each, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)

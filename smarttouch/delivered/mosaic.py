@@ -1,4 +1,4 @@
-"""A page put together from what the sensor saw while it moved."""
+"""Mosaic of a page from the sensor's frames while it moved."""
 
 import math
 from typing import Any
@@ -14,13 +14,13 @@ from smarttouch.sources.stimulus import Input
 
 PIXEL_MM = 0.1
 LARGEST_PIXELS = 40_000_000
-"""Of the page; frames farther away are left out."""
+"""Largest page; frames farther away are left out."""
 _BLOCK = 256
-"""Pixels by which the canvas grows at least."""
+"""Least growth of the canvas, in pixels."""
 
 
 class Mosaic:
-    """Averages frames where their poses put them; grows as the sensor moves.
+    """Average of frames at their poses; grows as the sensor moves.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ Floats = NDArray[np.float32]
 
 
 class Perception:
-    """Receptors under the electrodes, asked by their activating function.
+    """Response of the receptors under the electrodes, by their activating function.
 
     Each delivered slot activates the receptors under all electrodes; how much
     is the activating function at their nodes. An answer counts from the
@@ -29,7 +29,7 @@ class Perception:
     bank : KernelBank
         Its kernels, for what a full pulse does, and its receptors.
     primaries : tuple of Primary
-        Whose receptors are asked; of several the one that answers most counts.
+        Classes of the response; of several the strongest response counts.
     """
 
     def __init__(self, profile: Profile, bank: KernelBank, primaries: tuple[Primary, ...]) -> None:

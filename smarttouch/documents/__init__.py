@@ -1,1 +1,1 @@
-"""Pages of print: image files, printed texts, what is ink on them, and where the lines are."""
+"""Pages of print: image files, printed texts, ink, and lines of text."""

@@ -1,4 +1,4 @@
-"""The baseline of a row of letters, followed wherever skew and a curved page lead it."""
+"""Baseline of a row of letters, followed through skew and curvature of the page."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -13,36 +13,36 @@ from smarttouch.documents.letters import Spots
 Floats = NDArray[np.float64]
 
 _STEPS = 20
-"""Rows in which a row is looked at, per height of its letters."""
+"""Rows of the profile per height of its letters."""
 _BAND = 1.6
-"""How far above and below their middle it is looked at, in heights of its letters."""
+"""Half height of the band around a row, in heights of its letters."""
 _COLUMNS = 8
 """Columns per height of its letters."""
 _PIECE = 5.0
-"""Length of a piece that is shifted as a whole, in heights of its letters."""
+"""Length of a piece that is shifted as one, in heights of its letters."""
 _SUPPORT = (2, 4, 8)
-"""Pieces from which a line may slope, bend, and bend twice."""
+"""Fewest pieces for a slope, a bend, and a second bend of a line."""
 _SHIFT = 0.6
-"""How far a piece may lie from the first guess, in heights of its letters."""
+"""Largest shift of a piece from the first guess, in heights of its letters."""
 _RISE = 0.5
-"""Weight of an edge where letters begin, of one where they end."""
+"""Weight of an edge at the top of letters, relative to one at the bottom."""
 _ROUNDS = 3
 _GAP = 0.3
-"""White that parts two lines, in x-heights."""
+"""White that separates two lines, in x-heights."""
 _CLOSE = 0.02
-"""Distance of the pieces from a curve that is good enough, in heights of its letters."""
+"""Distance of the pieces from a good curve, in heights of its letters."""
 _WORTH = 0.7
-"""A curve of higher degree must bring most pieces this much nearer."""
+"""Factor by which a curve of higher degree must reduce most distances."""
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A row of letters, straightened and measured; all in pixels of the page.
+    """Row of letters, straightened and measured; all in pixels of the page.
 
     Attributes
     ----------
     left, right : float, px
-        Where the row begins and ends.
+        Ends of the row.
     baseline : ndarray, (D,)
         Coefficients of its baseline, lowest first, over the distance from ``left``.
     x_height : float, px
@@ -50,7 +50,7 @@ class Course:
     profile : ndarray, (N,)
         Ink at each height, in [0, 1], from above down.
     profile_top : float
-        Where the profile begins, in x-heights above the baseline.
+        Top of the profile, in x-heights above the baseline.
     step : float
         From row to row of the profile, in x-heights.
     strokes : float
@@ -67,11 +67,11 @@ class Course:
     strokes: float
 
     def at(self, x: NDArray[Any]) -> Floats:
-        """Return the baseline's y at some x, px; straight on beyond the row's ends."""
+        """Return the baseline's y at x, px; straight beyond the row's ends."""
         return along(self.baseline, np.asarray(x, np.float64) - self.left, self.right - self.left)
 
     def slope_at(self, x: float) -> float:
-        """Return how steeply the baseline falls at some x."""
+        """Return the slope of the baseline at x, positive if it falls."""
         inside = min(max(x - self.left, 0.0), self.right - self.left)
         return float(polynomial.polyval(inside, polynomial.polyder(self.baseline)))
 
@@ -95,7 +95,7 @@ class Course:
 
 
 def along(coefficients: Floats, distance: Floats, length: float) -> Floats:
-    """Return a curve at distances from its beginning; straight on beyond its ends."""
+    """Return a curve at distances from its start; straight beyond its ends."""
     inside = np.clip(distance, 0, length)
     slope = polynomial.polyval(inside, polynomial.polyder(coefficients))
     return np.asarray(polynomial.polyval(inside, coefficients) + slope * (distance - inside))
@@ -150,7 +150,7 @@ def _degree(support: float) -> int:
 
 
 def _smooth(x: Floats, y: Floats, weight: Floats, most: int, close: float) -> Floats:
-    """Return the coefficients of the simplest curve that most points are close to."""
+    """Return the coefficients of the simplest curve that is close to most points."""
     found, away = _fitted(x, y, weight, min(most, 1))
     for degree in range(2, most + 1):
         if away < close:
@@ -163,7 +163,7 @@ def _smooth(x: Floats, y: Floats, weight: Floats, most: int, close: float) -> Fl
 
 
 def _fitted(x: Floats, y: Floats, weight: Floats, degree: int) -> tuple[Floats, float]:
-    """Return a curve's coefficients, points far from it counting little, and their distance."""
+    """Return a curve's coefficients, fitted with low weight on outliers, and the distance."""
     scale = max(1.0, float(np.abs(x).max(initial=0)))
     matrix = polynomial.polyvander(x / scale, degree)
     robust = np.ones_like(y)
@@ -180,7 +180,7 @@ def _fitted(x: Floats, y: Floats, weight: Floats, degree: int) -> tuple[Floats, 
 def _pieces(
     density: NDArray[np.uint8], left: float, right: float, curve: Floats, height: float
 ) -> tuple[Floats, Floats]:
-    """Return the ink of each piece at each height along a curve, (P, N), and where it is."""
+    """Return the ink of each piece at each height along a curve, (P, N), and its place."""
     count = max(1, round((right - left) / height / _PIECE))
     columns = max(8, round((right - left) / height * _COLUMNS / count)) * count
     along = (np.arange(columns) + 0.5) * (right - left) / columns
@@ -203,7 +203,7 @@ def _pieces(
 def _strokes(
     density: NDArray[np.uint8], left: float, right: float, curve: Floats, x_height: float
 ) -> float:
-    """Return how many strokes are met halfway up an x, per x-height."""
+    """Return the number of strokes crossed at half the x-height, per x-height."""
     distance = np.arange(0.0, right - left)
     y = polynomial.polyval(distance, curve) - x_height / 2
     inside = (y >= 0) & (y < len(density))
@@ -212,7 +212,7 @@ def _strokes(
 
 
 def _shifts(pieces: Floats) -> tuple[Floats, Floats]:
-    """Return how much lower each piece is than all together, in steps, and how well it tells."""
+    """Return the offset of each piece from the mean, in steps, and its reliability."""
     most = round(_SHIFT * _STEPS)
     edges = np.diff(cv2.GaussianBlur(pieces, (0, 0), sigmaX=1.5, sigmaY=1e-6), axis=1)
     # Letters end at the baseline more often than they begin at the top of an x: figures do not.
@@ -230,7 +230,7 @@ def _shifts(pieces: Floats) -> tuple[Floats, Floats]:
 
 
 def _edges(profile: Floats) -> tuple[float, float]:
-    """Return where an x begins and ends in a profile: its steepest rise and fall, in steps."""
+    """Return the top and bottom of an x in a profile: its steepest rise and fall, in steps."""
     slope = np.diff(cv2.GaussianBlur(profile[None], (0, 0), sigmaX=1.0).ravel())
     middle = len(profile) // 2
     lowest = middle + round(0.85 * _STEPS)

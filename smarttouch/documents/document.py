@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 PDF_DPI = 300.0
 MOST_RENDERED_PIXELS = 36_000_000
-"""Of a PDF's page, A2 at 300 dots per inch. Larger ones are rendered coarser: most of them are
-scans that take their pixels for points, and have no finer details than those."""
+"""Most pixels of a PDF's page, A2 at 300 dots per inch. Larger ones are rendered coarser: most of
+them are scans that take their pixels for points, and have no finer details than those."""
 GUESSED_WIDTH_MM = 210.0
-"""Width of an A4 page, for images that do not say how large they are."""
+"""Width of an A4 page, for images without a stated size."""
 _POINT_MM = INCH_MM / 72
 _DOCUMENT = "a document that can be read: give a PDF, PNG, JPEG or TIFF"
 _SIGNATURE = b"%PDF-"
@@ -55,7 +55,7 @@ def open_document(
     dpi : float, optional
         Pixels per inch: of an image instead of its own, of a PDF instead of 300.
     page_width_mm : float, optional, mm
-        Or the width of each page, instead of what the file says.
+        Or the width of each page, instead of the file's own.
     password : str, optional
         Of an encrypted PDF.
 
@@ -71,7 +71,7 @@ def open_document(
 
 
 def parse_pages(text: str, count: int) -> list[int]:
-    """Return the indexes, from 0, of pages asked for as in ``1,3-5`` or ``7-``.
+    """Return the indexes, from 0, of pages in a list such as ``1,3-5`` or ``7-``.
 
     Pages come in the order asked for, as often as asked for.
 
@@ -80,7 +80,7 @@ def parse_pages(text: str, count: int) -> list[int]:
     text : str
         Numbers from 1 and ranges of them, separated by commas.
     count : int
-        How many pages the document has.
+        Number of pages of the document.
 
     Raises
     ------
@@ -140,7 +140,7 @@ class Document(Closing, ABC):
         """Return the number of pages."""
 
     def page(self, index: int) -> Page:
-        """Return a page, the first of which is 0.
+        """Return a page by its index from 0.
 
         Raises
         ------
@@ -162,7 +162,7 @@ class Document(Closing, ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
 
     def _note(self, sentence: str) -> None:
         if sentence not in self.notes:
@@ -201,7 +201,7 @@ class ImageDocument(Document):
 
 
 class PdfDocument(Document):
-    """A PDF; its pages are rendered, with the forms that are filled in on them."""
+    """A PDF; its pages are rendered, with filled-in forms."""
 
     def __init__(
         self, path: Path, dpi: float | None, page_width_mm: float | None, password: str | None

@@ -1,4 +1,4 @@
-"""Ink and paper: a page as black on white, whatever light it was seen in."""
+"""Separation of ink from paper: a page as black on white, under any light."""
 
 import math
 from dataclasses import dataclass
@@ -12,45 +12,45 @@ from smarttouch.documents.letters import find_spots, usual_height
 Grey = NDArray[np.uint8]
 
 _REDUCED_PIXELS = 700_000
-"""Size of the image on which paper is looked for; light changes slowly."""
+"""Size of the image in which paper is estimated; light changes slowly."""
 _WIDEST = 12
-"""Paper is first looked for within the page's side divided by this: wider than any stroke."""
+"""Divisor of the page's side for the first window of paper: wider than any stroke."""
 _WINDOW = 3.0
-"""Then within this many heights of a letter: shadows are followed, a bold headline is bridged."""
+"""Second window, in letter heights: shadows are followed, a bold headline is bridged."""
 _ROUGHLY_INK = 0.75
-"""Darker than this part of the paper is ink, while the height of letters is looked for."""
+"""Part of the paper's level below which is ink, while the height of letters is estimated."""
 _GRAIN_PX = 1.2
-"""Standard deviation of the blur that calms the grain of the paper."""
+"""Standard deviation of the blur that reduces the grain of the paper."""
 _LEAST_LIGHT = 0.2
-"""Of the page's brightest paper: what is darker all around is no paper, but the table."""
+"""Part of the brightest paper below which an area is no paper, but the table."""
 _DARKEST = 20.0
-"""Grey level: what is darker all around is too dark to carry anything."""
+"""Grey level below which an area is too dark to contain ink."""
 _PAPER = 210
 """Level of the paper in the image divided by it: leaves room for noise above."""
 _LEAST_CONTRAST = 0.12
-"""How much darker than the paper around it ink must be."""
+"""Least contrast of ink against the paper around it."""
 _LEAST_NOISES = 6.0
-"""And by how many standard deviations of the paper's own grain."""
+"""Least contrast of ink, in standard deviations of the paper's grain."""
 _WINDOWS = 16
-"""Windows across a page in which it is told whether ink is darker or lighter than paper."""
+"""Windows across a page in which ink is tested to be darker or lighter than paper."""
 _LEAST_SKEW = 0.8
 """Skewness above which print is light on dark: print has 1.5 and more, photographs have less."""
 _QUARTILES = 1.349
 """Between the quartiles of a normal distribution, in standard deviations."""
 _BRIGHT = 0.7
-"""Of the paper's level: what is brighter is mostly paper."""
+"""Part of the paper's level above which is mostly paper."""
 
 
 @dataclass(frozen=True, eq=False)
 class Paper:
-    """What is printed on a page.
+    """Ink of a page, and its levels.
 
     Attributes
     ----------
     cleaned : ndarray, (H, W) uint8
         The page as dark on light: paper is exactly 255, ink is near 0, edges keep their grades.
     ink : ndarray, (H, W) bool
-        Where there is ink; nowhere on blank paper.
+        Mask of ink; empty on blank paper.
     light_on_dark : bool
         Whether it was printed light on dark, and is inverted here.
     """
@@ -61,7 +61,7 @@ class Paper:
 
 
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
-    """Tell ink from paper.
+    """Separate ink from paper.
 
     The page is divided by its paper, as it would look without ink; then the
     threshold is Otsu's, over ink and as much of the paper.
@@ -89,9 +89,9 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
 
 
 def paper_of(grey: Grey) -> Grey:
-    """Return the page as it would look without ink, reduced in size; ink is dark.
+    """Return the page without ink, reduced in size, inverted if ink is light.
 
-    What is dark and narrower than a window is closed. The window is taken
+    Dark spots narrower than a window are closed. The window is taken
     from the height of the letters, which are first looked for with a wide one.
     """
     small = reduced(grey, _REDUCED_PIXELS)
@@ -105,11 +105,11 @@ def paper_of(grey: Grey) -> Grey:
 
 
 def is_light_on_dark(grey: Grey) -> bool:
-    """Tell whether a page is printed light on dark.
+    """Return whether a page is printed light on dark.
 
     Around print most is paper: the few levels of ink lie far from the mean,
     on the dark side of it for dark print. The third moment of the levels in a
-    window tells the side; where there is no print, or the edge of a sheet on a
+    window gives the side; where there is no print, or the edge of a sheet on a
     darker table, it is small or cancels.
     """
     small = reduced(grey, _REDUCED_PIXELS).astype(np.float32)
@@ -124,7 +124,7 @@ def is_light_on_dark(grey: Grey) -> bool:
 
 
 def reduced(grey: Grey, pixels: int) -> Grey:
-    """Return an image with so many pixels at most, averaged."""
+    """Return an image of at most so many pixels, averaged."""
     factor = math.sqrt(grey.size / pixels)
     if factor <= 1:
         return grey
@@ -133,7 +133,7 @@ def reduced(grey: Grey, pixels: int) -> Grey:
 
 
 def _closed(small: Grey, side_px: float) -> Grey:
-    """Return the image without what is dark and narrower than a window."""
+    """Return the image without dark spots narrower than a window."""
     side = max(3, round(side_px)) | 1
     square = cv2.getStructuringElement(cv2.MORPH_RECT, (side, side))
     # Closing follows the brightest grains: smooth them first.
@@ -143,7 +143,7 @@ def _closed(small: Grey, side_px: float) -> Grey:
 
 
 def _divided(grey: Grey, paper: Grey) -> Grey:
-    """Return the page divided by its paper, as blank paper where that is too dark to be any."""
+    """Return the page divided by its paper; blank where it is too dark to be paper."""
     darkest = max(_DARKEST, _LEAST_LIGHT * float(np.percentile(paper, 95)))
     wide = cv2.resize(paper, grey.shape[::-1], interpolation=cv2.INTER_LINEAR)
     flat = cv2.divide(grey, wide, scale=_PAPER)

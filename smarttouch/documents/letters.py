@@ -1,4 +1,4 @@
-"""Spots of ink: what may be letters, and how large they usually are."""
+"""Spots of ink: candidates for letters, and their usual size."""
 
 from dataclasses import dataclass
 
@@ -7,16 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 _FEWEST_PIXELS = 3
-"""A smaller spot is a speck in any print that can be read."""
+"""Fewest pixels of a spot; a smaller one is a speck in any readable print."""
 _LEAST_SIDE = 3
 _MOST_PART = 0.25
-"""Of the page's shorter side: what is taller is a picture, a frame or the dark around a sheet."""
+"""Part of the shorter side above which a spot is a picture, a frame or a dark margin."""
 _LETTER = (0.55, 6.0)
-"""Heights of letters of all sizes of print on a page, of the usual one; commas are lower."""
+"""Range of letter heights on a page, relative to the usual one; commas are lower."""
 _LONGEST = 40.0
-"""Length of a word whose letters touch, of its height; what is longer is a rule."""
+"""Largest ratio of length to height of a word with touching letters; longer ones are rules."""
 _RULE = 12.0
-"""What is this much longer than high is a rule."""
+"""Ratio of length to height above which a spot is a rule."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +39,12 @@ class Spots:
 
     @property
     def height(self) -> NDArray[np.int_]:
-        """Height of each, (N,) px."""
+        """Height of each spot, (N,) px."""
         return self.bottom - self.top
 
     @property
     def width(self) -> NDArray[np.int_]:
-        """Width of each, (N,) px."""
+        """Width of each spot, (N,) px."""
         return self.right - self.left
 
     @property
@@ -60,7 +60,7 @@ class Spots:
         return Spots(self.top, self.left, self.bottom, self.right, self.area)
 
     def of(self, chosen: NDArray[np.bool_] | NDArray[np.int_]) -> "Spots":
-        """Return some of them."""
+        """Return some of the spots."""
         return Spots(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
 
@@ -70,7 +70,7 @@ def find_spots(ink: NDArray[np.bool_]) -> Spots:
 
 
 def usual_height(spots: Spots, shape: tuple[int, int]) -> float | None:
-    """Return how high letters usually are, px; None if nothing looks like one.
+    """Return the usual height of letters, px; None if no spot looks like one.
 
     Of what is neither a rule nor a picture.
     """
@@ -87,7 +87,7 @@ def usual_height(spots: Spots, shape: tuple[int, int]) -> float | None:
 
 
 def like_letters(spots: Spots, height: float) -> NDArray[np.bool_]:
-    """Tell of each spot, (N,), whether it may be a letter, or several that touch.
+    """Return for each spot, (N,), whether it may be a letter, or several that touch.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def like_letters(spots: Spots, height: float) -> NDArray[np.bool_]:
 
 
 def letters_alone(ink: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Spots, float] | None:
-    """Return the ink of what may be letters, those letters, and their usual height, px."""
+    """Return the ink of letter candidates, the candidates, and their usual height, px."""
     spots, label, labels = _labeled(ink)
     height = usual_height(spots, ink.shape)
     if height is None:
@@ -116,7 +116,7 @@ def letters_alone(ink: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Spots, flo
 def widest_white(
     spots: Spots, left: float, right: float, top: float, bottom: float
 ) -> tuple[float, float]:
-    """Return where a gap has the widest part without any ink, such as a comma.
+    """Return the place of a gap with the widest part without any ink, such as a comma.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def _labeled(ink: NDArray[np.bool_]) -> tuple[Spots, NDArray[np.int_], NDArray[n
 
 
 def find_rules(ink: NDArray[np.bool_], height: float) -> NDArray[np.bool_]:
-    """Return the ink of level rules, (H, W) bool: underlines, ruled paper, frames.
+    """Return the ink of horizontal rules, (H, W) bool: underlines, ruled paper, frames.
 
     Parameters
     ----------

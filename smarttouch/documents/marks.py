@@ -1,4 +1,4 @@
-"""Marks that belong to a line: dots, dashes, quotes at its ends; and lines that they join."""
+"""Marks of a line, such as dots, dashes and quotes at its ends, and lines that they join."""
 
 from dataclasses import replace
 
@@ -11,27 +11,27 @@ from smarttouch.documents.letters import Spots, widest_white
 _THINNEST, _SHORTEST, _LONGEST = 0.06, 0.15, 2.5
 """Shorter and longer side of a dot, a dash or a letter that stands alone, in x-heights."""
 _REACH = 1.2
-"""How far from a line's end a mark may stand that belongs to it, in x-heights."""
+"""Largest distance of a mark from its line's end, in x-heights."""
 _ABOVE, _BELOW = 1.6, 0.5
-"""Where a mark's middle may be, over and under the baseline, in x-heights."""
+"""Largest distance of a mark's middle above and below the baseline, in x-heights."""
 _FARTHEST = 5.0
-"""How far from a line's end a row of marks may reach, or its other part begin, in x-heights."""
+"""Longest row of marks, or gap to a line's other part, beyond a line's end, in x-heights."""
 _MEETING = 1.2
-"""White between two parts of a line that is no gutter, in x-heights."""
+"""Widest white between two parts of a line that is no gutter, in x-heights."""
 _OF_A_LINE = 0.7
-"""What is lower than this part of an x beside it is no line of its own."""
+"""Least height of a line of its own, as a part of an x beside it."""
 _OF_TWO_LINES = 2.0
-"""Length of what may be letters of two lines that touch, in x-heights."""
+"""Length of letters of two lines that touch, in x-heights."""
 _HANGING = 1.2
-"""How far below a line what hangs from it may end, in x-heights."""
+"""Lowest end below a line of a mark that hangs from it, in x-heights."""
 _ONE_BASELINE = 0.35
-"""How far apart the baselines of two parts of a line may meet, in x-heights."""
+"""Largest offset of the baselines of two parts of a line, in x-heights."""
 _ONE_SIZE = 1.5
-"""Ratio of their x-heights."""
+"""Largest ratio of their x-heights."""
 
 
 def with_marks(courses: list[Course], spots: Spots) -> list[Course]:
-    """Lengthen lines by the marks at their ends, and join those that then meet.
+    """Extend lines by the marks at their ends, and join those that then meet.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def with_marks(courses: list[Course], spots: Spots) -> list[Course]:
 
 
 def _lengthened(courses: list[Course], spots: Spots) -> list[Course]:
-    """Return the lines with the marks beside them; a mark goes to the nearest line."""
+    """Return the lines with the marks beside them; each mark goes to the nearest line."""
     x, y = (spots.left + spots.right) / 2, (spots.top + spots.bottom) / 2
     nearest = np.full(len(x), -1)
     least = np.full(len(x), np.inf)
@@ -73,7 +73,7 @@ def _lengthened(courses: list[Course], spots: Spots) -> list[Course]:
 
 
 def _reaching(course: Course, marks: Spots) -> Course:
-    """Lengthen a line from mark to mark, on either side."""
+    """Extend a line from mark to mark, on either side."""
     left, right = course.left, course.right
     reach = _REACH * course.x_height
     for k in np.argsort(marks.left):
@@ -87,7 +87,7 @@ def _reaching(course: Course, marks: Spots) -> Course:
 
 
 def _continues(line: Course, other: Course, spots: Spots) -> bool:
-    """Tell whether another line goes on where one ends, or where ink between them does."""
+    """Return whether another line continues one, directly or by ink between them."""
     size = min(line.x_height, other.x_height)
     if other.left - line.right > _FARTHEST * size or other.right <= line.right:
         return False
@@ -104,7 +104,7 @@ def _continues(line: Course, other: Course, spots: Spots) -> bool:
 
 
 def _joined(line: Course, other: Course) -> Course:
-    """Return one line of two."""
+    """Return two lines as one."""
     longer = max(line, other, key=lambda each: each.right - each.left)
     x = np.linspace(line.left, other.right, 50)
     y = np.where(x < (line.right + other.left) / 2, line.at(x), other.at(x))
@@ -114,7 +114,7 @@ def _joined(line: Course, other: Course) -> Course:
 
 
 def _belongs(line: Course, other: Course) -> bool:
-    """Tell whether what looks like a line are dots and accents of another one."""
+    """Return whether a line consists of dots and accents of another one."""
     size = other.x_height
     if line is other or (
         line.x_height > _OF_A_LINE * size and line.right - line.left > _OF_TWO_LINES * size

@@ -17,27 +17,27 @@ from smarttouch.files import MOST_DOCUMENT_BYTES, open_file
 
 MOST_PIXELS = 100_000_000
 FEWEST_PIXELS = 8
-"""A page with a shorter side is no page."""
+"""Least side of a page."""
 LARGEST_MM = 2000.0
 SMALLEST_MM = 2.0
 INCH_MM = 25.4
 IMAGE = "an image that can be read: give a PNG, JPEG or TIFF"
 _SCALE = "--dpi or --page-width-mm"
 _LEAST_BELIEVED_DPI = 50.0
-"""Files that say less (1 or 72 by default) mean that nobody measured."""
+"""Lowest plausible resolution; files state less (1 or 72 by default) if nobody measured."""
 _EVEN = 1.02
-"""Resolutions across and down that differ by less are one."""
+"""Ratio of resolutions across and down below which they are equal."""
 _MOST_UNEVEN = 4.0
-"""The coarsest kind of fax has 2.1; more is an error of the file."""
+"""Largest plausible ratio: the coarsest kind of fax has 2.1; more is an error of the file."""
 _ORIENTATION = 0x0112
 """EXIF tag; 5 and above lay the rows of the file upright."""
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
-"""What Pillow stumbles over in damaged files."""
+"""Exceptions that Pillow raises on damaged files."""
 
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """A page as it lies there.
+    """A page, with its scale.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ def load_page(path: Path, dpi: float | None = None, page_width_mm: float | None 
 
 
 def check_scale_options(dpi: float | None, page_width_mm: float | None) -> None:
-    """Raise a PageError if the scale that a user gave is none."""
+    """Raise a PageError if the user's scale is invalid."""
     if dpi is not None and page_width_mm is not None:
         message = "--dpi and --page-width-mm both given: one of them is enough"
         both = ("--dpi", "--page-width-mm")
@@ -101,14 +101,14 @@ def check_scale_options(dpi: float | None, page_width_mm: float | None) -> None:
 
 @contextmanager
 def open_image(path: Path, wanted: str = IMAGE) -> Iterator[Image.Image]:
-    """Open an image file; what Pillow raises, here or inside, becomes a PageError.
+    """Open an image file; any exception of Pillow, here or inside, becomes a PageError.
 
     Parameters
     ----------
     path : Path
         The image file.
     wanted : str
-        What a file of another kind is told not to be.
+        Expected kind of file, for the error message.
     """
     try:
         with warnings.catch_warnings():
@@ -180,7 +180,7 @@ def require_pixels(name: str, width: int, height: int) -> None:
 
 
 def require_size_mm(name: str, width_mm: float, height_mm: float, options: str = _SCALE) -> None:
-    """Raise a PageError if a page is larger or smaller than paper is."""
+    """Raise a PageError if a page is larger or smaller than paper can be."""
     if max(width_mm, height_mm) > LARGEST_MM or min(width_mm, height_mm) < SMALLEST_MM:
         raise PageError(
             f"{name} would be {width_mm:.4g} x {height_mm:.4g} mm: give a {options} "
@@ -193,7 +193,7 @@ def require_size_mm(name: str, width_mm: float, height_mm: float, options: str =
 
 
 def _stated_dpi(image: Image.Image) -> tuple[float, float]:
-    """Return pixels per inch across and down the page as it will lie; 0 if not believed."""
+    """Return pixels per inch across and down the upright page; 0 if implausible."""
     stated = image.info.get("dpi")
     if not isinstance(stated, tuple):
         return 0.0, 0.0

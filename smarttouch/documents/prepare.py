@@ -1,4 +1,4 @@
-"""A page made ready to be read: straight, black on white, its lines in order."""
+"""Preparation of a page for reading: straight, black on white, its lines in order."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ class PreparedPage:
     light_on_dark : bool
         Whether it is printed light on dark.
     notes : tuple of str
-        What was mended, for the user.
+        Corrections that were made, for the user.
     """
 
     page: Page
@@ -44,7 +44,7 @@ class PreparedPage:
 def prepare_page(
     page: Page, light_on_dark: bool | None = None, straightened: bool = True
 ) -> PreparedPage:
-    """Make a page ready to be read.
+    """Prepare a page for reading.
 
     Parameters
     ----------

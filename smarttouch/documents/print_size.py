@@ -1,4 +1,4 @@
-"""How large the print is: the same for all lines of one print, whichever letters they have."""
+"""Size of the print: common to all lines of one print, whichever letters they have."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,21 +8,21 @@ from smarttouch.documents.baselines import Course
 Floats = NDArray[np.float64]
 
 ASCENT, DESCENT = 1.5, 0.45
-"""Usual heights of a b over, and of a p under the baseline, in x-heights."""
+"""Usual heights of a b above and of a p below the baseline, in x-heights."""
 _SAME = 0.15
-"""Difference of x-heights that may be an error of measurement."""
+"""Difference of x-heights that may be a measurement error."""
 _NEAREST = 9
-"""Lines around a line whose x-height it shares."""
+"""Number of neighboring lines with which a line shares its x-height."""
 _LOW_EDGE = 0.12
-"""Ink at the end of the ascenders, of that at their middle."""
+"""Ink at the end of the ascenders, relative to their middle."""
 _FEWEST = 0.03
-"""Ink beside the ascenders or descenders, of that in the line, from which they can be measured."""
+"""Least ink of ascenders or descenders, relative to the line, by which they are measured."""
 _CAPITALS = 0.08
-"""A line with less ink than this above its letters has no ascenders: it is capitals or figures."""
+"""Ink above its letters below which a line has no ascenders: it is capitals or figures."""
 
 
 def reach_of_print(courses: list[Course]) -> tuple[float, float]:
-    """Return how far ascenders and descenders reach from the baseline, in x-heights.
+    """Return the reach of ascenders and descenders from the baseline, in x-heights.
 
     Of all lines of a page together: few single ones have enough of either.
     """
@@ -37,7 +37,7 @@ def reach_of_print(courses: list[Course]) -> tuple[float, float]:
 
 
 def _end(height: Floats, ink: Floats, middle: tuple[float, float], zone: float) -> float | None:
-    """Return where the ink ends that there is at some height, going outwards."""
+    """Return where ink ends outward from some height."""
     there = float(ink[(height >= middle[0]) & (height <= middle[1])].mean())
     if there < _FEWEST * zone:
         return None
@@ -46,7 +46,7 @@ def _end(height: Floats, ink: Floats, middle: tuple[float, float], zone: float) 
 
 
 def shared_x_heights(courses: list[Course], ascent: float) -> Floats:
-    """Return the x-height of each line, as lines around it of the same print have it, px.
+    """Return the x-height of each line, shared with neighbors of the same print, px.
 
     Lines of capitals and figures seem to have taller letters: they get those
     of the print of which they are the capitals.

@@ -14,7 +14,7 @@ PRINT_DPI = 300
 _PRINT_WIDTH_MM = 92.0
 _MARGIN_MM = 7.0
 _LINE_MM = 4.2
-"""Ascender to descender."""
+"""Height of a line, ascender to descender."""
 _LINE_STEP_MM = 8.0
 _COLUMNS = 30
 _INK = 15
@@ -49,7 +49,7 @@ def print_text(text: str) -> Page:
 
 
 def prepare_text(text: str) -> PreparedPage:
-    """Print a text and return it ready to be read: where its lines are need not be found out.
+    """Print a text and return it ready to be read, with its known lines.
 
     Raises
     ------

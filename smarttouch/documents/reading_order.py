@@ -7,13 +7,13 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 _LEAST_SHARED = 0.05
-"""Of the shorter line's length, that lies above or below another one."""
+"""Least overlap of lines, one above the other, as a part of the shorter one's length."""
 _LEVEL = 1.5
-"""Line heights apart within which two lines are on one level."""
+"""Distance, in line heights, within which two lines are on one level."""
 
 
 def reading_order(left: Floats, right: Floats, y: Floats, height: Floats) -> list[int]:
-    """Return the indices of lines in the order in which they are read.
+    """Return the indices of lines in reading order.
 
     Two rules say which of two lines comes first (after Breuel, High
     performance document layout analysis, 2003): the upper one, where one
@@ -23,7 +23,7 @@ def reading_order(left: Floats, right: Floats, y: Floats, height: Floats) -> lis
     Parameters
     ----------
     left, right : ndarray, (N,)
-        Where each begins and ends.
+        Ends of each line.
     y : ndarray, (N,)
         Of its baseline.
     height : ndarray, (N,)
@@ -38,7 +38,7 @@ def reading_order(left: Floats, right: Floats, y: Floats, height: Floats) -> lis
 
 
 def _left_column(left: Floats, y: Floats, height: Floats, over: Flags) -> Flags:
-    """Tell of each pair, (N, N), whether the one is read first because it is on the left."""
+    """Return for each pair, (N, N), whether one is read first because it is on the left."""
     beside = ~over & (left[:, None] < left)
     level = np.abs(y[:, None] - y) < _LEVEL * np.maximum(height[:, None], height)
     # Lines of either column stand where the other line is: else these two are no columns.
@@ -53,7 +53,7 @@ def _left_column(left: Floats, y: Floats, height: Floats, over: Flags) -> Flags:
 
 
 def _sorted(first: Flags, usual: NDArray[np.int_]) -> list[int]:
-    """Return an order that keeps what comes first, and otherwise the usual one."""
+    """Return an order that keeps the given precedence, and otherwise the usual one."""
     waiting = list(map(int, usual))
     order = []
     while waiting:

@@ -1,4 +1,4 @@
-"""Letters that stand side by side: rows, cut where columns part."""
+"""Rows of letters that stand side by side, cut between columns."""
 
 from dataclasses import dataclass
 
@@ -13,37 +13,37 @@ from smarttouch.documents.letters import Spots, widest_white
 Indices = NDArray[np.int_]
 
 _NEIGHBORS = 10
-"""Letters near the right edge of a letter among which the next one is looked for."""
+"""Candidates for the next letter, near the right edge of a letter."""
 _WIDEST_GAP = 3.8
-"""Between letters of a row, of the taller one's height: a dash or = between two spaces."""
+"""Widest gap in a row, in heights of the taller letter: a dash or = between two spaces."""
 _LEAST_OVERLAP = 0.45
-"""Of the lower one's height, that two letters of a row stand beside each other."""
+"""Least vertical overlap of two letters of a row, as a part of the lower one's height."""
 _MOST_RATIO = 2.8
-"""Of heights in a row: a parenthesis has 2.5 times the height of an x."""
+"""Largest ratio of heights in a row: a parenthesis has 2.5 times the height of an x."""
 _FEW = 2
-"""Letters in a row that are believed to be one only where they stand alone."""
+"""Letters in a row that is accepted only if it is isolated."""
 _AROUND, _CROWD = 2.0, 5
-"""Within so many heights of such a letter there are so many at most, itself included."""
+"""Radius, in heights, around such a letter, and the largest number of letters in it."""
 _LEAST_SPACE = 0.35
-"""Of a letter's height: a narrower gap is within a word."""
+"""Narrowest space, in letter heights; a narrower gap is within a word."""
 _NARROWEST = 0.75
-"""Of a letter's height: a wider gap may be a gutter between columns."""
+"""Narrowest gutter between columns, in letter heights."""
 _WIDER = 1.9
-"""A gutter is so much wider than the usual space between words."""
+"""Factor by which a gutter is wider than the usual space between words."""
 _WIDE = 2.2
-"""Of a letter's height: a gap that may be a gutter however wide the usual ones are."""
+"""Gap, in letter heights, that may be a gutter however wide the usual ones are."""
 _GUTTER_LINES = 2
-"""Lines above or below, on either side, that a gutter parts as well."""
+"""Lines above or below, on either side, that a gutter must separate as well."""
 _OTHER_LINE = 0.8
-"""Of a letter's height, that lines are at least apart."""
+"""Least distance of lines, in letter heights."""
 _BESIDE = 12.0
-"""How far from the gutter their letters may be, in heights of a letter."""
+"""Largest distance of their letters from the gutter, in letter heights."""
 _FAR = 1 << 30
 
 
 @dataclass(frozen=True, eq=False)
 class Links:
-    """Letters and those that follow them; indices, and the white between."""
+    """Links from letters to the next ones; indices, and the white between."""
 
     first: Indices
     second: Indices
@@ -56,7 +56,7 @@ def find_rows(letters: Spots, spots: Spots) -> list[Indices]:
     Parameters
     ----------
     letters : Spots
-        What may be letters.
+        Candidates for letters.
     spots : Spots
         All ink of the page: marks between letters fill a gap.
     """
@@ -75,7 +75,7 @@ def find_rows(letters: Spots, spots: Spots) -> list[Indices]:
 
 
 def _are_crowded(letters: Spots) -> NDArray[np.bool_]:
-    """Tell of each letter, (N,), whether more are around it than in print: specks of a picture."""
+    """Return for each letter, (N,), whether it is too crowded for print: specks of a picture."""
     center = np.column_stack([letters.left + letters.right, letters.top + letters.bottom]) / 2
     reach = _AROUND * letters.height
     around = cKDTree(center).query_ball_point(center, reach, return_length=True)
@@ -127,7 +127,7 @@ def _cheapest(of: Indices, cost: NDArray[np.float64]) -> Indices:
 
 
 def _without_gutters(letters: Spots, links: Links, spots: Spots) -> Links:
-    """Cut links over a white lane that runs down between columns."""
+    """Remove links over a white lane that runs down between columns."""
     taller = np.maximum(letters.height[links.first], letters.height[links.second])
     part = links.gap / taller
     spaces = part[part > _LEAST_SPACE]
@@ -152,7 +152,7 @@ def _without_gutters(letters: Spots, links: Links, spots: Spots) -> Links:
 
 
 def _parts_columns(letters: Spots, left: float, right: float, y: float, size: float) -> bool:
-    """Tell whether a lane is white over several lines that stand on both sides of it."""
+    """Return whether a lane is white over several lines with letters on both sides of it."""
     across = (letters.right > left) & (letters.left < right)
     above = letters.bottom[across & (letters.bottom < y - size / 2)].max(initial=-_FAR)
     below = letters.top[across & (letters.top > y - size / 2)].min(initial=_FAR)

@@ -1,4 +1,4 @@
-"""The sheet of paper in a photograph: its four corners, and the sheet as seen from above."""
+"""Sheet of paper in a photograph: its four corners, and its view from above."""
 
 import math
 
@@ -10,33 +10,33 @@ Grey = NDArray[np.uint8]
 Corners = NDArray[np.float64]
 
 _SIDE_PX = 480
-"""Of the longer side of the image in which a sheet is looked for."""
+"""Longer side of the image in which a sheet is detected."""
 _LEAST_PART = 0.2
-"""Of the photograph that a sheet covers."""
+"""Least part of the photograph covered by a sheet."""
 _MOST_PART = 0.97
-"""More of it is the sheet itself, scanned."""
+"""Part above which the image is the sheet itself, scanned."""
 _THRESHOLDS = (1.0, 0.75, 0.5)
-"""Of Otsu's: a shadow on the sheet may be as dark as what is around it elsewhere."""
+"""Multiples of Otsu's threshold: a shadow on the sheet may be as dark as its background."""
 _LEAST_FILLED = 0.93
-"""Of the quadrilateral and of the bright patch that they have in common."""
+"""Least common part of the quadrilateral and the bright area."""
 _LEAST_STEP = 25.0
-"""Grey levels from the paper down to what it lies on, across each edge that is seen."""
+"""Least drop in grey level from the paper to its background, across each visible edge."""
 _EDGE_PX = 6.0
-"""How far from an edge both sides of it are looked at, in that image."""
+"""Distance from an edge at which both sides of it are compared, in that image."""
 _LEAST_SIDES = 3
-"""Edges that must be seen; the fourth may be the edge of the photograph."""
+"""Fewest visible edges; the fourth may be the edge of the photograph."""
 _ROUGH = 0.02
-"""Of its length, by which an outline may differ from one with four corners."""
+"""Tolerance of an outline with four corners, as a part of its length."""
 _LOOSE_PX = 5.0
-"""How far from a side points of the outline belong to it, in that image."""
+"""Largest distance of a side's points from it, in that image."""
 _INSET = 0.006
-"""Of the sheet, that is left out around it: blurred edges."""
+"""Part of the sheet left out at its blurred edges."""
 _MOST_ANGLE = 35.0
-"""Degrees by which a corner may differ from a right angle."""
+"""Largest deviation of a corner from a right angle, in degrees."""
 
 
 def find_sheet(grey: Grey) -> Corners | None:
-    """Return the corners of a bright sheet on something darker; None if it is not clearly one.
+    """Return the corners of a bright sheet on a darker background; None if there is none.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def _meeting(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray
 
 
 def _is_sheet(corners: Corners, outline: NDArray[np.int32], paper: Grey) -> bool:
-    """Tell whether four corners are those of a sheet with something darker around it."""
+    """Return whether four corners are those of a sheet with a darker background."""
     if not np.isfinite(corners).all():
         return False
     area = cv2.contourArea(corners.astype(np.float32))

@@ -1,4 +1,4 @@
-"""Pages made straight: a photographed sheet seen from above, text turned level."""
+"""Straightening of pages: a photographed sheet seen from above, text turned level."""
 
 import math
 
@@ -16,31 +16,31 @@ Grey = NDArray[np.uint8]
 
 MOST_SKEW_DEG = 15.0
 LEAST_SKEW_DEG = 0.2
-"""Less need not be mended: lines are followed wherever they lead."""
+"""Least skew worth correcting: lines are followed through less."""
 _REDUCED_PIXELS = 2_000_000
 """Size of the image in which skew is measured: letters of an A4 page are 10 pixels high."""
 _COARSE_DEG, _FINE_DEG = 0.5, 0.05
 _POINTS = 30_000
 _FEWEST_LETTERS = 8
-"""From fewer the direction of the text cannot be told."""
+"""Fewest letters that determine the direction of the text."""
 _BINS = 5.0
-"""Rows per height of a letter in which ink is counted."""
+"""Rows per letter height in which ink is counted."""
 _FAR = 3.2
-"""Gap where none is seen, in heights of a letter."""
+"""Gap assumed where there is none, in letter heights."""
 _TOUCHING = 0.1
-"""Gap that counts for letters that touch, in heights of a letter."""
+"""Gap of touching letters, in letter heights."""
 _EDGE_MEANS = 40
 """Places across a page at which the grey of its edges is averaged."""
 _TELLING = 0.3
-"""Rise of a line over its whole length that can be seen, in heights of a letter."""
+"""Visible rise of a line over its whole length, in letter heights."""
 _LEAST_CONTRAST = 3.2
-"""Of rows and gaps along the text, to that along any direction; pictures have up to 2.9."""
+"""Least contrast of rows and gaps along the text to any direction; pictures have up to 2.9."""
 _CLEARLY = 0.6
-"""Logarithm of a ratio: letters are this much nearer to each other in columns than in rows."""
+"""Least log ratio by which letters are closer in columns than in rows."""
 
 
 def straighten(page: Page) -> tuple[Page, list[str]]:
-    """Return a page with its text level, and what was mended, one sentence each.
+    """Return a page with its text level, and the corrections, one sentence each.
 
     The sheet of a photograph is laid flat; text that runs up or down is turned
     by a quarter; what is left of skew, up to 15°, is turned level. A page with
@@ -75,11 +75,11 @@ def straighten(page: Page) -> tuple[Page, list[str]]:
 
 
 def measure_skew(ink: NDArray[np.bool_], height: float) -> tuple[float, float]:
-    """Return by how many degrees text is turned clockwise, at most 15, and how clearly.
+    """Return the clockwise skew of text in degrees, at most 15, and its contrast.
 
     Ink is counted in rows along many directions: along the lines of text, full
     and empty rows differ most (projection profiles, Postl 1986). How much more
-    than along the usual direction says whether there is text at all.
+    than along the usual direction shows whether there is text at all.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def measure_skew(ink: NDArray[np.bool_], height: float) -> tuple[float, float]:
 
 
 def _runs_downwards(letters: Spots) -> bool:
-    """Tell whether letters follow each other down the page and not along it.
+    """Return whether letters follow each other down the page instead of along it.
 
     Within a word they are nearer to each other than in any other direction;
     where words have run together, these are long.
@@ -122,13 +122,13 @@ def _runs_downwards(letters: Spots) -> bool:
 
 
 def _least_skew_deg(letters: Spots, height: float) -> float:
-    """Return the least skew that can be told: little text says little of its direction."""
+    """Return the least measurable skew: little text determines its direction poorly."""
     left, right = np.percentile(letters.left, 2), np.percentile(letters.right, 98)
     return max(LEAST_SKEW_DEG, math.degrees(_TELLING * height / max(float(right - left), 1.0)))
 
 
 def _turned(grey: Grey, quarter: bool, skew_deg: float) -> Grey:
-    """Turn a page back; it grows, and its paper goes on where it had none."""
+    """Rotate a page back; it grows, and the new area is filled with its paper."""
     if quarter:
         grey = np.ascontiguousarray(np.rot90(grey))
     if not skew_deg:
@@ -146,7 +146,7 @@ def _turned(grey: Grey, quarter: bool, skew_deg: float) -> Grey:
 
 
 def _softly_edged(grey: Grey) -> Grey:
-    """Return a page whose outermost pixels are the mean of what is near: fit to be repeated."""
+    """Return a page whose outermost pixels are local means, for repetition as a border."""
     coarse = cv2.resize(grey, (_EDGE_MEANS, _EDGE_MEANS), interpolation=cv2.INTER_AREA)
     soft = cv2.resize(coarse, grey.shape[::-1], interpolation=cv2.INTER_LINEAR)
     soft[1:-1, 1:-1] = grey[1:-1, 1:-1]

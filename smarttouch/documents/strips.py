@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from smarttouch.documents.text_lines import TextLine
 
 _AROUND = 0.8
-"""How much of the page above and below a line is looked at, in heights of the line."""
+"""Part of the page above and below a line that is considered, in heights of the line."""
 SIDES = 0.25
 """Paper kept before and after a line, in heights of the line."""
 _INK = 128
-"""Darker than this is ink when the spots of neighboring lines are looked for."""
+"""Level below which is ink, when the spots of neighboring lines are located."""
 _FADED = 2
 """Samples by which the grey edge of a spot reaches beyond its ink."""
 
@@ -33,7 +33,7 @@ def cut_strip(
     mm_per_pixel : float, mm
         Its scale.
     line : TextLine
-        What to cut out.
+        Line to cut out.
     height_px : int
         Rows of the strip.
 
@@ -67,7 +67,7 @@ def cut_strip(
 
 
 def _places(line: TextLine, pixel_mm: float, steps: int) -> NDArray[np.float64]:
-    """Return the x of every column, equally far from each other along the baseline, mm."""
+    """Return the x of every column, at equal distances along the baseline, mm."""
     sides_mm = SIDES * line.height_mm
     x_mm = np.linspace(line.left_mm - sides_mm, line.right_mm + sides_mm, 400)
     passed_mm = np.cumsum(np.hypot(np.diff(x_mm), np.diff(line.baseline_mm(x_mm))))
@@ -78,7 +78,7 @@ def _places(line: TextLine, pixel_mm: float, steps: int) -> NDArray[np.float64]:
 
 
 def _without_neighbors(wide: NDArray[np.uint8], above: int, rows: int) -> NDArray[np.uint8]:
-    """Return the middle rows of a wider cut, without spots of which most lies beyond them."""
+    """Return the middle rows of a wider cut, without spots that lie mostly beyond them."""
     ink = (wide < _INK).view(np.uint8)
     own = slice(above, above + rows)
     count, labels = cv2.connectedComponents(ink, connectivity=8)

@@ -1,4 +1,4 @@
-"""Where the lines of text are on a page, and in which order they are read."""
+"""Lines of text on a page, and their reading order."""
 
 from dataclasses import dataclass
 
@@ -24,25 +24,25 @@ from smarttouch.documents.textlike import credible, is_text
 from smarttouch.documents.touching import part_lines
 
 _HOPELESS, _MISSES = 60, 3
-"""Rows that are no text, and more for each that is, after which all others are a picture's."""
+"""Rows that are no text, and more per row that is, after which the rest is a picture's."""
 _TELLING = 10.0
-"""Length of a row, in heights of its letters, from which its slope can be told."""
+"""Length of a row, in letter heights, that determines its slope."""
 
 
 @dataclass(frozen=True)
 class TextLine:
-    """A line of text, mm from the page's top left corner.
+    """Line of text, mm from the page's top left corner.
 
     Attributes
     ----------
     left_mm, right_mm : float, mm
-        Where it begins and ends.
+        Ends of the line.
     baseline : tuple of float
         Coefficients of y on the distance from ``left_mm``, lowest first; mm.
     x_height_mm : float, mm
         From the baseline to the top of an x.
     ascent_mm, descent_mm : float, mm
-        How far its print reaches above and below the baseline: the same for
+        Reach of its print above and below the baseline: the same for
         all lines of one print, whichever letters they have.
     """
 
@@ -54,28 +54,28 @@ class TextLine:
     descent_mm: float
 
     def baseline_mm(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the baseline's y at some x, mm; straight on beyond the line's ends."""
+        """Return the baseline's y at x, mm; straight beyond the line's ends."""
         length = self.right_mm - self.left_mm
         return along(np.array(self.baseline), x_mm - self.left_mm, length)
 
     def slope(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how steeply the baseline falls at some x."""
+        """Return the slope of the baseline at x, positive if it falls."""
         inside = np.clip(x_mm - self.left_mm, 0, self.right_mm - self.left_mm)
         return np.asarray(polynomial.polyval(inside, polynomial.polyder(self.baseline)))
 
     @property
     def height_mm(self) -> float:
-        """From the lowest to the highest that its print reaches."""
+        """Height from the lowest to the highest print."""
         return self.ascent_mm + self.descent_mm
 
     @property
     def top_mm(self) -> float:
-        """Its highest, on average over the line."""
+        """Top of its print, on average over the line."""
         return self._mean_mm - self.ascent_mm
 
     @property
     def bottom_mm(self) -> float:
-        """Its lowest, on average over the line."""
+        """Bottom of its print, on average over the line."""
         return self._mean_mm + self.descent_mm
 
     @property
@@ -90,7 +90,7 @@ def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]
     Parameters
     ----------
     page : Page
-        What is read.
+        Page to search.
     light_on_dark : bool, optional
         Whether it is printed light on dark; None to find out.
     """
@@ -98,7 +98,7 @@ def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]
 
 
 def lines_of(paper: Paper, mm_per_pixel: float) -> list[TextLine]:
-    """Return the lines of text on a page whose ink was told from its paper."""
+    """Return the lines of text on a page with separated ink."""
     spots = find_spots(paper.ink)
     height = usual_height(spots, paper.ink.shape)
     if height is None:
@@ -151,7 +151,7 @@ def _slope_around(row: Spots, guides: list[Course]) -> float:
 
     def away(guide: Course) -> float:
         beyond = max(guide.left - x, x - guide.right, 0.0)
-        # Another column bends otherwise: lines above and below tell more.
+        # Another column bends otherwise: lines above and below are more reliable.
         return abs(float(guide.at(np.array(x))) - y) + 2 * beyond
 
     return min(guides, key=away).slope_at(x) if guides else 0.0

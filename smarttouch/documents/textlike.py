@@ -1,4 +1,4 @@
-"""Whether a row of spots is print, or only looks like a row."""
+"""Tests whether a row of spots is a line of text."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,48 +7,48 @@ from smarttouch.documents.baselines import Course
 from smarttouch.documents.letters import Spots
 
 _LEAST_X_HEIGHT_PX = 3.5
-"""Smaller print cannot be read."""
+"""Least x-height of readable print."""
 _SURE = 3
-"""Letters of a line; with fewer, chance makes lines of specks."""
+"""Fewest letters of a line; with fewer, specks form lines by chance."""
 _SIMILAR = 1.7
-"""Ratio of x-heights of lines on one page; capitals and figures seem to have taller ones."""
+"""Ratio of x-heights of lines on a page; capitals and figures measure taller."""
 _MOST_OF_ALL = 0.8
-"""Of the page's ink, that one or two letters make on a page that has no more to read."""
+"""Part of the page's ink in one or two letters, on a page without other text."""
 _ZONE = (0.15, 0.9)
 """Ink of the letters between baseline and top of an x; thin print has 0.3, bold 0.6."""
 _MOST_BETWEEN = 0.35
-"""Ink where there is least between this line and its neighbors, of that in the line."""
+"""Least ink between this line and its neighbors, relative to that in the line."""
 _MOST_BESIDE = 0.6
-"""Ink beside ascenders or descenders, of that in the line; print has 0.1 to 0.5."""
+"""Ink beside ascenders or descenders, relative to that in the line; print has 0.1 to 0.5."""
 _LEAST_EDGE = 2.0
 """Fall of the ink at the baseline per x-height, of the ink in the line; print has 4 and more."""
 _FEWEST_STROKES, _MOST_STROKES = 0.75, 2.6
 """Strokes per x-height of letters; print has 0.9 to 1.9, specks have fewer."""
 _FEWER_STROKES = 0.45
-"""Where letters run together, strokes do as well."""
+"""Factor of strokes where letters run together."""
 _STROKE_MORE = 0.7
-"""Strokes by which a single digit has more, as it has no space beside it."""
+"""Additional strokes per x-height of a single digit, which has no space beside it."""
 _TOPS, _BOTTOMS = (1.0, 1.45), (0.0, -0.42)
 """Heights at which letters begin and end, in x-heights over the baseline."""
 _MANY = 8
-"""Letters in a line that has some white between them, whatever they are."""
+"""Number of letters in a line that must have some white between them."""
 _SOLID = 0.75
-"""Ink of a spot, of its box: letters have 0.4 to 0.65, a disc 0.79."""
+"""Filled part of a spot's box: letters have 0.4 to 0.65, a disc 0.79."""
 _LEAST_OWN = 0.6
-"""Ink of the letters, of what lies between baseline and top of an x: print has 1.0 and more."""
+"""Letters' part of the ink between baseline and top of an x: print has 1.0 and more."""
 _NEAR, _NEAR_PX = 0.2, 0.5
-"""So far from such a height a letter begins or ends there: of an x-height, and pixels more."""
+"""Distance within which a letter begins or ends at such a height: in x-heights, plus pixels."""
 _LEAST_ON_LEVELS = 0.6
-"""Letters that do; of words run together 0.7, of print 0.9 and more, of specks 0.3 to 0.7."""
+"""Least part of such letters; words run together 0.7, print 0.9 and more, specks 0.3 to 0.7."""
 _LEAST_WHITE = 0.06
-"""Of the line's length, between letters that do not touch; print has 0.1 and more, but what is
-left between light letters on dark has not."""
+"""Least white between letters that do not touch, of the line's length; print has 0.1 and more, but
+what is left between light letters on dark has not."""
 _TOUCHING = 1.3
 """Usual width of spots in which letters run together, in x-heights."""
 
 
 def is_text(course: Course, letters: Spots) -> bool:
-    """Tell whether a row of letters that was followed is a line of text."""
+    """Return whether a row of letters that was followed is a line of text."""
     if course.x_height < _LEAST_X_HEIGHT_PX:
         return False
     # Dashes and wide spaces are no letters, and have little ink.
@@ -57,7 +57,7 @@ def is_text(course: Course, letters: Spots) -> bool:
 
 
 def _has_profile_of_text(course: Course, covered: float) -> bool:
-    """Tell whether ink lies between baseline and top of an x, and little around."""
+    """Return whether ink lies between baseline and top of an x, and little around."""
     zone = course.ink_between(0.05, 0.95)
     between = max(course.least_ink(1.2, 2.1), course.least_ink(-1.1, -0.1))
     beside = max(course.ink_between(1.05, 1.45), course.ink_between(-0.45, -0.05))
@@ -71,7 +71,7 @@ def _has_profile_of_text(course: Course, covered: float) -> bool:
 
 
 def _are_letters(course: Course, letters: Spots, covered: float) -> bool:
-    """Tell whether spots are as many strokes as letters have, and stand as letters do."""
+    """Return whether spots have the strokes and positions of letters."""
     length_px = course.right - course.left
     length = length_px / course.x_height
     base = course.at((letters.left + letters.right) / 2)
@@ -101,7 +101,7 @@ def _on_a_level(height: NDArray[np.float64], levels: tuple[float, ...], x_height
 
 
 def _are_solid(letters: Spots) -> bool:
-    """Tell whether spots are full squares and discs, as of a halftone, and no letters."""
+    """Return whether spots are solid squares and discs, as of a halftone."""
     broad = letters.width > letters.height / 2
     if not broad.any():
         return False

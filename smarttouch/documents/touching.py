@@ -1,4 +1,4 @@
-"""Letters of one line that touch those of the next, cut apart."""
+"""Separation of letters of one line that touch those of the next."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,16 +6,16 @@ from numpy.typing import NDArray
 from smarttouch.documents.letters import Spots, like_letters
 
 _TWO_LINES = 1.7
-"""A spot of so many usual heights may reach over two lines of text."""
+"""Usual heights of a spot that may span two lines of text."""
 _MOST_LINES = 12.0
 _LEAST_LINE = 0.6
-"""No line is lower than this part of the usual height."""
+"""Least height of a line, relative to the usual height."""
 _VALLEY = 0.35
-"""Ink between two lines of words that touch, of what is in either."""
+"""Ink between two lines of words that touch, relative to that in either."""
 _TWO_LETTERS = 4.0
-"""Two letters that touch, one below the other, are lower than so many usual heights."""
+"""Largest height, in usual ones, of two letters that touch, one below the other."""
 _BESIDE = 1.5
-"""How far from such letters those beside them may be, in usual heights."""
+"""Largest distance of letters beside them, in usual heights."""
 
 
 def part_lines(ink: NDArray[np.bool_], spots: Spots, height: float) -> NDArray[np.bool_]:
@@ -61,7 +61,7 @@ def _part_words(ink: NDArray[np.bool_], spots: Spots, index: int, height: float)
 def _part_letters(
     ink: NDArray[np.bool_], spots: Spots, index: int, usual: Spots, height: float
 ) -> None:
-    """Cut a narrow spot between the lines that stand beside it, if there are two.
+    """Cut a narrow spot between the lines beside it, if there are two.
 
     A large letter stands beside large letters, or has a line on one side only.
     """

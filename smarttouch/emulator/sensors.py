@@ -25,7 +25,7 @@ _PATTERN_PIXELS_S = 40
 _LARGEST_RAW = 2**23 - 1
 
 Look = Callable[[float], NDArray[np.uint8]]
-"""From a time in seconds to the image, (H, W)."""
+"""Function from a time in seconds to the image, (H, W)."""
 
 
 class SensorFirmware(Firmware):
@@ -76,7 +76,7 @@ class SensorArray(SensorFirmware):
     Parameters
     ----------
     look : callable
-        What it sees at a time.
+        Image at a time.
     rate_hz : float
     """
 
@@ -102,7 +102,7 @@ class LoadCell(SensorFirmware):
     Parameters
     ----------
     force_n : callable
-        What presses on it at a time, N; not a number is nothing.
+        Force on it at a time, N; NaN is none.
     counts_per_n, zero, noise : float
         Its straight line, and the standard deviation of its noise, in counts.
     framed : bool
@@ -158,7 +158,7 @@ class LoadCell(SensorFirmware):
 
 
 def look_at_pattern(rows: int, columns: int) -> Look:
-    """Return the sight of random blocks that pass from right to left."""
+    """Return the image function of random blocks that pass from right to left."""
     coarse = np.random.default_rng(0).integers(0, 2, (64, _PATTERN_SIDE // _BLOCK))
     pattern = np.where(np.kron(coarse, np.ones((_BLOCK, _BLOCK))), 220, 40).astype(np.uint8)
 
@@ -170,7 +170,7 @@ def look_at_pattern(rows: int, columns: int) -> Look:
 
 
 def look_at_page(url: str, profile: Profile, rows: int, columns: int) -> Look:
-    """Return the sight of a virtual finger that reads a page again and again.
+    """Return the image function of a virtual finger that reads a page repeatedly.
 
     Raises
     ------
@@ -200,7 +200,7 @@ def look_at_page(url: str, profile: Profile, rows: int, columns: int) -> Look:
 
 
 def press(force_n: float, path: Path | None, profile: Profile) -> Callable[[float], float]:
-    """Return what presses on a load cell at a time: always the same, or as recorded.
+    """Return the force function of a load cell: constant, or as recorded.
 
     Raises
     ------

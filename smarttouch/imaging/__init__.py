@@ -1,1 +1,1 @@
-"""A frame becomes a tactile image: binarized, and mapped onto the electrodes."""
+"""Imaging: a frame becomes a tactile image, binarized and mapped onto the electrodes."""

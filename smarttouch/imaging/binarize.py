@@ -1,4 +1,4 @@
-"""Ink or paper: a threshold that stays silent over blank paper."""
+"""Binarization: a threshold between ink and paper that ignores blank paper."""
 
 import math
 
@@ -7,19 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 CONTRAST_GUARD = 45.0
-"""Grey levels that the darkest part must lie below the white to be print."""
+"""Least contrast of print: grey levels of its darkest part below the white."""
 GREY_GUARD = 0.41
-"""Print is mostly ink or paper; more of the patch than this in between is noise."""
+"""Largest part of intermediate grey levels in print; more of them are noise."""
 INK_LEVEL = 0.7
-"""Darker than this part of the white is ink."""
+"""Part of the white below which is ink."""
 WHITE_DECAY_PER_S = 0.8
-"""How fast the tracked white may fall: slow enough to cross a black headline."""
+"""Rate at which the tracked white may fall: slow enough to cross a black headline."""
 _SAMPLES = 32
-"""Rows and columns of the sample on which the guards are judged."""
+"""Rows and columns of the sample for the guards."""
 
 
 class Binarizer:
-    """Tells ink from paper, frame after frame.
+    """Separates ink from paper, frame after frame.
 
     A threshold taken from each frame by itself (Otsu's) must call something
     ink even on blank paper. Here the white of the paper is tracked from frame

@@ -1,4 +1,4 @@
-"""Frame to tactile image: binarize, then average under every electrode."""
+"""Mapping of a frame to a tactile image: binarize, then average under every electrode."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,15 +17,15 @@ from smarttouch.sources.frame import Frame
 from smarttouch.tactile_image import TactileImage
 
 FAINTEST_INK = 0.15
-"""Part of a cell that must be ink before it is felt at all."""
+"""Part of a cell's ink below which it is not felt at all."""
 FULLEST_INK = 0.5
-"""Part of a cell from which it is felt in full."""
+"""Part of a cell's ink from which it is felt in full."""
 _NOTHING, _FULL = np.zeros((), np.float32), np.ones((), np.float32)
 
 
 @dataclass(frozen=True)
 class Tone:
-    """How ink under an electrode becomes activation.
+    """Tone curve from ink under an electrode to activation.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Tone:
 
 
 class TactileMapper:
-    """Turns frames into tactile images.
+    """Maps frames to tactile images.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class TactileMapper:
     light_on_dark : bool
         For light print on dark paper.
     tone : Tone, optional
-        How ink becomes activation.
+        Tone curve from ink to activation.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class TactileMapper:
         self._inverted = np.empty(self._registration.working_shape, np.uint8)
 
     def map(self, frame: Frame, mode: Mode) -> TactileImage:
-        """Return what each electrode should let the finger feel, in the rows that a mode drives.
+        """Return the activation of each electrode, in the rows that a mode drives.
 
         Activation rises with the part of the electrode's cell that is ink, as
         the tone has it: graded edges carry more of a letter's shape than cells

@@ -1,4 +1,4 @@
-"""What moves drives RA, what stays drives SAI: as in a finger that explores by itself."""
+"""Natural drive: changes drive RA, and sustained ink SAI, as in a finger that explores."""
 
 import math
 
@@ -8,17 +8,17 @@ from numpy.typing import NDArray
 from smarttouch.primary import Primary
 
 ADAPTATION_S = 0.04
-"""Time constant in which something that stays stops being a change. Ours: longer than between two
+"""Time constant of the adaptation to ink that stays. Ours: longer than between two
 pulses of RA, and so short that a stroke at reading speed does not smear over the next letter."""
 LEAVING = 0.4
-"""Of an arrival: RA afferents answer the end of a touch, and less than its beginning. (At full
+"""Drive of leaving ink, relative to arriving: RA responds less to the end of a touch. (At full
 strength the stroke that has just left would be felt beside the one that is there.)"""
 FAINTEST_CHANGE = 0.15
-"""Smaller changes are the sensor's noise."""
+"""Least change above the sensor's noise."""
 
 
 class NaturalDrive:
-    """Splits a tactile image into what changes and what is sustained.
+    """Splits a tactile image into its changes and its sustained part.
 
     Each electrode keeps a slow memory of its activation. What differs from it
     is an edge on the move and drives RA, on arrival and on leaving; what the
@@ -48,7 +48,7 @@ class NaturalDrive:
         activation : ndarray, (3, E) float32
             Zeros; filled.
         ink : ndarray, (E,) float32, in [0, 1]
-            What lies under each electrode now.
+            Ink under each electrode.
         time_ns : int
             Now.
         touching : bool
@@ -72,5 +72,5 @@ class NaturalDrive:
         np.minimum(change, 1, out=change)
 
     def forget(self) -> None:
-        """Take the next image as all new."""
+        """Reset: the next image is all new."""
         self._time_ns = None

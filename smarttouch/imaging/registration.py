@@ -1,4 +1,4 @@
-"""Registration of sensor to electrodes: which pixels each electrode sees."""
+"""Registration of sensor to electrodes: the pixels of each electrode."""
 
 import math
 
@@ -81,7 +81,7 @@ class Registration:
 
 
 def _whole(side: float) -> int:
-    """Return the next whole number, whatever rounding has added to one."""
+    """Return the next whole number, ignoring rounding errors."""
     return math.ceil(side * (1 - 1e-9))
 
 
@@ -123,7 +123,7 @@ def _aperture_matrix(
 def _on_frame(
     x_mm: NDArray[np.float64], y_mm: NDArray[np.float64], optics: Optics
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return where places on the page are on a frame, as parts of its width and height.
+    """Return places on the page as parts of a frame's width and height.
 
     NaN for what lies behind a tilted camera.
     """
@@ -144,7 +144,7 @@ def _on_frame(
 def _field_mm(
     electrodes: ElectrodeArray, optics: Optics, finest: bool = False
 ) -> tuple[float, float]:
-    """Return what a frame shows, width and height, as if all of it had one electrode's scale.
+    """Return the width and height of a frame on the page, at one electrode's scale throughout.
 
     A tilted camera sees some electrodes coarser than others: the coarsest counts, or the finest.
 

@@ -1,1 +1,1 @@
-"""Which current pattern stimulates one afferent class alone."""
+"""Kernels: current patterns that stimulate one afferent class alone."""

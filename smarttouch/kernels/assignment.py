@@ -1,4 +1,4 @@
-"""The best switching of one source: cathode, anode or insulated, electrode by electrode.
+"""Optimal switching of one source: cathode, anode or insulated, electrode by electrode.
 
 A source's current divides among the electrodes of a pole by their admittance y,
 so an assignment is a pattern with no freedom left, and there are 3^E of them. A
@@ -22,17 +22,17 @@ from smarttouch.kernels.design import SPILL, design_kernel
 from smarttouch.kernels.problem import Array, Problem
 
 EXACT = 25
-"""Electrodes up to which a proof of optimality is tried."""
+"""Largest number of electrodes for which a proof of optimality is tried."""
 _BRANCHES = 60_000
-"""Open branches at which it is given up."""
+"""Number of open branches at which the proof is abandoned."""
 _BOUNDING_ROWS = 60
 _AT_ONCE = 4_000_000
-"""Activations that are held at once."""
+"""Largest number of activations in memory."""
 _SLACK = 1e-9
 
 
 def best_assignment(problem: Problem, site: int) -> tuple[Array, float]:
-    """Return the best pattern of one source, and how far it might be from the optimum.
+    """Return the best pattern of one source, and its largest distance from the optimum.
 
     Returns
     -------
@@ -91,7 +91,7 @@ def pole_shares(states: NDArray[np.int8], admittance: Array) -> Array:
 
 
 class _Judge:
-    """What assignments reach: worst other, or own spill where it is above `SPILL`.
+    """Objective of assignments: worst other, or own spill where it is above `SPILL`.
 
     Of the problem's skins and of all that the target might be, the worst counts.
     Assignments have a column for each of the E electrodes that are driven.
@@ -111,7 +111,7 @@ class _Judge:
         self._at_once = max(16, _AT_ONCE // sum(len(rows.other) for rows in problem.rows))
 
     def reached(self, states: NDArray[np.int8]) -> Array:
-        """Return the objective of each assignment, infinite if it fires not or passes a limit."""
+        """Return the objective of each assignment, infinite if it is invalid."""
         found = np.full(len(states), np.inf)
         both = np.flatnonzero((states == 1).any(axis=1) & (states == -1).any(axis=1))
         for chosen in self._split(both):
@@ -130,7 +130,7 @@ class _Judge:
         return found
 
     def bounds(self, states: NDArray[np.int8], reached: float) -> Array:
-        """Return what is below 0 in a pattern that beats what is reached, (R, E).
+        """Return the values that are below 0 in a pattern better than the best so far, (R, E).
 
         Rows of another class less `reached` times rows of the target, those that
         are the worst ones of most assignments.
@@ -162,7 +162,7 @@ class _Judge:
         return np.array_split(index, max(1, len(index) // self._at_once))
 
     def _within_limits(self, shares: Array) -> NDArray[np.bool_]:
-        """Return which patterns keep the limits when their peak has the full current, (P,)."""
+        """Return which patterns keep the limits at full current of their peak, (P,)."""
         total, electrode = self.limits_ma
         source_ma = self.full_ma / np.abs(shares).max(axis=1)
         carried = np.abs(shares) * source_ma[:, None]
@@ -202,7 +202,7 @@ def _local_search(judge: _Judge, problem: Problem, site: int) -> tuple[NDArray[n
 def _not_ruled_out(
     judge: _Judge, best: NDArray[np.int8], reached: float, order: NDArray[np.intp]
 ) -> NDArray[np.int8] | None:
-    """Return all assignments that might beat the best so far, (P, E), or None if too many."""
+    """Return all assignments that may be better than the best, (P, E), or None if too many."""
     margin = judge.bounds(_some(best), reached)
     open_ = np.zeros((1, len(best)), np.int8)
     for depth, electrode in enumerate(order, 1):
@@ -218,7 +218,7 @@ def _not_ruled_out(
 def _may_beat(
     states: NDArray[np.int8], row: Array, admittance: Array, undecided: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
-    """Return which branches could get their cathodes' mean of a row below their anodes'."""
+    """Return which branches may have a mean of a row over cathodes below that over anodes."""
     rising = undecided[np.argsort(row[undecided])]
     least = -_best_mean(states == 1, -row, admittance, rising)
     most = _best_mean(states == -1, row, admittance, rising[::-1])
@@ -228,7 +228,7 @@ def _may_beat(
 def _best_mean(
     decided: NDArray[np.bool_], row: Array, admittance: Array, joining: NDArray[np.intp]
 ) -> Array:
-    """Return the largest mean a pole can reach if electrodes may join it, best first, (P,)."""
+    """Return the largest mean of a pole if electrodes may join it, best first, (P,)."""
     passed = np.r_[0.0, np.cumsum(admittance[joining])]
     summed = np.r_[0.0, np.cumsum((admittance * row)[joining])]
     total = (decided @ admittance)[:, None] + passed

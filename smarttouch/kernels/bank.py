@@ -1,4 +1,4 @@
-"""Kernels of every site and mode of a profile, designed once and kept."""
+"""Bank of the kernels of every site and mode of a profile, designed once and stored."""
 
 import contextlib
 import hashlib
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from smarttouch.kernels.problem import Kernel, Kind
 
 DESIGN_VERSION = 2
-"""Raised when the same problem would get other kernels."""
+"""Version of the design, raised when the same problem would get other kernels."""
 
 _FIELDS = ("weights", "worst_other", "worst_class", "own_spill", "gap", "seconds", "receptor")
 
@@ -35,7 +35,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class KernelBank:
-    """What the scan looks up.
+    """Kernels of a profile, looked up by the scan.
 
     Attributes
     ----------
@@ -47,9 +47,9 @@ class KernelBank:
     worst_class : dict of Primary to ndarray, (E,) int8
         Class of the worst other.
     gap : dict of Primary to ndarray, (E,) float64
-        How far each kernel might be from the best possible; 0 is proven.
+        Largest distance of each kernel from the optimum; 0 is proven.
     seconds : dict of Primary to ndarray, (E,) float32
-        What each kernel's design took.
+        Time of each kernel's design.
     receptor : dict of Primary to ndarray, (E, E) float32, V/mm² per mA
         Activating function at the target under electrode r for unit cathodic
         current at electrode e.
@@ -78,7 +78,7 @@ class KernelBank:
         return np.asarray(weights / np.where(peak > 0, peak, 1.0), np.float32)
 
     def kernel(self, primary: Primary, site: int, kind: "Kind") -> "Kernel":
-        """Return one kernel with what it reaches.
+        """Return one kernel with its figures.
 
         Raises
         ------
@@ -118,7 +118,7 @@ class KernelBank:
 
 
 def problem_hash(profile: Profile) -> str:
-    """Return the hash of all that the kernels of a profile depend on."""
+    """Return the hash of everything that the kernels of a profile depend on."""
     limits = profile.limits
     problem = {
         "version": DESIGN_VERSION,
@@ -142,7 +142,7 @@ def load_bank(profile: Profile, progress: Progress | None = None) -> KernelBank:
     Parameters
     ----------
     profile : Profile
-        Whose bank.
+        Profile of the bank.
     progress : callable, optional
         Told how many sites are designed, of how many, if any have to be.
     """
@@ -168,7 +168,7 @@ def find_bank(profile: Profile) -> KernelBank | None:
 
 
 def make_bank(path: Path, profile: Profile, progress: Progress | None = None) -> KernelBank:
-    """Design a bank and write it; if interrupted, go on the next time.
+    """Design a bank and write it; if interrupted, it is resumed the next time.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def make_bank(path: Path, profile: Profile, progress: Progress | None = None) ->
 
 
 def _parts(path: Path, profile: Profile) -> Path:
-    """Return the folder of what is designed so far; processes that design the same share it."""
+    """Return the folder of partial results, shared by processes with the same design."""
     return path.with_name(f"{path.stem}-{problem_hash(profile)[:12]}.parts")
 
 
@@ -198,14 +198,14 @@ def _cached_bank(profile: Profile) -> Path:
 
 
 def shipped_bank(name: str) -> Path:
-    """Return where the bank of a shipped profile lies."""
+    """Return the path of the bank of a shipped profile."""
     return data_folder("calibration") / "banks" / f"{name}.npz"
 
 
 def design_bank(
     profile: Profile, progress: Progress | None = None, keep: Path | None = None
 ) -> KernelBank:
-    """Design every mode for every site, as far as the board can make them."""
+    """Design every mode that the board can make, for every site."""
     from smarttouch.kernels.batch import design_sites
     from smarttouch.kernels.problem import Problem
     from smarttouch.kernels.switching import designer, possible_modes
@@ -238,7 +238,7 @@ def design_bank(
 
 
 def write_bank(path: Path, profile: Profile, bank: KernelBank) -> None:
-    """Write a bank whole or not at all."""
+    """Write a bank in one atomic step."""
     columns = {
         f"{name}_{primary.name}": values
         for name in _FIELDS
@@ -256,7 +256,7 @@ def write_bank(path: Path, profile: Profile, bank: KernelBank) -> None:
 
 
 def _read(path: Path, profile: Profile) -> KernelBank | None:
-    """Return the bank in a file if it answers the very problem of a profile, and is whole."""
+    """Return the bank in a file if it is for this profile's problem, and complete."""
     try:
         with open_file(path, DesignError, MOST_BANK_BYTES) as file:
             arrays = read_arrays(file)
@@ -274,7 +274,7 @@ def _read(path: Path, profile: Profile) -> KernelBank | None:
 
 
 def _checked(bank: KernelBank, electrodes: int) -> KernelBank:
-    """Return a bank; ValueError if its arrays are not those of so many electrodes."""
+    """Return a bank; ValueError if its arrays do not fit the number of electrodes."""
     for name in _FIELDS:
         column: Column = getattr(bank, name)
         shape = (electrodes,) * (2 if name in ("weights", "receptor") else 1)

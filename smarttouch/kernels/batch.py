@@ -1,4 +1,4 @@
-"""Many kernels at once: every distinct site, on all cores, kept as they come."""
+"""Batch design of kernels: every distinct site, on all cores, with results stored one by one."""
 
 import contextlib
 import json
@@ -22,7 +22,7 @@ Progress = Callable[[int, int], None]
 Timed = tuple[Kernel, float]
 
 _running: set[int] = set()
-"""Threads of this process that are designing."""
+"""Threads of this process with a design in progress."""
 
 
 def design_sites(
@@ -32,7 +32,7 @@ def design_sites(
     progress: Progress | None = None,
     keep: Path | None = None,
 ) -> list[Timed]:
-    """Design sites, those that mirror one another once.
+    """Design sites, with mirror images designed once.
 
     The work goes through `joblib.Parallel`: on threads here, as the solver runs
     beside the interpreter, or wherever ``joblib.parallel_config`` sends it (a
@@ -43,7 +43,7 @@ def design_sites(
     problem : Problem
         Rows of the primary and profile.
     design : callable
-        What designs one site.
+        Function that designs one site.
     sites : sequence of int, optional
         All that are not masked if not given.
     progress : callable, optional

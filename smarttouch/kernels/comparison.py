@@ -1,4 +1,4 @@
-"""The kinds of kernels beside one another: on the nominal finger, and on the worst of a spread."""
+"""Comparison of the kinds of kernels, on the nominal finger and on the worst of a spread."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ class Compared:
         The same weights on the worst finger of the spread; None where they
         fail to activate their target on one.
     seconds : float
-        What its design took.
+        Time of its design.
     """
 
     variant: str
@@ -50,14 +50,14 @@ def compare(
     sites: Sequence[int],
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Compared]:
-    """Design every variant for every site, and judge each by both fingers.
+    """Design every variant for every site, and evaluate each on both fingers.
 
     Parameters
     ----------
     profile : Profile
         Array, skin with its spread, electrode impedances.
     primary : Primary
-        Which class is to fire.
+        Class to fire.
     sites : sequence of int
     progress : callable, optional
         Told how many kernels are designed, of how many.

@@ -1,4 +1,4 @@
-"""Optimal kernels: the min–max programme of the paper, confined to its site.
+"""Optimal kernels: the paper's min–max program, confined to its site.
 
 For a target node with activating-function row a, and rows A of every other
 afferent (Eq. 10 to 18)::
@@ -21,10 +21,10 @@ from smarttouch.kernels.programme import Chooser, Options, Programme
 from smarttouch.primary import Primary
 
 SPILL = 0.2
-"""Most own-class activation beyond one pitch, of the target's."""
+"""Largest own-class activation beyond one pitch, as a part of the target's."""
 _WORTHWHILE = 1e-6
 _LOOSE_ROWS = 40
-"""Broken rows off any lattice that are added at once."""
+"""Broken rows off any lattice added per round."""
 
 
 def design_kernel(
@@ -123,7 +123,7 @@ def design_any_node(problem: Problem, site: int, spill: float | None = SPILL) ->
 
 
 class _Assembled:
-    """The rows of one site, all skins of a spread together, scaled to a lone electrode's AF."""
+    """Rows of one site for all skins of a spread, scaled to a lone electrode's AF."""
 
     def __init__(self, problem: Problem, site: int, spill: float | None, node: int) -> None:
         self._problem, self._site = problem, site
@@ -160,7 +160,7 @@ class _Assembled:
         return Programme(self._rows, slope, bound, self._aims, size, ties, peaks, options)
 
     def limit(self, programme: Programme) -> bool:
-        """Bound the currents if the profile does."""
+        """Bound the currents by the profile's limits, if any."""
         reference, factors, total = self._limits()
         if np.isinf(total) and np.isinf(factors).all():
             return False
@@ -168,7 +168,7 @@ class _Assembled:
         return True
 
     def within_limits(self, pattern: Array) -> bool:
-        """Return whether a pattern keeps the limits as it is."""
+        """Return whether a pattern keeps the limits unchanged."""
         reference, factors, total = self._limits()
         current, magnitude = float(reference @ pattern), np.abs(pattern)
         in_all = float(self.orbits.sum(axis=0) @ magnitude)
@@ -179,7 +179,7 @@ class _Assembled:
         )
 
     def _limits(self) -> tuple[Array, Array, float]:
-        """Return what the site's own electrode carries, and limits as multiples of that."""
+        """Return the current of the site's own electrode, and the limits as multiples of it."""
         total, electrode = self._problem.limits_ma
         site, full = self._site, self._problem.full_ma(self._site)
         reference = np.sign(self._problem.target[site, site]) * self.orbits[site]
@@ -191,7 +191,7 @@ class _Assembled:
 
 
 def _peaks(problem: Problem) -> Chooser:
-    """Return what chooses broken rows that are local maxima of their lattice.
+    """Return a function that selects broken rows that are local maxima of their lattice.
 
     Neighboring rows are nearly alike; one of each hill says most of what all
     its broken rows would.

@@ -1,4 +1,4 @@
-"""What a kernel is judged by: the rows of its target, of the other classes, of its own.
+"""The design problem: AF rows of a kernel's target, of the other classes, and of its own.
 
 A problem holds one set of rows, or under a spread one for each skin that the
 finger might have; a kernel is as good as it is on the worst of them.
@@ -45,15 +45,15 @@ class Kernel:
     worst_other : float
         Largest activation of any other class, of the target's.
     worst_other_class : Primary
-        Whose it is.
+        Class of the worst other activation.
     own_spill : float
         Largest activation of the own class beyond one pitch, of the target's.
     node : int
         Place of the activated node on its axon; 0 is under the electrode.
     kind : {"weighted", "three-state", "one-of-n"}
-        What sort of board it is for.
+        Kind of board.
     gap : float
-        How far below the objective the best possible one might lie, of it; 0
+        Largest distance of the objective from the optimum, as a part of it; 0
         is proven optimal.
     """
 
@@ -86,7 +86,7 @@ def masked_site(site: int) -> DesignError:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The AF rows of one skin, in V/mm² per mA.
+    """AF rows of one skin, in V/mm² per mA.
 
     Attributes
     ----------
@@ -105,16 +105,16 @@ class Rows:
 
 
 class Problem:
-    """The rows of one primary on one profile, shared by all its sites.
+    """Rows of one primary on one profile, shared by all its sites.
 
     Parameters
     ----------
     profile : Profile
         Array, skin and board.
     primary : Primary
-        Which class is to fire.
+        Class to fire.
     others : collection of Primary, optional
-        Which are not to; all others if not given (Eq. 10 has one, Eq. 16 two).
+        Classes not to fire; all others if not given (Eq. 10 has one, Eq. 16 two).
     spread : bool
         Whether the kernels are to hold over the profile's ``skin.spread``.
     """
@@ -163,7 +163,7 @@ class Problem:
 
     @property
     def target(self) -> Array:
-        """The nominal target row of every site, (E, E)."""
+        """Nominal target row of every site, (E, E)."""
         return np.asarray(self.rows[0].target[0])
 
     @property
@@ -176,7 +176,7 @@ class Problem:
 
     @property
     def driven(self) -> NDArray[np.intp]:
-        """The electrodes that may carry current, which are the sites that have kernels."""
+        """Electrodes that may carry current, which are the sites that have kernels."""
         return self.profile.driven
 
     def describe(self, site: int) -> str:
@@ -210,7 +210,7 @@ class Problem:
 
     @cached_property
     def limits_ma(self) -> tuple[float, Array]:
-        """What all cathodes together and each electrode may carry, infinite if unlimited."""
+        """Limits of all cathodes together and of each electrode, infinite if unlimited."""
         limits = self.profile.limits
         # Sequences hold whole µA: leave every electrode room to be rounded up.
         room = self.electrodes / 1000
@@ -223,14 +223,14 @@ class Problem:
         return np.concatenate([af_matrix(self.profile, one) for one in sets])
 
     def axon_mm(self, site: int) -> Array:
-        """Return where the nodes of the target's own axon lie, (K, 3) x, y and depth."""
+        """Return the places of the nodes of the target's own axon, (K, 3) x, y and depth."""
         sets = along_axon(self.profile, self.primary, site)
         return np.concatenate(
             [np.c_[one.position_mm, np.full(len(one.position_mm), one.depth_mm)] for one in sets]
         )
 
     def representative(self, site: int) -> tuple[int, NDArray[np.intp]]:
-        """Return the site that stands for this one, and the way from it to here."""
+        """Return the site that represents this one by symmetry, and the permutation to here."""
         moves = [(int(np.flatnonzero(move == site)[0]), move) for move in self.symmetries]
         return min(moves, key=lambda pair: pair[0])
 
@@ -248,7 +248,7 @@ class Problem:
     def judge(
         self, weights: Array, site: int, node: int = 0, kind: Kind = "weighted", gap: float = 0.0
     ) -> Kernel:
-        """Return weights scaled to an activation of 1, with what they really do.
+        """Return weights scaled to an activation of 1, with their true figures.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""A min–max linear programme with few unknowns and very many rows.
+"""A min–max linear program with few unknowns and very many rows.
 
 Only the rows that matter are ever given to the solver: it starts with a few,
 and the worst of those its answer breaks are added until none is broken. HiGHS
@@ -20,10 +20,10 @@ Options = dict[str, str | int | float | bool]
 
 _TOLERANCE = 1e-7
 _PRICE = 1e-10
-"""Duals above it are not zero."""
+"""Bound above which duals are not zero."""
 _ROWS_AT_ONCE = 60
 _BOX = 1e3
-"""The first rounds may leave directions free; a wide box keeps them finite."""
+"""Box of the unknowns, which keeps free directions finite in the first rounds."""
 _OPTIONS: Options = {
     "output_flag": False,
     "threads": 1,
@@ -33,12 +33,12 @@ _OPTIONS: Options = {
 }
 
 _PATIENCE = 10
-"""Iterations for each row and column before a hot start is taken to run in circles."""
+"""Iterations per row and column after which a hot start is taken to cycle."""
 _RESCUES: tuple[Options, ...] = (
     {"simplex_dual_edge_weight_strategy": -1},
     {"solver": "ipm", "presolve": "on"},
 )
-"""What is tried one after the other, from a cold start, where an answer is not believed."""
+"""Solver options to try one after the other, from a cold start, if an answer is not confirmed."""
 
 
 class Programme:
@@ -47,13 +47,13 @@ class Programme:
     Parameters
     ----------
     rows : ndarray, (N, O)
-        What must stay small.
+        Rows to be kept small.
     slope, bound : ndarray, (N,)
         1 and 0 where t is the limit, 0 and a number where that is.
     aims : ndarray, (S, O)
-        What must reach 1; with one aim it is exactly 1.
+        Rows that must reach 1; a single one is exactly 1.
     size : ndarray, (O,)
-        How many electrodes each unknown moves.
+        Number of electrodes of each unknown.
     ties : sequence of ndarray, (O,)
         Prices of the unknowns' magnitudes: among equally good patterns the
         cheapest is taken, by one after the other.
@@ -102,18 +102,18 @@ class Programme:
 
     @property
     def pattern(self) -> Array:
-        """The pattern that was found last, (O,)."""
+        """Latest pattern, (O,)."""
         return np.asarray(self._solver.getSolution().col_value)[: self._count]
 
     @property
     def unique(self) -> bool:
-        """Whether no other pattern is as good: every bound that holds it up has its price."""
+        """Whether no other pattern is as good: every active bound has a nonzero dual."""
         solution = self._solver.getSolution()
         prices = np.r_[solution.row_dual, solution.col_dual]
         return int((np.abs(prices) > _PRICE).sum()) >= self._columns
 
     def limit(self, reference: Array, factors: Array, total: float | None) -> None:
-        """Bound currents by that of a reference pattern, its own electrode's say.
+        """Bound currents by that of a reference pattern, such as its own electrode's.
 
         Parameters
         ----------
@@ -136,7 +136,7 @@ class Programme:
             self._add(row[None], -np.inf, np.zeros(1))
 
     def settled(self) -> Array:
-        """Return the most selective pattern, ties broken, (O,)."""
+        """Return the most selective pattern, with ties broken, (O,)."""
         for prices in self._ties:
             if self.unique:
                 break
@@ -149,7 +149,7 @@ class Programme:
         return self.pattern
 
     def _keep_optimum(self) -> None:
-        """Let only patterns be that are as good: bounds that have a price hold in all of them."""
+        """Restrict the program to optimal patterns: bounds with a price become equalities."""
         solution, model = self._solver.getSolution(), self._solver.getLp()
         duals, reduced = np.asarray(solution.row_dual), np.asarray(solution.col_dual)
         side = np.where(duals > 0, model.row_lower_, model.row_upper_)
@@ -184,7 +184,7 @@ class Programme:
                     return answer
             elif believed and status == highspy.HighsModelStatus.kInfeasible:
                 return None
-            # A hot start can end at a wrong answer, or never: only a cold one is believed.
+            # A hot start can end at a wrong answer, or never: only a cold one is accepted.
             believed = True
             self._solver.clearSolver()
             rescue = next(rescues, None)
@@ -245,7 +245,7 @@ class Programme:
         )
 
     def _add_magnitudes(self) -> None:
-        """Add unknowns that are at least as large as each weight's magnitude, once."""
+        """Add unknowns that bound the magnitude of each weight, once."""
         count, columns = self._count, self._columns
         if columns > count + 1:
             return

@@ -12,7 +12,7 @@ from smarttouch.profile import Profile
 
 
 def polarity(profile: Profile, primary: Primary) -> str:
-    """Return which pole stands over the target of a mode (Fig. 10).
+    """Return the pole over the target of a mode (Fig. 10).
 
     A cathode over flat axons (SAI, PC), an anode over rising ones (RA), but a
     cathode over those too where their ending can fire.
@@ -22,19 +22,19 @@ def polarity(profile: Profile, primary: Primary) -> str:
 
 
 def possible_modes(profile: Profile) -> list[Primary]:
-    """Return the modes that a profile's board can make."""
+    """Return the modes possible on a profile's board."""
     offered = profile.output.polarities if profile.output.kind != "weighted" else ()
     return [each for each in Primary if not offered or polarity(profile, each) in offered]
 
 
 def kind_of(profile: Profile) -> Kind:
-    """Return the kind of kernel that a profile's board can make."""
+    """Return the kind of kernel of a profile's board."""
     kind = profile.output.kind
     return "one-of-n" if kind == "one-against-all" else kind
 
 
 def designer(profile: Profile) -> Callable[[Problem, int], Kernel]:
-    """Return what designs the kernels of a profile's kind of board."""
+    """Return the function that designs kernels for a profile's kind of board."""
     designers: dict[Kind, Callable[[Problem, int], Kernel]] = {
         "weighted": design_kernel,
         "three-state": design_three_state,
@@ -59,9 +59,9 @@ def design_three_state(problem: Problem, site: int) -> Kernel:
 
 
 def design_one_of_n(problem: Problem, site: int) -> Kernel:
-    """Return the only pattern such a board has: one electrode against all others.
+    """Return the only pattern of such a board: one electrode against all others.
 
-    It connects a masked electrode too, but what share that takes nobody knows:
+    It connects a masked electrode too, but its share of the current is unknown:
     it counts for nothing.
     """
     problem.check_site(site)

@@ -1,4 +1,4 @@
-"""Mirrors and turns that leave an array and its afferents as they are."""
+"""Symmetries that leave an array and its afferents unchanged."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ _SQUARE = [
         [[0, -1], [-1, 0]],
     )
 ]
-"""The symmetries of a square; those of a hexagon beyond them do not keep the node lattice."""
+"""Symmetries of a square; the further ones of a hexagon do not keep the node lattice."""
 
 
 def symmetries(profile: Profile, primary: Primary) -> list[NDArray[np.intp]]:
@@ -55,7 +55,7 @@ def symmetries(profile: Profile, primary: Primary) -> list[NDArray[np.intp]]:
 
 
 def _own(profile: Profile) -> list[NDArray[np.float64]]:
-    """Return what may set one electrode apart from its mirror image, (E,) each."""
+    """Return properties by which an electrode may differ from its mirror image, (E,) each."""
     limits, own = profile.limits, [profile.admittance]
     if profile.output.masked:
         own.append(np.isin(np.arange(len(profile.electrodes)), profile.driven).astype(np.float64))
@@ -68,7 +68,7 @@ def _own(profile: Profile) -> list[NDArray[np.float64]]:
 
 
 def _keeps(axons: NDArray[np.float64], matrix: NDArray[np.int_]) -> bool:
-    """Return whether a set of directions is the same after a move; an axon has no sense."""
+    """Return whether a set of directions is unchanged by a symmetry; an axon has no sense."""
     moved = axons.copy()
     moved[:, :2] = axons[:, :2] @ matrix.T
     alike = np.abs(moved @ axons.T)

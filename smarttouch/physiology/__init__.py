@@ -1,1 +1,1 @@
-"""The physics under the skin: potentials, afferent pathways, the activating function."""
+"""Physics of the skin: potentials, afferent pathways, the activating function."""

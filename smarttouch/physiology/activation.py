@@ -1,4 +1,4 @@
-"""The activating-function matrix: what every electrode does to every node."""
+"""The activating-function matrix: effect of every electrode on every node."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from smarttouch.profile import Profile, Skin
 def field(
     electrodes: ElectrodeArray, skin: Skin, position_mm: NDArray[np.float64], depth_mm: float
 ) -> tuple[Field, float]:
-    """Return what every electrode does at points of one depth.
+    """Return the field of every electrode at points of one depth.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def field(
     Field of ndarray, (N, E)
         For unit cathodic current at each electrode.
     float
-        What to multiply it with for volts and millimeters per milliampere.
+        Factor for volts and millimeters per milliampere.
     """
     away = position_mm[:, None, :] - electrodes.position_mm[None, :, :]
     x, y = away[..., 0], away[..., 1]

@@ -1,4 +1,4 @@
-"""How far the activating function can be trusted: its thresholds beside those of a fiber.
+"""Error of the activating function: its thresholds beside those of a fiber model.
 
 If the AF were all that counts, every fiber would fire at the same AF, and one
 threshold would give all others. Here the flat fiber under a cathode at
@@ -32,12 +32,12 @@ _FIBERS = {
 
 @dataclass(frozen=True)
 class AfError:
-    """One place of the table.
+    """Thresholds at one place of the table.
 
     Attributes
     ----------
     fiber : str
-        How it lies and how it ends.
+        Orientation and ending of the fiber.
     polarity : {"cathodic", "anodic"}
     depth_mm : float, mm
         Of the fiber, or of the ending of a rising one.
@@ -55,7 +55,7 @@ class AfError:
 
     @property
     def ratio(self) -> float:
-        """Predicted over true threshold: above 1 the AF sees too little, below too much."""
+        """Predicted over true threshold: above 1 the AF underestimates, below it overestimates."""
         return self.af_ma / self.cable_ma
 
 
@@ -65,7 +65,7 @@ def af_error_table(profile: Profile, width_us: float = 200.0) -> list[AfError]:
     Parameters
     ----------
     profile : Profile
-        Whose electrode and skin; its current returns far away.
+        Profile of the electrode and skin; its current returns far away.
     width_us : float, µs
         Pulse width.
 

@@ -1,4 +1,4 @@
-"""Where the afferents of a profile run, and at which points they may fire."""
+"""Courses of a profile's afferents, and the points at which they may fire."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from smarttouch.primary import Primary
 from smarttouch.profile import Profile, Skin
 
 _MARGIN_PITCHES = {"plane": 2.0}
-"""How far beyond the outer electrodes afferents are considered; 2 is the paper's −5..5 mm."""
+"""Margin of afferents beyond the outer electrodes, in pitches; 2 is the paper's −5..5 mm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +21,7 @@ class Afferents:
     Attributes
     ----------
     primary : Primary
-        Whose they are.
+        Class of the afferents.
     position_mm : ndarray, (N, 2) float64, mm
         Places along the skin.
     depth_mm : float, mm

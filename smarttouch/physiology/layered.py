@@ -1,4 +1,4 @@
-"""Round electrodes on layered skin, through the Hankel transform.
+"""Fields of round electrodes on layered skin, by the Hankel transform.
 
 In a stack of layers the potential under an electrode that is round about the
 z axis is Φ(r, z) = ∫ S(k) T(k, z) J₀(kr) dk, S the spectrum of the current that
@@ -18,13 +18,13 @@ from scipy.special import j0, j1
 from smarttouch.physiology.potential import Array, Field, around_axis
 
 Layer = tuple[float, float]
-"""Thickness, mm, and conductivity, S/m; the last one's thickness is infinite."""
+"""Thickness, mm, and conductivity, S/m, of a layer; the last one's thickness is infinite."""
 
 _DECAYED = 40.0
-"""Where e^−kz ends the integral: 4e-18."""
+"""Value of kz at which e^−kz ends the integral: 4e-18."""
 _POINTS = 16
 _GRID = 0.02
-"""Spacing of the radii, of their distance to the electrode's center."""
+"""Spacing of the radii, relative to their distance from the electrode's center."""
 
 
 def spectrum(k: Array, outer_radius: float, inner_radius: float = 0.0) -> Array:

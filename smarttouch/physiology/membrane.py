@@ -1,4 +1,4 @@
-"""When a myelinated fiber fires: thresholds by an active membrane at every node.
+"""Thresholds of a myelinated fiber, by an active membrane at every node.
 
 The nodes carry the CRRSS membrane (rabbit node at 37 °C: Chiu, Ritchie,
 Rogart & Stagg 1979, as put by Sweeney, Mortimer & Durand 1987 and Rattay
@@ -39,7 +39,7 @@ _PATIENCE_US = 20_000.0  # after the pulse; an action potential passes a node in
 
 @dataclass(frozen=True)
 class Fiber:
-    """A myelinated fiber whose first node is its ending in the skin.
+    """Myelinated fiber whose first node is its ending in the skin.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Fiber:
     node_um : float, µm
         Length of a node, 1.5 (Sweeney et al. 1987).
     end : {"passive", "active", "through"}
-        What the first node is. "passive": the bare terminal of the receptor,
+        Kind of the first node. "passive": the bare terminal of the receptor,
         sealed, with leak and capacitance and no sodium channels. "active": a
         sealed full node. "through": an ordinary node of a fiber that runs on,
         so that the cut there is not felt.
@@ -87,7 +87,7 @@ class Fiber:
 
 
 class Axon:
-    """A fiber in a field, ready to be stepped in time under several currents at once.
+    """Fiber in a field, ready to be stepped in time under several currents at once.
 
     A step is split (Strang): half of it for the membranes, all of it for axial
     current, half of it for the membranes again; each part is exact, with gates
@@ -132,7 +132,7 @@ class Axon:
         return np.zeros(size), gates.copy()
 
     def advance(self, state: tuple[Array, Array], current_ma: Array | None) -> tuple[Array, Array]:
-        """Return the state one step on, under (A,) currents in mA (cathodic > 0) or none."""
+        """Return the state after one step, under (A,) currents in mA (cathodic > 0) or none."""
         v, gates = state
         rate, target = _gates(v)
         gates = target + (gates - target) * np.exp(-rate * self.step_us)

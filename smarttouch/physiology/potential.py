@@ -1,4 +1,4 @@
-"""Potential and curvature that one electrode makes in homogeneous skin, in closed form.
+"""Potential and curvature of one electrode in homogeneous skin, in closed form.
 
 The activating function of an axon is the second derivative of the potential
 along it (Eq. 2); the cable equation wants the potential itself. Both come from

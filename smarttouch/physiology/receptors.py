@@ -1,4 +1,4 @@
-"""What skin vibration each class of receptor answers: thresholds by frequency.
+"""Vibration thresholds of each class of receptor by frequency.
 
 The curves of the paper's Fig. 2 as simple analytic ones. RA and PC are valleys in
 log-log coordinates, flat at their best frequency and straight far from it; SAI is flat
@@ -33,17 +33,17 @@ Array = NDArray[np.float64]
 
 RA_BEST_HZ, RA_BAND_HZ = 30.0, (20.0, 70.0)
 PC_BEST_HZ, PC_BAND_HZ = 250.0, (60.0, 800.0)
-"""Paper, Section III-C."""
+"""Best frequency and band of PC (paper, Section III-C)."""
 BAND_DB = 3.0
-"""How far above its best RA's threshold is at the edges of its band: half the power. Ours."""
+"""Rise of RA's threshold from its best to the edges of its band: half the power. Ours."""
 MEETING_HZ = 65.0
-"""Where RA and PC need the same vibration. Ours, between 60 and 70 Hz of the paper."""
+"""Frequency of equal thresholds of RA and PC. Ours, between 60 and 70 Hz of the paper."""
 PC_BEST_DB, SAI_DB = -10.0, 28.0
 """Thresholds, dB re 1 µm of amplitude: see above."""
 SAI_CORNER_HZ = 5.0
-"""From here on SAI needs more; at first order. Ours, for "below a few hertz"."""
+"""Frequency from which SAI's threshold rises, at first order. Ours, for "below a few hertz"."""
 PC_DB_PER_OCTAVE = 12.0
-"""Bolanowski et al. 1988."""
+"""Slope of PC's threshold (Bolanowski et al. 1988)."""
 
 
 @dataclass(frozen=True)
@@ -103,12 +103,12 @@ _VALLEYS = _valleys()
 
 
 def threshold_um(primary: Primary, frequency_hz: ArrayLike) -> Array:
-    """Return the smallest vibration of the skin that a class answers.
+    """Return the smallest vibration of the skin to which a class responds.
 
     Parameters
     ----------
     primary : Primary
-        Whose receptors.
+        Class of the receptors.
     frequency_hz : array_like, Hz
         Of a sinusoid; 0 is a static indentation, which RA and PC never answer.
 
@@ -132,8 +132,8 @@ def threshold_um(primary: Primary, frequency_hz: ArrayLike) -> Array:
 
 
 def sensitivity(primary: Primary, frequency_hz: ArrayLike) -> Array:
-    """Return how well a class answers vibrations, of its best: 1 at 30 Hz (RA), 250 Hz (PC)
-    or rest (SAI).
+    """Return the sensitivity of a class relative to its best: 1 at 30 Hz (RA), 250 Hz (PC) or rest
+    (SAI).
 
     Parameters are those of `threshold_um`.
 

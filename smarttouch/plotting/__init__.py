@@ -1,1 +1,1 @@
-"""Pictures of the design wing: the paper's figures, kernels and their activation, fibers."""
+"""Figures: the paper's, kernels and their activation, fibers, experiments."""

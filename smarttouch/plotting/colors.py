@@ -1,4 +1,6 @@
-"""What each class of receptor answers: by frequency (the paper's Fig. 2), and over time."""
+"""Figures of the classes of receptors: thresholds by frequency (the paper's Fig. 2), and responses
+over time.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,17 +20,17 @@ Array = NDArray[np.float64]
 
 _BANDS_HZ = {Primary.RA: RA_BAND_HZ, Primary.PC: PC_BAND_HZ}
 _MOST_POINTS = 20_000
-"""Of a curve: more is not seen."""
+"""Largest number of points of a curve."""
 
 
 @dataclass(frozen=True, eq=False)
 class ClassRow:
-    """What is drawn of one class.
+    """Data of one class in the figure.
 
     Attributes
     ----------
     drive : ndarray, (N,), in [0, 1]
-        What it answers, at each time of the trace.
+        Response at each time of the trace.
     pulse_s, pulse_drive : ndarray, (K,)
         Its pulses: when, and how strong; none if nothing was mixed.
     vibrated : bool
@@ -69,7 +71,7 @@ def color_figure(
     rows: Mapping[Primary, ClassRow],
     title: str,
 ) -> "Figure":
-    """Draw a trace, what each class answers to it, and the pulses of each.
+    """Draw a trace, the response of each class, and the pulses of each.
 
     Parameters
     ----------
@@ -78,7 +80,7 @@ def color_figure(
     rows : mapping of Primary to ClassRow
         One panel each, in this order.
     title : str
-        What the trace is called.
+        Title of the trace.
     """
     figure = new_figure(8.4, 2.0 + 1.15 * len(rows))
     panels = figure.subplots(

@@ -17,18 +17,18 @@ Array = NDArray[np.float64]
 Bounded = tuple[float, float, float]
 
 SERIES_COLORS = ("#d55e00", "#009e73", "#0072b2", "#cc79a7", "#e69f00", "#56b4e9")
-"""Of Okabe and Ito's set (2008); the first two are those of RA and PC elsewhere."""
+"""Colors of Okabe and Ito's set (2008); the first two are those of RA and PC elsewhere."""
 _MARKERS = ("o", "s", "D", "^", "v", "P")
 _TOP_IN, _BOTTOM_IN = 2.7, 2.9
 _SIDE_IN = 4.6
 _RATIO_TICKS = (0.25, 0.33, 0.5, 0.67, 0.8, 1, 1.25, 1.5, 2, 3, 4)
 _TOLD = 3
-"""Answers at a comparison, to show how sure their share is."""
+"""Fewest answers at a comparison for which the interval of their share is drawn."""
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """What was answered to one standard, and what follows.
+    """Answers to one standard, and their fit.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Judged:
     threshold, lower : tuple of float, or None
         Value and interval, in the unit of the stimulus; None where there is none.
     beyond : int
-        Where the threshold lies, if there is none: 1 above the range, -1 below, 0 not known.
+        Side of the threshold, if it is not measured: 1 above the range, -1 below, 0 not known.
     """
 
     standard: float
@@ -56,7 +56,7 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """What was found in one file.
+    """Results of one file.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Series:
     share : float
         Of answers, at the threshold.
     said : str
-        What a success is: *judged higher*, *felt*.
+        Name of a success: *judged higher*, *felt*.
     """
 
     name: str
@@ -121,7 +121,7 @@ def _title(name: str, index: int) -> str:
 
 
 def _shades(series: Sequence[Series]) -> dict[float, Any]:
-    """Return the color of each standard, from dark to light: told apart in print, too."""
+    """Return the color of each standard, from dark to light, distinct in grey print, too."""
     from matplotlib import colormaps
 
     standards = sorted({judged.standard for each in series for judged in each.judged})
@@ -154,7 +154,7 @@ def _draw_points(axes: Any, x: Array, judged: Judged, color: Any, marker: str, l
     n, k = judged.n, judged.k
     low, high = binomial_interval(k, n)
     share = k / n
-    # Where hardly anything was asked an interval says nothing, and hides the rest.
+    # With few answers an interval is not informative, and hides the rest.
     told = n >= _TOLD
     # Drawn as lists: Matplotlib 3.10 takes an array of one number for the number itself.
     reach = np.maximum([share - low, high - share], 0)[:, told].tolist()
@@ -182,7 +182,7 @@ def _ratio_axis(axes: Any, low: float, high: float) -> None:
 
 
 def _draw_thresholds(axes: Any, series: Sequence[Series], title: str) -> None:
-    """Draw thresholds against standards; what could not be measured, as an open arrow."""
+    """Draw thresholds against standards; those beyond the range as an open arrow."""
     all_judged = [judged for each in series for judged in each.judged]
     standards = sorted({judged.standard for judged in all_judged})
     gap = float(np.diff(standards).min()) if len(standards) > 1 else standards[0]
@@ -208,7 +208,7 @@ def _draw_thresholds(axes: Any, series: Sequence[Series], title: str) -> None:
 
 
 def _end(judged: Judged) -> float:
-    """Return the largest comparison tested, as a part of the standard from it."""
+    """Return the largest comparison tested, as a relative difference from the standard."""
     return float(judged.stimulus.max()) / judged.standard - 1
 
 
@@ -243,7 +243,7 @@ def _draw_bounded(
 
 
 def _draw_none(axes: Any, judged: Judged, x: float, color: str) -> None:
-    """Draw an open arrow at the end of the range tested, and say where the threshold is."""
+    """Draw an open arrow at the end of the range tested, with the side of the threshold."""
     down = judged.beyond < 0
     end = float(judged.stimulus.min()) / judged.standard - 1 if down else _end(judged)
     bottom, top = axes.get_ylim()

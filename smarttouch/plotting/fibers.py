@@ -1,4 +1,4 @@
-"""Fibers beside the activating function: thresholds by depth, strength by duration."""
+"""Figures of fibers and the activating function: thresholds by depth, strength by duration."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _COLORS = {"cathodic": CATHODIC, "anodic": ANODIC}
 _WIDTHS_US = (20.0, 35.0, 60.0, 100.0, 200.0, 350.0, 600.0, 1000.0)
 _FITTED = 5
-"""Widths up to 200 µs, what boards use; beyond, sodium inactivates and Weiss' law ends."""
+"""Widths up to 200 µs, as in boards; beyond, sodium inactivates and Weiss' law ends."""
 
 
 def af_error_figure(table: Sequence[AfError]) -> "Figure":

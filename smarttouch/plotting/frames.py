@@ -1,4 +1,4 @@
-"""Points that share slots: the currents of each slot, and where they fire what."""
+"""Figures of shared slots: the currents of each slot, and the fields of each class."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -56,7 +56,7 @@ _DARK = "#303030"
 
 @dataclass(frozen=True, eq=False)
 class Shared:
-    """What a plan made of a drawing.
+    """Plan of a drawing.
 
     Attributes
     ----------
@@ -152,7 +152,7 @@ def frame_figure(profile: Profile, bank: KernelBank) -> "Figure":
 
 
 class _Lattice:
-    """What currents do to one class, on nodes close enough together to be drawn."""
+    """Fields of currents for one class, on nodes dense enough to be drawn."""
 
     def __init__(self, profile: Profile, primary: Primary) -> None:
         skin = profile.skin.model_copy(update={"node_spacing_mm": _STEP_MM})
@@ -163,7 +163,7 @@ class _Lattice:
         self.x_mm, self.y_mm = place[0, :, 0], place[:, 0, 1]
 
     def af(self, plan: Shared, slot: FrameSlot, primary: Primary) -> Array:
-        """Return the AF in the strongest direction, of the slot's weakest target's, (Y, X)."""
+        """Return the AF in the strongest direction, relative to the weakest target, (Y, X)."""
         reached = self._field(slot.current[None]).reshape(-1, *self.grid).max(axis=0)
         return np.asarray(reached / plan.weakest(slot, primary), np.float64)
 
@@ -189,7 +189,7 @@ def _share(profile: Profile, bank: KernelBank, points: dict[Primary, NDArray[np.
 
 @dataclass(frozen=True, eq=False)
 class _Pen:
-    """Draws the electrodes of a profile, and what is on and under them."""
+    """Draws the electrodes of a profile, and points and fields on them."""
 
     profile: Profile
     lattices: dict[Primary, _Lattice]
@@ -209,7 +209,7 @@ class _Pen:
         return discs
 
     def field(self, axes: Any, primary: Primary, af: Array, sites: NDArray[np.intp]) -> Any:
-        """Draw what a class feels, and the targets."""
+        """Draw the field of a class, and the targets."""
         x_mm, y_mm = self.lattices[primary].x_mm, self.lattices[primary].y_mm
         drawn = axes.pcolormesh(
             x_mm, y_mm, af, cmap=SIGNED_MAP, vmin=-1, vmax=1, rasterized=True, shading="gouraud"
@@ -222,7 +222,7 @@ class _Pen:
         return f"at {primary.name}, {depth_mm(self.profile.skin, primary):g} mm deep"
 
     def _discs(self, axes: Any, **style: Any) -> Any:
-        """Add all electrodes, as large as they are."""
+        """Draw all electrodes at their true size."""
         from matplotlib.collections import EllipseCollection
 
         array = self.profile.electrodes
@@ -238,7 +238,7 @@ class _Pen:
 
 
 def _draw_letter(panels: Any, pen: _Pen, letter: Shared) -> None:
-    """Draw all of a letter in the first column, and a slot in each of the others."""
+    """Draw the whole letter in the first column, and a slot in each of the others."""
     primary, slots = Primary.RA, letter.slots
     sites = [letter.sites(slot, primary) for slot in slots]
     af = [pen.lattices[primary].af(letter, slot, primary) for slot in slots]
@@ -269,7 +269,7 @@ def _draw_mixed(
     slot: FrameSlot,
     alone_ma: dict[Primary, float],
 ) -> tuple[Any, Any]:
-    """Draw a slot of two classes; return what has the scale of currents, and of fields."""
+    """Draw a slot of two classes; return the artists with the scales of currents and fields."""
     sites = {each: mixed.sites(slot, each) for each in _CLASSES}
     pen.points(panels[0], {int(site): each.name for each in _CLASSES for site in sites[each]})
     count = " and ".join(f"{len(own)} {each.name}" for each, own in sites.items())

@@ -1,4 +1,4 @@
-"""Kernels as they lie on the array, and what they do at every class of afferents."""
+"""Figures of kernels on the array, and of their activation of every class of afferents."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -29,7 +29,7 @@ def kernel_figure(profile: Profile, kernels: Mapping[Primary, Kernel], site: int
     kernels : mapping of Primary to Kernel
         One row of panels each.
     site : int
-        Whose kernels they are.
+        Site of the kernels.
     """
     if profile.skin.medium == "plane":
         return _line_figure(profile, kernels)
@@ -92,7 +92,7 @@ def _reach_mm(profile: Profile) -> Array:
 
 
 def _activation(profile: Profile, kernel: Kernel, shown: Primary, places: Array) -> Array:
-    """Return the AF that a kernel causes at places, in the class's strongest direction."""
+    """Return the AF of a kernel at places, in the class's strongest direction."""
     skin = profile.skin
     found, scale = field(profile.electrodes, skin, places, depth_mm(skin, shown))
     along = [found.along(each) @ kernel.weights for each in directions(skin, shown)]

@@ -1,4 +1,4 @@
-"""What all figures share: colors that color-blind readers tell apart, and how files are written."""
+"""Common style of all figures: colors for color-blind readers, axes, and file formats."""
 
 from io import BytesIO
 from pathlib import Path
@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 CATHODIC, ANODIC = "#d55e00", "#0072b2"
 CLASS_COLORS = {Primary.RA: "#d55e00", Primary.SAI: "#0072b2", Primary.PC: "#009e73"}
-"""Of Okabe and Ito's set (2008)."""
+"""Colors of Okabe and Ito's set (2008)."""
 SIGNED_MAP = "PuOr_r"
-"""Orange for what is cathodic or depolarizes, purple for the other sign."""
+"""Color map: orange for cathodic or depolarizing, purple for the other sign."""
 GREY = "#707070"
 
 FORMATS = ("png", "pdf", "svg")
@@ -42,7 +42,7 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
 
 
 def require_drawable(path: Path) -> None:
-    """Raise before any work is done if a figure could not be drawn in the end.
+    """Raise at once if a figure could not be drawn in the end.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def require_drawable(path: Path) -> None:
 
 
 def plain(axes: Any, title: str = "", x: str = "", y: str = "") -> None:
-    """Label axes, and leave only the two lines that carry numbers."""
+    """Label axes, and leave only the two lines with numbers."""
     axes.set_title(title, loc="left", fontsize=9, pad=9)
     axes.set_xlabel(x, fontsize=8)
     axes.set_ylabel(y, fontsize=8)

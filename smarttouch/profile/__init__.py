@@ -1,4 +1,4 @@
-"""Profiles: what calibration knows of one device on one finger, as TOML files."""
+"""Profiles: calibration data of one device on one finger, as TOML files."""
 
 from smarttouch.profile.device import ForceLaw, Optics
 from smarttouch.profile.load import DEFAULT_PROFILE, list_profiles, load_profile

@@ -1,4 +1,4 @@
-"""The electrode arrays that a profile can describe."""
+"""Electrode arrays in profiles."""
 
 from typing import Annotated, Literal, Self
 

@@ -1,4 +1,4 @@
-"""Ceilings of the project, each with its source: a profile may ask for less, never for more."""
+"""Ceilings of the project, each with its source: a profile may lower them, never raise them."""
 
 from typing import NamedTuple
 
@@ -138,6 +138,5 @@ CEILINGS = (
         "Ours: an hour at the mean current above.",
     ),
 )
-"""All of them; what is told and not enforced stands in `ADVISORY_RMS_MA_CM2`: IEC 60601-2-10
-wants the operator's attention above 2 mA/cm² r.m.s., which electrodes of a millimeter always
-exceed."""
+"""All enforced ceilings. `ADVISORY_RMS_MA_CM2` is reported and not enforced: IEC 60601-2-10 wants
+the operator's attention above 2 mA/cm² r.m.s., which electrodes of a millimeter always exceed."""

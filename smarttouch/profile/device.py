@@ -1,4 +1,4 @@
-"""The tables of a profile that tell what its device is and may do."""
+"""Tables of a profile that describe its device and its limits."""
 
 from collections.abc import Iterator
 from datetime import datetime
@@ -23,7 +23,7 @@ from smarttouch.profile.table import Number, Positive, Table, UnfitError, raise_
 
 
 class Output(Table):
-    """What the display board can do."""
+    """Outputs of the display board."""
 
     kind: Literal["weighted", "three-state", "one-against-all"]
     """Whether each electrode has a current of its own, one of three states, or is driven alone
@@ -79,7 +79,7 @@ class Optics(Table):
     field_height_mm: Positive
     """Height of page that a frame shows."""
     magnification: Positive
-    """Millimeters on the array for one millimeter on the page."""
+    """Millimeters on the array per millimeter on the page."""
     rotation_deg: float = Field(default=0.0, ge=-180, le=180)
     """How far the array is turned in a frame, clockwise."""
     offset_x_mm: Number = 0.0
@@ -87,15 +87,15 @@ class Optics(Table):
     offset_y_mm: Number = 0.0
     """How far the middle of the array lies below that of a frame, on the page."""
     homography: tuple[Number, ...] | None = Field(default=None, min_length=9, max_length=9)
-    """Of a tilted camera, row by row: millimeters on the page around the middle of what the array
-    covers become pixels of a frame of ``sensor_columns`` by ``sensor_rows`` (centers at whole
+    """Homography of a tilted camera, by rows: millimeters on the page around the middle of what the
+    array covers become pixels of a frame of ``sensor_columns`` by ``sensor_rows`` (centers at whole
     numbers). Field, rotation and offset are not used where it is given."""
     flat_field: str | None = None
     """File with the dark level and the gain of every pixel, beside the profile."""
 
 
 class ForceLaw(Table):
-    """How finger force gates intensity (paper, Section IV-B)."""
+    """Dependence of intensity on finger force (paper, Section IV-B)."""
 
     law: Literal["linear", "logarithmic"]
     """How intensity rises between contact and full force."""
@@ -120,7 +120,7 @@ class ForceLaw(Table):
 
 
 class Pulse(Table):
-    """One slot of the scan."""
+    """Pulse of one slot of the scan."""
 
     width_us: int = Field(ge=10, le=int(CEILING_PULSE_US))
     """Time that current flows."""
@@ -130,7 +130,7 @@ class Pulse(Table):
     rate_hz: float = Field(ge=1, le=CEILING_RATE_HZ)
     """Sequences a second."""
     carrier: Literal["height", "width"] = "height"
-    """What grows with intensity: the current, or how long it flows."""
+    """Quantity that grows with intensity: the current, or the pulse width."""
     chronaxie_us: Positive = 200.0
     """Chronaxie of the afferents: it says how much more current a shorter pulse needs."""
     ra_rate_hz: float = Field(default=30.0, ge=1, le=200)
@@ -142,7 +142,7 @@ class Pulse(Table):
 
 
 class Limits(Table):
-    """What no sequence may exceed; the project's ceilings bound them."""
+    """Limits of every sequence, bounded by the project's ceilings."""
 
     current_ma: float = Field(gt=0, le=CEILING_MA)
     """Largest current of any electrode."""
@@ -169,7 +169,7 @@ class Limits(Table):
 
 
 class Frames(Table):
-    """What a slot of many points may do, where a whole frame is shown at once."""
+    """Bounds of a slot with many points, where a whole frame is shown at once."""
 
     other: float = Field(default=0.3, gt=0, le=1)
     """Largest activation of any other class, relative to the weakest target. 0.30 is the paper's
@@ -183,7 +183,7 @@ class Frames(Table):
 
 
 class Perception(Table):
-    """Current at which each electrode is first felt, and the strongest that is comfortable."""
+    """Detection threshold of each electrode, and its largest comfortable current."""
 
     threshold_ma: Positive | tuple[Positive, ...]
     """Current at which each electrode is first felt, one for all or one for each."""
@@ -202,7 +202,7 @@ class Perception(Table):
 
 
 class Calibrated(Table):
-    """What a calibration found, when, and with what."""
+    """Result of a calibration, with its date and versions."""
 
     when: datetime
     """When it was measured."""

@@ -35,7 +35,7 @@ def load_profile(name: str | Path) -> Profile:
     Raises
     ------
     ProfileError
-        If there is none, or it says something unknown or impossible.
+        If there is none, or it has unknown keys or impossible values.
 
     Examples
     --------

@@ -56,20 +56,20 @@ class Profile(Table):
 
     @cached_property
     def full_ma(self) -> NDArray[np.float32]:
-        """Strongest comfortable current of each electrode, (E,) mA (magnitude)."""
+        """Largest comfortable current of each electrode, (E,) mA (magnitude)."""
         if self.perception.comfort_ma is not None:
             return np.asarray(self.perception.comfort_ma, np.float32)
         return self.threshold_ma * self.perception.comfort_ratio
 
     @property
     def shares(self) -> bool:
-        """Whether points may share a slot, as far as the profile goes."""
+        """Whether the profile allows points to share a slot."""
         given = self.limits.total_ma is not None
         return given if self.frames.share is None else self.frames.share
 
     @property
     def design_total_ma(self) -> float | None:
-        """Total current that kernels are designed within; None where none needs to be.
+        """Limit of total current in the design of kernels; None if none is needed.
 
         A total at the project's ceiling, which holds for all, says nothing of the kernels
         where points do not share slots.
@@ -79,13 +79,13 @@ class Profile(Table):
 
     @cached_property
     def admittance(self) -> NDArray[np.float64]:
-        """What share each electrode takes of a source, (E,), relative."""
+        """Relative share of each electrode in a source's current, (E,)."""
         impedance = np.asarray(self.output.impedance_kohm, np.float64)
         return np.broadcast_to(1 / impedance, (len(self.electrodes),)).copy()
 
     @cached_property
     def driven(self) -> NDArray[np.intp]:
-        """The electrodes that are not masked, in order."""
+        """Electrodes that are not masked, in order."""
         return np.setdiff1d(np.arange(len(self.electrodes)), self.output.masked)
 
     @model_validator(mode="after")

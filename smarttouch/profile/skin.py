@@ -1,4 +1,4 @@
-"""The skin of a profile: conductivities, where its afferents run, and how sure that is."""
+"""Skin of a profile: conductivities, courses of its afferents, and their uncertainty."""
 
 from collections.abc import Iterator
 from typing import Literal, Self
@@ -10,7 +10,7 @@ from smarttouch.profile.table import Positive, Table, UnfitError, raise_all
 
 
 class SkinLayer(Table):
-    """One layer of skin; the last one goes on without end."""
+    """One layer of skin; the last one is infinitely thick."""
 
     name: str = ""
     """Name of the layer, for people."""
@@ -21,7 +21,7 @@ class SkinLayer(Table):
 
 
 class Spread(Table):
-    """How far the true finger may be from the nominal one; robust kernels hold over it."""
+    """Largest deviation of a true finger from the nominal one; robust kernels hold over it."""
 
     ra_depth_mm: float = Field(default=0.1, ge=0)
     """How far the depth of RA may be off, each way."""
@@ -64,7 +64,7 @@ class Skin(Table):
 
     @property
     def conductivity(self) -> float:
-        """Of homogeneous skin, S/m."""
+        """Conductivity of homogeneous skin, S/m."""
         return self.conductivity_s_per_m or 1.0
 
     @model_validator(mode="after")

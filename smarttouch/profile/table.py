@@ -1,4 +1,4 @@
-"""What all tables of a profile share."""
+"""Common base of all tables of a profile."""
 
 from collections.abc import Iterable
 from typing import Annotated, Any
@@ -55,13 +55,13 @@ def _require_sensible(value: float) -> float:
 
 
 SMALLEST, LARGEST = 1e-9, 1e9
-"""No length, current, impedance or time of a device lies beyond, in the units of profiles."""
+"""Range of plausible lengths, currents, impedances and times, in the units of profiles."""
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, Field(gt=0), AfterValidator(_require_sensible)]
 
 
 class Table(BaseModel):
-    """A table of the file: read only, no unknown keys, and no number that is none or endless."""
+    """Table of the file: read only, without unknown keys, NaN or infinite numbers."""
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False, ser_json_inf_nan="strings"

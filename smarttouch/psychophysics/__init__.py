@@ -1,1 +1,1 @@
-"""Psychophysics: which stimulus comes next, what was answered, and what follows from it."""
+"""Psychophysics: procedures, trials, answers, and the psychometric functions fitted to them."""

@@ -1,4 +1,4 @@
-"""The experiments there are, and how each is put together from what a user asks for."""
+"""Catalog of experiments, and how to build each from the user's options."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -30,20 +30,20 @@ from smarttouch.psychophysics.trial import Task
 CONSTANT, STAIRCASE, QUESTPLUS, LIMITS = "constant", "staircase", "questplus", "limits"
 ADAPTIVE = (CONSTANT, STAIRCASE, QUESTPLUS)
 PC_STANDARDS_HZ = (*STANDARDS_HZ, 90.0, 100.0)
-"""Beyond those of RA the two at which the paper's thresholds change in PC mode (Fig. 18)."""
+"""Standards of PC: those of RA, and the two at which the paper's thresholds change (Fig. 18)."""
 LEVELS = tuple(np.geomspace(0.5, 1.6, 7))
-"""Of the profile's threshold, that detection is asked for at (our own choice)."""
+"""Levels of the detection experiment, as parts of the profile's threshold (our own choice)."""
 _FARTHEST = 4
-"""Distances of a point on each side, and most of them between two points."""
+"""Most steps of distance: to each side of a point, and between two points."""
 
 _IN_MA = ("detection", "discomfort")
 _SLOWER = 2.0
-"""Than the profile's ramp a current rises whose end is looked for."""
+"""Factor by which the rise of current is slower than the profile's ramp, in `discomfort`."""
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a user asks for; what is None was not given.
+    """Options of an experiment; None means not given.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class Design:
     again : bool
         Whether a trial may be felt again.
     notes : list of str
-        What a user should know of it.
+        Warnings for the user.
     """
 
     task: Task
@@ -107,7 +107,7 @@ class Entry:
     methods : tuple of str
         Procedures that make sense, the usual one first.
     train_s : float, s
-        How long trains are if nothing else is said.
+        Default length of a train.
     make : callable
         Puts it together.
     """
@@ -119,7 +119,7 @@ class Entry:
 
 
 def design(name: str, profile: Profile, wanted: Wanted) -> Design:
-    """Put an experiment of the catalog together.
+    """Build an experiment of the catalog.
 
     Raises
     ------
@@ -213,7 +213,7 @@ def _detection(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
             method, threshold_ma, full_ma, wanted.two_intervals, wanted.trials, wanted.seed
         )
     task = DetectionTask(stimuli, site, _rate_hz(stimuli, wanted))
-    # Who may feel it again knows more than one look tells.
+    # Feeling it again would give more than one presentation does.
     return Design(task, procedure, method, again=False)
 
 
@@ -284,4 +284,4 @@ CATALOG = {
     ),
     "letters": Entry("which letter was drawn", (CONSTANT,), 1.0, _letters),
 }  # fmt: skip
-"""By name."""
+"""All experiments by name."""

@@ -1,4 +1,4 @@
-"""How a trial goes: its pauses, and how long an answer is waited for."""
+"""Timing of a trial: its pauses, and the time limits for an answer and for the current."""
 
 from dataclasses import dataclass
 
@@ -7,18 +7,18 @@ from smarttouch.errors import ExperimentError
 
 @dataclass(frozen=True)
 class Course:
-    """How a trial goes.
+    """Timing of a trial.
 
     Attributes
     ----------
     gap_s : float, s
         Between two intervals.
     answer_s : float or None, s
-        How long an answer is waited for; for ever if None.
+        Time limit for an answer; no limit if None.
     again : bool
         Whether a participant may feel a trial once more.
     patience_s : float or None, s
-        How long it is waited for intensity before a trial; for ever if None.
+        Time limit for the current to reach its level before a trial; no limit if None.
 
     Raises
     ------

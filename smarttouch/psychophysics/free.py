@@ -1,4 +1,4 @@
-"""Free stimulation: amplitude, rate, mode and site in the subject's own hand.
+"""Free stimulation: the subject sets amplitude, rate, mode and site.
 
 The experiment system of the paper (Section III-A, Fig. 11 and 12), on which its qualitative
 observations were made (Section III-B).
@@ -27,20 +27,20 @@ from smarttouch.sources.source import StimulusSource
 from smarttouch.sources.stimulus import Stimulus
 
 SLOWEST_HZ, FASTEST_HZ = 10.0, 200.0
-"""Of pulses (paper, Section III-B.1)."""
+"""Range of the pulse rate (paper, Section III-B.1)."""
 _STEP_HZ = 5.0
 _STEP_MM = 50.0
-"""Way of a knob from nothing to the ceiling."""
+"""Travel of a knob from zero to the ceiling."""
 COLUMNS = (
     "time_s", "what", "value", "amplitude_ma", "current_ma", "rate_hz", "mode", "site", "force_n",
 )  # fmt: skip
 
 
 class Knob(Protocol):
-    """Something that is moved by hand."""
+    """Device moved by hand, such as a mouse."""
 
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return how far it was moved since the start, x and y in mm; None at its end."""
+        """Return its displacement since the start, x and y in mm; None at its end."""
 
 
 def up_to_the_ceiling(profile: Profile) -> Profile:
@@ -119,12 +119,12 @@ class FreeLog(Closing):
             raise unwritable(ExperimentError, self.path, error) from None
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._file.close()
 
 
 class HandControls(Controls):
-    """Controls whose level a knob may move: away from you is more.
+    """Controls whose level a knob may move: up when it moves away from the user.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ class HandControls(Controls):
         self._knob, self._y_mm = knob, 0.0
 
     def state(self, time_ns: int) -> ControlState:
-        """Return what the user wants, with what the knob has added."""
+        """Return the state of the controls, with the knob's part added."""
         moved = None if self._knob is None else self._knob.read(time_ns)
         # The y axis of a page comes towards you.
         if moved is not None and moved[1] != self._y_mm:
@@ -167,7 +167,7 @@ class FreeSource(StimulusSource, Listener):
         To begin with; the middle if None.
     rate_hz : float, Hz
     press_n : float, N, optional
-        How hard the finger presses, where there is none.
+        Finger force, where there is no force sensor.
 
     Raises
     ------
@@ -221,7 +221,7 @@ class FreeSource(StimulusSource, Listener):
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
-        """Rate, site, mode and marks."""
+        """Keys of rate, site, mode and marks."""
         does: dict[str, Callable[[], None]] = {
             "left": partial(self._turn_rate, -_STEP_HZ),
             "right": partial(self._turn_rate, _STEP_HZ),
@@ -234,7 +234,7 @@ class FreeSource(StimulusSource, Listener):
 
     @property
     def amplitude_ma(self) -> float:
-        """What the user asks for: of the strongest electrode, mA."""
+        """Amplitude set by the user, of the strongest electrode, mA."""
         return float(self._full_ma[self.site]) * (self._level or 0.0)
 
     def read(self, time_ns: int) -> Stimulus | None:
@@ -250,7 +250,7 @@ class FreeSource(StimulusSource, Listener):
         return Stimulus(activation, time_ns, self._press_n, period_us, level, number=number)
 
     def step(self, result: StepResult) -> None:
-        """Take note of what flowed, and of the user's hand on the amplitude."""
+        """Log the delivered step and the change of amplitude by hand."""
         current_ua = result.step.sequence.current_ua
         self._current_ma = float(np.abs(current_ua).max(initial=0)) / 1000
         self._force_n = result.step.input.force_n

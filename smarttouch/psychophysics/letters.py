@@ -35,7 +35,7 @@ def parse_letters(text: str | None) -> str:
 
 
 def draw_letter(letter: str, profile: Profile) -> NDArray[np.float32]:
-    """Return what each electrode of an array does to draw a letter as large as the array.
+    """Return the activation of each electrode that draws a letter as large as the array.
 
     Drawn in the middle, in its own proportions, with strokes one electrode wide; an electrode is
     on or off.

@@ -1,4 +1,4 @@
-"""One row of a CSV file for each trial, as users of PsychoPy know it; on disk at once."""
+"""CSV file with one row for each trial, in PsychoPy's layout; each row on disk at once."""
 
 import os
 from dataclasses import dataclass, fields
@@ -19,9 +19,9 @@ from smarttouch.psychophysics.cells import read_cell, write_cell, write_line
 from smarttouch.tables import parse_csv
 
 _BOM = "\N{ZERO WIDTH NO-BREAK SPACE}".encode()
-"""By which spreadsheets know UTF-8."""
+"""Byte order mark by which spreadsheets detect UTF-8."""
 _SAME = ("experiment", "procedure", "participant", "session", "seed")
-"""What all rows of a file agree in."""
+"""Columns that are the same in all rows of a file."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class TrialRow:
     procedure : str
         ``constant``, ``staircase`` or ``questplus``.
     standard : float or None
-        What was compared with; None (an empty cell) where there is nothing.
+        Standard; None (an empty cell) if there is none.
     comparison : float
         Level, frequency or distance of what was tested.
     comparison_interval : int or None
@@ -46,7 +46,7 @@ class TrialRow:
     unit : str
         Of standard and comparison: Hz, mA, mm.
     target, response : str
-        What was shown and what was answered, in words; an empty response is none.
+        Stimulus and response as text; an empty response is none.
     success : bool or None
         Discrimination: the comparison was judged higher or stronger. Detection: it was felt.
         Identification: it was named. None if no answer came. 1, 0 or empty in the file.
@@ -57,7 +57,7 @@ class TrialRow:
     level : float
         Amplitude that the user had chosen, 0 to 1.
     participant, session, date : str
-        Who, which session, and when it began.
+        Participant, session, and the time it began.
     seed : int
         Of the order of trials.
     frame_rate_hz : float or None
@@ -98,12 +98,12 @@ _PSYCHOPY = {
     "frame_rate_hz": "frameRate",
 }
 COLUMNS = {each.name: _PSYCHOPY.get(each.name, each.name) for each in fields(TrialRow)}
-"""Of each attribute."""
+"""Column of each attribute."""
 
 
 @dataclass(frozen=True)
 class About:
-    """Whose answers a file keeps; every row says it.
+    """Identity of a file: participant, session and experiment, repeated in each row.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ class RowFile(Closing):
     path : Path
         The CSV file; made if missing.
     about : About
-        What a file that is there must be about.
+        Identity that an existing file must have.
     overwrite : bool
         Whether to begin anew.
 
@@ -165,7 +165,7 @@ class RowFile(Closing):
             raise
 
     def _begin(self, data: bytes) -> None:
-        """Take in the lines that are there, and drop one that was cut off."""
+        """Read existing lines, and drop one that was cut off."""
         whole = data[: data.rfind(b"\n") + 1]
         self.rows = _parse(whole, self.path) if whole else []
         self._require_same(self.rows[:1] + self.rows[-1:])
@@ -194,7 +194,7 @@ class RowFile(Closing):
         self.rows.append(row)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._file.close()
 
     def _write(self, data: bytes) -> None:

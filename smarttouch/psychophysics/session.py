@@ -1,4 +1,4 @@
-"""A session: trials of a procedure, and a file that knows how far it has come."""
+"""A session: the trials of a procedure, and the file of its answers."""
 
 import math
 from importlib.metadata import version
@@ -9,11 +9,11 @@ from smarttouch.psychophysics.rows import RowFile, TrialRow
 from smarttouch.psychophysics.trial import Answer, Task, Trial
 
 _SAME = 1e-6
-"""Relative difference that writing and reading a condition may make."""
+"""Relative difference by which a condition may change when written and read."""
 
 
 class Session:
-    """Hands out trials, and writes a row for each answer before the next one.
+    """Session that supplies trials, and writes a row for each answer before the next one.
 
     The file is all that is remembered: its answers are given to the procedure anew, which leads
     to the trial that comes next. A trial without its row is presented again.
@@ -21,7 +21,7 @@ class Session:
     Parameters
     ----------
     task : Task
-        What conditions mean.
+        Task that makes trials of conditions.
     procedure : Procedure
         A fresh one, of the same arguments as before.
     file : RowFile
@@ -59,12 +59,12 @@ class Session:
 
     @property
     def done(self) -> int:
-        """Trials that are over."""
+        """Number of trials that are over."""
         return len(self._file.rows)
 
     @property
     def total(self) -> int | None:
-        """Trials there will be; None if that depends on the answers."""
+        """Number of trials; None if it depends on the answers."""
         return self._procedure.total
 
     @property
@@ -74,7 +74,7 @@ class Session:
 
     @property
     def rows(self) -> list[TrialRow]:
-        """All answers until now."""
+        """Rows of all answers until now."""
         return self._file.rows
 
     def next(self) -> Trial | None:
@@ -82,7 +82,7 @@ class Session:
         return None if self._procedure.done else self._task.trial(self._procedure.next())
 
     def record(self, trial: Trial, answer: Answer) -> None:
-        """Write an answer down, and let the procedure know.
+        """Write an answer, and pass it to the procedure.
 
         Raises
         ------

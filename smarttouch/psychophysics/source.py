@@ -22,16 +22,16 @@ from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stimulation.intensity import force_gate
 
 SILENT_US = 20_000
-"""Between two looks for a key while there is no current."""
+"""Interval between two checks for a key while there is no current."""
 PAUSE_S = 0.5
 """Least time between an answer and the next trial."""
 _STEADY = 0.98
-"""Of the intensity that was asked for: a trial begins when that much of it is there."""
+"""Part of the requested intensity at which a trial begins."""
 _SPOILED = 0.5
-"""Of it: with less, current was lost within an interval. A key moves it by less; where
+"""Part of it below which current was lost within an interval. A key moves it by less; where
 milliamperes count, nothing may."""
 AGAIN = "r"
-"""Key to feel a trial once more."""
+"""Key that repeats a trial."""
 _NUMBERS = ("first", "second")
 
 Pulses = Generator[Stimulus, None, None]
@@ -46,13 +46,13 @@ class ExperimentSource(StimulusSource, Listener):
     Parameters
     ----------
     trials : Trials
-        What is presented.
+        Trials to present.
     profile : Profile
         Array, force and limits.
     course : Course
-        How a trial goes.
+        Timing of a trial.
     press_n : float, N, optional
-        How hard the finger presses, where there is none: nobody else is asked then.
+        Finger force, where there is no force sensor; no other source is used then.
     clock : Clock, optional
         Tells when a key was pressed between two stimuli; the time of the last one counts if
         not given.
@@ -103,7 +103,7 @@ class ExperimentSource(StimulusSource, Listener):
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
-        """The answers of the trial that is on, and the trial once more."""
+        """Keys of the current trial's answers, and the key that repeats it."""
         named = "12ynr\n\r" + "".join(map(chr, range(ord("A"), ord("Z") + 1)))
         return {key: partial(self.press, key) for key in (*named, "left", "right")}
 
@@ -252,7 +252,7 @@ class ExperimentSource(StimulusSource, Listener):
         return Answer(response, rt_s, self._now_ns / 1e9, self._level, reached)
 
     def _key(self, trial: Trial) -> tuple[str, int] | None:
-        """Return the first key that means something now, and when it was pressed."""
+        """Return the first valid key, and when it was pressed."""
         again = self._course.again and not trial.rises
         while self._pressed:
             key = self._pressed.popleft()

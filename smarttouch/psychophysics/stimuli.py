@@ -1,4 +1,4 @@
-"""Pulse trains on sites of an array: what an interval of a trial lets the finger feel."""
+"""Pulse trains on sites of an array: the stimuli of a trial's intervals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,13 +11,13 @@ from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 
 FEWEST_PULSES = 2
-"""Fewer have no frequency."""
+"""Fewest pulses that have a frequency."""
 LONGEST_S = 60.0
 
 
 @dataclass(frozen=True, eq=False)
 class Train:
-    """Pulses at one frequency.
+    """Train of pulses at one frequency.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Train:
         return 1e6 / self.period_us
 
     def blank(self) -> "Train":
-        """Return the same without current."""
+        """Return the same train without current."""
         return replace(self, activation=np.zeros_like(self.activation))
 
     def level_at(self, pulse: int) -> float:
@@ -53,16 +53,16 @@ class Train:
 
 
 class Stimuli:
-    """Makes trains for one class of afferents.
+    """Factory of trains for one class of afferents.
 
     Parameters
     ----------
     profile : Profile
         Array, limits and currents.
     primary : Primary
-        Which class the trains drive.
+        Class that the trains drive.
     train_s : float, s
-        How long they are.
+        Length of a train.
 
     Raises
     ------
@@ -116,7 +116,7 @@ class Stimuli:
 
     @property
     def middle(self) -> int:
-        """The site in the middle of the array, of those that are driven."""
+        """Driven site nearest to the middle of the array."""
         return self.nearest((0.0, 0.0))
 
     def nearest(self, place_mm: Sequence[float] | NDArray[np.float64]) -> int:
@@ -126,7 +126,7 @@ class Stimuli:
         return int(driven[np.hypot(*away_mm.T).round(6).argmin()])
 
     def beside(self, site: int) -> dict[float, int]:
-        """Return the other driven sites on the same row, by how far right they are, mm."""
+        """Return the other driven sites on the same row, by their offset to the right, mm."""
         place_mm = self.profile.electrodes.position_mm
         away_mm = place_mm[self.profile.driven] - place_mm[site]
         return {

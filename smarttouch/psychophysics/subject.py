@@ -1,4 +1,4 @@
-"""An observer instead of a person: feels what a simulated board delivered, answers by key."""
+"""A simulated subject: applies an observer to delivered pulses, and answers by key."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -25,18 +25,18 @@ from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
 
 _LOOK_S = 0.25
-"""How often an observer makes up its mind while a current rises (our own choice)."""
+"""Interval of an observer's decisions while a current rises (our own choice)."""
 
 
 class Subject(Listener):
-    """Answers an experiment in place of a person.
+    """Subject that answers an experiment in place of a person.
 
     Parameters
     ----------
     source : ExperimentSource
-        Whose questions are answered, by its keys.
+        Experiment to answer, by its keys.
     observer : Observer
-        Who answers.
+        Observer that decides.
     """
 
     def __init__(self, source: ExperimentSource, observer: Observer) -> None:
@@ -44,12 +44,12 @@ class Subject(Listener):
         self._source, self._observer = source, observer
         self._board: SimulatedBoard | None = None
         self._starts: dict[tuple[int, int], dict[int, tuple[int, int]]] = {}
-        """By presentation and interval: time and discharge of each sequence, by number."""
+        """Time and discharge of each sequence by number, for each presentation and interval."""
         self._asked: Trial | None = None
         self._looked_ns = 0
 
     def start(self, run: RunContext) -> None:
-        """Look at the board: its account of what flowed is all that the observer is given.
+        """Attach to the board: its record of delivered pulses is the observer's only input.
 
         Raises
         ------
@@ -59,7 +59,7 @@ class Subject(Listener):
         self.attend(run.board)
 
     def attend(self, board: Board) -> None:
-        """Look at a board, as `start` does."""
+        """Attach to a board, as `start` does."""
         if not isinstance(board, SimulatedBoard):
             raise ExperimentError(
                 "simulated subjects feel simulated currents only: choose the board simulated:",
@@ -70,7 +70,7 @@ class Subject(Listener):
         self._board = board
 
     def step(self, result: StepResult) -> None:
-        """Follow a step; answer if there is a question."""
+        """Follow a step; answer if a question is open."""
         playing, asking = self._source.playing, self._source.asking
         sequence = result.step.sequence
         if playing is not None and result.number is not None:
@@ -106,12 +106,12 @@ class Subject(Listener):
 
 
 def interval_of(pulses: Pulses, starts: dict[int, tuple[int, int]]) -> Interval:
-    """Return what the skin got in the sequences of one interval.
+    """Return the pulses that the sequences of one interval delivered.
 
     Parameters
     ----------
     pulses : tuple of ndarray
-        All that flowed, see `SimulatedBoard.take_pulses`.
+        Delivered pulses, see `SimulatedBoard.take_pulses`.
     starts : dict
         When each sequence of the interval began, ns, and the discharge after each of its slots,
         µs, by its number.
@@ -140,7 +140,7 @@ def make_observer(
     ----------
     kind : str
     profile : Profile
-        Whose kernels the model feels.
+        Profile whose kernels the model uses.
     seed : int
         Of its noise.
     templates : mapping of str to ndarray, (E,), optional
@@ -159,7 +159,7 @@ def make_observer(
 
 @dataclass
 class TwoLooks:
-    """Lets one who says whether something is felt tell in which of two intervals it was.
+    """Observer of two intervals made from one that detects a stimulus in a single interval.
 
     If it was felt in both or in none, a coin is tossed: so does a threshold that is either passed
     or not (high-threshold theory, Green and Swets, Signal Detection Theory and Psychophysics, 1966,

@@ -1,4 +1,4 @@
-"""What there is to say at the end of a session, before anybody fits anything."""
+"""Summary at the end of a session, before any fit."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ from smarttouch.psychophysics.tasks import LetterTask
 
 
 def summarize(design: Design, session: Session, path: Path) -> list[str]:
-    """Return a few lines about the answers until now, and what to do next."""
+    """Return a few lines about the answers until now, and the next command."""
     rows = session.rows
     lines = [_progress(session)]
     answered = [row for row in rows if row.success is not None]
@@ -46,7 +46,7 @@ def _progress(session: Session) -> str:
 
 
 def _estimates(design: Design, unit: str) -> list[str]:
-    """Return what the procedure itself makes of the answers, a line for each standard."""
+    """Return the procedure's own estimates, a line for each standard."""
     if isinstance(design.procedure, Interleaved):
         found = design.procedure.estimates()
     else:
@@ -59,7 +59,7 @@ def _estimates(design: Design, unit: str) -> list[str]:
 
 
 def _letters(answered: Sequence[TrialRow], letters: list[str]) -> list[str]:
-    """Return the share that was right, and who was taken for whom, a row for each letter."""
+    """Return the share correct, and the confusions, a row for each letter."""
     if not answered:
         return []
     right = sum(bool(row.success) for row in answered)

@@ -1,4 +1,4 @@
-"""What each experiment makes of a condition: intervals, question, and which answer is a success."""
+"""Tasks: each turns a condition into intervals, a question, and the correct answer."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ _WHERE = {1: "first", 2: "second"}
 
 @dataclass(frozen=True, eq=False)
 class FrequencyTask:
-    """Which of two trains is faster (paper, Section III.C)?"""
+    """Frequency discrimination: which of two trains is faster (paper, Section III.C)?"""
 
     stimuli: Stimuli
     site: int
@@ -51,7 +51,7 @@ class FrequencyTask:
 
 @dataclass(frozen=True, eq=False)
 class DetectionTask:
-    """Is there anything to be felt; or, in two intervals, in which?
+    """Detection: is anything felt; or, in two intervals, in which?
 
     A condition is the current of the strongest electrode of the site's kernel, mA; at 0 nothing
     flows.
@@ -97,9 +97,10 @@ class DetectionTask:
 
 @dataclass(frozen=True, eq=False)
 class DiscomfortTask:
-    """When is a rising current enough? It rises evenly to the strongest of the profile.
+    """Upper limit: when is a rising current enough? It rises evenly to the strongest of the
+    profile.
 
-    What the condition compares is not a number: it is what will be found.
+    The comparison of the condition is not a number, but the result.
     """
 
     stimuli: Stimuli
@@ -125,7 +126,7 @@ class DiscomfortTask:
 
 @dataclass(frozen=True, eq=False)
 class TwoPointTask:
-    """In which interval were there two points? They pulse in the same scan."""
+    """Two points: in which interval were there two? They pulse in the same scan."""
 
     stimuli: Stimuli
     rate_hz: float
@@ -153,7 +154,7 @@ class TwoPointTask:
 
 @dataclass(frozen=True, eq=False)
 class LocalizationTask:
-    """Was the second point left or right of the first? A condition is how far right, mm."""
+    """Localization: was the second point left or right of the first, by an offset in mm?"""
 
     stimuli: Stimuli
     site: int
@@ -179,12 +180,12 @@ class LocalizationTask:
 
 @dataclass(frozen=True, eq=False)
 class LetterTask:
-    """Which letter was it? A condition is its place in the list, from 0.
+    """Letter recognition: which letter was it? A condition is its place in the list, from 0.
 
     Attributes
     ----------
     drawn : mapping of str to ndarray, (E,) float32
-        What each electrode does for each letter.
+        Activation of each electrode for each letter.
     """
 
     stimuli: Stimuli

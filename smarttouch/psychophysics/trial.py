@@ -1,4 +1,4 @@
-"""One trial: its intervals, its question, and what its answers mean."""
+"""One trial: its intervals, its question, and the meaning of its answers."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ ENOUGH = {"\n": "y", "\r": "y", "y": "y"}
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """What a participant feels and is asked.
+    """Stimuli and question of one trial.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class Trial:
     intervals : tuple of Train
         One after another.
     task : str
-        What the question is, for observers: faster, felt, two, side, which, enough.
+        Kind of question, for observers: faster, felt, two, side, which, enough.
     question : str
         For the screen.
     answers : mapping of str to str
@@ -34,7 +34,7 @@ class Trial:
     success : str
         The response that is a success, see `TrialRow`.
     words : str
-        What is shown, for the account of the run.
+        Stimulus as text, for the report of the run.
     unit : str
         Of the condition.
     compares : bool
@@ -57,7 +57,7 @@ class Trial:
 
     @property
     def alternatives(self) -> tuple[str, ...]:
-        """The responses there are."""
+        """All possible responses."""
         return tuple(dict.fromkeys(self.answers.values()))
 
     @property
@@ -68,7 +68,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Answer:
-    """What came of a trial.
+    """Result of a trial.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Answer:
     level : float
         Amplitude that the user had chosen, 0 to 1.
     reached : float or None, mA
-        Where a current rose until the answer.
+        Current at the answer, where it rises.
     """
 
     response: str
@@ -92,24 +92,24 @@ class Answer:
 
 
 class Task(Protocol):
-    """Turns conditions of a procedure into trials."""
+    """Factory of trials from the conditions of a procedure."""
 
     def trial(self, condition: Condition) -> Trial:
-        """Return what a condition lets the finger feel, and what is asked."""
+        """Return the stimuli and the question of a condition."""
 
 
 class Trials(Protocol):
-    """Where trials come from, and where their answers go."""
+    """Source of trials that takes their answers."""
 
     title: str
 
     @property
     def done(self) -> int:
-        """Trials that are over."""
+        """Number of trials that are over."""
 
     @property
     def total(self) -> int | None:
-        """Trials there will be; None if that depends on the answers."""
+        """Number of trials; None if it depends on the answers."""
 
     def next(self) -> Trial | None:
         """Return the next trial; None if there is none."""

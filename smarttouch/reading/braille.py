@@ -25,11 +25,11 @@ from smarttouch.reading.touch_line import Place, TouchLine
 from smarttouch.reading.window import usual_speed
 
 Cells = tuple[str, str, Place]
-"""A line of cells, what it says where that is known, and where it is."""
+"""A line of cells, its text if known, and its place."""
 
 
 class Presentation(StrEnum):
-    """How cells come under the finger."""
+    """Presentations of cells under the finger."""
 
     LINE = "line"
     """A line moves through, electrode by electrode."""
@@ -39,7 +39,7 @@ class Presentation(StrEnum):
 
 @dataclass(frozen=True)
 class Braille:
-    """Braille cells.
+    """Braille presentation: cells under the finger.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Braille:
     embossed : bool, optional
         Whether images show raised dots; found out if not given.
     light_from_deg : float, °, optional
-        Where the light on raised dots comes from; found out if not given.
+        Direction of the light on raised dots; detected if not given.
     """
 
     table: str = DEFAULT_TABLE
@@ -62,13 +62,13 @@ class Braille:
 
     @property
     def tone(self) -> Tone:
-        """How dots become activation."""
+        """Tone curve from dots to activation."""
         return TONE
 
     def motion(
         self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None
     ) -> Motion:
-        """Return how cells pass: as fast as shapes, from electrode to electrode or cell to cell."""
+        """Return the motion of cells: as fast as shapes, in steps of an electrode or a cell."""
         speed_mm_s = usual_speed(profile, rate_hz) if speed_mm_s is None else speed_mm_s
         layout = self.layout(profile)
         if self.presentation is Presentation.LINE:
@@ -77,7 +77,7 @@ class Braille:
         return Motion(speed_mm_s * layout.width_mm / layout.cell_mm, layout.width_mm, gaps=True)
 
     def layout(self, profile: Profile, cells: tuple[str, ...] = ()) -> CellLayout:
-        """Return where the dots of lines of cells are on an array.
+        """Return the places of the dots of lines of cells on an array.
 
         Raises
         ------
@@ -141,7 +141,8 @@ class Braille:
                 yield cells, text, _place_on_paper(index, cells)
 
     def paragraphs(self, source: Source) -> list[str]:
-        """Return a document as cells: a paragraph of print each, or a line of an embossed page.
+        """Return a document as cells: one line for each paragraph of print or line of embossed
+        Braille.
 
         Raises
         ------
@@ -164,7 +165,7 @@ class Braille:
         return paragraphs
 
     def _seen(self, source: Source, number: int, page: Page) -> Iterator[Cells]:
-        """Yield the cells of a page of Braille, or of what is printed on it."""
+        """Yield the cells of a page, whether it shows Braille or print."""
         if self._shows_dots(page):
             for index, cells in enumerate(self._decoded(source, number, page)):
                 if cells.strip(BLANK):
@@ -199,12 +200,12 @@ def _note_missing(source: Source, number: int, table: Table, missing: str) -> No
 
 
 def _place_on_page(line: TextLine, cells: str) -> Place:
-    """Return where a line of print is that has become cells: its letters are narrower."""
+    """Return the place of a line of print that became cells: its letters are narrower."""
     width_mm = max(line.right_mm - line.left_mm, 1.0)
     middle_mm = (line.top_mm + line.bottom_mm) / 2
     return Place(line.left_mm, line.right_mm, middle_mm, len(cells) * CELL_MM / width_mm)
 
 
 def _place_on_paper(index: int, cells: str) -> Place:
-    """Return where a line of cells would be on paper."""
+    """Return the place of a line of cells on paper."""
     return Place(0.0, len(cells) * CELL_MM, index * LINE_MM, 1.0)

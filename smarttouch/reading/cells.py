@@ -15,14 +15,14 @@ from smarttouch.reading.touch_line import Place, TouchLine
 from smarttouch.reading.window import pixel_of
 
 DOT_MM, CELL_MM, LINE_MM = 2.34, 6.2, 10.0
-"""From dot to dot, cell to cell and line to line (NLS Specification 800)."""
+"""Distances from dot to dot, cell to cell and line to line (NLS Specification 800)."""
 TONE = Tone(0.5, 0.5, prepared=True)
-"""A dot is one electrode, on or off."""
+"""Tone curve of dots: one electrode each, on or off."""
 
 
 @dataclass(frozen=True)
 class CellLayout:
-    """Where the dots of cells are on a grid of electrodes, in electrodes.
+    """Places of the dots of cells on a grid of electrodes, in electrodes.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class CellLayout:
 
     @property
     def height(self) -> int:
-        """Rows that the lines need."""
+        """Number of rows of the lines."""
         return (3 if self.eight else 2) * self.dot_y + 1 + (self.lines - 1) * self.line
 
     @property
@@ -83,14 +83,14 @@ class CellLayout:
     def moving(
         self, lines: tuple[str, ...], text: str = "", place: Place | None = None
     ) -> TouchLine:
-        """Return cells at their true distances, to be moved under the finger bit by bit."""
+        """Return cells at their true distances, to be moved under the finger gradually."""
         longest = max(map(len, lines))
         image = self._draw(*self.dots_of(lines, self.cell), longest * self.cell)
         half_mm, length_mm = self.width_mm / 2, longest * self.cell_mm
         return TouchLine(image, -half_mm, length_mm + half_mm, text, lines, place)
 
     def one_by_one(self, lines: tuple[str, ...], text: str = "") -> TouchLine:
-        """Return cells so far apart that the array holds one at a time, in its middle."""
+        """Return cells so far apart that the array shows one at a time, in its middle."""
         longest = max(map(len, lines))
         rows, columns = self.dots_of(lines, self.columns)
         columns = columns + (self.columns - self.dot_x - 1) // 2
@@ -101,12 +101,12 @@ class CellLayout:
         return TouchLine(image, first_mm, end_mm, text, lines)
 
     def decode(self, picture: LinePicture, lines: tuple[str, ...], apart: bool) -> tuple[str, ...]:
-        """Return the cells that were delivered.
+        """Return the delivered cells.
 
         Parameters
         ----------
         picture : LinePicture
-            What the electrodes did.
+            Delivered activation of the electrodes.
         lines : tuple of str
             Lines of cells as long as those that were read.
         apart : bool
@@ -138,7 +138,7 @@ class CellLayout:
 
 
 def cell_layout(profile: Profile, lines: int = 1, eight: bool = False) -> CellLayout:
-    """Return where Braille goes on an array, at the distances of Braille on paper.
+    """Return the layout of Braille on an array, at the distances of Braille on paper.
 
     Raises
     ------

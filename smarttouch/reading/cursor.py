@@ -1,4 +1,4 @@
-"""Where the finger is while lines pass under it: by itself, or where a live pose says."""
+"""Cursor: position of the finger over lines, by a virtual sweep or a live pose."""
 
 import math
 from collections import deque
@@ -12,19 +12,19 @@ from smarttouch.reading.touch_line import Place, TouchLine
 from smarttouch.sources.source import Source
 
 LAND_S = 0.15
-"""A finger lands on a line, and intensity begins to rise."""
+"""Time of landing on a line, when intensity begins to rise."""
 SETTLE_S = 0.75
-"""Then it rests at the line's start until intensity is up."""
+"""Time of rest at the line's start, until intensity is up."""
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 2000.0
 LONGEST_PAUSE_S = 3600.0
 GAP = 0.2
-"""Of the time of a step that is silent, where text comes step by step and not in one move: two
+"""Silent part of the time of a step, where text comes step by step and not in one move: two
 cells that are the same would be felt as one."""
 
 
 @dataclass(frozen=True)
 class Spot:
-    """Where the finger is.
+    """Position of the finger.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Spot:
     x_mm, y_mm : float, mm
         Middle of the array, from the left end and the middle of the line.
     force_n : float, N
-        How hard it presses; NaN if somebody else knows.
+        Force of the finger; NaN if it has another source.
     """
 
     index: int
@@ -47,14 +47,14 @@ class Spot:
 
 @dataclass(frozen=True)
 class Motion:
-    """How lines pass under the finger.
+    """Motion of lines under the finger.
 
     Attributes
     ----------
     speed_mm_s : float, mm/s
         Of the text.
     step_mm : float, mm
-        It moves by so much at a time; smoothly if 0.
+        Step of the motion; smooth if 0.
     gaps : bool
         Whether each step begins with a short silence.
     """
@@ -75,29 +75,29 @@ class Motion:
 
 
 class Cursor(Protocol):
-    """Moves over the lines of a feed."""
+    """Interface of cursors over the lines of a feed."""
 
     knows_force: bool
 
     def at(self, time_ns: int) -> Spot | None:
-        """Return where the finger is; None at the end. Times rise from call to call."""
+        """Return the position of the finger; None at the end. Times rise from call to call."""
 
     @property
     def keys(self) -> dict[str, Callable[[], None]]:
-        """What keys do; called from any thread."""
+        """Return the actions of keys, callable from any thread."""
 
 
 class SweepingCursor:
-    """Sweeps line after line, with a pause between.
+    """Cursor that sweeps line after line, with a pause between.
 
     Parameters
     ----------
     feed : LineFeed
-        What is read.
+        Lines to read.
     motion : Motion
-        How they pass.
+        Motion of the lines.
     press_n : float, N
-        How hard the finger presses on a line.
+        Force of the finger on a line.
     pause_s : float, s
         After each line.
     waits : bool
@@ -142,11 +142,11 @@ class SweepingCursor:
         }
 
     def toggle_pause(self) -> None:
-        """Stand still, or go on."""
+        """Pause or resume."""
         self._paused = not self._paused
 
     def at(self, time_ns: int) -> Spot | None:
-        """Move on by the time that has passed."""
+        """Advance by the time that has passed."""
         elapsed_s = 0.0 if self._before_ns is None else (time_ns - self._before_ns) / 1e9
         self._before_ns = time_ns
         while self._asked:
@@ -187,7 +187,7 @@ class SweepingCursor:
 
 
 class FollowingCursor:
-    """Is where a live sensor says that the finger is on the page.
+    """Cursor at a live sensor's position on the page.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ class FollowingCursor:
 
     @property
     def keys(self) -> dict[str, Callable[[], None]]:
-        """A finger that moves by itself needs no keys."""
+        """Return none: a finger that moves by itself needs no keys."""
         return {}
 
     def at(self, time_ns: int) -> Spot | None:

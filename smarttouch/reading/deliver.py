@@ -1,4 +1,4 @@
-"""Lines through the whole chain to an emulated board, and what the skin got of each."""
+"""Delivery of lines through the whole chain to an emulated board, for tests of legibility."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ from smarttouch.stimulation.frames import NO_SHARING, Sharing
 
 @dataclass(frozen=True)
 class Reading:
-    """How lines pass under the finger.
+    """Presentation of lines under the finger.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Reading:
         As `profile_for_reading` returns it.
     bank : KernelBank
     tone : Tone
-        How ink becomes activation.
+        Tone curve from ink to activation.
     motion : Motion
     mode : Mode
     sharing : Sharing
@@ -52,7 +52,7 @@ class Reading:
 
 
 def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
-    """Read a line with a virtual finger on a simulated board; return what the skin got of it.
+    """Read a line with a virtual finger on a simulated board; return the delivered picture.
 
     Frames, kernels, pressure gate, soft start, the proof of safety, the bytes
     and the board's own check are those of a live run; only the clock is not.
@@ -60,7 +60,7 @@ def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
     Raises
     ------
     SmartTouchError
-        Whatever would end such a run.
+        Any error that ends such a run.
     """
     profile = reading.profile
     feed = LineFeed(iter([line])).start()
@@ -87,7 +87,7 @@ def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
 
 
 def deliver_lines(lines: Iterable[TouchLine], reading: Reading) -> Iterator[LinePicture]:
-    """Do so with many lines, on all cores; yield what the skin got of each as it comes."""
+    """Read many lines, on all cores; yield the delivered picture of each as it is ready."""
     work = Parallel(n_jobs=-1, return_as="generator", max_nbytes=None)
     yield from work(delayed(deliver_line)(line, reading) for line in lines)
 

@@ -1,4 +1,4 @@
-"""How far a text that was read is from the one that stands there."""
+"""Error rates of a recognized text against the true one."""
 
 import unicodedata
 from collections.abc import Sequence
@@ -13,11 +13,11 @@ _SAME_SIGNS = str.maketrans(
     | dict.fromkeys("‐‑‒–—―−", "-")
     | {"\N{SOFT HYPHEN}": ""}
 )
-"""Signs that differ by typeface and taste alone."""
+"""Signs that differ only by typeface or style."""
 
 
 def normalize(text: str) -> str:
-    """Return a text without what differs by typeface alone.
+    """Return a text without differences of typeface.
 
     Signs are taken apart and together again by Unicode's NFKC (ligatures become
     letters, an ellipsis three points), quotation marks and dashes become their
@@ -33,14 +33,14 @@ def normalize(text: str) -> str:
 def character_error_rate(truth: str, text: str) -> float:
     """Return the Levenshtein distance of two texts in characters, per character of the truth.
 
-    It is 0 for equal texts and above 1 where more was read than stands there.
+    It is 0 for equal texts and above 1 where more was read than is there.
 
     Parameters
     ----------
     truth : str
-        What stands there.
+        True text.
     text : str
-        What was read; both are normalized first.
+        Recognized text; both are normalized first.
 
     Raises
     ------
@@ -56,9 +56,9 @@ def word_error_rate(truth: str, text: str) -> float:
     Parameters
     ----------
     truth : str
-        What stands there.
+        True text.
     text : str
-        What was read; both are normalized first.
+        Recognized text; both are normalized first.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Lines that are prepared while those before them are being read."""
+"""Feed of lines that are prepared while earlier ones are read."""
 
 import threading
 from collections.abc import Iterator
@@ -7,20 +7,20 @@ from typing import Self
 from smarttouch.reading.touch_line import TouchLine
 
 AHEAD = 30
-"""Lines that are prepared before they are needed: of a book not all."""
+"""Lines prepared in advance."""
 BEHIND = 60
-"""Lines that have been read and can be gone back to: of a book not all."""
+"""Past lines kept for going back."""
 JOIN_S = 0.3
-"""How long a page that is being recognized may hold up the end."""
+"""Longest delay of the end by a page that is being recognized."""
 
 
 class LineFeed:
-    """Takes lines from an iterator, in a thread of its own, and keeps those around the finger.
+    """Takes lines from an iterator on a thread of its own, and keeps those around the finger.
 
     Parameters
     ----------
     lines : iterator of TouchLine
-        Whatever it raises, `line` raises when that place is reached.
+        Its exceptions are raised by `line` when that place is reached.
     """
 
     def __init__(self, lines: Iterator[TouchLine]) -> None:
@@ -36,17 +36,17 @@ class LineFeed:
         self._thread = threading.Thread(target=self._take_all, args=(lines,), daemon=True)
 
     def start(self) -> Self:
-        """Begin to prepare."""
+        """Start preparing lines."""
         self._thread.start()
         return self
 
     def line(self, index: int) -> TouchLine | None:
-        """Return a line; None if it is not ready, forgotten, or there is none (see `ended`).
+        """Return a line; None if it is not ready, dropped, or there is none (see `ended`).
 
         Raises
         ------
         Exception
-            What went wrong before that line.
+            Fault before that line.
         """
         with self._changed:
             if index >= self._count and self._error is not None:
@@ -54,7 +54,7 @@ class LineFeed:
             return self._lines.get(index)
 
     def reach(self, index: int) -> None:
-        """Prepare what lies ahead of a line, and forget what lies far behind it."""
+        """Prepare the lines ahead of a line, and drop those far behind it."""
         with self._changed:
             self._reached = index
             while self.earliest < min(index - BEHIND, self._count):
@@ -63,7 +63,7 @@ class LineFeed:
             self._changed.notify_all()
 
     def ended(self, index: int) -> bool:
-        """Return whether there is no such line and there will be none."""
+        """Return whether there is no such line, and will be none."""
         with self._changed:
             return self._over and index >= self._count
 
@@ -74,12 +74,12 @@ class LineFeed:
         return self.line(index)
 
     def wait_for_end(self, timeout_s: float | None = None) -> bool:
-        """Return whether all lines were prepared in time; those far ahead wait to be reached."""
+        """Return whether all lines were prepared in time; those far ahead wait for the finger."""
         with self._changed:
             return self._changed.wait_for(lambda: self._over, timeout_s)
 
     def close(self) -> None:
-        """Prepare no more, and let go of what the lines come from."""
+        """Stop preparing, and close the source of the lines."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()

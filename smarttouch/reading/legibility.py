@@ -1,4 +1,4 @@
-"""How much of a text can still be read from what the skin got: the yardstick of this project."""
+"""Legibility: the part of a text that can be recognized from the delivered pulses."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -20,10 +20,10 @@ from smarttouch.reading.source import Source
 from smarttouch.reading.window import require_rows, rows_of
 
 _GAP = 0.45
-"""Between lines as they are recognized, of their height."""
+"""Gap between lines for recognition, relative to their height."""
 
 Progress = Callable[[int, int], None]
-"""Told how many of all lines are done."""
+"""Callback with the number of finished lines and of all."""
 
 
 def _in_silence(_done: int, _total: int) -> None: ...
@@ -31,7 +31,7 @@ def _in_silence(_done: int, _total: int) -> None: ...
 
 @dataclass(frozen=True)
 class Legibility:
-    """What could be read of letter shapes.
+    """Legibility of letter shapes.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Legibility:
         Of the text that it read from the page itself; None where that text
         is what the others are compared with.
     text, limit_text, page_text, truth : str
-        What was read from each, and what it should have been.
+        Text recognized from each, and the true text.
     lines : int
     """
 
@@ -66,17 +66,17 @@ def legibility_of_shapes(
     truth: str | None = None,
     progress: Progress = _in_silence,
 ) -> Legibility:
-    """Let letter shapes be felt, and read what was felt.
+    """Deliver letter shapes, and recognize the delivered pictures.
 
     Parameters
     ----------
     source : Source
         Pages with text.
     reading : Reading
-        How it passes under the finger.
+        Presentation under the finger.
     shapes : Shapes
     truth : str, optional
-        What it says; what Tesseract reads on the page if not given.
+        True text; Tesseract's result on the page if not given.
     progress : callable
 
     Raises
@@ -118,7 +118,7 @@ def legibility_of_shapes(
 def _read(pictures: Sequence[LinePicture], languages: str) -> str:
     """Return the text of pictures that lie below each other, as on a page.
 
-    What is as soft as they are Tesseract reads by the lines around it: alone, one
+    Tesseract reads such soft lines with the help of those around them: alone, one
     line without ascenders is nothing to it.
     """
     strips = [picture.picture(LINE_PIXELS) for picture in pictures]
@@ -143,14 +143,14 @@ def _kept(
 
 @dataclass(frozen=True)
 class BrailleLegibility:
-    """What could be read of Braille.
+    """Legibility of Braille.
 
     Attributes
     ----------
     cell_error_rate : float
         Part of the cells that were not delivered as they should.
     cells, lines : int
-        How many there were.
+        Number of cells, and of lines.
     wanted, delivered : str
         Cells, a line each.
     text : str or None
@@ -168,14 +168,14 @@ class BrailleLegibility:
 def legibility_of_braille(
     source: Source, reading: Reading, braille: Braille, progress: Progress = _in_silence
 ) -> BrailleLegibility:
-    """Let cells be felt, and decode the dots that were felt.
+    """Deliver cells, and decode the delivered dots.
 
     Parameters
     ----------
     source : Source
         Anything that can be read as Braille.
     reading : Reading
-        How it passes under the finger.
+        Presentation under the finger.
     braille : Braille
     progress : callable
 

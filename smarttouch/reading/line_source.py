@@ -1,4 +1,4 @@
-"""Prepared lines as a source of frames: what lies under the array, moment by moment."""
+"""Prepared lines as a source of frames: the image under the array over time."""
 
 from collections.abc import Callable, Mapping
 
@@ -13,7 +13,7 @@ from smarttouch.sources.frame import Frame, Pose
 from smarttouch.sources.source import OpticalSource
 
 LINE_GAP_MM = 4.0
-"""Between two lines where their poses are put on one sheet, one below the other."""
+"""Gap between lines where their poses are placed on one sheet, one below the other."""
 
 
 class ReadingSource(OpticalSource):
@@ -25,7 +25,7 @@ class ReadingSource(OpticalSource):
     Parameters
     ----------
     title : str
-        What is read.
+        Title of the text.
     profile : Profile
         As `profile_for_reading` returns it.
     feed : LineFeed
@@ -41,23 +41,23 @@ class ReadingSource(OpticalSource):
         self._name = title
         self.knows_force = cursor.knows_force
         self.index = -1
-        """Of the line under the finger."""
+        """Index of the line under the finger."""
         self._feed, self._cursor = feed, cursor
         self._pixel_mm = pixel_of(profile)
         self._shape = (profile.optics.sensor_rows, profile.optics.sensor_columns)
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
-        """What the cursor heeds: forward, back, again, pause."""
+        """Keys of the cursor: forward, back, again, pause."""
         return self._cursor.keys
 
     @property
     def line_step_mm(self) -> float:
-        """How far lines are apart on the sheet, from middle to middle."""
+        """Distance of lines on the sheet, from middle to middle."""
         return self._shape[0] * self._pixel_mm + LINE_GAP_MM
 
     def read(self, time_ns: int) -> Frame | None:
-        """Return what lies under the array at a time; None after the last line."""
+        """Return the image under the array at a time; None after the last line."""
         spot = self._cursor.at(time_ns)
         if spot is None:
             return None
@@ -86,5 +86,5 @@ class ReadingSource(OpticalSource):
         return Frame(image, time_ns, pose, spot.force_n, number=self.frames - 1)
 
     def close(self) -> None:
-        """Prepare no more lines."""
+        """Stop preparing lines."""
         self._feed.close()

@@ -1,4 +1,4 @@
-"""The text of images, line by line, as Tesseract recognizes it."""
+"""Text recognition of images by Tesseract, line by line."""
 
 import itertools
 import math
@@ -38,17 +38,17 @@ LEGIBLE = 0.75
 """Confidence of a text that lies the right way up, at least. Over 44 prints of one to five words
 it was 0.78 to 0.97, that of the same prints turned at most 0.87."""
 CLEARER = 0.08
-"""How much higher it is the right way up, at least; over the same prints, 0.12."""
+"""Least difference of confidence between upright and turned; over the same prints, 0.12."""
 _PROBE_SIDE = 1600
-"""Pixels of the part of a page by which its orientation is judged."""
+"""Side of the part of a page by which its orientation is determined."""
 _PROBE_GRID = 8
-"""Pixels, in which the place of that part is chosen."""
+"""Grid, in pixels, on which that part is placed."""
 _USUAL_TIMEOUT_S = 120.0
 
 
 @dataclass(frozen=True)
 class RecognizedLine:
-    """A line of text as it was recognized.
+    """Recognized line of text.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class RecognizedLine:
     confidence : float, in [0, 1]
         Mean over its words, weighted by their lengths; 0 without any.
     paragraph : int
-        Which paragraph of the image it belongs to, from 0.
+        Index of its paragraph in the image, from 0.
     """
 
     text: str
@@ -71,7 +71,7 @@ class RecognizedLine:
 
 @dataclass(frozen=True)
 class Recognized:
-    """The text of an image.
+    """Recognized text of an image.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ def recognize(
     languages : str
         Codes of what it is written in, the most likely first, joined by plus signs.
     layout : Layout
-        What it shows.
+        Layout of the image.
     dpi : float, optional
         Pixels per inch; estimated from the text if not given.
     timeout_s : float, s
@@ -180,7 +180,7 @@ def recognize_lines(
 def upright(
     image: NDArray[np.uint8], languages: str = "eng", timeout_s: float = _USUAL_TIMEOUT_S
 ) -> int:
-    """Return by how many degrees a page must be turned clockwise to be upright.
+    """Return the clockwise rotation by which a page becomes upright, in degrees.
 
     Tesseract's own judgment counts where it is sure. Where it is not, mostly on
     pages of a few words, the page is read all four ways: the most legible is
@@ -224,7 +224,7 @@ def upright(
 
 
 def _busiest(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the part of a page with most edges, as large as needed to judge it."""
+    """Return the part of a page with the most edges, large enough to determine its orientation."""
     height, width = (min(side, _PROBE_SIDE) for side in image.shape)
     if (height, width) == image.shape:
         return image
@@ -242,7 +242,7 @@ def _busiest(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def _line(
     words: Sequence[Word], margin: int, shape: tuple[int, ...], paragraph: int = 0
 ) -> RecognizedLine:
-    """Put words together that were read on an image of a shape with a margin around it."""
+    """Join words recognized on an image of a shape with a margin around it."""
     height, width = shape
     if not words:
         return RecognizedLine("", (0, 0, width, height), 0.0, paragraph)

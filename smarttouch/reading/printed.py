@@ -1,4 +1,4 @@
-"""Printed pages of a document, one after another, and the text recognized on them."""
+"""Printed pages of a document, one after another, and their recognized text."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -13,9 +13,9 @@ from smarttouch.errors import ReadingError
 from smarttouch.reading.ocr import recognize_lines, upright
 
 LINE_PIXELS = 56
-"""Height of lines as they are recognized: ascender to descender."""
+"""Height of lines for recognition: ascender to descender."""
 SURE = 0.6
-"""Mean confidence below which a page is reported as badly recognized."""
+"""Mean confidence below which a page is reported as poorly recognized."""
 _CHUNK = 16
 _NEW_PARAGRAPH = 1.5
 """Lines farther apart than this part of the usual distance begin a paragraph."""
@@ -25,7 +25,7 @@ Note = Callable[[str], None]
 
 @dataclass(frozen=True)
 class HowToLook:
-    """What a user says of a document.
+    """Options of a document.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class HowToLook:
 def document_pages(path: Path, how: HowToLook, note: Note) -> Iterator[tuple[int, Page]]:
     """Yield numbers and pages of a document, one in memory at a time.
 
-    How large they are is told of only where it matters: every line is made as
+    Their size is reported only where it matters: every line is made as
     high as the array.
 
     Raises
@@ -91,7 +91,7 @@ def upright_page(number: int, page: Page, how: HowToLook, note: Note) -> Prepare
 
 
 class EmptyPages:
-    """Keeps which pages showed nothing that can be read.
+    """List of pages without anything readable.
 
     Parameters
     ----------
@@ -105,13 +105,13 @@ class EmptyPages:
         self._empty: list[int] = []
 
     def add(self, number: int, found: bool) -> None:
-        """Keep what a page showed."""
+        """Add the result of a page."""
         self._found |= found
         if not found:
             self._empty.append(number)
 
     def conclude(self) -> None:
-        """Tell of them.
+        """Report the empty pages.
 
         Raises
         ------
@@ -151,7 +151,7 @@ def prepared_pages(
 def recognized_lines(
     prepared: PreparedPage, how: HowToLook, note: Note
 ) -> Iterator[tuple[int, str]]:
-    """Yield numbers and texts of the lines of a page; the first of them soon.
+    """Yield numbers and texts of the lines of a page; the first of them early.
 
     Raises
     ------
@@ -200,7 +200,7 @@ def _joined(before: str, after: str) -> str:
 
 
 def _turn_deg(prepared: PreparedPage, how: HowToLook) -> int:
-    """Return by how much to turn a page clockwise, as far as Tesseract is there to tell."""
+    """Return the clockwise rotation of a page in degrees, if Tesseract is installed."""
     try:
         return upright(prepared.cleaned, how.languages) if prepared.lines else 0
     except ReadingError:

@@ -21,24 +21,24 @@ from smarttouch.reading.touch_line import Place, TouchLine
 from smarttouch.reading.window import pixel_of, require_rows, usual_speed
 
 INK_LEVEL = 128
-"""Of prepared paper, on which ink is dark and paper white: what is darker is ink."""
+"""Level of prepared paper below which is ink."""
 NIB_PIXELS = PIXELS_PER_CELL - 1
-"""Width of a stroke that was thinned."""
+"""Width of a thinned stroke."""
 _PLAIN, _THINNED = 0.3, 0.35
-"""Parts of a cell that must be ink. Half of it, the obvious choice, loses thin strokes: of print in
+"""Least ink of an active cell. Half of it, the obvious choice, loses thin strokes: of print in
 8 rows 8 to 20 % of the characters then cannot be read, here 1 to 3 %."""
 
 
 class Style(StrEnum):
-    """How the ink of a letter becomes what its electrodes do."""
+    """Styles of letter shapes: mappings from ink to activation."""
 
     PLAIN = "plain"
     """On or off."""
     THINNED = "thinned"
-    """On or off, with every stroke as wide as a cell: thin ones stay whole, and holes of thick ones
+    """On or off, every stroke as wide as a cell: thin ones stay whole, and holes of thick ones
     open."""
     GRADED = "graded"
-    """As strong as there is ink in a cell."""
+    """Activation in proportion to the ink in a cell."""
 
 
 _TONES = {
@@ -50,19 +50,19 @@ _TONES = {
 
 @dataclass(frozen=True)
 class Shapes:
-    """Letter shapes."""
+    """Letter-shape presentation: lines of print under the finger."""
 
     style: Style = Style.GRADED
 
     @property
     def tone(self) -> Tone:
-        """How ink becomes activation."""
+        """Tone curve from ink to activation."""
         return _TONES[self.style]
 
     def motion(
         self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None
     ) -> Motion:
-        """Return how lines pass: smoothly, so that every edge comes under every electrode."""
+        """Return the motion of lines: smooth, so that every edge passes every electrode."""
         return Motion(usual_speed(profile, rate_hz) if speed_mm_s is None else speed_mm_s)
 
     def lines(self, source: Source, profile: Profile) -> Iterator[TouchLine]:
@@ -95,7 +95,7 @@ def shape_line(prepared: PreparedPage, index: int, profile: Profile, style: Styl
     prepared : PreparedPage
         The page.
     index : int
-        Which of its lines.
+        Index of the line.
     profile : Profile
         As `profile_for_reading` returns it.
     style : Style
@@ -119,7 +119,7 @@ def shape_line(prepared: PreparedPage, index: int, profile: Profile, style: Styl
 
 
 def thin(strip: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return strokes of one cell's width along the middle of each stroke of a strip."""
+    """Return a strip with one cell's width along the middle of each stroke."""
     middle = skeletonize(strip < INK_LEVEL).astype(np.uint8)
     nib = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (NIB_PIXELS, NIB_PIXELS))
     return np.asarray(255 * (1 - cv2.dilate(middle, nib)), np.uint8)

@@ -1,4 +1,4 @@
-"""What is to be read: images, documents, texts, files of cells."""
+"""Material to read: images, documents, texts, files of cells."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -15,19 +15,19 @@ _TEXT = "text:"
 _TEXT_FILES = (".txt",)
 _CELL_FILES = (".brf", ".pef")
 _PRINTED_AT_ONCE = 20
-"""Lines of a text that are printed on one page."""
+"""Lines of a text on one printed page."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """Something that can be read.
+    """Material that can be read.
 
     Attributes
     ----------
     name : str
         A file, or ``text:`` and words.
     how : HowToLook
-        What is known of it.
+        Options of the document.
     note : callable
         Told what a user should know, a sentence each.
     """
@@ -38,7 +38,7 @@ class Source:
 
     @property
     def title(self) -> str:
-        """What to call it on the screen."""
+        """Title on the screen."""
         return "a text" if self.name.startswith(_TEXT) else Path(self.name).name
 
     @property
@@ -48,7 +48,7 @@ class Source:
 
     @cached_property
     def words(self) -> str | None:
-        """The text itself, where it is one; None for images and cells.
+        """Text itself, if it is one; None for images and cells.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Tesseract, the command-line program: images in, words out."""
+"""Tesseract, the command-line program: words of images."""
 
 import io
 import os
@@ -18,18 +18,20 @@ from PIL import Image
 from smarttouch.errors import ReadingError
 
 LARGEST_SIDE = 32_000
-"""Pixels; Tesseract refuses images with a side above 32,767."""
+"""Largest side in pixels; Tesseract refuses images with a side above 32,767."""
 SURE = 2.0
-"""Of Tesseract's own figure for an orientation. It was at most 1.1 where the answer was wrong (of
-photographs without text), and at least 3 on pages of five lines and more, however noisy."""
+"""Least confidence by Tesseract of an orientation. It was at most 1.1 where the answer was wrong
+(of photographs without text), and at least 3 on pages of five lines and more, however noisy."""
 _WORD = "5"
 """Level of a word's row in Tesseract's table; others are pages, blocks, paragraphs and lines."""
 _COLUMNS = 12
-"""level, page, block, paragraph, line, word, left, top, width, height, confidence, text."""
+"""Columns of Tesseract's table: level, page, block, paragraph, line, word, left, top, width,
+height, confidence, text.
+"""
 
 
 class Layout(Enum):
-    """What an image shows: Tesseract's page segmentation modes."""
+    """Layout of an image: Tesseract's page segmentation modes."""
 
     PAGE = 3
     BLOCK = 6
@@ -37,12 +39,12 @@ class Layout(Enum):
 
 
 class TooSlowError(ReadingError):
-    """Tesseract was stopped."""
+    """Tesseract was stopped after its time limit."""
 
 
 @dataclass(frozen=True)
 class Word:
-    """A word, and where in which image it stands.
+    """A word, with its image and its place in it.
 
     Attributes
     ----------
@@ -66,7 +68,7 @@ class Word:
 
 
 def find_tesseract() -> Path:
-    """Return where the program is.
+    """Return the path of the program.
 
     Raises
     ------
@@ -85,7 +87,7 @@ def find_tesseract() -> Path:
 
 
 def languages() -> list[str]:
-    """Return the codes of the languages that it has data for.
+    """Return the codes of the installed languages.
 
     Raises
     ------
@@ -114,7 +116,7 @@ def read_words(
     languages : str
         Codes joined by plus signs.
     layout : Layout
-        What each of them shows.
+        Layout of each of them.
     timeout_s : float, s
         When to give up.
     dpi : float, optional
@@ -164,7 +166,7 @@ def read_words(
 
 
 def read_orientation(image: NDArray[np.uint8], timeout_s: float) -> int | None:
-    """Return by how many degrees to turn an image clockwise; None if Tesseract is not sure.
+    """Return the clockwise rotation of an image in degrees; None if Tesseract is not sure.
 
     It is never sure of fewer than 50 letters, nor where its data for
     orientations (osd) are missing.

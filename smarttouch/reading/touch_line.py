@@ -1,4 +1,4 @@
-"""A line as it lies under the finger."""
+"""A line prepared for the finger."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Place:
-    """Where a line is on its page, for a finger that moves over the page itself.
+    """Place of a line on its page, for a finger that moves over the page itself.
 
     Attributes
     ----------
@@ -26,20 +26,20 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class TouchLine:
-    """A line of letter shapes or Braille cells, as large as the array is.
+    """A line of letter shapes or Braille cells, at the size of the array.
 
     Attributes
     ----------
     image : ndarray, (H, W) uint8
         Ink dark on 255; as high as the array.
     start_mm, end_mm : float, mm
-        Where the middle of the array begins and ends, from the image's left edge.
+        First and last place of the array's middle, from the image's left edge.
     text : str
-        What it says, if that is known.
+        Text of the line, if known.
     cells : tuple of str
         Braille cells, a string for each line of them; empty for letter shapes.
     place : Place, optional
-        Where it is on its page.
+        Place on its page.
     """
 
     image: NDArray[np.uint8]

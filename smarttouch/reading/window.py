@@ -1,4 +1,4 @@
-"""What lies under the array while it reads: a window of its own size, without a sensor's optics."""
+"""Image under the array while it reads: a window of its size, without a sensor's optics."""
 
 from collections.abc import Callable
 
@@ -7,17 +7,17 @@ from smarttouch.imaging.registration import PIXELS_PER_CELL
 from smarttouch.profile import Profile
 
 FEWEST_ROWS = 4
-"""Letters cannot be told apart on fewer."""
+"""Fewest rows on which letters can be distinguished."""
 ENOUGH_ROWS = 8
-"""On 4 half of the characters are lost, even of the ideal; on 8 hardly one in a hundred."""
+"""Sufficient rows: on 4 half of the characters are lost, on 8 hardly one in a hundred."""
 SAMPLES_PER_PITCH = 4
-"""How often an electrode pulses while the text moves on by one cell."""
+"""Pulses of an electrode while the text moves by one cell."""
 _PRESS = 1.1
-"""Force of a virtual finger that reads, of the profile's full force."""
+"""Reading force of a virtual finger, relative to the profile's full force."""
 
 
 def profile_for_reading(profile: Profile) -> Profile:
-    """Return a profile whose frames are just what lies under the array, millimeter by millimeter.
+    """Return a profile whose frames are the image under the array, at a scale of 1.
 
     Text that is read comes from no sensor: optics, their registration and
     their flat field play no part.
@@ -43,28 +43,28 @@ def profile_for_reading(profile: Profile) -> Profile:
 
 
 def pixel_of(profile: Profile) -> float:
-    """Return the size of a pixel of what lies under the array, mm."""
+    """Return the pixel size of the image under the array, mm."""
     return min(profile.electrodes.cell_mm) / PIXELS_PER_CELL
 
 
 def usual_speed(profile: Profile, rate_hz: float | None = None) -> float:
-    """Return the speed at which each electrode pulses often enough in the width of a cell, mm/s."""
+    """Return the speed at which each electrode pulses often enough per cell width, mm/s."""
     rate_hz = profile.pulse.rate_hz if rate_hz is None else rate_hz
     return profile.electrodes.cell_mm[0] * rate_hz / SAMPLES_PER_PITCH
 
 
 def press_n(profile: Profile) -> float:
-    """Return how hard a finger presses that reads, N: enough for full intensity."""
+    """Return the force of a reading finger, N: enough for full intensity."""
     return _PRESS * profile.force.full_n
 
 
 def rows_of(profile: Profile) -> int:
-    """Return how many rows of electrodes an array has."""
+    """Return the number of rows of electrodes of an array."""
     return len({round(float(y), 3) for y in profile.electrodes.position_mm[:, 1]})
 
 
 def require_rows(profile: Profile, note: Callable[[str], None]) -> None:
-    """Raise unless letters have room on an array; note it if they have little."""
+    """Raise unless an array has enough rows for letters; add a note if they are few."""
     rows = rows_of(profile)
     if rows < FEWEST_ROWS:
         raise ReadingError(

@@ -1,1 +1,1 @@
-"""Runs kept in files: written while they go, read back, played, checked, mended and exported."""
+"""Recordings of runs: write, read, replay, check, repair and export."""

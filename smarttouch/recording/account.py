@@ -1,4 +1,4 @@
-"""What a recording amounts to: when, how long, how much, and what was delivered."""
+"""Summary of a recording: start, duration, size, and delivered pulses."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from smarttouch.recording.schemas import LAST
 
 @dataclass
 class Account:
-    """What a recording amounts to.
+    """Summary of a recording.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Account:
         self.refused = _count(told["refused"])
 
     def add(self, topic: str, data: bytes) -> None:
-        """Enter one message; one that makes no sense counts by its size alone."""
+        """Add one message; an invalid one counts only by its size."""
         self.messages[topic] += 1
         self.size[topic] += len(data)
         try:
@@ -62,14 +62,14 @@ class Account:
 
 
 def _count(value: float) -> int:
-    """Return a whole number; ValueError if nobody can have counted so far."""
+    """Return a whole number; ValueError if it is impossible as a count."""
     if not 0 <= value < 2**53:
         raise ValueError(f"{value!r} is no count")
     return int(value)
 
 
 def account_of(recording: Recording) -> Account:
-    """Return what a recording amounts to."""
+    """Return the summary of a recording."""
     account = Account()
     for topic, message in recording.messages():
         account.add(topic, message.data)
@@ -77,7 +77,7 @@ def account_of(recording: Recording) -> Account:
 
 
 def describe(path: Path) -> list[tuple[str, str]]:
-    """Return what there is to tell a user of a recording, as names and values."""
+    """Return the summary as names and values, for display."""
     recording = Recording(path)
     account = account_of(recording)
     settings, versions = recording.settings, recording.versions

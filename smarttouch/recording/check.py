@@ -22,7 +22,7 @@ from smarttouch.stimulation.recharge import RechargeRules
 from smarttouch.stimulation.sequence import ScanSequence
 
 KEPT = 20
-"""Differences that a report names; all are counted."""
+"""Differences listed in a report; all are counted."""
 
 _SCALARS = (
     ("slots", ""), ("period_us", "µs"), ("intensity", ""), ("time_ns", "ns"), ("recharge_us", "µs"),
@@ -33,7 +33,7 @@ _COLUMNS = (("site", ""), ("width_us", "µs"), ("discharge_us", "µs"))
 
 @dataclass(frozen=True)
 class Difference:
-    """One number of one sequence that is not what was recorded.
+    """Number of a sequence that differs from the recorded one.
 
     Attributes
     ----------
@@ -44,10 +44,10 @@ class Difference:
     time_ns : int
         Since the start of the run.
     what, unit : str
-        What differs.
+        Quantity that differs, and its unit.
     recorded, new : float
     slot, electrode : int, optional
-        Where, if it is of one of them.
+        Place of the difference, if it has one.
     """
 
     frame: int
@@ -61,7 +61,7 @@ class Difference:
     electrode: int | None = None
 
     def describe(self) -> str:
-        """Return a line for a user."""
+        """Return the difference as a line of text."""
         where = f"frame {self.frame} at {self.time_ns / 1e9:.3f} s"
         where += "" if self.slot is None else f", slot {self.slot}"
         where += "" if self.electrode is None else f", electrode {self.electrode}"
@@ -71,7 +71,7 @@ class Difference:
 
 @dataclass
 class CheckReport:
-    """What a check found.
+    """Result of a check.
 
     Attributes
     ----------
@@ -82,9 +82,9 @@ class CheckReport:
     differences : list of Difference
         The first `KEPT`.
     different : int
-        How many there are.
+        Number of differences.
     left_out : str
-        What of the recording could not be compared; empty if nothing.
+        Parts of the recording that could not be compared; empty if none.
     """
 
     frames: int = 0
@@ -100,7 +100,7 @@ class CheckReport:
         return not self.different
 
     def describe(self) -> str:
-        """Return the outcome for a user, a line for each difference kept."""
+        """Return the result as text, with a line for each listed difference."""
         head = f"{self.sequences:,} sequences, {self.slots:,} slots: "
         head += "identical" if self.exact else f"{self.different:,} differences"
         lines = [head + (f" ({self.left_out})" if self.left_out else "")]
@@ -160,7 +160,7 @@ def check_recording(
 
 
 def assert_replays(path: Path | str, **same: Any) -> None:
-    """Fail unless a recording's sequences come out again; see `check_recording`."""
+    """Raise AssertionError unless a recording's sequences are reproduced; see `check_recording`."""
     __tracebackhide__ = True
     report = check_recording(path, **same)
     if not report.exact:
@@ -168,7 +168,7 @@ def assert_replays(path: Path | str, **same: Any) -> None:
 
 
 def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[Pipeline, Regulator]:
-    """Return a pipeline and a regulator as they were when a recording began.
+    """Return a pipeline and a regulator in their state at the start of a recording.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
 
 
 class _Told:
-    """Stands for the board, which told what it had measured."""
+    """Stand-in for the board, with its recorded measurements."""
 
     def __init__(self, observed: tuple[Measured, ...]) -> None:
         self._observed = observed
@@ -219,7 +219,7 @@ class _Told:
 
 
 def _again(recorded: RecordedStep, pipeline: Pipeline, regulator: Regulator) -> ScanSequence:
-    """Return the sequence that a recorded step's inputs lead to today."""
+    """Return the sequence that the present pipeline makes of a recorded step's inputs."""
     step = recorded.step
     if step.mode is not pipeline.mode:
         pipeline.change_mode(step.mode)

@@ -1,4 +1,4 @@
-"""Records of a recording's file, decompressed and parsed no further than a recording goes."""
+"""Records of a recording's file, decompressed and parsed within the limits of a recording."""
 
 import os
 import struct
@@ -16,19 +16,19 @@ from mcap.records import Channel, Chunk, Message, Schema
 from smarttouch.files import parse_json
 
 MOST_BYTES = 2**40
-"""Of a recording: a month."""
+"""Largest recording: a month."""
 MOST_CHUNK_BYTES = 128 * 2**20
-"""Of a chunk and of a message in it. Ours have 1 MB and perhaps an image, of 80 megapixels."""
+"""Largest chunk and message. Ours have 1 MB and perhaps an image, of 80 megapixels."""
 BASE_BYTES, MOST_INFLATION = 2 * MOST_CHUNK_BYTES, 200
-"""Of all chunks together, decompressed: so much, and so many times the file. Ours have 2 to 6."""
+"""Limits of all chunks together, decompressed: bytes, and ratio to the file. Ours have 2 to 6."""
 BASE_MESSAGES = 100_000
-"""Messages that any recording may have, beside one for each byte of it."""
+"""Messages allowed in any recording, in addition to one for each byte of it."""
 _MOST_VALUES = 2_000_000
-"""Of one message; each takes some 60 bytes."""
+"""Largest number of values in one message; each takes some 60 bytes."""
 _LARGE_BYTES = 2**20
 _HEAD = struct.Struct("<BQ")
 _INVALID = 0
-"""An opcode that no record has: what follows is no part of a recording."""
+"""Opcode of no record: what follows is no part of a recording."""
 
 
 def records_in(file: BinaryIO, at: int = 0) -> Iterator[tuple[int, int, int]]:
@@ -50,12 +50,12 @@ def records_in(file: BinaryIO, at: int = 0) -> Iterator[tuple[int, int, int]]:
 
 
 def broken_up(data: bytes) -> Iterator[Schema | Channel | Message]:
-    """Yield what a chunk holds, one after the other.
+    """Yield the records of a chunk.
 
     Raises
     ------
     ValueError
-        Where it does not hold what was written, or more than it claims.
+        If it is damaged, or holds more than it declares.
     """
     try:
         chunk = Chunk.read(ReadDataStream(BytesIO(data)))
@@ -73,7 +73,7 @@ def broken_up(data: bytes) -> Iterator[Schema | Channel | Message]:
 
 
 def read_record(opcode: int, data: bytes) -> Schema | Channel | Message:
-    """Return a schema, a channel or a message; ValueError if it is none."""
+    """Return a schema, a channel or a message; ValueError if it is invalid."""
     stream = ReadDataStream(BytesIO(data))
     record: Schema | Channel | Message
     try:
@@ -89,7 +89,7 @@ def read_record(opcode: int, data: bytes) -> Schema | Channel | Message:
 
 
 def parse_message(data: str | bytes) -> Any:
-    """Return what a message in JSON says; ValueError if it is none, or would fill the memory."""
+    """Return the value of a message in JSON; ValueError if it is invalid or too large."""
     if len(data) > _LARGE_BYTES:
         text = data if isinstance(data, bytes) else data.encode()
         values = sum(map(text.count, (b",", b"[", b"{")))

@@ -1,4 +1,4 @@
-"""What the user of a recorded run had asked for, asked for again."""
+"""Controls that replay the user's input of a recorded run."""
 
 import bisect
 from dataclasses import replace
@@ -11,16 +11,16 @@ from smarttouch.running.controls import Controls, ControlState
 
 
 class RecordedControls(Controls):
-    """Follows the modes and levels of a recording; today's user can still lower and pause.
+    """Modes and levels of a recording; the present user can still lower the level and pause.
 
     Parameters
     ----------
     recording : Recording
-        Whose modes and levels.
+        Recording of the modes and levels.
     state : ControlState
         Today's user's, to begin with: its level is a part of the recorded one.
     modes : tuple of Mode
-        What the board offers.
+        Modes of the board.
 
     Raises
     ------
@@ -56,7 +56,7 @@ class RecordedControls(Controls):
                 )
 
     def state(self, time_ns: int) -> ControlState:
-        """Return what was wanted at a time of the run, and what today's user leaves of it."""
+        """Return the recorded state at a time of the run, limited by the present user."""
         today = super().state(time_ns)
         if not self._recorded:
             return today
@@ -65,4 +65,4 @@ class RecordedControls(Controls):
         return replace(today, mode=recorded.mode, level=today.level * recorded.level)
 
     def next_mode(self) -> None:
-        """The modes are the recording's."""
+        """Do nothing: the modes are the recording's."""

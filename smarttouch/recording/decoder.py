@@ -1,4 +1,4 @@
-"""Steps of a run from their messages; what makes no sense is left out."""
+"""Decoder of messages into the steps of a run; invalid messages are left out."""
 
 import base64
 import math
@@ -24,12 +24,12 @@ _IMPOSSIBLE = (
     ValueError, TypeError, LookupError, AttributeError, OverflowError, struct.error,
     cv2.error,
 )  # fmt: skip
-"""What a message may do that is JSON and yet makes no sense."""
+"""Exceptions of messages that are valid JSON with invalid content."""
 
 
 _PNG = struct.Struct(">16sII")
 _SIGNATURE = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
-"""How a PNG begins; width and height follow."""
+"""First bytes of a PNG; width and height follow."""
 MOST_PIXELS = 100_000_000
 _LONGEST_US = 10_000_000
 """Between two stimuli: the period of the slowest rate."""
@@ -37,7 +37,7 @@ _LONGEST_US = 10_000_000
 
 @dataclass(frozen=True, eq=False)
 class RecordedStep:
-    """One step of a run as it was recorded.
+    """One recorded step of a run.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class RecordedStep:
     sent : StepResult
         Frame or stimulus, tactile image (of frames to four digits), sequence, and how it went out.
     acknowledged, refused : int
-        Sequences of the run, as far as the board had told when this one was sent.
+        Sequences of the run, as far as the board had reported when this one was sent.
     """
 
     index: int
@@ -61,7 +61,7 @@ class RecordedStep:
 
 @dataclass
 class StepDecoder:
-    """Puts steps together again from their messages, in the order of the file.
+    """Assembles steps from their messages, in the order of the file.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class StepDecoder:
     _sequences: OrderedDict[int, ScanSequence] = field(default_factory=OrderedDict)
 
     def take(self, topic: str, index: int, data: bytes) -> RecordedStep | None:
-        """Return the step that a message completes, if it does."""
+        """Return the step that a message completes, if any."""
         if index != self._index:
             self.broken += bool(self._parts)
             self._parts, self._index = {}, index
@@ -152,7 +152,7 @@ class StepDecoder:
 
 
 def _sequence_of(message: Message, electrodes: int) -> ScanSequence:
-    """Return the sequence in a message of `/sequence`; ValueError and its like if there is none."""
+    """Return the sequence in a message of `/sequence`; ValueError or similar if there is none."""
     slots = int(message["slots"])
     current_ua = np.frombuffer(base64.b64decode(message["current_ua"]), "<i2")
     keys = ("width_us", "discharge_us", "site")

@@ -1,4 +1,4 @@
-"""One step of a run as messages, without losing a bit of what sequences depend on."""
+"""Encoder of the steps of a run into messages, lossless in all that sequences depend on."""
 
 import base64
 import math
@@ -18,7 +18,7 @@ from smarttouch.sources.stimulus import Input, Stimulus
 from smarttouch.stimulation.sequence import Proof
 
 REMEMBERED = 512
-"""Sequences that a measurement may still come for: a second or more."""
+"""Sequences kept for later measurements: a second or more."""
 # Of all that OpenCV offers, this is fastest and smallest on frames with a sensor's noise.
 _PNG = (
     cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
@@ -29,7 +29,7 @@ Message = dict[str, Any]
 
 
 class StepEncoder:
-    """Makes the messages of steps, one step after another.
+    """Encodes steps as messages, one step after another.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class StepEncoder:
         )
 
     def event(self, time_ns: int, words: str) -> Message:
-        """Return the message of something that happened."""
+        """Return the message of an event."""
         return {
             "timestamp": self._timestamp(time_ns),
             "level": INFO,
@@ -111,7 +111,7 @@ class StepEncoder:
 
 
 def remember(kept: OrderedDict[int, Any], key: int, value: Any) -> None:
-    """Keep a value of a sequence, and forget what no measurement will come for."""
+    """Store a value of a sequence, and drop those too old for a measurement."""
     kept[key] = value
     if len(kept) > REMEMBERED:
         kept.popitem(last=False)
@@ -188,7 +188,7 @@ def _proof(proof: Proof | None) -> Message:
 
 
 def _finite(value: float) -> float | None:
-    """Return a number as JSON has them: null for none, the largest for an endless one."""
+    """Return a number for JSON: null for none, the largest for an infinite one."""
     value = float(value)
     if math.isnan(value):
         return None

@@ -1,4 +1,4 @@
-"""A recording for other programs: images as PNG, tables as CSV, arrays as NPZ."""
+"""Export of a recording to other programs: images as PNG, tables as CSV, arrays as NPZ."""
 
 import csv
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ TABLES = {
                  "asked_us", "period_us", "slots", "strongest_ua"),
     "board": ("step", "time_ns", "sent", "acknowledged", "refused", "latency_us", "work_us"),
 }  # fmt: skip
-"""The columns of each table; `events.csv` has ``time_ns`` and ``words``."""
+"""Columns of each table; `events.csv` has ``time_ns`` and ``words``."""
 
 
 def export(path: Path, folder: Path) -> list[Path]:
@@ -38,7 +38,7 @@ def export(path: Path, folder: Path) -> list[Path]:
     Returns
     -------
     list of Path
-        What was written: the folder of images first.
+        Written files: the folder of images first.
 
     Raises
     ------
@@ -131,7 +131,7 @@ class _Images:
 
 
 class _Arrays:
-    """Collects what becomes one NPZ file."""
+    """Collector of the arrays of one NPZ file."""
 
     def __init__(self) -> None:
         self._columns: dict[str, list[Any]] = {

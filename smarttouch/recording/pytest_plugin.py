@@ -1,4 +1,4 @@
-"""A fixture for a user's own recordings: ``def test_it(replays): replays("run.mcap")``."""
+"""Pytest fixture for a user's own recordings: ``def test_it(replays): replays("run.mcap")``."""
 
 from collections.abc import Callable
 
@@ -12,7 +12,7 @@ pytest.register_assert_rewrite(
 
 @pytest.fixture(scope="session")
 def replays() -> Callable[..., None]:
-    """Return what fails unless the sequences of a recording come out again, to the bit.
+    """Return a function that fails unless a recording's sequences are reproduced to the bit.
 
     It takes the path of a recording, and what `smarttouch.recording.check.check_recording`
     takes.

@@ -1,4 +1,4 @@
-"""Recordings read back: whole ones, and what is left of those that were cut or damaged."""
+"""Reader of recordings, also of those that were cut or damaged."""
 
 import os
 import struct
@@ -34,7 +34,7 @@ from smarttouch.recording.schemas import FORMAT, METADATA
 from smarttouch.recording.settings import RunSettings, read_settings
 
 _CHUNK = struct.Struct("<QQQ")
-"""Of a chunk's head: first time, last time, bytes when decompressed."""
+"""Head of a chunk: first time, last time, decompressed bytes."""
 _LONGEST_ABOUT = 4 * 2**20
 
 
@@ -53,9 +53,9 @@ class Recording:
     Attributes
     ----------
     about : dict of str to str
-        What `about_run` told.
+        Result of `about_run`.
     schemas, channels : dict of int to Schema, Channel
-        As far as they were met.
+        Schemas and channels read so far.
     broken_steps : int
         Steps, of the last time that all were read, that were incomplete.
 
@@ -96,17 +96,17 @@ class Recording:
 
     @property
     def whole(self) -> bool:
-        """Whether it was ended in order, and nothing that was read of it was damaged."""
+        """Whether it ended properly, and everything read so far was intact."""
         return self._ended and not self._bad_at and not self.broken_steps
 
     @property
     def damaged_chunks(self) -> int:
-        """Chunks met so far that do not hold what was written."""
+        """Number of damaged chunks so far."""
         return len(self._bad_at)
 
     @cached_property
     def started_unix_ns(self) -> int:
-        """When the run began, ns since 1970."""
+        """Start of the run, ns since 1970."""
         try:
             return int(self.about["started_unix_ns"])
         except (KeyError, ValueError):
@@ -115,7 +115,7 @@ class Recording:
 
     @property
     def started(self) -> datetime:
-        """When the run began, UTC."""
+        """Start of the run, UTC."""
         try:
             return datetime.fromtimestamp(self.started_unix_ns / 1e9, UTC)
         except (OverflowError, ValueError, OSError):
@@ -128,7 +128,7 @@ class Recording:
 
     @property
     def duration_s(self) -> float:
-        """Time from the start of the run to the last of what is kept, s."""
+        """Time from the start of the run to the last message, s."""
         return max(0, self._last_ns - self.started_unix_ns) / 1e9
 
     @cached_property
@@ -143,12 +143,12 @@ class Recording:
 
     @cached_property
     def settings(self) -> dict[str, Any]:
-        """How the run was set up."""
+        """Settings of the run."""
         return self._table("settings")
 
     @cached_property
     def run(self) -> RunSettings:
-        """What of the settings its sequences depend on."""
+        """Settings that sequences depend on."""
         try:
             return read_settings(self.settings)
         except RecordingError as error:
@@ -157,7 +157,7 @@ class Recording:
 
     @cached_property
     def versions(self) -> dict[str, Any]:
-        """What made it."""
+        """Versions of the software that made it."""
         return self._table("versions")
 
     def steps(self) -> Generator[RecordedStep, None, None]:
@@ -171,7 +171,7 @@ class Recording:
         self.broken_steps = decoder.broken
 
     def events(self) -> Iterator[tuple[int, str]]:
-        """Yield when what happened, ns since the start of the run, and in a few words."""
+        """Yield the time of each event, ns since the start of the run, and its text."""
         for topic, message in self.messages():
             if topic == "/event":
                 try:
@@ -231,7 +231,7 @@ class Recording:
             self.channels[record.id] = record
 
     def _look_through(self, file: BinaryIO) -> None:
-        """Take in all but the messages."""
+        """Read everything but the messages."""
         if not file.seek(0, os.SEEK_END):
             raise self._wrong("file", "empty", f"{self.path} is empty")
         file.seek(0)
@@ -264,7 +264,7 @@ class Recording:
         self._require_size(claims, file.seek(0, os.SEEK_END))
 
     def _require_size(self, claims: list[int], size: int) -> None:
-        """Raise if the chunks of a file claim to hold more than a recording can."""
+        """Raise if the chunks of a file declare more than a recording can hold."""
         believed = [each for each in claims if each <= MOST_CHUNK_BYTES]
         most = BASE_BYTES + MOST_INFLATION * size
         if sum(believed) > most or (claims and not believed):

@@ -1,4 +1,4 @@
-"""Recording of a run in one MCAP file, written while it goes."""
+"""Recorder of a run into one MCAP file, during the run."""
 
 import json
 import math
@@ -29,19 +29,19 @@ from smarttouch.running.step import StepResult
 from smarttouch.version import __version__
 
 FLUSH_S = 0.04
-"""Nothing waits longer than this for the system to have it: what a killed program loses."""
+"""Longest time before data is passed to the system: the loss when a program is killed."""
 SYNC_S = 1.0
-"""Nothing that the system has waits longer than this for the disk: what a power cut loses."""
+"""Longest time before data is on the disk: the loss at a power failure."""
 MOST_WAITING = 1000
-"""Steps that may wait for a slow disk."""
+"""Largest number of steps that wait for a slow disk."""
 
 _Item = StepResult | tuple[int, str]
 
 
 class RecordingWriter:
-    """Writes steps and events to an MCAP file from a thread of its own.
+    """Writer of steps and events to an MCAP file, on a thread of its own.
 
-    What was handed over is with the system at most `FLUSH_S` and the time to
+    A step that was passed is with the system at most `FLUSH_S` and the time to
     write it later, and is then safe from the end of this program, whatever it is.
     At most `SYNC_S` and as long as the disk takes later it is safe from a power cut.
 
@@ -100,7 +100,7 @@ class RecordingWriter:
         sync_folder(self._path.absolute().parent)
 
     def record(self, result: StepResult) -> None:
-        """Hand one step over; the writing is done elsewhere.
+        """Queue one step for writing.
 
         Raises
         ------
@@ -115,16 +115,16 @@ class RecordingWriter:
         self._queue.put(result)
 
     def event(self, time_ns: int, words: str) -> None:
-        """Hand over what a user did, or what went wrong, at a time since the start of the run."""
+        """Queue an event at a time since the start of the run."""
         self._queue.put((time_ns, words))
 
     def close(self) -> None:
-        """Write what is waiting, and finish the file.
+        """Write everything queued, and finish the file.
 
         Raises
         ------
         RecordingError
-            If the disk did not take all of it, unless that was told before.
+            If the disk did not take all of it, unless that was reported before.
         """
         if self._closed:
             return
@@ -157,17 +157,17 @@ class RecordingWriter:
         self._failure = self._failure or error
 
     def _guarded(self, act: Callable[..., object], *arguments: object) -> None:
-        """Do something with the file; after the first failure, no more but let go of it."""
+        """Run an operation on the file; after the first failure, only close it."""
         if self._failure is not None and act != self._file.close:
             return
         try:
             act(*arguments)
         except Exception as error:
-            # Whatever it is, the loop must hear of it: a run is not to go on unrecorded.
+            # Any exception must reach the loop: a run is not to go on unrecorded.
             self._fail(error)
 
     def _write_all(self) -> None:
-        """Write what comes; flush, and have it on the disk, before it has waited too long."""
+        """Write queued data; flush and sync before it has waited too long."""
         flush_at = sync_at = math.inf
         while True:
             due = min(flush_at, sync_at)
@@ -198,7 +198,7 @@ class RecordingWriter:
         self._to_disk()
 
     def _to_disk(self) -> None:
-        """Wait until the disk has what the system was given."""
+        """Sync the file to the disk."""
         self._file.flush()
         os.fsync(self._file.fileno())
 
@@ -224,7 +224,7 @@ class RecordingWriter:
 
 
 def new_writer(file: BinaryIO) -> Writer:
-    """Return a writer that needs little memory for an afternoon."""
+    """Return a writer whose memory does not grow with the run."""
     writer = Writer(file)
     # It keeps an index of every chunk until the end: as objects, 1 kB each, 25 a second.
     if hasattr(writer, _INDEXES):
@@ -233,7 +233,7 @@ def new_writer(file: BinaryIO) -> Writer:
 
 
 class Recorder(Listener):
-    """Records a run to a file; see `RecordingWriter`.
+    """Listener that records a run to a file; see `RecordingWriter`.
 
     Parameters
     ----------
@@ -251,27 +251,27 @@ class Recorder(Listener):
         self._writer: RecordingWriter | None = None
 
     def prepare(self, run: RunContext) -> None:
-        """Refuse a file that is there, before the display is opened."""
+        """Raise if the file exists, before the display is opened."""
         _require_new(self.path)
 
     def start(self, run: RunContext) -> None:
-        """Begin the file, with what the open board says of itself."""
+        """Start the file, with the description of the open board."""
         started_unix_ns = time.time_ns()
         about = about_run(run.profile, run.settings, started_unix_ns)
         self._writer = RecordingWriter(self.path, about, started_unix_ns)
 
     def step(self, result: StepResult) -> None:
-        """Hand a step over to be written."""
+        """Queue a step for writing."""
         if self._writer is not None:
             self._writer.record(result)
 
     def event(self, event: Event) -> None:
-        """Hand an event over to be written."""
+        """Queue an event for writing."""
         if self._writer is not None:
             self._writer.event(event.time_ns, str(event))
 
     def close(self) -> None:
-        """Write what is waiting, and finish the file."""
+        """Write everything queued, and finish the file."""
         if self._writer is not None:
             self._writer.close()
 
@@ -290,7 +290,7 @@ _INDEXES = "_Writer__chunk_indices"
 
 
 class _PackedIndexes:
-    """Chunk indexes as the bytes that they will be at the end of the file."""
+    """Chunk indexes stored as the bytes at the end of the file."""
 
     def __init__(self) -> None:
         self._builder = RecordBuilder()
@@ -306,14 +306,14 @@ class _PackedIndexes:
 
 
 def about_run(profile: Profile, settings: dict[str, Any], started_unix_ns: int) -> dict[str, str]:
-    """Return what a recording says about its run, with the versions that made it.
+    """Return the description of a run in its recording, with the software versions.
 
     Parameters
     ----------
     profile : Profile
         Device and finger.
     settings : dict
-        What JSON can hold: ``mode``, ``rate_hz``, ``light_on_dark``, ``softness``, ``hold``,
+        Settings as JSON: ``mode``, ``rate_hz``, ``light_on_dark``, ``softness``, ``hold``,
         ``balance``, ``recharge``, ``timing`` (a `ScanTiming` as a dict) and ``compliance_v``
         are what sequences depend on; all else is for readers.
     started_unix_ns : int

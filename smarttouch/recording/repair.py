@@ -1,4 +1,4 @@
-"""A cut or damaged recording written anew, as a file that every reader of MCAP takes."""
+"""Repair of a cut or damaged recording, as a new file that every reader of MCAP accepts."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +13,7 @@ from smarttouch.version import __version__
 
 @dataclass(frozen=True)
 class Repaired:
-    """What was saved of a recording.
+    """Result of a repair.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Repaired:
 
 
 def is_sound(path: Path) -> bool:
-    """Tell whether a recording has its end, and all its chunks hold."""
+    """Return whether a recording has its end, and all its chunks are intact."""
     recording = Recording(path)
     if recording.whole:
         for _ in recording.messages():
@@ -44,7 +44,7 @@ def is_sound(path: Path) -> bool:
 
 
 def repair(path: Path, output: Path | None = None) -> Repaired:
-    """Write what can be read of a recording into a new file; the old one stays as it is.
+    """Write the readable part of a recording into a new file; the old one stays as it is.
 
     Parameters
     ----------

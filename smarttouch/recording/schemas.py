@@ -1,4 +1,4 @@
-"""What the topics of a recording hold, as JSON schemas; images and words in Foxglove's own.
+"""JSON schemas of a recording's topics; images and log messages are Foxglove's own.
 
 Foxglove has no schema for a number by itself: its plots take any number of any
 message, so `/finger`, `/sequence` and `/board` are ours.
@@ -7,7 +7,7 @@ message, so `/finger`, `/sequence` and `/board` are ours.
 from typing import Any
 
 FORMAT = "1"
-"""Raised when a file can no longer be read by what reads this one."""
+"""Version of the format, raised when older readers can no longer read it."""
 
 METADATA = "smarttouch"
 """Name of the metadata record with settings, profile and versions."""
@@ -16,7 +16,7 @@ LAST = "/board"
 """Topic of a step's last message: with it a step is complete."""
 
 INFO = 2
-"""Of `foxglove.Log`'s levels."""
+"""Log level of events, in `foxglove.Log`."""
 
 _NUMBER = {"type": "number"}
 _PERHAPS = {"type": ["number", "null"]}
@@ -142,7 +142,7 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
         },
     ),
 }
-"""Of each topic: the name of its schema, and the properties of its messages, all required."""
+"""Name of each topic's schema, and the properties of its messages, all required."""
 
 
 def schema(topic: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""How a recorded run was set up: what sequences depend on, believed only where it makes sense."""
+"""Settings of a recorded run that sequences depend on, validated when read."""
 
 from typing import Annotated, Any, Literal
 
@@ -44,7 +44,7 @@ class _Sharing(_Part):
 
 
 class RunSettings(BaseModel):
-    """Settings of a run as far as its sequences depend on them.
+    """Settings of a run that its sequences depend on.
 
     Attributes are those of `Pipeline` and `Regulator`; recordings from before
     there was a choice do not say ``tone``, ``vibrated``, ``sharing`` or ``recharge``.
@@ -67,12 +67,12 @@ class RunSettings(BaseModel):
 
     @property
     def timing(self) -> ScanTiming:
-        """What the board fixed about the time of a scan."""
+        """Scan timing fixed by the board."""
         return ScanTiming(**self.timed.model_dump())
 
     @property
     def tone(self) -> Tone | None:
-        """How ink became activation."""
+        """Tone curve from ink to activation."""
         return None if self.toned is None else Tone(**self.toned.model_dump())
 
     @property
@@ -82,7 +82,7 @@ class RunSettings(BaseModel):
 
 
 def read_settings(table: dict[str, Any]) -> RunSettings:
-    """Return settings as they were recorded.
+    """Return the settings in a recording.
 
     Raises
     ------

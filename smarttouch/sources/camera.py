@@ -15,12 +15,12 @@ from smarttouch.profile import Profile
 from smarttouch.sources.capture import ImageDevice, LiveSource, Shot
 
 BUFFERS = 1
-"""Images that the driver may keep: older ones are of no use."""
+"""Images buffered by the driver: older ones are of no use."""
 FAILURES = 5
-"""So many reads without an image in a row, and the camera is gone."""
+"""Reads without an image in a row after which the camera is lost."""
 _PAUSE_S = 0.02
 _MANUAL_EXPOSURE = 1
-"""Of V4L2_CID_EXPOSURE_AUTO, as OpenCV passes it on (3 is automatic)."""
+"""Manual value of V4L2_CID_EXPOSURE_AUTO, as OpenCV passes it on (3 is automatic)."""
 _BELIEVED_AGE_NS = 2_000_000_000
 _MOST_PIXELS = 100_000_000
 _BACKENDS = {"linux": cv2.CAP_V4L2, "darwin": cv2.CAP_AVFOUNDATION}
@@ -40,7 +40,7 @@ def open_camera(
     Parameters
     ----------
     rest : str
-        What stands after the colon.
+        Part of the URL after the colon.
     profile : Profile
         Optics.
     size : tuple of int, pixels, optional
@@ -53,13 +53,13 @@ def open_camera(
     Raises
     ------
     SensorError
-        If there is no such camera, or what is asked of it makes no sense.
+        If there is no such camera, or an option is invalid.
     """
     return LiveSource(CameraDevice(rest, size, exposure, fps), profile)
 
 
 OPENCV_LOG = cv2.utils.logging if hasattr(cv2.utils, "logging") else cv2
-"""Where OpenCV has its log's level: before 4.13 in the module itself."""
+"""Module with OpenCV's log level: before 4.13 it is the main one."""
 SILENT = 0
 
 
@@ -86,7 +86,7 @@ class _Quiet:
 
 
 QUIET_OPENCV = _Quiet()
-"""Keeps OpenCV's own warnings from the terminal: what matters is said in our words."""
+"""Context that keeps OpenCV's own warnings from the terminal: ours replace them."""
 
 
 class CameraDevice(ImageDevice):
@@ -134,7 +134,7 @@ class CameraDevice(ImageDevice):
         self._failures = 0
 
     def open(self) -> None:
-        # The driver would wait ten seconds for an image before it says that none comes.
+        # The driver would wait ten seconds for an image before it reports none.
         os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
         with QUIET_OPENCV:
             try:
@@ -216,7 +216,7 @@ class CameraDevice(ImageDevice):
 
     @staticmethod
     def _taken_ns(capture: cv2.VideoCapture) -> int:
-        """Return when the driver took the image, if it tells by our clock; else now."""
+        """Return the driver's time of the image, if it is on our clock; else now."""
         now_ns = time.perf_counter_ns()
         taken_ns = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
         return taken_ns if 0 <= now_ns - taken_ns <= _BELIEVED_AGE_NS else now_ns
@@ -228,7 +228,7 @@ class CameraDevice(ImageDevice):
 
 
 def to_grey(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return an image of OpenCV's in grey, (H, W); deep ones by their upper eight bits.
+    """Return an image of OpenCV in grey, (H, W); deep ones by their upper eight bits.
 
     Raises
     ------

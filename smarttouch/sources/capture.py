@@ -1,4 +1,4 @@
-"""Images from a device that does not wait: a thread takes them in, the newest wins."""
+"""Capture from a live device on a thread of its own; the newest image wins."""
 
 import math
 import threading
@@ -19,15 +19,15 @@ from smarttouch.sources.notes import Episodes, StandingNotes
 from smarttouch.sources.source import OpticalSource
 
 STALE_S = 0.5
-"""What an image shows may be gone after so long without another."""
+"""Time without a new image after which the last one is stale."""
 FIRST_IMAGE_S = 2.0
-"""How long the first read waits: devices start slowly."""
+"""Time limit of the first read, as devices start slowly."""
 GRAB_S = 0.1
 """A device is asked for no longer at a time, so that closing is prompt."""
 RETRY_S = 0.25
 """A lost device is looked for so often."""
 JOIN_S = 2.0
-"""A driver that hangs longer than this is left behind."""
+"""Time to wait for a driver that hangs, before it is abandoned."""
 
 
 class SourceEndedError(Exception):
@@ -44,7 +44,7 @@ class SourceEndedError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One image as it came.
+    """One captured image.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class ImageDevice(ABC):
     title: str
     """What it is, in a few words."""
     stale_s: float = STALE_S
-    """What an image shows may be gone after so long; longer only for images that are slow."""
+    """Age after which an image is stale; longer only for slow images."""
 
     @cached_property
     def notes(self) -> list[str]:
@@ -76,7 +76,7 @@ class ImageDevice(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Open it, or open it again after a loss; SensorError if that cannot be."""
+        """Open the source, or reopen it after a loss; raise SensorError if that fails."""
 
     @abstractmethod
     def grab(self, timeout_s: float) -> Shot | None:
@@ -92,7 +92,7 @@ class ImageDevice(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the device. Never raises, in whatever state it is."""
+        """Close the device. Never raises, in any state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +144,7 @@ class LiveSource(OpticalSource):
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         self._changed = threading.Condition()
-        """Guards the books and all that follows."""
+        """Guards the counts and all attributes below."""
         self._newest: _Look | None = None
         self._unread = False
         self._over = False
@@ -220,7 +220,7 @@ class LiveSource(OpticalSource):
             self.notes.append(f"{self.title} did not answer within {JOIN_S:g} s and was left open")
 
     def _grab_all(self) -> None:
-        """Take in image after image; whatever ends it, `read` hears of it."""
+        """Grab image after image; any exception is raised by `read`."""
         try:
             while not self._stop.is_set():
                 shot = self._grab()

@@ -23,11 +23,11 @@ SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
 _FEWEST_PIXELS = 2
 _MOST_PIXELS = 80_000_000
 _MISSING = 0.05
-"""Share of the frames; containers only estimate how many they hold."""
+"""Accepted part of missing frames; containers only estimate how many they hold."""
 _TURNED = ("JPEG", "TIFF")
-"""Formats that may say how the camera was held before they are decoded."""
+"""Formats that may state the camera's orientation before they are decoded."""
 _TEXT = cv2.VideoWriter.fourcc(*"ansi")
-# What the decoder says of damaged frames would tear the screen. It reads this once, when a process
+# The decoder's messages on damaged frames would tear the screen. It reads this once, when a process
 # first opens any video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 # Playlists would open other files, pipes and addresses.
@@ -39,19 +39,19 @@ os.environ.setdefault(
 
 
 class Clip(ABC):
-    """Images in a row, to be read once."""
+    """Sequence of images, to be read once."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.title = path.name or str(path)
         self.rate_hz = USUAL_HZ
         self.count = 0
-        """How many there are; 0 if not known. A video's count is often an estimate."""
+        """Number of images; 0 if not known. A video's count is often an estimate."""
         self.notes: list[str] = []
 
     @abstractmethod
     def open(self) -> None:
-        """Open it; raises SensorError if that cannot be."""
+        """Open the clip; raise SensorError if that fails."""
 
     @abstractmethod
     def next(self) -> NDArray[np.uint8] | None:
@@ -59,11 +59,11 @@ class Clip(ABC):
 
     @abstractmethod
     def skip(self) -> bool:
-        """Leave the next image out; return False at the end."""
+        """Skip the next image; return False at the end."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of what is held open."""
+        """Close the clip."""
 
 
 class VideoFile(Clip):
@@ -177,7 +177,7 @@ class ImageFolder(Clip):
         return True
 
     def close(self) -> None:
-        """Each image is read whole: nothing is held open."""
+        """Do nothing: each image is read whole."""
 
 
 def _require_file(path: Path) -> None:
@@ -248,7 +248,7 @@ def _reading(file: Path) -> Iterator[Image.Image]:
 
 
 def _size(file: Path) -> tuple[int, int]:
-    """Return width and height, as the image is looked at."""
+    """Return width and height of the image in its stated orientation."""
     with _reading(file) as image:
         width, height = image.size
         if image.format in _TURNED and image.getexif().get(ExifTags.Base.Orientation, 1) >= 5:

@@ -16,7 +16,7 @@ class Device(Closing):
     url : str
         By which it was opened.
     notes : list of str
-        What a user should know of it after a run, a sentence each.
+        Warnings after a run, a sentence each.
     """
 
     def __init__(self, title: str) -> None:

@@ -1,4 +1,4 @@
-"""Flat field: the dark level and the gain of every pixel, so that blank paper looks blank."""
+"""Flat field: dark level and gain of every pixel, by which blank paper becomes uniform."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -14,15 +14,15 @@ from smarttouch.errors import CalibrationError, SensorError
 from smarttouch.files import MOST_BANK_BYTES, open_file, write_bytes
 
 DEAD_SHARE = 0.25
-"""Of the usual answer to light: what answers less is dead."""
+"""Part of the median response to light below which a pixel is dead."""
 HOT_LEVELS = 24.0
-"""Grey levels above the usual dark: what is brighter in the dark is hot."""
+"""Grey levels above the median dark level from which a pixel is hot."""
 LEAST_SPAN = 40.0
-"""Grey levels that white must lie above dark."""
+"""Least difference of white and dark, in grey levels."""
 SATURATED = 254.0
 MOST_SATURATED = 0.01
 MOST_BROKEN = 0.02
-"""Parts of the pixels."""
+"""Largest part of broken pixels."""
 
 
 class FlatField:
@@ -65,12 +65,12 @@ class FlatField:
 
     @property
     def broken(self) -> int:
-        """How many pixels are dead or hot."""
+        """Number of dead or hot pixels."""
         return int((self.gain == 0).sum())
 
     @cached_property
     def _stand_ins(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """The broken pixels, and the nearest good one of each, as flat indices."""
+        """Broken pixels, and the nearest good one of each, as flat indices."""
         if not self.broken:
             none = np.empty(0, np.intp)
             return none, none
@@ -82,7 +82,7 @@ class FlatField:
         return np.flatnonzero(broken), (rows * self.gain.shape[1] + columns)[broken]
 
     def correct(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return a new image in which every pixel answers light alike.
+        """Return a corrected image, with the same response of every pixel.
 
         Raises
         ------
@@ -112,7 +112,7 @@ class FlatField:
     def measure(
         cls, dark_images: Sequence[NDArray[np.uint8]], white_images: Sequence[NDArray[np.uint8]]
     ) -> Self:
-        """Return the flat field by what a sensor saw in the dark and of blank white paper.
+        """Return the flat field by images in the dark and of blank white paper.
 
         White stays as bright as it was on most pixels.
 
@@ -168,13 +168,13 @@ class FlatField:
         return cls(dark.astype(np.float32), gain.astype(np.float32))
 
     def to_bytes(self) -> bytes:
-        """Return the content of its file."""
+        """Return the flat field as the bytes of its file."""
         file = BytesIO()
         np.savez_compressed(file, dark=self.dark, gain=self.gain)
         return file.getvalue()
 
     def save(self, path: str | Path) -> None:
-        """Write it to an ``.npz`` file.
+        """Write the flat field to an ``.npz`` file.
 
         Raises
         ------
@@ -185,7 +185,7 @@ class FlatField:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read it from its file.
+        """Return the flat field of a file.
 
         Raises
         ------

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the center of the sensor patch is on the page.
+    """Position of the sensor patch's center on the page.
 
     ``x_mm`` runs right and ``y_mm`` down from the page's top left corner;
     ``angle_rad`` turns the patch clockwise as seen on the page.
@@ -28,15 +28,15 @@ class Frame:
     image : ndarray, (H, W) uint8
         Grey levels, bright is white.
     time_ns : int
-        When it is felt: the time that was asked for, since the start of the run.
+        When it is felt: the requested time, since the start of the run.
     pose : Pose
-        Where it was taken.
+        Pose of the sensor.
     force_n : float, N
         How hard the finger presses; NaN where the source does not know.
     number : int
         Of the image at its source, from 0; the same number is the same image again.
     age_ns : int
-        How old the image was when it was asked for.
+        Age of the image when it was read.
     stale : bool
         The source has fallen silent: what the image shows may be gone.
     """

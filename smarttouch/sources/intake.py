@@ -1,4 +1,4 @@
-"""What is done with every image that comes in."""
+"""Preprocessing of every incoming image: flat field and pose."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -38,7 +38,7 @@ class Intake:
         self._x_mm = self._y_mm = 0.0
 
     def take(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Pose]:
-        """Return the corrected image, and where it was taken."""
+        """Return the corrected image, and its pose."""
         if self._correct is not None:
             image = self._correct(image)
         x_mm, y_mm = self._tracker.follow(image)
@@ -47,5 +47,5 @@ class Intake:
         return image, Pose(self._x_mm, self._y_mm)
 
     def interrupt(self) -> None:
-        """Take no motion from the next image: what was between it and the last is not known."""
+        """Ignore the motion to the next image, as the time between is unknown."""
         self._tracker.forget()

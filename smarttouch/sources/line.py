@@ -1,4 +1,4 @@
-"""Reading from a serial line without waiting for more than has come."""
+"""Reading of a serial line without waiting for more than has arrived."""
 
 import contextlib
 
@@ -9,7 +9,7 @@ _LARGEST_READ = 65536
 
 
 def read_what_came(port: Port, title: str) -> bytes:
-    """Return the bytes that have come; wait for the first no longer than the port's timeout.
+    """Return the bytes that have arrived; wait for the first up to the port's timeout.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def read_what_came(port: Port, title: str) -> bytes:
     try:
         # One byte more than has come would cost the whole timeout.
         data = bytes(port.read(port.in_waiting or 1))
-        # Over TCP pyserial never says how much has come.
+        # Over TCP pyserial never reports how much has arrived.
         wire = getattr(port, "_socket", None)
         if data and wire is not None:
             with contextlib.suppress(BlockingIOError):

@@ -1,4 +1,4 @@
-"""How far the sensor has moved over the page from one image to the next, to parts of a pixel.
+"""Subpixel motion of the sensor over the page between images.
 
 Phase correlation finds the shift; Gauss–Newton steps on the grey levels refine it
 (inverse compositional: Baker and Matthews, Lucas-Kanade 20 Years On, 2004).
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from smarttouch.profile import Optics, Profile
 
 MOST_PIXELS = 64
-"""Longer sides are reduced to this: more pixels cost time and hardly make the shift truer."""
+"""Longest side; larger images are reduced: more pixels cost time and add little accuracy."""
 FINER = 2
 """Images of half that or less are enlarged so much: linear interpolation between their own pixels
 costs 16 x 16 sensors four fifths of the accuracy."""
@@ -25,13 +25,13 @@ noise of 2 levels and uneven light make some 1.5."""
 MOST_UNEXPLAINED = 0.25
 """Share of the grey levels' variance that the shift may leave unexplained."""
 _PROMISING = 0.5
-"""The same share before the shift is refined."""
+"""Largest such share before the shift is refined."""
 _STEPS = 4
 _CLOSE = 0.02
-"""A step shorter than this, in pixels, was the last."""
+"""Length of a step, in pixels, below which the iteration ends."""
 _LONGEST_STEP = 2.0
 _LEAST_OVERLAP = 0.5
-"""Share of either side that two images must have in common: a longer jump is not believed."""
+"""Least share of either side common to two images: a longer jump is rejected."""
 _FEWEST_COMMON = 2
 _FEWEST_PIXELS = 4
 _NOISE = 4.0
@@ -41,14 +41,14 @@ _COARSER = 2
 
 Image = NDArray[np.float32]
 Shift = tuple[float, float]
-"""To the right and down."""
+"""Shift to the right and down."""
 Correlation = Callable[[Image, Image], Shift]
 
 
 class MotionTracker:
-    """Follows a patch over the page by what it sees.
+    """Tracks the motion of a patch over the page by its images.
 
-    What it cannot know it calls no motion: on blank paper, along a straight edge that fills
+    Motion that cannot be measured counts as none: on blank paper, along a straight edge that fills
     the patch, where two images have too little in common.
 
     Parameters
@@ -65,7 +65,7 @@ class MotionTracker:
         self._first = True
 
     def follow(self, image: NDArray[np.uint8]) -> Shift:
-        """Return how far the patch has moved over the page since the image before.
+        """Return the displacement of the patch on the page since the last image.
 
         Parameters
         ----------
@@ -88,7 +88,7 @@ class MotionTracker:
         return -(x_by_x * x + x_by_y * y), -(y_by_x * x + y_by_y * y)
 
     def forget(self) -> None:
-        """Start anew: what was between the last image and the next is not known."""
+        """Restart: the motion to the next image is unknown."""
         self._first = True
 
 
@@ -120,12 +120,12 @@ def page_per_pixel(
 
 
 class _Trial(NamedTuple):
-    """The image laid back by a shift over the image before."""
+    """Overlap of the shifted image with the one before."""
 
     shift: Shift
     common: tuple[slice, slice]
     rest: Image
-    """What differs, (N,) levels, without its mean: light may change."""
+    """Difference, (N,) levels, without its mean: light may change."""
     unexplained: float
 
 
@@ -147,10 +147,10 @@ class _Matcher:
         )
         self._to = np.eye(2, 3, dtype=np.float32)
         self._usual: Shift = (0.0, 0.0)
-        """The last shift that was believed: fingers move steadily."""
+        """The last accepted shift: fingers move steadily."""
 
     def match(self, image: NDArray[np.uint8], first: bool) -> Shift:
-        """Return how far the content has moved; (0, 0) if not known, or for a first image."""
+        """Return the shift of the content; (0, 0) if unknown, or for a first image."""
         if image.shape != self.shape:
             size = self.shape[::-1]
             cv2.resize(image, size, dst=self._working, interpolation=self._method)
@@ -164,7 +164,7 @@ class _Matcher:
         return shift or (0.0, 0.0)
 
     def _find(self) -> Shift | None:
-        """Return the shift that explains the image; None if none does."""
+        """Return the shift that explains the image; None if there is none."""
         best = self._begin() if self._seen else None
         if best is None:
             return None
@@ -183,7 +183,7 @@ class _Matcher:
         return slopes.along(best.shift) if best.unexplained <= MOST_UNEXPLAINED else None
 
     def _begin(self) -> _Trial | None:
-        """Return the best of the usual shift, none, and what correlation finds."""
+        """Return the best of the usual shift, zero, and the peak of the correlation."""
         phase = self._correlate(_phase_correlation, self._native)
         best = self._best({phase, self._usual, (0.0, 0.0)})
         if best is not None and best.unexplained <= _PROMISING:
@@ -205,7 +205,7 @@ class _Matcher:
         return x * self.shape[1] / columns, y * self.shape[0] / rows
 
     def _try(self, shift: Shift, common: tuple[slice, slice] | None = None) -> _Trial | None:
-        """Lay the image back by a shift; None if too little is common then."""
+        """Return the overlap at a shift; None if it is too small."""
         common = common or self._common(shift)
         if common is None:
             return None
@@ -225,7 +225,7 @@ class _Matcher:
         return _Trial(shift, common, rest, float(rest @ rest) / rest.size / (contrast + _NOISE))
 
     def _common(self, shift: Shift) -> tuple[slice, slice] | None:
-        """Return the rows and columns that both images show, without the outermost."""
+        """Return the rows and columns common to both images, without the outermost."""
         slices = []
         for side, by in zip(self.shape, shift[::-1], strict=True):
             if not abs(by) <= (1 - _LEAST_OVERLAP) * side:
@@ -244,7 +244,7 @@ def _phase_correlation(before: Image, now: Image) -> Shift:
 
 
 def _correlation(before: Image, now: Image) -> Shift:
-    """Return the shift, in whole pixels, of the largest covariance of what is common then."""
+    """Return the shift, in whole pixels, of the largest covariance of the overlap."""
     rows, columns = before.shape
     size = (2 * rows, 2 * columns)
     one, first, second = (
@@ -289,7 +289,7 @@ class _Slopes:
         return x, y
 
     def along(self, shift: Shift) -> Shift | None:
-        """Return what of a shift is known; None if nothing."""
+        """Return the measurable part of a shift; None if there is none."""
         if not self._steep:
             return None
         x = y = 0.0

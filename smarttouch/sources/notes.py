@@ -1,13 +1,13 @@
-"""One sentence for each thing that goes wrong with a device, however often it does."""
+"""Device warnings: one sentence for each cause, however often it occurs."""
 
 
 class StandingNotes:
-    """Sentences that are brought up to date instead of being repeated.
+    """Warnings that are updated instead of being repeated.
 
     Parameters
     ----------
     notes : list of str
-        Where they stand; others may append to it, and nothing is ever removed.
+        List of the warnings; others may append to it, and nothing is ever removed.
     """
 
     def __init__(self, notes: list[str]) -> None:
@@ -15,7 +15,7 @@ class StandingNotes:
         self._places: dict[str, int] = {}
 
     def put(self, cause: str, sentence: str) -> None:
-        """Say something of a cause, in the place of what was said of it before."""
+        """Set the warning of a cause, in the place of the earlier one."""
         if cause in self._places:
             self._notes[self._places[cause]] = sentence
         else:
@@ -24,15 +24,15 @@ class StandingNotes:
 
 
 class Episodes:
-    """Something that is wrong for a while, now and then: how often, and how long in all.
+    """Outages of one kind: their number and total duration.
 
     Parameters
     ----------
     notes : StandingNotes
     words : str
-        What was wrong, as in "the load cell was silent".
+        Description of the outage, as in "the load cell was silent".
     remedy : str
-        What to do about it; nothing if empty.
+        Remedy; none if empty.
     """
 
     def __init__(self, notes: StandingNotes, words: str, remedy: str = "") -> None:
@@ -48,7 +48,7 @@ class Episodes:
         return self._since_ns is not None
 
     def update(self, is_on: bool, now_ns: int, since_ns: int | None = None) -> None:
-        """Say whether it is so now; ``since_ns`` is when it began, if that is known."""
+        """Update the present state; ``since_ns`` is its start, if known."""
         if is_on and self._since_ns is None:
             self._since_ns = now_ns if since_ns is None else since_ns
             self.times += 1

@@ -1,4 +1,4 @@
-"""A virtual finger over a page: frames as a photo-sensor patch would take them."""
+"""A virtual finger over a page: frames like those of a photo-sensor patch."""
 
 from pathlib import Path
 
@@ -21,11 +21,11 @@ NOISE_LEVELS = 2.0
 """Standard deviation of the read noise, in grey levels."""
 USUAL_MM_S = 40.0
 _SHADE = 0.1
-"""How much darker the corners of the patch are lit than its middle."""
+"""Relative loss of light at the corners of the patch."""
 _SLOPE = 0.03
 _MARGIN_MM = 4.0
 _MARGIN_BLUR_MM = 1.0
-"""Paper beyond the page's edges: wide enough for a patch, without the page's texture."""
+"""Blur of the paper beyond the page's edges, which removes the page's texture."""
 _MOST_PIXELS = 60_000_000
 
 
@@ -55,7 +55,7 @@ def open_text(
     path: Path | None = None,
     light_on_dark: bool = False,
 ) -> "PageSource":
-    """Open ``text:STRING``, a page printed on the spot."""
+    """Open ``text:STRING``, a page printed from a text."""
     page = print_text(rest)
     return PageSource(page, profile, "printed text", seed, speed_mm_s, path, light_on_dark)
 
@@ -66,11 +66,11 @@ class PageSource(OpticalSource):
     Parameters
     ----------
     page : Page
-        What lies under the finger.
+        Page under the finger.
     profile : Profile
         Optics and force.
     title : str
-        What to call it on the screen.
+        Title on the screen.
     seed : int
         Of noise and force; the same seed gives the same frames, in whatever
         order they are read.
@@ -150,7 +150,7 @@ class PageSource(OpticalSource):
 
 
 def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float, int]:
-    """Return the page through the optics' blur, its scale, and the margin around it."""
+    """Return the page blurred by the optics, its scale, and the margin around it."""
     height, width = page.grey.shape
     scale = page.mm_per_pixel / finest_mm
     scale = min(scale, np.sqrt(_MOST_PIXELS / (height * width)))

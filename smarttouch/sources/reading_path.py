@@ -1,4 +1,4 @@
-"""How a finger moves over a page: line by line, or as it was recorded."""
+"""Path of a finger over a page: line by line, or as recorded."""
 
 import math
 from dataclasses import replace
@@ -20,20 +20,20 @@ Floats = NDArray[np.float64]
 RETURN_MM_S = 200.0
 """Speed of the lifted finger on its way to the next line."""
 SETTLE_S = 0.6
-"""A finger rests at the start of a line while intensity ramps up."""
+"""Time of rest at the start of a line while intensity ramps up."""
 LIFT_S = 0.15
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 500.0
 _PRESS = 1.1
-"""Reading force, of the profile's full force."""
+"""Reading force, relative to the profile's full force."""
 _WAVER = 0.08
 """Slow variation of the reading force."""
 _STEP_MM = 2.0
-"""From point to point of a path along a line: it bends less than can be felt."""
+"""Distance of the points of a path along a line: it bends less than can be felt."""
 _COLUMNS = ("time_s", "x_mm", "y_mm", "angle_deg", "force_n")
 
 
 class Path2D(Protocol):
-    """Where the finger is, and how hard it presses, at any time."""
+    """Pose and force of the finger at any time."""
 
     duration_s: float
 
@@ -42,12 +42,12 @@ class Path2D(Protocol):
 
 
 class ReadingPath:
-    """Reads the lines of a page one after another; a page without lines in strips.
+    """Path along the lines of a page, one after another; in strips if it has no lines.
 
     Parameters
     ----------
     page : Page
-        What is read.
+        Page to read.
     profile : Profile
         Field of view and force.
     speed_mm_s : float, mm/s
@@ -117,7 +117,7 @@ class RecordedPath:
     Raises
     ------
     SensorError
-        If the file is missing or wrong; it says in which line.
+        If the file is missing or wrong, with the line number.
     """
 
     def __init__(self, path: Path) -> None:
@@ -135,13 +135,13 @@ class RecordedPath:
 
 
 def _whole(page: Page) -> TextLine:
-    """Return a page without lines as one very tall one."""
+    """Return a page without lines as one very tall line."""
     width_mm, height_mm = page.size_mm
     return TextLine(0.0, width_mm, (height_mm,), height_mm, height_mm, 0.0)
 
 
 def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
-    """Cut a line that is taller than the field into strips that run as it does."""
+    """Cut a line that is taller than the field into parallel strips."""
     # A field over: ascenders that just stick out need no second pass.
     count = max(1, math.ceil(line.height_mm / height_mm - 0.15))
     step = line.height_mm / count
@@ -157,7 +157,7 @@ def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
 
 
 def _course(line: TextLine, field_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return x, y, angle of a finger along the middle of a line, and how far it has come."""
+    """Return x, y, angle of a finger along the middle of a line, and the distance covered."""
     start, end = line.left_mm - field_mm / 2, line.right_mm + field_mm / 2
     x = np.linspace(start, end, max(2, math.ceil((end - start) / _STEP_MM)))
     y = line.baseline_mm(x) + (line.descent_mm - line.ascent_mm) / 2

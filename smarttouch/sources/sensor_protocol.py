@@ -1,4 +1,4 @@
-"""The wire format of sensors; firmware can be written from this page.
+"""Wire format of sensors; a specification for firmware.
 
 The device streams by itself, over a USB or any other serial line; the host says
 nothing. A packet is COBS-encoded and ends with one 0x00, so a receiver that has
@@ -47,10 +47,10 @@ from smarttouch.wire.framing import Deframer, Packet, frame_packet
 VERSION = 1
 MOST_PIXELS_A_SIDE = 255
 LARGEST_NAME = 255
-"""Bytes of the name in INFO."""
+"""Most bytes of the name in INFO."""
 NO_READING = -(2**31)
 LARGEST_BODY = MOST_PIXELS_A_SIDE**2 + 16
-"""No packet is longer, its head and CRC included."""
+"""Most bytes of a packet, with head and CRC."""
 NUMBERS = 2**32
 
 _FRAME = struct.Struct("<BBI")
@@ -95,7 +95,7 @@ class CellReading:
 
 @dataclass(frozen=True)
 class Info:
-    """What a device says of itself."""
+    """Description of a device by itself."""
 
     number: int
     name: str
@@ -105,7 +105,7 @@ Message = ArrayFrame | CellReading | Info
 
 
 def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
-    """Return a frame as it goes over the wire.
+    """Return a frame in its wire format.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
 
 
 def encode_force(number: int, time_us: int, reading: int | None) -> bytes:
-    """Return a load cell's reading as it goes over the wire.
+    """Return a load cell's reading in its wire format.
 
     Raises
     ------
@@ -161,13 +161,13 @@ def encode_force(number: int, time_us: int, reading: int | None) -> bytes:
 
 
 def encode_info(number: int, name: str) -> bytes:
-    """Return what a device says of itself; a name that is too long is cut."""
+    """Return a device's description in its wire format; a name that is too long is cut."""
     text = name.encode("utf-8", "replace")[:LARGEST_NAME].decode("utf-8", "ignore")
     return frame_packet(VERSION, Kind.INFO, number % NUMBERS, text.encode())
 
 
 def decode(packet: Packet) -> Message | None:
-    """Return what a packet says; None if it is malformed or of an unknown kind or version."""
+    """Return a packet's message; None if it is malformed or of an unknown kind or version."""
     if packet.version != VERSION:
         return None
     payload = packet.payload
@@ -197,7 +197,7 @@ def _decode_frame(number: int, payload: bytes) -> ArrayFrame | None:
 
 
 def gap(before: int, number: int) -> int:
-    """Return how many packets are missing between two numbers.
+    """Return the number of packets missing between two numbers.
 
     A device that has started anew, or an old packet, is no gap.
     """
@@ -206,7 +206,7 @@ def gap(before: int, number: int) -> int:
 
 
 class MessageStream:
-    """Messages in a stream that one began to hear somewhere in its middle.
+    """Parser of messages in a stream that may start in the middle of one.
 
     Attributes
     ----------
@@ -221,7 +221,7 @@ class MessageStream:
         self._begun = False
 
     def feed(self, data: bytes) -> list[Message]:
-        """Return the messages that are complete with these bytes."""
+        """Return the messages completed by these bytes."""
         messages: list[Message] = []
         before = self._deframer.errors
         for packet in self._deframer.feed(data):

@@ -17,11 +17,11 @@ from smarttouch.sources.sensor_protocol import ArrayFrame, Info, MessageStream, 
 from smarttouch.wire.port import LINE_ERRORS, Port, open_port
 
 USUAL_BAUD = 921_600
-"""What is set where a line has a speed at all; over USB it means nothing."""
+"""Default speed of lines that have one; over USB it has no effect."""
 _WAIT_S = 0.05
 """Longest single read."""
 _UNREADABLE_S = 1.5
-"""Bytes that are no frames for so long, from the start on, are something else."""
+"""Time without a valid frame from the start, after which the device is no sensor."""
 
 
 def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -> LiveSource:
@@ -74,9 +74,9 @@ class SerialArrayDevice(ImageDevice):
     lost : int
         Frames that are missing by the device's numbers.
     garbled : int
-        Pieces between zeros that were no packet, or one that says nothing known.
+        Pieces between zeros that were no packet, or an unknown one.
     device : str
-        What the device says it is; empty if it does not.
+        Name reported by the device; empty if none.
     """
 
     def __init__(self, port: str, baud: int = USUAL_BAUD) -> None:
@@ -92,12 +92,12 @@ class SerialArrayDevice(ImageDevice):
         self._said = StandingNotes(self.notes)
 
     def open(self) -> None:
-        """Open the port. What came before the first `grab` is thrown away there."""
+        """Open the port. Earlier bytes are discarded at the first `grab`."""
         self._port = open_port(self._name, self._baud, _WAIT_S, SensorError)
         self._listening_since_ns = None
 
     def grab(self, timeout_s: float) -> Shot | None:
-        """Return the newest frame of the next read that brings any; None if none came in time."""
+        """Return the newest frame of the next read that has any; None at the time limit."""
         port = self._port
         assert port is not None
         if self._listening_since_ns is None:
@@ -112,7 +112,7 @@ class SerialArrayDevice(ImageDevice):
                 return None
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         if self._port is not None:
             with contextlib.suppress(*LINE_ERRORS):
                 self._port.close()
@@ -128,7 +128,7 @@ class SerialArrayDevice(ImageDevice):
         self._listening_since_ns = time.perf_counter_ns()
 
     def _take(self, data: bytes) -> Shot | None:
-        """Return the newest of the frames that are complete with these bytes."""
+        """Return the newest of the frames completed by these bytes."""
         self._heard += len(data)
         newest, frames, broken = None, 0, self._stream.broken
         for message in self._stream.feed(data):
@@ -138,7 +138,7 @@ class SerialArrayDevice(ImageDevice):
                 self._count_lost(message.number)
             elif isinstance(message, Info):
                 self.device = message.name
-            # What a load cell of the same device says is for others.
+            # Readings of a load cell on the same device are for others.
         self._count_garbled(self._stream.broken - broken)
         if newest is None:
             return None
@@ -160,7 +160,7 @@ class SerialArrayDevice(ImageDevice):
             self._said.put("garbled", f"{self.title}: {what} of what came could not be read")
 
     def _require_frames(self) -> None:
-        """Raise if plenty has come and none of it was ever a frame."""
+        """Raise if much has arrived, and none of it was ever a frame."""
         assert self._listening_since_ns is not None
         listened_s = (time.perf_counter_ns() - self._listening_since_ns) / 1e9
         if self._heard and not self.frames and listened_s > _UNREADABLE_S:

@@ -17,7 +17,7 @@ from smarttouch.sources.intake import Intake
 from smarttouch.sources.source import OpticalSource
 
 HOPELESS_NS = 250_000_000
-"""Frames later than this are skipped without a look, until the next is due again."""
+"""Delay after which frames are skipped undecoded until the next one is due."""
 
 
 def open_video(rest: str, profile: Profile, *, unpaced: bool = False) -> OpticalSource:
@@ -137,7 +137,7 @@ class PacedClip(ImageDevice):
         return (self._start_ns or 0) + round(self._number * 1e9 / self._clip.rate_hz)
 
     def _catch_up(self) -> None:
-        """Skip what is hopelessly late."""
+        """Skip images that are too late."""
         if self._now_ns() - self._due_ns() <= HOPELESS_NS:
             return
         while self._now_ns() > self._due_ns() and not self._ended:

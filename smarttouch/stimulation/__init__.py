@@ -1,1 +1,1 @@
-"""A tactile image becomes a time-division scan sequence, and is proved safe."""
+"""Stimulation: a tactile image becomes a time-division scan sequence, validated as safe."""

@@ -1,4 +1,4 @@
-"""What a board measured changes what it is sent next: charge or energy held constant.
+"""Adaptation to measured voltages: charge or energy held constant as impedance drifts.
 
 The impedance of an electrode drifts with sweat and pressure. A source near its
 greatest voltage then delivers less than asked; and at the same current, more
@@ -17,22 +17,22 @@ from smarttouch.stimulation.sequence import ScanSequence, whole_ua
 from smarttouch.stimulation.timing import ScanTiming
 
 NEAR = 0.92
-"""Part of the compliance above which a source is taken to be at its end."""
+"""Part of the compliance above which a source counts as saturated."""
 FASTEST_FALL = 0.8
 FASTEST_RISE = 1.05
-"""Of a site's current from one observation to the next; at 50 Hz, 0.3 s from half to full."""
+"""Largest ratio of a site's current between observations; at 50 Hz, 0.3 s from half to full."""
 FAINTEST_ENERGY = 0.25
-"""Least part of its current that a site keeps to hold energy: 16 times the first impedance."""
+"""Least part of its current a site keeps to hold energy: 16 times the first impedance."""
 WORTHWHILE = 0.999
-"""A current that would become no less than this of itself is left as it is."""
+"""Factor above which a current is left as it is."""
 
 Array = NDArray[np.float64]
 Hold = Literal["charge", "energy"]
-"""What is held constant against drifting impedance."""
+"""Quantity held constant against drifting impedance."""
 
 
 class Adaptation:
-    """Follows the impedance of every site, and fits currents and widths to it.
+    """Estimates the impedance of every site, and adapts currents and widths to it.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Adaptation:
     compliance_v : float, V
         The most that the board's source can give.
     timing : ScanTiming, optional
-        What the board fixes about the time of a scan.
+        Scan timing fixed by the board.
 
     Raises
     ------
@@ -88,14 +88,14 @@ class Adaptation:
         return tuple(np.flatnonzero(self._limited).tolist())
 
     def observe(self, sequence: ScanSequence, volts: NDArray[np.float32]) -> None:
-        """Take in what a sequence needed that was delivered.
+        """Update by the voltages of a delivered sequence.
 
         Parameters
         ----------
         sequence : ScanSequence
             As it was sent.
         volts : ndarray, (S,), V
-            What the source needed at the end of each slot's pulse.
+            Voltage of the source at the end of each slot's pulse.
         """
         peak_ua = _peak_ua(sequence.current_ua)
         known = (peak_ua > 0) & np.isfinite(volts) & (np.asarray(volts) > 0)
@@ -107,10 +107,10 @@ class Adaptation:
             self._observe_energy(site, peak_ua, needed_v)
 
     def _observe_charge(self, site: NDArray[np.intp], peak_ua: Array, needed_v: Array) -> None:
-        """Let each site's highest current follow what its source can just drive."""
+        """Update each site's largest current by what its source can just drive."""
         near = needed_v > self._near_v
         highest = self._highest_ua[site]
-        # A source at its end says only that less is needed, not how much: step from what it had.
+        # A saturated source shows only that less is needed, not how much: step from its last value.
         base = np.where(near, peak_ua, highest)
         found = base.copy()
         moves = np.isfinite(base)
@@ -128,7 +128,7 @@ class Adaptation:
         self._factor[site] = np.clip(wanted, FAINTEST_ENERGY, 1.0)
 
     def apply(self, sequence: ScanSequence) -> ScanSequence:
-        """Return the sequence as it should be sent.
+        """Return the adapted sequence.
 
         No electrode carries more than in the given one, and no pulse more
         charge than the limit. Currents are whole µA and sum to zero in every
@@ -167,7 +167,7 @@ class Adaptation:
     def _stretched(
         self, width_us: NDArray[np.uint16], before_ua: Array, after_ua: Array
     ) -> NDArray[np.uint16]:
-        """Return the widths that carry the charge of before, within the limits."""
+        """Return the widths that keep the charge, within the limits."""
         after_ua = np.maximum(after_ua, 1)
         most = np.floor(np.minimum(self._limits.pulse_us, self._limits.charge_uc * 1e6 / after_ua))
         return np.minimum(np.rint(width_us * before_ua / after_ua), most).astype(np.uint16)
@@ -187,6 +187,6 @@ def _peak_ua(current_ua: NDArray[np.int16]) -> Array:
 
 
 def _least_that_switches(current_ua: NDArray[np.int16]) -> Array:
-    """Return down to what factor a slot may be scaled before an electrode becomes insulated."""
+    """Return the factor below which scaling a slot would insulate an electrode."""
     magnitude = np.abs(current_ua.astype(np.float64))
     return np.asarray(1 / np.where(magnitude > 0, magnitude, np.inf).min(axis=1))

@@ -1,4 +1,4 @@
-"""Exposure of each electrode: felt pulses and charge of a sequence, of a second, of a session."""
+"""Exposure of each electrode: felt pulses and charge in a sequence, a second, and a session."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ PER_PC = round(1000 * CEILING_PULSES_HZ / (1e6 * CEILING_MEAN_MA))
 million for a pulse, and `MOST_PER_US` of either for each microsecond."""
 MOST_PER_US = round(CEILING_PULSES_HZ)
 PLANNED = 0.9
-"""Part of it that schedules plan for: a loop whose steps jitter keeps the window of a second."""
+"""Part of the limit used by schedules, so that jittered steps keep the window of a second."""
 
 Load = NDArray[np.float64]
 """Felt pulses × `PER_PULSE` and charge in pC × `PER_PC` of each electrode, (2, E): whole numbers,
@@ -35,7 +35,7 @@ def shortest_period_us(load: Load) -> int:
 
 @dataclass(frozen=True)
 class Dose:
-    """Current that the skin got in a session.
+    """Dose of current in a session.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Dose:
 
 @dataclass
 class _Sent:
-    """One sequence that was let through, and how many of its repetitions have begun."""
+    """Sequence that was let through, with the number of its repetitions begun."""
 
     start_ns: int
     period_ns: int
@@ -82,9 +82,9 @@ class Exposure:
     limits: SafetyLimits
     _last: _Sent | None = None
     _window: deque[tuple[int, Load, float]] = field(default_factory=deque)
-    """When each began that is younger than a second, its load, and the most of that."""
+    """Start, load and largest load of each sequence in the last second."""
     _second_at_most: float = 0.0
-    """Above the load of the last second at every electrode: its sum is seldom needed."""
+    """Upper bound of the load of the last second at any electrode, which saves most sums."""
     _session: Load = field(init=False)
     _session_at_most: float = 0.0
     _session_ns: int = 0
@@ -94,18 +94,18 @@ class Exposure:
 
     @property
     def dose(self) -> Dose:
-        """Dose of the session so far, repetitions asked for included."""
+        """Dose of the session so far, with requested repetitions."""
         charge_mc = self._session[1] / (PER_PC * 1e9)
         return Dose(self._session_ns / 1e9, tuple(charge_mc.tolist()))
 
     def begin_session(self) -> None:
-        """Forget the session's dose, but not the last second."""
+        """Reset the session's dose, but not the last second."""
         self._last = None
         self._session_ns, self._session_at_most = 0, 0.0
         self._session[:] = 0
 
     def forget_second(self) -> None:
-        """Forget the last second, where time begins anew; the session goes on."""
+        """Reset the last second, where time starts anew; the session continues."""
         self._last = None
         self._window.clear()
         self._second_at_most = 0.0
@@ -183,7 +183,7 @@ class Exposure:
             )
 
     def _settle(self, now_ns: int) -> None:
-        """Enter the repetitions that have begun since, and drop what is a second old."""
+        """Enter the repetitions that have begun since, and drop those older than a second."""
         if (last := self._last) is not None and last.left:
             begun = min(last.times, (now_ns - last.start_ns) // last.period_ns + 1)
             # Those from more than a second ago would be dropped at once.

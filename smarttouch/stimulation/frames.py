@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 class Sharing(NamedTuple):
-    """Whose points share slots.
+    """Policy of sharing slots between points.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Sharing(NamedTuple):
 NO_SHARING = Sharing()
 
 REMEMBERED = 256
-"""Frames whose plan is kept: a finger that rests, or comes back, is not planned for anew."""
+"""Number of cached frame plans: a finger that rests, or comes back, needs no new plan."""
 
 _ROUNDING = 0.99
 """Part of a bound that plans keep, so that whole µA keep all of it down to a third of full
@@ -54,7 +54,7 @@ intensity. Nothing is felt below, and what breaks a bound there is shown point b
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Slots at full intensity: N that were found for the frame, then those of M points alone.
+    """Slots at full intensity: N found for the frame, then those of M points alone.
 
     Attributes
     ----------
@@ -63,12 +63,12 @@ class Plan:
     alone : ndarray, (M,) intp
         Points that have a slot by themselves, with their own kernels.
     alone_level : ndarray, (M,)
-        What is wished at each of them.
+        Requested level at each of them.
     current_ma : ndarray, (N + M, E) mA
     do : ndarray, (2, N + M) float32
-        What the currents do to other classes, and to their own elsewhere.
+        Effects of the currents on other classes, and on their own elsewhere.
     points, site : ndarray, (N + M,) uint16
-        How many points each slot has, and the electrode of the strongest.
+        Number of points of each slot, and the electrode of the strongest.
     """
 
     found: Found
@@ -81,7 +81,7 @@ class Plan:
 
 
 class FrameSlots:
-    """Makes the slots of K classes; points whose currents leave one another alone share one.
+    """Slots of K classes; points whose currents do not interfere share one.
 
     Every slot keeps the profile's bounds on what it does to other classes, and to
     its own class elsewhere, and its limits of current, by the finished currents; a
@@ -94,7 +94,7 @@ class FrameSlots:
     bank : KernelBank
         Kernels of single points.
     primaries : tuple of Primary
-        Which of them to use; points of several may share slots, too.
+        Classes to use; points of several may share slots, too.
     planned : bool
         See `Sharing`. Points of a class of which nothing is proved are shown one by one.
 
@@ -175,9 +175,9 @@ class FrameSlots:
         Parameters
         ----------
         activation : ndarray, (K, E) float32, in [0, 1]
-            What should be felt at each electrode.
+            Activation at each electrode.
         intensity : float, in [0, 1]
-            What all currents are scaled with.
+            Scale of all currents.
         """
         plan = self._planned(activation if intensity > 0 else 0 * activation)
         current_ua, proof, certain = self._finished(plan, intensity)
@@ -189,9 +189,9 @@ class FrameSlots:
         return Slots(plan.site, current_ua, self._widths_us[: len(plan.site)], proof)
 
     def _finished(self, plan: Plan, intensity: float) -> tuple[NDArray[np.int16], Proof, bool]:
-        """Return currents as they are sent, what these do, and whether all is kept for certain.
+        """Return the currents as sent, their effects, and whether all bounds are certainly kept.
 
-        What single points do is that of their kernels, as designed.
+        The effects of single points are those of their kernels, as designed.
         """
         current_ua = whole_ua(1000 * intensity * plan.current_ma)
         found, do = plan.found, plan.do.copy()
@@ -208,7 +208,7 @@ class FrameSlots:
         return current_ua, Proof(plan.points, *do), False
 
     def _broken(self, current_ua: NDArray[np.int16], proof: Proof) -> NDArray[np.bool_]:
-        """Return which slots of several points break a bound or carry too much in all."""
+        """Return which slots of several points break a bound or the limit of total current."""
         # In balance: what flows in is half of all that flows.
         total_ua = np.abs(current_ua).sum(axis=1, dtype=np.int64)
         broken = np.asarray(proof.worst_other > self._bounds.other)
@@ -248,7 +248,7 @@ class FrameSlots:
         return self._completed(found, alone, level[alone])
 
     def _found(self, level: Array) -> Found:
-        """Return slots with currents of this frame's own."""
+        """Return slots with currents computed for this frame."""
         assert self._operator is not None
         slots = plan_slots(
             self._operator, level, self._planned_bounds, self._planned_ma, self._points_ma
@@ -273,7 +273,7 @@ class FrameSlots:
         )
 
     def _completed(self, found: Found, alone: NDArray[np.intp], level: Array) -> Plan:
-        """Return a plan with a slot more for each of some points, by its own kernel."""
+        """Return a plan with an additional slot for each of some points, by its own kernel."""
         count = len(found.level)
         points = np.ones(count + len(alone), np.uint16)
         points[:count] = found.points
@@ -302,7 +302,7 @@ def _selectivity(judge: SlotJudge, current_ma: Array, level: Array) -> Array:
 
 
 def why_not(profile: Profile) -> tuple[str, str] | None:
-    """Return why a profile's board can show points only one by one; None if it need not.
+    """Return why a profile's board can show points only one by one; None if it can do more.
 
     Returns
     -------

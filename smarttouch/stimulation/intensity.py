@@ -1,4 +1,4 @@
-"""How strong: finger force gates intensity, and nothing comes on suddenly."""
+"""Intensity: gated by finger force, and never rising suddenly."""
 
 import math
 
@@ -6,7 +6,7 @@ from smarttouch.profile import ForceLaw
 
 
 def force_gate(force_n: float, law: ForceLaw) -> float:
-    """Return the intensity that a finger force asks for, in [0, 1].
+    """Return the intensity at a finger force, in [0, 1].
 
     Zero below contact, one from full force on, rising linearly or with the
     logarithm of force in between (paper, Section IV-B). A force that is not a
@@ -22,7 +22,7 @@ def force_gate(force_n: float, law: ForceLaw) -> float:
 
 
 class SoftStart:
-    """Lets intensity rise no faster than the ramp, and fall at once.
+    """Rate limiter by which intensity rises no faster than the ramp, and falls at once.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class SoftStart:
     def follow(self, wanted: float, time_ns: int) -> float:
         """Return the intensity allowed at ``time_ns``; the first is always zero.
 
-        Where time goes back, as in a file that was changed, nothing rises.
+        Where time goes back, as in an edited file, intensity does not rise.
         """
         elapsed_s = 0.0 if self._time_ns is None else max(0.0, (time_ns - self._time_ns) / 1e9)
         self._time_ns = time_ns
@@ -46,6 +46,6 @@ class SoftStart:
         return self._intensity
 
     def restart(self) -> None:
-        """Begin again: the next intensity is zero."""
+        """Restart: the next intensity is zero."""
         self._intensity = 0.0
         self._time_ns = None

@@ -1,4 +1,4 @@
-"""Kernels of which no subset breaks a bound, added up: the slots of a frame without a search."""
+"""Sums of kernels of which no subset breaks a bound: the slots of a frame without a search."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -19,12 +19,12 @@ class Found:
     Attributes
     ----------
     level : ndarray, (S, P)
-        What is wished at each point of a slot, 0 at all others.
+        Requested level at each point of a slot, 0 at all others.
     current_ma : ndarray, (S, E) mA
     points : ndarray, (S,) intp
-        How many each slot has.
+        Number of points of each slot.
     do : ndarray, (2, S) float32
-        What the currents do to other classes, and to their own elsewhere; of sums of kernels
+        Effects of the currents on other classes, and on their own elsewhere; of sums of kernels
         see `KernelSums.figures`.
     owner : ndarray, (S,) intp
         Of which proved set the points of each slot are; empty where there are none.
@@ -40,7 +40,7 @@ class Found:
     most_ma: float = np.inf
 
     def without(self, broken: NDArray[np.bool_]) -> "Found":
-        """Return the others."""
+        """Return the other slots."""
         kept = ~broken
         return Found(
             self.level[kept],
@@ -64,9 +64,9 @@ class KernelSums:
     aim : float
         Part of their wish that targets get.
     most_ma : float, mA
-        What all cathodes of a slot may carry.
+        Largest current of all cathodes of a slot.
     bounds : FrameBounds
-        What finished currents keep.
+        Bounds on finished currents.
     faintest : float, in (0, 1]
         Lowest level of a point that is active.
     """
@@ -99,14 +99,16 @@ class KernelSums:
         self._figures: tuple[float, NDArray[np.float32]] = -1.0, np.empty((2, 0), np.float32)
 
     def figures(self, intensity: float) -> NDArray[np.float32]:
-        """Return what no slot's worst other and worst spill are above, of each set, (2, sets)."""
+        """Return the upper bounds of any slot's worst other and worst spill, of each set, (2,
+        sets).
+        """
         if intensity != self._figures[0]:
             found = [each.figures(intensity) for each in self._certain]
             self._figures = intensity, np.array(found, np.float32).reshape(-1, 2).T
         return self._figures[1]
 
     def add_up(self, level: Array) -> Found:
-        """Return the slots in which several points find together, at levels (P,)."""
+        """Return the slots that several points share, at levels (P,)."""
         wanted = level[self._points]
         aimed = self._aim * wanted
         totals_ma = aimed * self._totals_ma
@@ -139,7 +141,7 @@ class KernelSums:
 def _parts(
     totals_ma: list[float], owners: list[int], most_ma: float
 ) -> tuple[list[list[int]], float]:
-    """Cut what is of one owner into parts of several that stay below a total.
+    """Cut the points of one owner into groups that stay below a total.
 
     One after the other, each into the first part of its owner that has room.
 

@@ -1,4 +1,4 @@
-"""Net charge of every electrode, and polarity as a means to bring it back."""
+"""Charge balance of each electrode, and reversal of polarity to restore it."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ _LOWEST = np.iinfo(np.int16).min
 
 
 class ChargeLedger:
-    """Adds up the pulses of sequences, electrode by electrode.
+    """Sum of the charge of all sequences, electrode by electrode.
 
     It counts current times width of all that sources drive, recharge phases included.
     What the short circuit after a pulse lets flow back depends on the skin, which nobody
@@ -42,11 +42,11 @@ class ChargeLedger:
         return float(np.abs(self.charge_uc).max(initial=0.0))
 
     def add(self, sequence: ScanSequence, times: int = 1) -> None:
-        """Enter a sequence that is delivered so many times."""
+        """Add a sequence that is delivered a number of times."""
         self.charge_pc += times * net_charge_pc(sequence)
 
     def balancing(self, sequence: ScanSequence) -> ScanSequence:
-        """Return a sequence or its reversed twin, whichever evens the ledger out more.
+        """Return a sequence or its reversed twin, whichever balances the charge better.
 
         For boards that cannot recharge (`add_recharge`). The one is taken that leaves the
         smaller sum of squares. The twin has the same sites and the opposite currents, so it
@@ -64,7 +64,7 @@ class ChargeLedger:
 
 
 def net_charge_pc(sequence: ScanSequence) -> NDArray[np.int64]:
-    """Return what one scan carries through each electrode, (E,) pC, positive cathodic."""
+    """Return the charge of one scan through each electrode, (E,) pC, positive cathodic."""
     # Whole numbers far below 2**53: this product is exact, and faster than one of integers.
     widths = sequence.width_us.astype(np.float64)
     net = (widths @ sequence.current_ua.astype(np.float64)).astype(np.int64)

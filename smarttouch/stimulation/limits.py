@@ -1,4 +1,4 @@
-"""Limits that every scan sequence keeps, in whole microamperes, picocoulombs and nanoseconds."""
+"""Limits of every scan sequence, in whole microamperes, picocoulombs and nanoseconds."""
 
 import math
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from smarttouch.profile.ceilings import (
 )
 
 PPB = 1_000_000_000
-"""Intensity is compared in parts per billion."""
+"""Parts per billion in 1, the unit in which intensity is compared."""
 LONGEST_RAMP_S = 10.0
 _DISC_MM2 = math.pi / 4
 
@@ -123,7 +123,7 @@ class SafetyLimits:
             )
 
     def _values(self, name: str) -> tuple[float, ...]:
-        """Return what a field holds, one or one for each electrode; nothing if not given."""
+        """Return the values of a field, one or one for each electrode; none if not given."""
         value = getattr(self, name)
         if value is None:
             return ()
@@ -165,7 +165,7 @@ class SafetyLimits:
 
     @cached_property
     def current_ua(self) -> NDArray[np.float64]:
-        """Most current of each electrode, (E,) µA."""
+        """Largest current of each electrode, (E,) µA."""
         own = self.electrode_ma or (self.current_ma,) * self.electrodes
         most = decimal(self.current_ma)
         whole = [math.floor(1000 * min(most, decimal(each))) for each in own]
@@ -173,12 +173,12 @@ class SafetyLimits:
 
     @cached_property
     def least_current_ua(self) -> int:
-        """What all electrodes may carry."""
+        """Current that every electrode may carry."""
         return int(self.current_ua.min())
 
     @cached_property
     def charge_pc(self) -> NDArray[np.float64]:
-        """Most charge of one pulse of each electrode, (E,) pC: by itself, by area, by Shannon."""
+        """Largest charge of a pulse of each electrode, (E,) pC: by itself, by area, by Shannon."""
         area = np.broadcast_to(np.asarray(self.area_mm2, np.float64), (self.electrodes,))
         charge = float(decimal(self.charge_uc) * 10**6)
         density = self.density_uc_cm2 * area * 1e4
@@ -187,7 +187,7 @@ class SafetyLimits:
 
     @cached_property
     def least_charge_pc(self) -> int:
-        """What a pulse of any electrode may carry."""
+        """Charge that a pulse of any electrode may carry."""
         return int(self.charge_pc.min())
 
     @cached_property
@@ -214,7 +214,7 @@ class SafetyLimits:
 
     @cached_property
     def rounding_ua(self) -> Fraction:
-        """How far rounding to whole µA may shift the electrode that keeps the balance."""
+        """Largest shift, by rounding to whole µA, of the electrode that keeps the balance."""
         return Fraction(self.electrodes, 2) + 1
 
     @cached_property
@@ -222,13 +222,13 @@ class SafetyLimits:
         return Fraction(self.full_ma) * 1000
 
     def most_ua(self, ppb: int) -> int:
-        """Return the most current at an intensity in parts per billion, rounding included, µA."""
+        """Return the largest current at an intensity in parts per billion, with rounding, µA."""
         per_ppb, least, below = self._most_ua
         return (per_ppb * ppb + least) // below
 
     @cached_property
     def _most_ua(self) -> tuple[int, int, int]:
-        # Whole numbers, as this is asked for each sequence.
+        # Whole numbers, as this is computed for each sequence.
         full, rounding = self.full_ua / PPB, self.rounding_ua
         below = full.denominator * rounding.denominator
         return (
@@ -245,7 +245,7 @@ class SafetyLimits:
 
     @cached_property
     def faint_ua(self) -> NDArray[np.int64]:
-        """A tenth of each electrode's threshold, (E,) µA: most of a recharge phase."""
+        """A tenth of each electrode's threshold, (E,) µA: the limit of a recharge phase."""
         return np.array([math.floor(Fraction(each) * 100) for each in self._thresholds], np.int64)
 
     @property
@@ -261,7 +261,7 @@ def rms_ma_cm2(profile: Profile) -> float:
 
 
 def decimal(value: float) -> Fraction:
-    """Return a number as the decimal that a person wrote: 2.4 is 12/5, not its nearest binary."""
+    """Return a number by its decimal notation: 2.4 is 12/5, not its nearest binary."""
     return Fraction(repr(float(value)))
 
 

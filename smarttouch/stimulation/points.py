@@ -1,4 +1,4 @@
-"""The slots of one afferent class: a kernel at each active point, as strong as it should be."""
+"""Slots of one afferent class: a scaled kernel at each active point."""
 
 import math
 from functools import lru_cache
@@ -17,11 +17,11 @@ from smarttouch.stimulation.sums import rows_of_block
 from smarttouch.stimulation.timing import ScanTiming
 
 SHORTEST_PULSE_US = 10
-"""Where pulse width carries intensity, what would be shorter is not felt."""
+"""Shortest pulse that is felt, where pulse width carries intensity."""
 
 
 class Slots(NamedTuple):
-    """The slots of one class.
+    """Slots of one class.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class Slots(NamedTuple):
     current_ua : ndarray, (S, E) int16, µA
     width_us : ndarray, (S,) uint16, µs
     proof : Proof, optional
-        Where points share slots.
+        Selectivity of shared slots.
     """
 
     site: NDArray[np.uint16]
@@ -39,7 +39,7 @@ class Slots(NamedTuple):
 
 
 class PointSlots:
-    """Makes the slots of one primary.
+    """Factory of the slots of one primary.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class PointSlots:
     bank : KernelBank
         Kernels of the profile's array.
     primary : Primary
-        Which of them to use.
+        Class to use.
     timing : ScanTiming
         Whether the order of slots is the board's.
 
@@ -98,7 +98,7 @@ class PointSlots:
         self._in_index_order = timing.in_index_order
 
     def _prove_totals(self, profile: Profile) -> None:
-        """Raise if a kernel at full strength carries more in all than any slot may."""
+        """Raise if a kernel at full strength carries more in total than any slot may."""
         most_ma = profile.limits.total_ma or CEILING_TOTAL_MA
         total_ma = np.abs(self._kernels_ua).sum(axis=1) / 2000
         if total_ma.max() > most_ma:
@@ -136,10 +136,10 @@ class PointSlots:
         Parameters
         ----------
         activation : ndarray, (E,) float32, in [0, 1]
-            What should be felt at each electrode; the electrode whose receptors lie there
+            Activation at each electrode; the electrode whose receptors lie there
             is stimulated.
         intensity : float, in [0, 1]
-            What all currents are scaled with.
+            Scale of all currents.
         """
         if self._felt_at is not None:
             # The last one stands for nowhere.
@@ -175,7 +175,7 @@ class PointSlots:
     def _rounded(
         self, site: NDArray[np.intp], level: NDArray[np.float32]
     ) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
-        """Return each kernel times its level in whole µA, (S, E), and what each is off, (S,)."""
+        """Return each kernel times its level in whole µA, (S, E), and each imbalance, (S,)."""
         slots, rows = len(site), len(self._scratch)
         current_ua = np.empty((slots, len(self._ones)), np.int16)
         surplus = np.empty(slots, np.float32)
@@ -192,7 +192,7 @@ class PointSlots:
         return current_ua, surplus.astype(np.int16)
 
     def _carried(self, site: NDArray[np.intp], level: NDArray[np.float32]) -> NDArray[np.int16]:
-        """Return slots in which no electrode is off by a µA, and none above its limit, (S, E)."""
+        """Return slots with the imbalance spread: each under a µA, within its limit, (S, E)."""
         exact_ua = self._kernels_ua[site].astype(np.float64) * level[:, None]
         # A little below the limit, which is whole: what is carried cannot lift it above.
         peak_ua = np.abs(exact_ua).max(axis=1)
@@ -200,7 +200,7 @@ class PointSlots:
         return whole_ua(exact_ua)
 
     def _widths_us(self, level: NDArray[np.float32]) -> NDArray[np.uint16]:
-        """Return how long the strongest current does what a part of it does for a whole pulse, µs.
+        """Return the width at which the full current equals a part of it over a whole pulse, µs.
 
         By Weiss's law a pulse of width w needs a current in proportion to 1 + c/w, c the
         chronaxie.
@@ -211,14 +211,14 @@ class PointSlots:
 
 
 def felt_at(profile: Profile, primary: Primary) -> NDArray[np.intp] | None:
-    """Return at which electrode each electrode's point is felt, E if at none of them.
+    """Return the electrode at which each electrode's point is felt, E if at none of them.
 
     Parameters
     ----------
     profile : Profile
         Its ``perception.pc_shift_mm`` and the like (paper, Section III-B.4).
     primary : Primary
-        Whose axons are stimulated.
+        Class of the stimulated axons.
 
     Returns
     -------
@@ -239,7 +239,7 @@ def felt_at(profile: Profile, primary: Primary) -> NDArray[np.intp] | None:
 
 
 def constant_us(count: int, time_us: int) -> NDArray[np.uint16]:
-    """Return the same time for many slots, (count,): frames take the first of it as they are."""
+    """Return the same time for many slots, (count,): frames use the first of it unchanged."""
     times = np.full(count, time_us, np.uint16)
     times.setflags(write=False)
     return times

@@ -1,14 +1,14 @@
-"""When each afferent class is due: pulse rates, and what force does to them."""
+"""Pulse rates of each afferent class, and their dependence on force."""
 
 from collections.abc import Mapping
 
 from smarttouch.primary import Primary
 
 SLOWEST = 0.2
-"""Of the full rate, at the lightest touch of something hard: 10 of 50 Hz, the slowest pulses of
+"""Part of the full rate at the lightest touch of something hard: 10 of 50 Hz, the slowest pulses of
 the paper's experiments (Section III-B.2)."""
 _ON_TIME = 0.25
-"""Of its interval: a class later than this begins a new grid."""
+"""Part of its interval: a class that is later than this starts a new grid."""
 
 
 def rate_share(pressure: float, softness: float) -> float:
@@ -21,7 +21,7 @@ def rate_share(pressure: float, softness: float) -> float:
     Parameters
     ----------
     pressure : float, in [0, 1]
-        What the finger's force asks for, see `force_gate`.
+        Intensity by the finger's force, see `force_gate`.
     softness : float, in [0, 1]
         1 leaves the rate as it is, 0 lets it follow force.
     """
@@ -29,7 +29,7 @@ def rate_share(pressure: float, softness: float) -> float:
 
 
 class PulseRates:
-    """Keeps several classes on grids of their own.
+    """Separate time grids of several classes.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class PulseRates:
         self._last_ns: dict[Primary, float] = {}
 
     def due(self, time_ns: int, shares: Mapping[Primary, float]) -> tuple[tuple[Primary, ...], int]:
-        """Return which classes pulse now, and how long until the next is due, µs.
+        """Return the classes that pulse now, and the time until the next is due, µs.
 
         Parameters
         ----------
@@ -70,5 +70,5 @@ class PulseRates:
         return tuple(now), max(self._merge_us, round((min(next_ns) - time_ns) / 1000))
 
     def restart(self) -> None:
-        """Begin anew: all classes are due."""
+        """Restart: all classes are due."""
         self._last_ns.clear()

@@ -1,4 +1,4 @@
-"""The recharge phase: one long weak pulse a scan that takes net charge back, and keeps the class.
+"""Recharge phase: one long weak pulse per scan that returns net charge and keeps the class.
 
 Its current stays at or below a tenth of each electrode's threshold, so that nothing is felt of
 it. A long pulse needs less current than a short one, and neighbors add up: by Weiss's law and the
@@ -24,7 +24,7 @@ from smarttouch.stimulation.timing import ScanTiming
 MOST_US = 20_000
 """Longest recharge phase. Ours: one period of the usual 50 scans a second."""
 MOST_PC = 2_000_000
-"""Most charge of it through an electrode. Ours: four of the strongest pulses."""
+"""Largest charge of it through an electrode. Ours: four of the strongest pulses."""
 _PLANNED_UA = round(1000 * PLANNED * CEILING_MEAN_MA)
 """Mean current up to which a recharge is planned."""
 
@@ -117,7 +117,7 @@ def prove_recharge(sequence: ScanSequence, most_ua: NDArray[np.int64], total_ua:
 
 @dataclass(frozen=True, eq=False)
 class RechargeRules:
-    """What recharge phases are planned within.
+    """Limits within which recharge phases are planned.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class RechargeRules:
     total_ua : int, µA
         Most of all cathodes together.
     timing : ScanTiming
-        What the board fixes about the time of a scan.
+        Scan timing fixed by the board.
     """
 
     most_ua: NDArray[np.int64]
@@ -198,12 +198,12 @@ def _whole_ua(
 
 
 def _slots_us(sequence: ScanSequence) -> int:
-    """Return how long the slots of a sequence take, µs."""
+    """Return the time of a sequence's slots, µs."""
     return int(sequence.width_us.sum(dtype=np.int64) + sequence.discharge_us.sum(dtype=np.int64))
 
 
 def _passed_pc(sequence: ScanSequence) -> NDArray[np.int64]:
-    """Return the charge of either sign that slots carry through each electrode, (E,) pC."""
+    """Return the charge of either sign of slots through each electrode, (E,) pC."""
     # Exact in 53 bits, as in the ledger.
     widths = sequence.width_us.astype(np.float64)
     return np.asarray((widths @ np.abs(sequence.current_ua.astype(np.float64))).astype(np.int64))
@@ -222,6 +222,6 @@ def _fitting_us(sequence: ScanSequence, width_us: int, timing: ScanTiming) -> in
 
 
 def _calm_us(passed_pc: NDArray[np.int64], timing: ScanTiming) -> int:
-    """Return the period over which no electrode's mean current is above what is planned."""
+    """Return the period at which no electrode's mean current exceeds the planned one."""
     longest_us = min(BURST_US, -(-int(passed_pc.max()) // _PLANNED_UA))
     return timing.possible_period_us(longest_us)

@@ -1,4 +1,4 @@
-"""The safety gate: every limit, proved on a frozen copy of each scan sequence."""
+"""The safety gate, which validates every limit on a frozen copy of each scan sequence."""
 
 from threading import Lock
 from typing import Protocol
@@ -13,19 +13,21 @@ from smarttouch.stimulation.sums import SlotAdder
 __all__ = ["SafetyGate", "SafetyLimits"]
 
 LATE_NS = 100_000_000
-"""What is later than this is dropped and starts at zero, so no rise is hurried by more."""
+"""Delay after which a sequence is dropped and the next starts at zero, so no rise is hurried by
+more.
+"""
 _LEEWAY_PPB = 1000
-"""Rounding of the ramp's sum."""
+"""Tolerance for rounding in the ramp's sum."""
 
 
 class Now(Protocol):
-    """A clock, as far as the gate goes."""
+    """Clock of the gate."""
 
     def now_ns(self) -> int: ...
 
 
 class SafetyGate:
-    """Proves sequences one after another, on the clock of the display that it guards.
+    """Validator of successive sequences, on the clock of the display that it guards.
 
     Parameters
     ----------
@@ -47,11 +49,11 @@ class SafetyGate:
 
     @property
     def dose(self) -> Dose:
-        """Current that the session has had."""
+        """Dose of the session."""
         return self._exposure.dose
 
     def restart(self) -> None:
-        """Begin at intensity zero; claimed time may start anew, the session goes on."""
+        """Restart at intensity zero; sequence time may start anew, the session continues."""
         self._intensity_ppb = self._rise_ppb = self._rise_ns = 0
         self._time_ns: int | None = None
         if self._clock is None:
@@ -59,12 +61,12 @@ class SafetyGate:
             self._exposure.forget_second()
 
     def begin_session(self) -> None:
-        """Begin at intensity zero, with a dose of nothing; the last second still counts."""
+        """Start at intensity zero with a dose of zero; the last second still counts."""
         self.restart()
         self._exposure.begin_session()
 
     def prove(self, sequence: ScanSequence, times: int = 1) -> ScanSequence:
-        """Return a frozen copy of a sequence that keeps every limit.
+        """Return a frozen copy of a sequence, or raise if it breaks a limit.
 
         Raises
         ------
@@ -74,7 +76,7 @@ class SafetyGate:
         return self._prove(sequence, times, ramped=True)
 
     def prove_measurement(self, sequence: ScanSequence) -> ScanSequence:
-        """Return a frozen copy of a scan that keeps every limit but the rise since the one before.
+        """Return a frozen copy of a scan; every limit is checked but the rise since the one before.
 
         For boards that measure with a pulse that their firmware fixes: it cannot
         be ramped, and comes only when a user asks for it.
@@ -103,7 +105,7 @@ class SafetyGate:
         return sequence
 
     def _read_clock(self, sequence: ScanSequence) -> int:
-        """Return the display's time; a clock that falls stands still."""
+        """Return the display's time; a clock that falls counts as standing still."""
         now_ns = sequence.time_ns if self._clock is None else self._clock.now_ns()
         return now_ns if self._now_ns is None else max(now_ns, self._now_ns)
 

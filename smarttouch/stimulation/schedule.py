@@ -21,11 +21,11 @@ from smarttouch.tactile_image import TactileImage
 
 _SLOWEST_HZ = 0.1
 _BOTH = (Primary.RA, Primary.SAI)
-"""Of opposite polarity: where both are due, a point of one is the return of one of the other."""
+"""Classes of opposite polarity: if both are due, points of one are the return of the other's."""
 
 
 class PointScan:
-    """Schedules one slot for each active point (paper, Section IV-A, Fig. 19), or fewer.
+    """Scheduler of one slot for each active point (paper, Section IV-A, Fig. 19), or fewer.
 
     Parameters
     ----------
@@ -34,14 +34,14 @@ class PointScan:
     bank : KernelBank
         Kernels of the profile's array.
     primaries : tuple of Primary
-        Which of them to use; each of several has its own pulse rate.
+        Classes to use; each of several has its own pulse rate.
     rate_hz : float, Hz, optional
         Sequences a second asked for, with one primary; with several, the
         profile says how often each pulses.
     timing : ScanTiming, optional
-        What the board fixes; nothing if not given.
+        Scan timing fixed by the board; none if not given.
     softness : float, in [0, 1]
-        How little the rate of SAI pulses follows force.
+        Softness, which reduces the effect of force on the rate of SAI pulses.
     vibrated : bool
         Whether mechanical vibrators do what PC is to feel, and no current.
     sharing : Sharing
@@ -142,7 +142,7 @@ class PointScan:
         self._full_us = self._shortest_of_all()
 
     def restart(self) -> None:
-        """Begin anew: all classes are due."""
+        """Restart: all classes are due."""
         self._rates.restart()
 
     def schedule(
@@ -162,7 +162,7 @@ class PointScan:
             What to feel; with a period, every active class pulses now, and not again before it
             has passed.
         intensity : float, in [0, 1]
-            What all currents are scaled with.
+            Scale of all currents.
         pressure : float, in [0, 1]
             What the finger's force asks for: the rate of SAI pulses follows it.
 
@@ -240,7 +240,7 @@ class PointScan:
         return tuple(driven)
 
     def _due(self, time_ns: int, pressure: float) -> tuple[tuple[Primary, ...], int]:
-        """Return which classes pulse now, and how long until the next is due, µs."""
+        """Return the classes that pulse now, and the time until the next is due, µs."""
         share = rate_share(pressure, self._softness)
         if self._one_rate_hz is None:
             return self._rates.due(time_ns, {Primary.RA: 1.0, Primary.SAI: share})
@@ -248,7 +248,7 @@ class PointScan:
         return (self._first,), self._timing.possible_period_us(1e6 / slowed_hz)
 
     def _shortest_of_all(self) -> float:
-        """Return a period that exposes no electrode too much, whatever is felt, µs.
+        """Return a period that keeps the exposure of every electrode, for any image, µs.
 
         Infinite where points share slots: what these carry is known when they are planned.
 
@@ -267,7 +267,7 @@ class PointScan:
         return self._checked_us(load)
 
     def _exposed_us(self, current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> int:
-        """Return the shortest period in which slots expose no electrode too much, µs."""
+        """Return the shortest period that keeps the exposure of every electrode, µs."""
         return self._checked_us(self._load(current_ua, width_us))
 
     def _load(self, current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> Load:

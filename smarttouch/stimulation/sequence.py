@@ -1,4 +1,4 @@
-"""The scan sequence: everything a board will do for one frame, as data."""
+"""The scan sequence: all pulses of one frame, as data for a board."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +13,7 @@ _INT16, _UINT16, _FLOAT32 = (np.dtype(each) for each in (np.int16, np.uint16, np
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """What the finished currents of each slot do beside what they are for.
+    """Selectivity of each slot: side effects of its finished currents.
 
     Of several points computed from the currents as they are sent, after all rounding, or,
     of kernels that are proved for all frames, what no sum of them is above; of a single
@@ -23,7 +23,7 @@ class Proof:
     Attributes
     ----------
     points : ndarray, (S,) uint16
-        How many points share each slot; 0 for slots of which nothing is proved.
+        Number of points of each slot; 0 for slots without proof.
     worst_other : ndarray, (S,) float32
         Largest activation of any other class; NaN where nothing is proved.
     worst_spill : ndarray, (S,) float32
@@ -76,10 +76,10 @@ class ScanSequence:
     time_ns : int
         Time of the frame it came from.
     vibration : ndarray, (E,) float32, in [0, 1], optional
-        How strongly mechanical vibrators shake the skin under each site for the whole
+        Amplitude of mechanical vibration of the skin under each site for the whole
         period; none if not given.
     proof : Proof, optional
-        Where points share slots, what these do.
+        Selectivity of shared slots.
     recharge_ua : ndarray, (E,) int16, µA, optional
         Current of every electrode in the recharge phase, **positive cathodic**, sum zero;
         none if not given.
@@ -105,7 +105,7 @@ class ScanSequence:
 
     @property
     def points(self) -> int:
-        """How many points its slots stimulate."""
+        """Number of points that its slots stimulate."""
         if self.proof is None:
             return self.slots
         return int(np.maximum(self.proof.points, 1).sum(dtype=np.int64))
@@ -125,12 +125,12 @@ class ScanSequence:
 
     @property
     def source_ua(self) -> NDArray[np.int32]:
-        """What all cathodes together carry in each slot, (S,) µA: one source's current."""
+        """Total current of all cathodes in each slot, (S,) µA: one source's current."""
         return np.asarray(np.abs(self.current_ua.astype(np.int32)).sum(axis=1) // 2)
 
 
 def frozen(sequence: ScanSequence) -> ScanSequence:
-    """Return a copy that nothing can change: arrays backed by bytes, and plain whole numbers.
+    """Return an immutable copy: arrays backed by bytes, and plain whole numbers.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
 def _fixed(
     name: str, values: object, kind: np.dtype[Any], dimensions: int, length: int | None = None
 ) -> Any:
-    """Return an array backed by bytes; raise a SafetyError if it is of another kind."""
+    """Return an array backed by bytes; raise a SafetyError if its type is wrong."""
     # As a plain array: a class of somebody else's may answer for another array than it is.
     plain = np.asarray(values) if isinstance(values, np.ndarray) else None
     if (
@@ -194,9 +194,9 @@ def _real(name: str, value: object) -> float:
 
 
 def whole_ua(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
-    """Return currents in whole µA that sum to zero in every slot, as the given ones do.
+    """Return currents in whole µA that sum to zero in every slot, like the given ones.
 
-    What rounding leaves is carried on from electrode to electrode, so that none is
+    The rounding error is carried on from electrode to electrode, so that none is
     off by a whole µA. Given to one of them, it could raise that above its limit.
 
     Parameters

@@ -16,11 +16,11 @@ from smarttouch.stimulation.sums import SlotAdder, common_us
 LONGEST_PERIOD_US = 60_000_000
 LARGEST_TIME_NS = 2**62
 _WIDTH_LEEWAY = Fraction(1001, 1000)
-"""Pulses have whole microseconds, rounded down but for what single precision loses."""
+"""Tolerance of pulse widths: whole microseconds, rounded down in single precision."""
 
 
 def prove_fields(sequence: ScanSequence, limits: SafetyLimits) -> None:
-    """Raise unless numbers are in their ranges and arrays of the right length."""
+    """Raise unless numbers are in their ranges and arrays have the right length."""
     electrodes = limits.electrodes
     if sequence.electrodes != electrodes:
         raise SafetyError(
@@ -66,7 +66,7 @@ def prove_fields(sequence: ScanSequence, limits: SafetyLimits) -> None:
 
 
 def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int, adder: SlotAdder) -> Load:
-    """Return what slots that keep every limit bring each electrode, (2, E).
+    """Return the load of slots on each electrode, (2, E), or raise if a limit is broken.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int, adder: S
 
 
 def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int]:
-    """Return the longest and the added pulse width, µs, where all times keep their limits."""
+    """Return the longest and the total pulse width, µs, or raise if a time breaks its limits."""
     period_us, slots = sequence.period_us, sequence.slots
     if not limits.period_us <= period_us <= LONGEST_PERIOD_US:
         raise SafetyError(
@@ -189,7 +189,7 @@ def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int
 
 
 def _extent(times_us: NDArray[np.uint16]) -> tuple[int, int, int]:
-    """Return the shortest, the longest and the sum of times, which often are all the same."""
+    """Return the shortest, the longest and the sum of times, fast if all are the same."""
     each = common_us(times_us)
     if each is not None:
         return each, each, each * len(times_us)
@@ -197,7 +197,7 @@ def _extent(times_us: NDArray[np.uint16]) -> tuple[int, int, int]:
 
 
 def _magnitude(sequence: ScanSequence) -> NDArray[np.float64]:
-    """Return all magnitudes, (S, E) µA: for what sums do not say."""
+    """Return all magnitudes, (S, E) µA, for checks that sums do not cover."""
     return np.abs(sequence.current_ua.astype(np.float64))
 
 
@@ -222,7 +222,7 @@ def _above(
 
 
 def _prove_intensity(limits: SafetyLimits, ppb: int, peak_ua: int, charge_pc: int) -> None:
-    """Raise unless current, or charge where width carries intensity, is in proportion to it."""
+    """Raise unless current, or charge where width carries intensity, is proportional to it."""
     highest = limits.most_ua(ppb if limits.full_us is None else PPB)
     if limits.full_us is not None:
         full = limits.full_ua + limits.rounding_ua

@@ -1,4 +1,4 @@
-"""Sums over the slots of a sequence, exact, in memory that is used for one frame after another."""
+"""Exact sums over the slots of a sequence, in memory reused for each frame."""
 
 from typing import Any, NamedTuple
 
@@ -8,21 +8,21 @@ from numpy.typing import NDArray
 from smarttouch.stimulation.exposure import PER_PC, PER_PULSE, Load
 
 BLOCK = 131_072
-"""Currents that are worked on at once: in single precision half a megabyte, which stays in a
+"""Currents per block: in single precision half a megabyte, which stays in a
 processor's own cache."""
 _EXACT_SINGLE = 2**24
-"""Whole numbers below are exact in single precision."""
+"""Bound below which whole numbers are exact in single precision."""
 
 _largest = np.maximum.reduce
 
 
 def rows_of_block(electrodes: int) -> int:
-    """Return how many slots are worked on at once."""
+    """Return the number of slots per block."""
     return max(1, BLOCK // electrodes)
 
 
 def common_us(times_us: NDArray[np.uint16]) -> int | None:
-    """Return the time that all slots have, (S,) with S > 0; None if they differ."""
+    """Return the common time of all slots, (S,) with S > 0; None if they differ."""
     data = times_us.tobytes()
     return int(times_us[0]) if data == data[:2] * len(times_us) else None
 
@@ -39,7 +39,7 @@ class SlotSums(NamedTuple):
     highest_ua : int, µA
         Largest magnitude of all.
     load : ndarray, (2, E)
-        What the slots bring each electrode.
+        Load of the slots on each electrode.
     """
 
     net_ua: NDArray[np.floating]
@@ -49,7 +49,7 @@ class SlotSums(NamedTuple):
 
 
 class SlotAdder:
-    """Adds up slots, block by block; not for two threads at once.
+    """Adder of slots, block by block; not for two threads at once.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a board fixes about the time of a scan."""
+"""Scan timing fixed by a board."""
 
 import math
 from dataclasses import dataclass
@@ -9,31 +9,31 @@ from smarttouch.profile import Profile
 
 @dataclass(frozen=True)
 class ScanTiming:
-    """What a board fixes about the time of a scan; the defaults leave all to the host."""
+    """Scan timing fixed by a board; the defaults leave all to the host."""
 
     width_us: int | None = None
-    """The only pulse width."""
+    """The only pulse width, if fixed."""
     discharge_us: int | None = None
-    """The only discharge."""
+    """The only discharge time, if fixed."""
     slot_extra_us: float = 0.0
     """Time of a slot beyond pulse and discharge."""
     scan_us: float = 0.0
     """Time of a scan beyond its slots."""
     every_electrode: bool = False
-    """Idle electrodes take a slot too."""
+    """Whether idle electrodes take a slot too."""
     in_index_order: bool = False
-    """The board scans by electrode number."""
+    """Whether the board scans by electrode number."""
     own_widths: bool = True
-    """Each slot may have its own pulse width."""
+    """Whether each slot may have its own pulse width."""
     whole_hz: bool = False
-    """Its rate is a whole number of hertz."""
+    """Whether its rate is a whole number of hertz."""
     load: float = 1.0
     """Share of the period that a scan may fill."""
 
     def shortest_period_us(
         self, slots: int, electrodes: int, width_us: float, discharge_us: float
     ) -> int:
-        """Return the shortest period in which a scan can be done, µs.
+        """Return the shortest period of a scan, µs.
 
         Parameters
         ----------
@@ -49,7 +49,7 @@ class ScanTiming:
         return self.possible_period_us(busy_us / self.load)
 
     def possible_period_us(self, period_us: float) -> int:
-        """Return the shortest period the board can keep that is not below this one, µs.
+        """Return the shortest period possible on the board that is not below this one, µs.
 
         A rate of f whole hertz is a period of 1e6/f rounded up: ``round(1e6 / period)``
         gives f back.
@@ -77,7 +77,7 @@ class ScanTiming:
         return -(-1_000_000 // rate_hz)
 
     def check(self, profile: Profile) -> None:
-        """Raise a ScheduleError unless a profile's pulses are those of the board."""
+        """Raise a ScheduleError unless a profile's pulses suit the board."""
         for key, fixed in (("width_us", self.width_us), ("discharge_us", self.discharge_us)):
             asked = getattr(profile.pulse, key)
             if fixed is not None and asked != fixed:

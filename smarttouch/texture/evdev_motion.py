@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from evdev import InputDevice
 
 USUAL_CPI = 800.0
-"""Counts per inch that most mice begin with."""
+"""Default counts per inch of most mice."""
 _FOLDER = Path("/dev/input")
 _WAIT_S = 0.1
 _GROUP = "join the group input (sudo usermod -aG input $USER) and log in again"
@@ -41,7 +41,7 @@ def open_it(rest: str, *, cpi: float = USUAL_CPI, grab: bool = False) -> "EvdevM
 
 
 class EvdevMotion(Motion):
-    """Adds up the counts of a mouse in a thread of its own.
+    """Adds up the counts of a mouse on a thread of its own.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class EvdevMotion(Motion):
         self._thread.start()
 
     def read(self, time_ns: int) -> tuple[float, float]:
-        """Return how far the mouse has moved since the first look.
+        """Return the displacement of the mouse since the first read.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class EvdevMotion(Motion):
         )
 
     def close(self) -> None:
-        """Let go of the mouse."""
+        """Close the mouse."""
         if self._closed:
             return
         self._closed = True

@@ -1,22 +1,22 @@
-"""How coarse a texture is: the pitch that dominates its spectrum."""
+"""Grain of a texture: the pitch that dominates its spectrum."""
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 _SIDE = 512
-"""Pixels at which the spectrum is computed."""
+"""Pixels of the image for the spectrum."""
 _FEWEST_CYCLES = 5.0
-"""Of a pitch across the shorter side: what repeats less often is a shape and no texture."""
+"""Fewest periods across the shorter side; with fewer it is a shape and no texture."""
 _PROMINENT = 0.25
 """Share of the variance, but for that of the light, that a single one must carry to dominate: three
 directions at one pitch, as of a honeycomb, have a third each. An estimate of ours."""
 _LIGHT_CYCLES = 2.5
-"""Across the longer side: slower changes are of the light."""
+"""Cycles across the longer side below which changes are of the light."""
 _COARSEST_MM = 10.0
-"""What repeats more coarsely is felt as one thing after another."""
+"""Coarsest pitch of a texture; beyond, ridges are felt one by one."""
 _AROUND = 2
-"""Bins around the peak that are its own: the main lobe of a Hann window."""
+"""Bins of a peak on each side: the main lobe of a Hann window."""
 
 
 def dominant_pitch_mm(height: NDArray[np.float32], mm_per_pixel: float) -> float | None:

@@ -1,4 +1,4 @@
-"""Parallel ridges, by formula."""
+"""Grating of parallel ridges, by formula."""
 
 import math
 
@@ -16,14 +16,14 @@ _WAVE = np.asarray(
 
 
 class Grating(Texture):
-    """Ridges at one pitch, without ends; one runs through the origin.
+    """Ridges at one pitch, unbounded; one runs through the origin.
 
     Parameters
     ----------
     pitch_mm : float, mm
         From ridge to ridge.
     angle_deg : float, degrees
-        How far the ridges are turned clockwise from upright.
+        Clockwise rotation of the ridges from upright.
 
     Raises
     ------
@@ -51,7 +51,7 @@ class Grating(Texture):
         """Cycles for each mm to the right and down, (2,)."""
 
     def feeler(self, position_mm: NDArray[np.float64]) -> "GratingFeeler":
-        """Return electrodes over it."""
+        """Return a sampler of electrodes over it."""
         return GratingFeeler(self.per_mm, position_mm)
 
     def draw(
@@ -85,11 +85,11 @@ class GratingFeeler:
         self._before = np.floor(self._own)
 
     def place(self, x_mm: float, y_mm: float) -> None:
-        """Put the middle of the array somewhere."""
+        """Place the middle of the array."""
         self._before = np.floor(self._own + (x_mm * self._per_x + y_mm * self._per_y))
 
     def move(self, x_mm: float, y_mm: float) -> Passed:
-        """Move the middle of the array there; the order of ridges on the way does not matter."""
+        """Move the middle of the array; the order of ridges on the way does not matter."""
         before = self._before
         self.place(x_mm, y_mm)
         ridges = np.abs(self._before - before)

@@ -1,4 +1,4 @@
-"""How the hand moves: the contract of what tells it, and opening it by URL."""
+"""Interface of hand motion, and opening a source of it by URL."""
 
 import math
 from abc import ABC, abstractmethod
@@ -20,21 +20,21 @@ _ANY_SOURCE = "smarttouch.texture.source_motion"
 
 
 class Motion(Device, ABC):
-    """Tells how far a hand has moved, opened by its URL.
+    """Source of the displacement of a hand, opened by its URL.
 
     Attributes
     ----------
     origin_mm : tuple of float, mm, or None
-        Where on a texture it begins, from its top left corner; in its middle if None.
+        Start on a texture, from its top left corner; in its middle if None.
         Known after the first look.
     force_n : float, N
-        How hard the finger pressed at the last look, where ``knows_force``.
+        Force of the finger at the last read, where ``knows_force``.
     """
 
     duration_s: float | None = None
-    """How long it lasts; None if it never ends by itself."""
+    """Duration of the motion; None if it never ends by itself."""
     resolution_mm: float = 0.0
-    """Smallest motion that it tells: at rest it may jump to and fro by so much."""
+    """Resolution of the motion: at rest it may jump to and fro by so much."""
 
     def __init__(self, title: str) -> None:
         super().__init__(title)
@@ -44,7 +44,7 @@ class Motion(Device, ABC):
 
     @abstractmethod
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return how far the hand is from where it began, right and down; None at the end.
+        """Return the displacement from the start, right and down; None at the end.
 
         Parameters
         ----------
@@ -58,7 +58,7 @@ class Motion(Device, ABC):
 
 
 def open_motion(url: str, **options: Any) -> Motion:
-    """Open what tells how a hand moves, for example ``evdev:`` or ``sweep:``.
+    """Open a source of hand motion, for example ``evdev:`` or ``sweep:``.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def open_motion(url: str, **options: Any) -> Motion:
         ``sweep:``, ``evdev:DEVICE``, ``window:``, ``path:CSV``, or the URL of any source
         that knows its pose, as ``camera:0``.
     **options
-        What the kind takes, see ``open_it`` in its module; those that are None were not given.
+        Options of the kind, see ``open_it`` in its module; those that are None were not given.
 
     Raises
     ------

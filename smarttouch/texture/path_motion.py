@@ -1,4 +1,4 @@
-"""A hand's way as it was recorded."""
+"""Recorded path of a hand."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from smarttouch.tables import read_csv
 from smarttouch.texture.motion import Motion
 
 RESOLUTION_MM = 0.01
-"""Recorded ways are rounded; an estimate of ours."""
+"""Resolution of recorded paths; an estimate of ours."""
 _NEEDED = ("time_s", "x_mm", "y_mm")
 
 
@@ -22,7 +22,7 @@ def open_it(rest: str) -> "PathMotion":
 
 
 class PathMotion(Motion):
-    """Goes the way of a table, in straight lines between its rows.
+    """Motion along the points of a table, in straight lines.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class PathMotion(Motion):
     Raises
     ------
     SensorError
-        If the file is missing or wrong; it says in which line.
+        If the file is missing or wrong, with the line number.
     """
 
     resolution_mm = RESOLUTION_MM
@@ -49,7 +49,7 @@ class PathMotion(Motion):
         self.origin_mm = (float(table[0, 1]), float(table[0, 2]))
 
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return how far the way has led from its first point; None after the last."""
+        """Return the displacement from the first point; None after the last."""
         time_s, times = time_ns / 1e9, self._table[:, 0]
         if time_s > times[-1]:
             return None

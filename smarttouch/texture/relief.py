@@ -1,4 +1,4 @@
-"""A relief from an image: what of it is high, and how far inside high ground each place is."""
+"""Relief from an image: its high ground, and the depth of each place within it."""
 
 import math
 
@@ -12,22 +12,21 @@ from smarttouch.texture.relief_file import Heights
 from smarttouch.texture.texture import COARSEST_PITCH_MM, FINEST_PITCH_MM, Feeler, Texture
 
 USUAL_GRAIN_MM = 2.0
-"""Where no pitch dominates: that of the paper's electrodes."""
+"""Default grain, where no pitch dominates: that of the paper's electrodes."""
 _PER_GRAIN = 20
-"""Pixels of the map."""
+"""Pixels of the map per grain."""
 _FINEST_MM, _COARSEST_MM = 0.02, 0.1
 _MOST_PIXELS = 16_000_000
 _LONGEST_SIDE = 32_000
-"""OpenCV's sampling counts pixels in 16 bits."""
+"""Longest side of a map: OpenCV's sampling counts pixels in 16 bits."""
 _LOWEST, _HIGHEST = 0.25, 0.75
-"""Of shapes, what is lower than that is never high, what is higher always; between, its
-surroundings decide."""
+"""Heights of shapes that are never and always high; between, the surroundings decide."""
 _FAINT = 0.03
-"""A ridge of a texture exceeds its surroundings by more, the grain of an image hardly does."""
+"""Least height of a ridge over its surroundings; the grain of an image is below it."""
 _AROUND = 2.5
-"""Width of what counts as surroundings, in grains; their standard deviation is one grain."""
+"""Width of the surroundings, in grains; their standard deviation is one grain."""
 _BLUR_MM = 0.2
-"""Against the noise of photographs of shapes; a line half as wide is still high."""
+"""Blur against the noise of photographs of shapes; a line half as wide is still high."""
 
 
 class Relief(Texture):
@@ -36,7 +35,7 @@ class Relief(Texture):
     Parameters
     ----------
     heights : Heights
-        What is high is dark.
+        Heights, drawn dark where high.
     grain_mm : float, mm, optional
         Way between two pulses on wide high ground; the dominant pitch if not given, and 2 mm
         if there is none.
@@ -109,7 +108,7 @@ class Relief(Texture):
         self._surface = np.asarray(np.rint(255 * (1 - self.height)), np.uint8)
 
     def feeler(self, position_mm: NDArray[np.float64]) -> Feeler:
-        """Return electrodes over it."""
+        """Return a sampler of electrodes over it."""
         from smarttouch.texture.relief_feeler import ReliefFeeler
 
         return ReliefFeeler(self, position_mm)
@@ -134,7 +133,7 @@ class Relief(Texture):
         return np.asarray(drawn, np.uint8)
 
     def _measure_depth(self) -> NDArray[np.float32]:
-        """Return how far inside high ground each place is, mm, at most half a grain."""
+        """Return the depth of each place within high ground, mm, at most half a grain."""
         half = self.grain_mm / 2
         margin = math.ceil(_AROUND * self.grain_mm / self.pixel_mm)
         mode = cv2.BORDER_WRAP if self.tiled else cv2.BORDER_REPLICATE

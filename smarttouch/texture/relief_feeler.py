@@ -1,4 +1,4 @@
-"""When an electrode that moves over a relief pulses.
+"""Sampler of a relief: pulses of electrodes that move over it.
 
 A grating has a phase; what else is printed or woven has none. The rule here gives the
 same pulses on gratings and fills areas: **every pulse stands for one grain of way over
@@ -24,11 +24,11 @@ _MOST_SAMPLES = 64
 _FULL = 0.96
 """Share of half a grain from which the depth counts as full: beyond rounding, and the blur."""
 _RISEN = 0.5
-"""Share of its depth that a ridge must rise by, so that a way along its crest passes none."""
+"""Part of its depth by which a ridge must rise, so that a way along its crest passes none."""
 
 
 class ReliefFeeler:
-    """Samples the depth along each electrode's way, and finds where it is greatest.
+    """Samples the depth along each electrode's way, and finds its maxima.
 
     Parameters
     ----------
@@ -49,26 +49,26 @@ class ReliefFeeler:
         self._least_mm = relief.pixel_mm / 2
         self._ground_mm = self._full_mm if relief.woven else np.float32(_STROKE * relief.grain_mm)
         self._within_mm = 0.0 if relief.woven else relief.grain_mm / 2 - float(self._ground_mm)
-        """How far an electrode has come over this ground when it pulses first."""
+        """Distance of an electrode over this ground at its first pulse."""
         self._all = np.arange(len(position_mm))
         self._nothing = Passed(np.zeros(len(position_mm), np.float32), 0)
         self._nothing.height.flags.writeable = False
         self.place(0.0, 0.0)
 
     def place(self, x_mm: float, y_mm: float) -> None:
-        """Put the middle of the array somewhere: an area that is there is felt a grain later."""
+        """Place the middle of the array: an area under it is felt after one grain of motion."""
         self._place = complex(x_mm, y_mm)
         x, y = self._on_map(np.array([self._place]))
         self._before = np.repeat(self._depth(x, y), 2, axis=0)
         self._lowest = self._before[0].copy()
-        """Of each electrode since its last pulse."""
+        """Lowest depth of each electrode since its last pulse."""
         self._pulsed = np.full(len(self._all), self._place)
-        """Where the array was at the last pulse of each electrode."""
+        """Place of the array at the last pulse of each electrode."""
         self._entered = self._pulsed.copy()
-        """Where it was when each came onto high ground."""
+        """Place of the array when each electrode came onto high ground."""
 
     def move(self, x_mm: float, y_mm: float) -> Passed:
-        """Move the middle of the array there; ways shorter than a sample wait for more."""
+        """Move the middle of the array; motion shorter than a sample is kept for later."""
         by = complex(x_mm, y_mm) - self._place
         samples = int(abs(by) / self._step_mm)
         if not samples:
@@ -120,7 +120,9 @@ class ReliefFeeler:
         lowest: NDArray[np.float32],
         step_mm: float,
     ) -> tuple[NDArray[np.bool_], NDArray[np.intp], int]:
-        """Return which electrodes passed a crest, the sample of the last one, and how many more."""
+        """Return which electrodes passed a crest, the sample of the last one, and the number of
+        others.
+        """
         middle = depth[1:-1]
         # Level ground is no crest before it falls: what is as wide pulses by its way.
         crest = (middle >= depth[:-2]) & (middle > depth[2:]) & (middle > self._least_mm)
@@ -137,7 +139,7 @@ class ReliefFeeler:
     def _inside(
         self, places: NDArray[np.complex128], depth: NDArray[np.float32]
     ) -> NDArray[np.bool_]:
-        """Return which electrodes are a grain from their last pulse, and over high ground."""
+        """Return which electrodes are a grain from their last pulse, and on high ground."""
         low = depth[1:] < self._ground_mm
         entered = places[len(low) - low[::-1].argmax(axis=0)]
         self._entered = np.where(low.any(axis=0), entered, self._entered)
@@ -150,7 +152,7 @@ class ReliefFeeler:
     def _on_map(
         self, places: NDArray[np.complex128]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return where the electrodes are with the array at some places, (N, E) pixels each."""
+        """Return the electrodes' places on the map for places of the array, (N, E) pixels each."""
         x_mm, y_mm = self._relief.scale_mm
         x, y = places.real / x_mm, places.imag / y_mm
         if self._relief.tiled:
@@ -163,7 +165,7 @@ class ReliefFeeler:
         )
 
     def _depth(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the depth at places on the map, (N, E) mm; full depth is all the same."""
+        """Return the depth at places on the map, (N, E) mm; full depths are equal."""
         return np.minimum(self._sample(self._relief.depth, x, y), self._full_mm)
 
     def _sample(

@@ -1,4 +1,4 @@
-"""Heights from files and texts."""
+"""Heights from image files and texts."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -23,15 +23,15 @@ from smarttouch.files import MOST_BANK_BYTES, open_file
 LETTER_MM = 12.0
 """Height of printed letters: wide enough strokes for electrodes 2 mm apart."""
 _PRINTED_MM = 4.2
-"""What `print_text` makes them, ascender to descender."""
+"""Height of the letters of `print_text`, ascender to descender."""
 _MARGIN_MM = 4.0
 _SCALE = "--dpi or --width-mm"
 _LEAST_RANGE = 0.03
-"""Of the range that a file can hold: what varies less shows nothing."""
+"""Least range of heights, as a part of the file's range; with less, nothing is shown."""
 
 
 class Heights(NamedTuple):
-    """A relief before its grain is known."""
+    """Heights of a relief before its grain is known."""
 
     title: str
     height: NDArray[np.float32]
@@ -42,7 +42,7 @@ class Heights(NamedTuple):
 
 
 def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = None) -> Heights:
-    """Load an image, of which ink is high, or a height map, of which bright is high.
+    """Load an image, whose ink is high, or a height map, whose bright parts are high.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def _like(values: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.flo
 
 
 def _stretched(name: str, values: NDArray[np.float64], least: float) -> NDArray[np.float32]:
-    """Return values from 0 to 1, without the few that stick out."""
+    """Return values stretched to 0 to 1, without the few outliers."""
     values = np.nan_to_num(values, posinf=0.0, neginf=0.0)
     low, high = np.percentile(values, (0.5, 99.5))
     if high - low <= max(least, 1e-12):

@@ -24,17 +24,17 @@ from smarttouch.texture.texture import Texture
 
 USUAL_RATE_HZ = 100.0
 FASTEST_HZ = 100.0
-"""Pulses above that are not interpreted correctly (paper, Sections III-B.3 and V)."""
+"""Highest rate of pulses that is interpreted correctly (paper, Sections III-B.3 and V)."""
 SLOWEST_RATE_HZ = 10.0
 JUMP_MM = 20.0
 """Between two frames: 2 m/s at 100 Hz. A place that changes by more was lost, and is found again;
 nothing has passed under the finger."""
 _EARLY = 1e-3
-"""Of the shortest time between two pulses: frames come at whole microseconds."""
+"""Tolerance of the shortest time between two pulses: frames come at whole microseconds."""
 
 
 class PulseLimit:
-    """Lets no electrode pulse more often than a finger can tell.
+    """Limit of each electrode's pulse rate to what a finger can resolve.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class PulseLimit:
         self.left_out = 0
 
     def keep(self, wanted: NDArray[np.float32], time_ns: int) -> NDArray[np.float32]:
-        """Return what may pulse now, (E,); zero where it may not."""
+        """Return the pulses allowed now, (E,); zero elsewhere."""
         active = wanted > 0
         due = active & (time_ns - self._last_ns >= self._shortest_ns)
         self._last_ns[due] = time_ns
@@ -72,22 +72,22 @@ class MouseSource(StimulusSource):
     Parameters
     ----------
     texture : Texture
-        What lies under the hand.
+        Texture under the hand.
     motion : Motion
         An open one, which is closed with this.
     profile : Profile
         As `profile_for_reading` returns it: frames show what lies under the array.
     mode : Mode
-        Which class pulses: one of RA, SAI and PC.
+        Class that pulses: one of RA, SAI and PC.
     rate_hz : float, Hz
         Frames a second.
     fastest_hz : float, Hz, optional
-        Pulses a second of each electrode; as many as a finger can tell, and at most
+        Pulses a second of each electrode; as many as a finger can resolve, and at most
         half the frames, if not given.
     scale : float
         Millimeters of the texture for one of the hand.
     press_n : float, N, optional
-        How hard the finger presses, where the motion does not know.
+        Finger force, where the motion does not report it.
 
     Raises
     ------
@@ -167,7 +167,7 @@ class MouseSource(StimulusSource):
         return TextureDrawing(profile, bank, (self._primary,), self.texture)
 
     def close(self) -> None:
-        """Let go of what tells the motion, and say what was left out."""
+        """Close the motion, and add a note on omitted pulses."""
         self._sum_up()
         self.motion.close()
         for note in [*self.texture.notes, *self.motion.notes]:
@@ -216,7 +216,7 @@ class MouseSource(StimulusSource):
 
 
 def _possible_hz(rate_hz: float, fastest_hz: float | None, most_hz: float) -> float:
-    """Return the most pulses a second, or raise if the rates do not go together."""
+    """Return the highest pulse rate, or raise if the rates are incompatible."""
     if not SLOWEST_RATE_HZ <= rate_hz <= most_hz:
         raise SensorError(
             f"--rate {rate_hz:g} is not possible: give {SLOWEST_RATE_HZ:g} to {most_hz:g} frames a "

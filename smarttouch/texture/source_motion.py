@@ -9,7 +9,7 @@ from smarttouch.sources.source import Source
 from smarttouch.texture.motion import Motion
 
 RESOLUTION_MM = 0.02
-"""What motion found in images jumps by at rest; an estimate of ours."""
+"""Jitter at rest of motion found in images; an estimate of ours."""
 
 
 def open_it(url: str, *, profile: Profile | None = None) -> "SourceMotion":
@@ -18,7 +18,7 @@ def open_it(url: str, *, profile: Profile | None = None) -> "SourceMotion":
 
 
 class SourceMotion(Motion):
-    """Moves as a source says that it moves.
+    """Motion by a source's pose.
 
     Parameters
     ----------

@@ -1,19 +1,19 @@
-"""A hand that rests is at rest, though what tells its motion jumps by a count."""
+"""Deadband that suppresses one-count jitter of a resting mouse."""
 
 import math
 
 SLIDES = 1.5
-"""Counts by which a moving hand is followed at a distance: to and fro by one count, along both
+"""Distance, in counts, at which a moving hand is followed: to and fro by one count, along both
 axes (2.8 counts from end to end), is then no motion back."""
 STICKS = 4.5
-"""Counts that a resting hand must have moved by: what it slid behind, and the same to and fro."""
+"""Counts by which a resting hand must move: the distance behind, and the same to and fro."""
 
 _ROUNDING = 1 + 1e-6
-"""It ends a slide at just this distance, give or take a bit."""
+"""Tolerance for rounding, as a slide ends at exactly this distance."""
 
 
 class Steady:
-    """Follows a place as a block follows a rubber band: it sticks, then slides behind.
+    """Place that follows another as a block follows a rubber band: it sticks, then slides behind.
 
     Once the place has stood still for one look, its jumping to and fro by one
     count along both axes moves nothing, for ever.
@@ -30,7 +30,7 @@ class Steady:
         self._x_mm = self._y_mm = 0.0
 
     def follow(self, x_mm: float, y_mm: float) -> tuple[float, float]:
-        """Return where the hand is taken to be, mm."""
+        """Return the steadied place of the hand, mm."""
         by_x, by_y = x_mm - self._x_mm, y_mm - self._y_mm
         far_mm = math.hypot(by_x, by_y)
         far_enough_mm = self._slides_mm if self._moves else self._sticks_mm

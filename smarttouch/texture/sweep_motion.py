@@ -12,9 +12,9 @@ from smarttouch.texture.motion import Motion
 USUAL_MM_S = 40.0
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 1000.0
 START_S = 0.75
-"""A hand rests before its first stroke until intensity is up."""
+"""Time of rest before the first stroke, until intensity is up."""
 REST_S = 0.3
-"""Between two strokes."""
+"""Time of rest between two strokes."""
 USUAL_ROUNDS = 1
 _MOST_ROUNDS = 10_000
 _MOST_STROKES = 100_000
@@ -78,9 +78,9 @@ class SweepMotion(Motion):
     span_mm : tuple of float, mm
         Width and height of the area.
     lane_mm : float, mm
-        How far lanes are apart at most.
+        Largest distance of lanes.
     rounds : int
-        How often forth and back.
+        Number of rounds, forth and back.
     seed : int, optional
         Of tremor; none if not given.
     """
@@ -119,7 +119,7 @@ class SweepMotion(Motion):
             self._phases = random.uniform(0, 2 * math.pi, (2, len(_TREMOR_HZ)))
 
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return where the hand is at a time; None after the last rest."""
+        """Return the position of the hand at a time; None after the last rest."""
         time_s = time_ns / 1e9
         if time_s > self._table[-1, 0]:
             return None
@@ -136,7 +136,7 @@ class SweepMotion(Motion):
 
 
 def _round_trip(span_mm: tuple[float, float], lane_mm: float) -> NDArray[np.float64]:
-    """Return the corners of the way through all lanes and back, (N, 2) mm."""
+    """Return the corners of the path through all lanes and back, (N, 2) mm."""
     width_mm, height_mm = span_mm
     lanes = max(1, math.ceil(height_mm / lane_mm - 0.15)) if height_mm > lane_mm else 1
     forth = [
@@ -148,7 +148,7 @@ def _round_trip(span_mm: tuple[float, float], lane_mm: float) -> NDArray[np.floa
 
 
 def _timed(points: NDArray[np.float64], speed_mm_s: float) -> NDArray[np.float64]:
-    """Return when the hand comes to each point and leaves it, (2 N, 3): s, mm, mm."""
+    """Return the times of arrival at and departure from each point, (2 N, 3): s, mm, mm."""
     strokes_s = np.hypot(*np.diff(points, axis=0).T) / speed_mm_s
     comes = np.concatenate([[0.0], START_S + np.cumsum(strokes_s + REST_S) - REST_S])
     leaves = comes + REST_S

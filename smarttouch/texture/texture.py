@@ -1,4 +1,4 @@
-"""What lies under the hand: the contract of textures."""
+"""Interface of textures under the hand."""
 
 from abc import ABC, abstractmethod
 from typing import NamedTuple, Protocol
@@ -11,26 +11,26 @@ COARSEST_PITCH_MM = 200.0
 
 
 class Passed(NamedTuple):
-    """What has passed under the electrodes since they were looked at before."""
+    """Ridges that passed under the electrodes since the last call."""
 
     height: NDArray[np.float32]
-    """Of the last ridge that passed each, (E,) in [0, 1]; 0 where none did."""
+    """Height of the last ridge that passed each electrode, (E,) in [0, 1]; 0 where none did."""
     merged: int
-    """Ridges that passed together with another one of the same electrode."""
+    """Number of ridges that passed together with another one of the same electrode."""
 
 
 class Feeler(Protocol):
-    """Electrodes over a texture, which remember where they were."""
+    """Sampler of electrodes over a texture, which stores their last place."""
 
     def place(self, x_mm: float, y_mm: float) -> None:
-        """Put the middle of the array somewhere: nothing has passed on the way."""
+        """Place the middle of the array; no ridge counts as passed."""
 
     def move(self, x_mm: float, y_mm: float) -> Passed:
-        """Move the middle of the array there in a straight line."""
+        """Move the middle of the array in a straight line."""
 
 
 class Texture(ABC):
-    """A surface with ridges that stays where it is.
+    """Surface with ridges that stays in place.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Texture(ABC):
     middle_mm : tuple of float, mm
         Of it, or of a tile of it.
     notes : list of str
-        What was taken for granted, a sentence each.
+        Assumptions that were made, a sentence each.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Texture(ABC):
 
     @abstractmethod
     def feeler(self, position_mm: NDArray[np.float64]) -> Feeler:
-        """Return electrodes over it.
+        """Return a sampler of electrodes over it.
 
         Parameters
         ----------

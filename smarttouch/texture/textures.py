@@ -1,4 +1,4 @@
-"""Opening a texture by what a user writes."""
+"""Opening of textures by name, file or text."""
 
 import re
 from pathlib import Path
@@ -35,7 +35,7 @@ def open_texture(
     tiled : bool
         Repeat it without end.
     light_on_dark : bool
-        What is bright is high.
+        Whether bright parts are high.
 
     Raises
     ------

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     import tkinter
 
 PAD_MM = (150.0, 100.0)
-"""Size of what has no ends."""
+"""Size of a texture without bounds."""
 _SHARE = 0.8
-"""Of the screen that the window takes at most."""
+"""Largest part of the screen for the window."""
 _POLL_MS = 50
 _START_S = 10.0
 
@@ -34,7 +34,7 @@ def open_it(rest: str, *, texture: Texture | None = None) -> "WindowMotion":
     rest : str
         Nothing comes after the colon.
     texture : Texture, optional
-        What it shows; an empty pad if not given.
+        Texture to show; an empty pad if not given.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def open_it(rest: str, *, texture: Texture | None = None) -> "WindowMotion":
 
 
 class Pointer:
-    """Where the pointer is over a picture; told from one thread, asked from another.
+    """Position of the pointer over a picture; set by one thread, read by another.
 
     Parameters
     ----------
@@ -63,23 +63,23 @@ class Pointer:
         self.place_px = (size_px[0] / 2, size_px[1] / 2)
 
     def heed(self, x_px: float, y_px: float) -> None:
-        """Take the pointer to be there."""
+        """Set the position of the pointer."""
         self.place_px = (x_px, y_px)
 
     @property
     def place_mm(self) -> tuple[float, float]:
-        """From the top left corner of the picture."""
+        """Position from the top left corner of the picture."""
         x, y = self.place_px
         return x * self._mm_per_px, y * self._mm_per_px
 
 
 class WindowMotion(Motion):
-    """The motion of the pointer over a texture, as large as it is if the screen is.
+    """Motion of the pointer over a texture, at true size if the screen is large enough.
 
     Parameters
     ----------
     texture : Texture, optional
-        What the window shows.
+        Texture in the window.
     """
 
     def __init__(self, texture: Texture | None = None) -> None:
@@ -104,7 +104,7 @@ class WindowMotion(Motion):
         self._pointer = started
 
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return how far the pointer is from where it was first; None once the window is closed."""
+        """Return the displacement of the pointer from its start; None once the window is closed."""
         if not self._open:
             return None
         x, y = self._pointer.place_mm
@@ -147,7 +147,7 @@ class WindowMotion(Motion):
         gc.collect()
 
     def _fill(self, root: "tkinter.Tk") -> tuple[Pointer, "tkinter.PhotoImage"]:
-        """Return what follows the pointer, and what Tk shows but does not hold on to."""
+        """Return the pointer's position, and objects that Tk shows without keeping references."""
         import tkinter
 
         size_mm = (self._texture and self._texture.size_mm) or PAD_MM
@@ -169,7 +169,7 @@ class WindowMotion(Motion):
         return pointer, picture
 
     def _watch(self, root: "tkinter.Tk") -> None:
-        """End the window's thread when it is to be closed."""
+        """End the window's thread when the window is to be closed."""
         if self._open:
             root.after(_POLL_MS, self._watch, root)
         else:
@@ -179,7 +179,7 @@ class WindowMotion(Motion):
 def fit(
     size_mm: tuple[float, float], mm_per_px: float, screen_px: tuple[int, int]
 ) -> tuple[tuple[int, int], float]:
-    """Return the size in pixels of what is shown, and its scale in mm per pixel.
+    """Return the size in pixels of a picture on the screen, and its scale in mm per pixel.
 
     It is shown as large as it is, or smaller where the screen is too small.
     """

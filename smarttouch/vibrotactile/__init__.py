@@ -1,1 +1,1 @@
-"""Tactile primary colors: a vibration split into what RA, SAI and PC answer, and mixed again."""
+"""Tactile primary colors: a vibration split into responses of RA, SAI and PC, and mixed again."""

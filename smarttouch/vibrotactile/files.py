@@ -23,7 +23,7 @@ def read_trace(path: Path, seconds: float, seed: int) -> Trace:
         With a header: ``time_s`` and ``displacement_um``, ``force_n`` or both; or
         ``frequency_hz``, ``amplitude_um`` and perhaps ``phase_deg``, a spectrum.
     seconds : float, s
-        How long a spectrum is to last.
+        Duration of a spectrum.
     seed : int
         Of the phases of a spectrum that has none.
 

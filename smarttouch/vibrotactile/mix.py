@@ -28,7 +28,7 @@ PC_RATE_HZ = 150.0
 """Most pulses of PC a second, so one for every second cycle at its best frequency. Ours; faster
 ones told the paper's subjects little in PC mode (Section III-C.1, above 100 Hz)."""
 VIBRATION_US = 20_000
-"""How often vibrators are told anew how strongly to shake. Ours."""
+"""Interval of new amplitudes of vibrators. Ours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +93,11 @@ class Mixture:
         return activation
 
     def error_us(self, primary: Primary) -> Times:
-        """Return how much later than it should each pulse of a class is, (K,) µs."""
+        """Return the delay of each pulse of a class, (K,) µs."""
         return self.time_us[self.carried[primary]] - self.ideal_us[primary]
 
     def pulses(self, primary: Primary) -> int:
-        """Return how many pulses of a class each site gets."""
+        """Return the number of pulses of a class at each site."""
         return len(self.ideal_us.get(primary, ()))
 
 
@@ -110,21 +110,21 @@ def mix_colors(
     vibrated: bool = False,
     pc_rate_hz: float = PC_RATE_HZ,
 ) -> Mixture:
-    """Return the pulses that let a finger feel a trace.
+    """Return the pulses that reproduce a trace.
 
     Parameters
     ----------
     trace : Trace
-        What is to be felt.
+        Trace to reproduce.
     profile : Profile
-        Its force law says at which pressure SAI is driven in full, its limits how fast
+        Its force law sets the pressure at which SAI is driven in full, its limits how fast
         sequences may follow one another.
     bank : KernelBank
         Its kernels say which classes the board can drive.
     sites : collection of int, optional
         Electrodes that pulse; those of `disc` if not given.
     timing : ScanTiming, optional
-        What the board fixes about time.
+        Scan timing fixed by the board.
     vibrated : bool
         Whether mechanical vibrators do what PC is to feel.
     pc_rate_hz : float, Hz
@@ -165,7 +165,7 @@ def mix(
     vibrated: bool = False,
     pc_rate_hz: float = PC_RATE_HZ,
 ) -> Mixture:
-    """Return the pulses of answers that `split`, or somebody else, has made; see `mix_colors`."""
+    """Return the pulses of given responses, such as those of `split`; see `mix_colors`."""
     timing = ScanTiming() if timing is None else timing
     places = disc(profile) if sites is None else chosen(profile, sites)
     pulsing, left_out = _drivable(answers, profile, bank, places, vibrated)
@@ -221,7 +221,7 @@ def _drivable(
     places: NDArray[np.intp],
     vibrated: bool,
 ) -> tuple[list[Primary], tuple[Primary, ...]]:
-    """Return the classes that answer and can be driven, and those that cannot."""
+    """Return the classes that respond and can be driven, and those that cannot."""
     made = [
         each
         for each in Primary

@@ -1,4 +1,4 @@
-"""What it costs to drive PC by current: how much the classes above it are driven with it.
+"""Crosstalk of PC stimulation into the classes above it, RA and SAI.
 
 PC lies below RA and SAI, and no current from the skin reaches it alone (paper, Section II-D;
 the best kernels that there are do more to another class than to PC, `smarttouch.kernels`).
@@ -17,14 +17,14 @@ from smarttouch.vibrotactile.sites import stimulated
 
 @dataclass(frozen=True, eq=False)
 class PacinianPrice:
-    """How much pulses for PC do to other classes.
+    """Crosstalk of PC pulses into other classes.
 
     Attributes
     ----------
     times : ndarray, (S,) float64
         Activating function at the worst node of another class over that at PC's, by electrode.
     worst : tuple of Primary, (S,)
-        Whose node that is.
+        Class of that node.
     """
 
     times: NDArray[np.float64]
@@ -32,7 +32,7 @@ class PacinianPrice:
 
     @property
     def mean(self) -> float:
-        """Of ``times``, over the electrodes."""
+        """Mean of ``times`` over the electrodes."""
         return float(self.times.mean())
 
     def __str__(self) -> str:
@@ -47,7 +47,7 @@ class PacinianPrice:
 def pacinian_price(
     profile: Profile, bank: KernelBank, sites: NDArray[np.intp]
 ) -> PacinianPrice | None:
-    """Return what it costs to let PC be felt at sites, (S,); None where it cannot be driven."""
+    """Return the crosstalk of PC stimulation at sites, (S,); None where it cannot be driven."""
     places = stimulated(profile, Primary.PC, sites)
     if Primary.PC not in bank.weights or not len(places):
         return None

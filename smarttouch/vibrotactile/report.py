@@ -1,4 +1,4 @@
-"""What each class answered and what of it went out, as numbers."""
+"""Report of the response of each class and of its pulses, as numbers."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -14,7 +14,7 @@ from smarttouch.vibrotactile.split import Answer, shares
 
 @dataclass(frozen=True)
 class Answered:
-    """What one class would have answered: means over the trace, of the rate while it fires."""
+    """Response of one class: means over the trace; of the rate, while it fires."""
 
     mean_drive: float
     peak_drive: float
@@ -24,7 +24,7 @@ class Answered:
 
 @dataclass(frozen=True)
 class SentOut:
-    """What one class got: pulses at each site, and how much later than ideal they were."""
+    """Output to one class: pulses at each site, and their delays."""
 
     pulses: int
     planned: int
@@ -34,7 +34,7 @@ class SentOut:
 
 
 def answered(answers: Mapping[Primary, Answer]) -> dict[Primary, Answered]:
-    """Return what each class answered."""
+    """Return the response of each class."""
     part = shares(answers)
     return {
         primary: Answered(each.mean_drive, each.peak_drive, each.mean_rate_hz, part[primary])
@@ -43,7 +43,7 @@ def answered(answers: Mapping[Primary, Answer]) -> dict[Primary, Answered]:
 
 
 def sent_out(mixture: Mixture, source: ColorSource) -> dict[Primary, SentOut]:
-    """Return what went out to each class that had pulses."""
+    """Return the output to each class that had pulses."""
     rows = {}
     for primary, ideal_us in mixture.ideal_us.items():
         off_us = np.abs(source.error_us(primary))
@@ -97,7 +97,7 @@ def _fires_at(row: Answered) -> str:
 
 
 def notes(mixture: Mixture, answers: Mapping[Primary, Answer]) -> list[str]:
-    """Return what a user should know of a mixture, a sentence each."""
+    """Return warnings about a mixture, a sentence each."""
     said = []
     if mixture.left_out:
         names = " and ".join(each.name for each in mixture.left_out)
@@ -118,7 +118,7 @@ def as_figures(
     source: ColorSource | None = None,
     price: PacinianPrice | None = None,
 ) -> dict[str, object]:
-    """Return all of it for a JSON file."""
+    """Return the whole report for a JSON file."""
     classes: dict[str, dict[str, object]] = {
         primary.name: {"answered": asdict(each)} for primary, each in answered(answers).items()
     }

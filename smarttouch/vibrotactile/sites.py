@@ -1,4 +1,4 @@
-"""Which electrodes pulse."""
+"""Selection of the electrodes that pulse."""
 
 import re
 from collections.abc import Collection
@@ -13,14 +13,14 @@ from smarttouch.stimulation.points import felt_at
 
 
 def disc(profile: Profile, radius_mm: float | None = None) -> NDArray[np.intp]:
-    """Return the electrodes in the middle of the array, (S,), rising.
+    """Return the electrodes in the middle of the array, (S,), ascending.
 
     Parameters
     ----------
     profile : Profile
-        Whose array; masked electrodes are left out.
+        Profile of the array; masked electrodes are left out.
     radius_mm : float, mm, optional
-        How far they may be from the middle; one pitch if not given. The nearest one
+        Largest distance from the middle; one pitch if not given. The nearest one
         is always among them.
     """
     electrodes = profile.electrodes
@@ -31,7 +31,7 @@ def disc(profile: Profile, radius_mm: float | None = None) -> NDArray[np.intp]:
 
 
 def stimulated(profile: Profile, primary: Primary, sites: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the electrodes at which a class is stimulated so that it is felt at sites, (S',).
+    """Return the electrodes whose stimulation of a class is felt at sites, (S',).
 
     Others than those where the profile knows that the class is felt elsewhere (paper,
     Section III-B.4), and fewer where the array ends.
@@ -44,7 +44,7 @@ def stimulated(profile: Profile, primary: Primary, sites: NDArray[np.intp]) -> N
 
 
 def chosen(profile: Profile, sites: Collection[int]) -> NDArray[np.intp]:
-    """Return sites that were named, each once, (S,), rising.
+    """Return the sites that were named, each once, (S,), ascending.
 
     Raises
     ------

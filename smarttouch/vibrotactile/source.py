@@ -28,12 +28,12 @@ class ColorSource(StimulusSource, Listener):
     Parameters
     ----------
     title : str
-        What is felt.
+        Title of the mixture.
     profile : Profile
-        Whose finger.
+        Profile of the finger.
     mixture : Mixture
     force_n : float, N
-        How hard a virtual finger presses; NaN if others know.
+        Force of a virtual finger; NaN if it has another source.
     """
 
     ended = "the end of the trace"
@@ -61,7 +61,7 @@ class ColorSource(StimulusSource, Listener):
         self._given_us[first : self._next] = now_us
         drive = mixture.drive[first : self._next].max(axis=0, initial=0.0)
         if mixture.vibrated and first == self._next > 0:
-            # Vibrators go on as they were told.
+            # Vibrators go on with their last amplitudes.
             drive[Primary.PC] = mixture.drive[first - 1, Primary.PC]
         more = self._next < len(mixture.time_us)
         wait_us = int(mixture.time_us[self._next] if more else mixture.end_us) - now_us
@@ -71,17 +71,17 @@ class ColorSource(StimulusSource, Listener):
         return Stimulus(activation, time_ns, self._force_n, period_us, number=number)
 
     def step(self, result: StepResult) -> None:
-        """Count the pulses that went out with a step."""
+        """Count the pulses sent in a step."""
         if result.number is not None and result.step.sequence.intensity > 0:
             active = np.flatnonzero(result.step.tactile.activation.any(axis=1))
             self._count.update(Primary(each) for each in active.tolist())
 
     def sent(self, primary: Primary) -> int:
-        """Return how many pulses of a class went out to each site, so far."""
+        """Return the number of pulses of a class sent to each site so far."""
         return self._count[primary]
 
     def error_us(self, primary: Primary) -> Times:
-        """Return how much later than it should each pulse of a class was asked for, (K,) µs."""
+        """Return the delay of each requested pulse of a class, (K,) µs."""
         mixture = self._mixture
         given_us: NDArray[np.int64] = self._given_us[mixture.carried[primary]]
         return (given_us - mixture.ideal_us[primary])[given_us >= 0]

@@ -1,4 +1,4 @@
-"""Traces written in a line: ``tone:30Hz,8um+press:0.5N``.
+"""Traces in one line of text: ``tone:30Hz,8um+press:0.5N``.
 
 Parts are added up. Each begins and ends smoothly, within `RAMP_S`, as no skin can jump;
 ``@1-2`` after a part lets it last from 1 to 2 s, else it lasts all the time::
@@ -46,19 +46,19 @@ class _Part:
 
 
 def is_spec(text: str) -> bool:
-    """Return whether a text is a trace in a line, and no file."""
+    """Return whether a text is a trace in one line, and no file."""
     return text.partition(":")[0].strip().lower() in _GRAMMAR
 
 
 def open_trace(text: str, seconds: float = 2.0, seed: int = 0) -> Trace:
-    """Return the trace that a line describes or a file holds.
+    """Return the trace of a line of text or of a file.
 
     Parameters
     ----------
     text : str
-        As this module has it, or the name of a CSV file.
+        A line in this module's syntax, or the name of a CSV file.
     seconds : float, s
-        How long a line or a spectrum lasts; a recorded trace has its own time.
+        Duration of a line or a spectrum; a recorded trace has its own time.
     seed : int
         Of noise, and of phases that are not given.
 

@@ -1,4 +1,4 @@
-"""A vibration split into what each class of receptor would have answered.
+"""Splitting of a vibration into the responses of each class of receptor.
 
 RA and PC see the displacement through their sensitivity (`smarttouch.physiology.receptors`),
 in units of their threshold, by a filter without delay (all of the trace is known
@@ -35,29 +35,29 @@ SAI_FORCE_N = 0.0013
 """Median force at which human SAI afferents begin to fire (Johansson, Vallbo and Westling, Brain
 Res. 184, 1980)."""
 SAI_FULL_N = 1.0
-"""Force at which SAI is driven in full, where no profile says. Ours."""
+"""Force at which SAI is driven in full, if no profile is given. Ours."""
 SAI_FULL_UM = 1500.0
-"""SAI afferents fire faster up to this indentation (J. Neurophysiol. 101:1033, 2009, Table 1)."""
+"""Indentation up to which SAI afferents fire faster (J. Neurophysiol. 101:1033, 2009, Table 1)."""
 SAI_RATE_HZ = 50.0
-"""At full drive, where no profile says, the usual ``pulse.sai_rate_hz``; at the lightest touch
+"""Rate at full drive without a profile, the usual ``pulse.sai_rate_hz``; at the lightest touch
 a fifth of it."""
 _PAD_S = 1.0
-"""What joins the trace's end to its beginning, for the circle that Fourier sees."""
+"""Padding that joins the trace's end to its beginning, as the Fourier transform is cyclic."""
 _GAP_S = 0.05
 """Longest silence between two beats of one vibration."""
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What one class would have answered to a trace.
+    """Response of one class to a trace.
 
     Attributes
     ----------
     primary : Primary
     drive : ndarray, (N,) float64, in [0, 1]
-        How strongly at each sample of the trace: 0 at threshold and below.
+        Drive at each sample of the trace: 0 at threshold and below.
     rate_hz : ndarray, (N,) float64, Hz
-        How fast its afferents fire.
+        Firing rate of its afferents.
     spike_s : ndarray, (K,) float64, s
         When.
     """
@@ -77,7 +77,7 @@ class Answer:
 
     @property
     def mean_rate_hz(self) -> float:
-        """While it fires; 0 if it never does."""
+        """Mean rate while it fires; 0 if it never does."""
         firing = self.rate_hz[self.drive > 0]
         return float(firing.mean()) if len(firing) else 0.0
 
@@ -88,7 +88,7 @@ def split(
     sai_full_n: float = SAI_FULL_N,
     sai_rate_hz: float = SAI_RATE_HZ,
 ) -> dict[Primary, Answer]:
-    """Return what each class would have answered.
+    """Return the response of each class.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def _pressure(trace: Trace, full_n: float, rate_hz: float) -> Answer:
 
 
 def _padded(row: Array, sample_hz: float) -> tuple[Array, int, Array]:
-    """Return a row closed to a circle, where it begins in it, and the circle's frequencies."""
+    """Return a row padded to a cycle, its offset in it, and the cycle's frequencies."""
     pad = round(_PAD_S * sample_hz)
     length = next_fast_len(len(row) + 2 * pad)
     joint = length - len(row)
@@ -172,7 +172,7 @@ def _padded(row: Array, sample_hz: float) -> tuple[Array, int, Array]:
 
 
 def _upward(turning: NDArray[np.complex128], driven: NDArray[np.bool_], gap: int) -> Array:
-    """Return where the real part rises through zero while driven, in samples, once each turn.
+    """Return the samples at which the real part rises through zero while driven, once per cycle.
 
     Turns are counted on through silences no longer than ``gap`` samples.
     """

@@ -1,4 +1,4 @@
-"""What a surface does to the skin, over time: force and displacement."""
+"""Trace of a surface on the skin: force and displacement over time."""
 
 import math
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from smarttouch.errors import SmartTouchError
 Array = NDArray[np.float64]
 
 SAMPLE_HZ = 4000.0
-"""Lowest sampling rate: four samples a cycle at 1 kHz, above what PC answers."""
+"""Lowest sampling rate: four samples a cycle at 1 kHz, above PC's band."""
 HIGHEST_SAMPLE_HZ = 20_000.0
 LONGEST_S = 600.0
 
@@ -28,7 +28,7 @@ class Trace:
         Static and slowly changing pressure.
     sample_hz : float, Hz
     title : str
-        What it is called.
+        Title of the trace.
     """
 
     displacement_um: Array
@@ -78,7 +78,7 @@ def sampled(
     force_n: ArrayLike | None = None,
     title: str = "a trace",
 ) -> Trace:
-    """Return the trace of samples at any times, evenly resampled.
+    """Return the trace of unevenly timed samples, resampled evenly.
 
     Between samples it runs straight. The new rate is that of most samples, but
     between `SAMPLE_HZ` and `HIGHEST_SAMPLE_HZ`.
@@ -92,7 +92,7 @@ def sampled(
     force_n : array_like, (N,) N, optional
         0 if not given.
     title : str
-        What it is called.
+        Title of the trace.
 
     Raises
     ------

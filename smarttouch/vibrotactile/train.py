@@ -12,7 +12,7 @@ Times = NDArray[np.int64]
 
 
 def shortest_us(profile: Profile, slots: int, timing: ScanTiming) -> int:
-    """Return the shortest sequence that holds so many slots within the profile's limits, µs."""
+    """Return the shortest sequence with so many slots within the profile's limits, µs."""
     pulse, limits = profile.pulse, profile.limits
     busy_us = timing.shortest_period_us(
         slots, len(profile.electrodes), pulse.width_us, pulse.discharge_us
@@ -22,7 +22,7 @@ def shortest_us(profile: Profile, slots: int, timing: ScanTiming) -> int:
 
 
 def thinned(time_us: Times, least_us: int) -> Times:
-    """Return as many of rising times as can be, each at least so long after the one before.
+    """Return as many of ascending times as possible, each at least an interval after the last.
 
     Of a regular train it leaves every k-th.
     """
@@ -36,7 +36,7 @@ def thinned(time_us: Times, least_us: int) -> Times:
 
 
 def merged(trains: list[Times], least_us: int) -> tuple[Times, list[NDArray[np.intp]]]:
-    """Return when sequences begin, and for each train which of them carries each of its pulses.
+    """Return the starts of sequences, and for each train the sequence of each of its pulses.
 
     A pulse that comes sooner than half of the shortest sequence after a sequence's begin
     joins it, any other begins a new one: as soon as it is wanted, or as the sequence before

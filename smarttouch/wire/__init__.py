@@ -1,1 +1,1 @@
-"""Serial lines, TCP, pseudo-terminals, and packets on them: what both ends of a wire share."""
+"""Serial lines, TCP, pseudo-terminals, and packets on them, for both ends of a wire."""

@@ -11,12 +11,12 @@ LARGEST_PACKET = 4 * 2**20
 _HEAD = struct.Struct("<BBI")
 _CRC = struct.Struct("<I")
 HEAD_BYTES = _HEAD.size
-"""Of a decoded packet: version, kind and number."""
+"""Size of a decoded packet's head: version, kind and number."""
 
 
 @dataclass(frozen=True)
 class Packet:
-    """One packet that came whole."""
+    """One complete packet."""
 
     kind: int
     number: int
@@ -25,7 +25,7 @@ class Packet:
 
 
 def frame_packet(version: int, kind: int, number: int, *payload: bytes) -> bytes:
-    """Return a packet as it goes over the wire; its payload may come in pieces.
+    """Return a packet in its wire format; its payload may be in pieces.
 
     It is COBS-encoded and ends with one 0x00, so a receiver that has lost its
     place finds it again at the next zero. Decoded, all little endian: u8
@@ -36,7 +36,7 @@ def frame_packet(version: int, kind: int, number: int, *payload: bytes) -> bytes
 
 
 class Deframer:
-    """Finds packets in whatever bytes come.
+    """Parser of packets in a stream of bytes.
 
     Parameters
     ----------
@@ -57,11 +57,11 @@ class Deframer:
 
     @property
     def waiting(self) -> int:
-        """Bytes of the packet that is not complete yet."""
+        """Number of bytes of the incomplete packet."""
         return len(self._waiting)
 
     def head(self, count: int) -> bytes | None:
-        """Return the first bytes of the packet that is not complete yet, decoded but unchecked.
+        """Return the first bytes of the incomplete packet, decoded but unchecked.
 
         None if fewer than ``count`` have come.
         """
@@ -79,7 +79,7 @@ class Deframer:
         return bytes(found[:count])
 
     def feed(self, data: bytes) -> Iterator[Packet]:
-        """Yield every packet that is complete with these bytes."""
+        """Yield every packet completed by these bytes."""
         *whole, rest = data.split(b"\0")
         for piece in whole:
             body = bytes(self._waiting) + piece

@@ -30,12 +30,12 @@ __all__ = [
 ]
 
 _write = ctypes.PyDLL(None, use_errno=True).write
-"""The system's own, without letting another thread go first: that could take long."""
+"""The system's own `write`, without a switch to another thread, which could take long."""
 _write.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
 _write.restype = ctypes.c_ssize_t
 
 LINE_ERRORS = (OSError, serial.SerialException, termios.error, TypeError)
-"""What pyserial raises when a port vanishes, or is closed by another thread."""
+"""Exceptions of pyserial when a port vanishes, or is closed by another thread."""
 
 
 def open_port(
@@ -75,7 +75,7 @@ def open_port(
 
 @dataclass(frozen=True)
 class UsbIdentity:
-    """What USB tells of one device, and which of its ports it is."""
+    """USB identity of one device, and its port."""
 
     vendor: int
     product: int
@@ -84,7 +84,7 @@ class UsbIdentity:
 
 
 def identity_of(port: Port) -> UsbIdentity | None:
-    """Return what USB tells of an open port; None of another line, or without a serial number."""
+    """Return the USB identity of an open port; None for another line, or no serial number."""
     if not isinstance(port, serial.Serial):
         return None
     try:
@@ -108,7 +108,7 @@ def reopen_port(
     identity: UsbIdentity | None,
     pause: Callable[[float], None] = time.sleep,
 ) -> Port:
-    """Open a port that has gone as soon as it is back; nothing is written to it.
+    """Reopen a lost port as soon as it is back; nothing is written to it.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def reopen_port(
 def write_before(
     port: Port, data: bytes, latest_ns: int, now_ns: Callable[[], int], within_s: float = 0.5
 ) -> bool:
-    """Write bytes unless it is too late for the first of them; return whether they went.
+    """Write bytes unless it is too late for the first of them; return whether they were written.
 
     Between the last look at the clock and the system's write there is nothing: only a
     process that is stopped just there still writes late.
@@ -159,7 +159,7 @@ def write_before(
     now_ns : callable
         The clock.
     within_s : float
-        How long a line may take nothing.
+        Time limit of a line that accepts nothing.
 
     Raises
     ------
@@ -202,7 +202,7 @@ def _other(name: str) -> OtherDeviceError:
 
 
 def reason(error: Exception) -> str:
-    """Return what the system says of an error on a line."""
+    """Return the system's text of an error on a line."""
     number = getattr(error, "errno", None)
     return os.strerror(number) if number else (str(error) or type(error).__name__)
 

@@ -1,4 +1,4 @@
-"""The far end of a serial port that does not exist: what emulators hang on."""
+"""Pseudo-terminal as a serial port, for emulators."""
 
 import errno
 import os

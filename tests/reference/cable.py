@@ -1,4 +1,4 @@
-"""The linear cable equation in time: what a fiber does before it fires (Eq. 1, Appendix A)."""
+"""The linear cable equation in time: a fiber below threshold (Eq. 1, Appendix A)."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +14,7 @@ def cable_response(
     step_us: float,
     initial_mv: ArrayLike | None = None,
 ) -> NDArray[np.float64]:
-    """Return how the membrane potential answers a current waveform.
+    """Return the response of the membrane potential to a current waveform.
 
     Solves Eq. 1 of the paper, −(λ²/τ) V″ + dV/dt + V/τ = (λ²/τ) AF(r) s(t),
     at equally spaced points. Sealed ends let no current through: V′ = 0 half

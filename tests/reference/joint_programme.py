@@ -1,4 +1,4 @@
-"""The best currents for all points of one slot: a linear programme over every node, the reference.
+"""Optimal currents for all points of one slot: a linear program over every node, the reference.
 
 Minimize t over currents w such that, with r the smallest wish::
 
@@ -25,7 +25,7 @@ from smarttouch.kernels.frames.judge import FrameJudge
 Array = NDArray[np.float64]
 
 _TOLERANCE = 1e-5
-"""Of the smallest wish: by how much a row may be broken; fields are single precision."""
+"""Tolerance of a row, as a part of the smallest wish; fields are single precision."""
 _ROWS_AT_ONCE = 100
 _CELL = 3
 _ROUNDS = 60
@@ -34,7 +34,7 @@ _AGREE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class JointOptimum:
-    """The optimum of one slot.
+    """Optimum of one slot.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class JointOptimum:
     optimum : float
         The smallest possible t.
     rounds_n, rows_n : int
-        How often the solver ran, and how many rows it was given.
+        Number of solver runs, and of rows in them.
     """
 
     current: Array
@@ -60,7 +60,7 @@ def joint_programme(
     total_ma: float | None = None,
     electrode_ma: Array | None = None,
 ) -> JointOptimum:
-    """Return the currents of the least worst other for levels (E,).
+    """Return the currents with the least worst other for levels (E,).
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class _Joint:
             self._add(np.r_[ones, none, 0.0][None], np.full(1, -np.inf), np.full(1, total_ma))
 
     def solve(self) -> JointOptimum:
-        """Add broken rows until none is; believe only what a cold start confirms."""
+        """Add broken rows until none is left; accept only a result confirmed by a cold start."""
         rounds, cold = 0, False
         while rounds < _ROUNDS:
             self._solver.run()
@@ -199,7 +199,7 @@ class _Joint:
 
 
 def _worst(field: FieldMap, excess: Array) -> NDArray[np.intp]:
-    """Return the worst broken rows, one of each little cell of the lattice."""
+    """Return the worst broken rows, one per cell of the lattice."""
     index = np.flatnonzero(excess > _TOLERANCE)
     index = index[np.argsort(-excess[index])]
     line, column = np.divmod(index, field.grid[1])

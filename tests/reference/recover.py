@@ -1,4 +1,4 @@
-"""Which class each delivered pulse was for, told from its current alone."""
+"""Recovery of the class of each delivered pulse from its current alone."""
 
 from dataclasses import dataclass
 
@@ -11,14 +11,14 @@ from smarttouch.profile import Profile
 
 @dataclass(frozen=True, eq=False)
 class Recovered:
-    """What pulses were, one by one.
+    """Recovered classes of pulses, one by one.
 
     Attributes
     ----------
     primary : ndarray, (N,) int8
         Class whose kernel each pulse is most like.
     site : ndarray, (N,)
-        Whose kernel of that class.
+        Site of the kernel of that class.
     drive : ndarray, (N,) float32
         Activation that leads to such a current at full intensity; below 0 where it is
         weaker than the threshold.
@@ -33,7 +33,7 @@ class Recovered:
 
 
 def recover(current_ua: NDArray[np.int16], profile: Profile, bank: KernelBank) -> Recovered:
-    """Return for which class and site each pulse was.
+    """Return the class and site of each pulse.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def recover(current_ua: NDArray[np.int16], profile: Profile, bank: KernelBank) -
     profile : Profile
         Its thresholds and strongest currents.
     bank : KernelBank
-        Whose kernels are compared.
+        Bank of the kernels to compare.
     """
     classes = sorted(bank.weights)
     kernels = np.concatenate([bank.kernels(each) for each in classes])

@@ -1,4 +1,4 @@
-"""Finished currents on every finger of the profile's spread, and from boards that are not exact."""
+"""Finished currents on every finger of the profile's spread, and from inexact boards."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Worst:
-    """The worst figures over some variants; each may come from another one."""
+    """Worst figures over some variants; each may come from another one."""
 
     worst_other: float
     worst_spill: float
@@ -51,7 +51,7 @@ def spread_judges(
     part : float
         Of ``skin.spread``; above 1 is beyond it.
     depth, angle : bool
-        What varies. Conductivities vary with depth, where skin is layered.
+        Whether these vary. Conductivities vary with depth, where skin is layered.
     """
     skin, primary = judge.profile.skin, judge.primary
     turn = skin.spread.angle_deg * part if angle else 0.0
@@ -96,7 +96,7 @@ def _shifted(skin: Skin, primary: Primary, own: float, other: float) -> Skin:
 
 
 def _turns(primary: Primary, turn_deg: float) -> list[Callable[[Afferents], Afferents]]:
-    """Return what turns afferents: the own class one way each, others all ways at once."""
+    """Return the rotations of afferents: the own class one way each, others all ways at once."""
     if turn_deg == 0:
         return [lambda one: one]
 

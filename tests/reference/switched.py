@@ -1,4 +1,4 @@
-"""Points that share a slot where all electrodes share one source.
+"""Slots shared by points on boards with one source for all electrodes.
 
 Every electrode is a cathode, an anode or insulated, and the source's current
 divides among the electrodes of a pole by their admittance (paper, Fig. 19). A
@@ -29,19 +29,19 @@ STEPS = 40
 many slots, at worst five for three (``tests/benchmarks/test_switched_frames.py``)."""
 _PROGRESS = 1e-4
 _ENOUGH = -0.01
-"""Excess at which a search ends: all bounds are kept by a part of 1 %."""
+"""Excess at which a search ends: all bounds are kept with a margin of 1 %."""
 _INSIDE = 1 - 1e-6
-"""Part of a limit that the source is given: rounding passes none."""
+"""Part of a limit used by the source, so that rounding keeps it."""
 _RINGS = (1.1, 1.5, 2.3, 3.2)
-"""Pitches within which all electrodes around a target are tried as its other pole."""
+"""Radii, in pitches, within which electrodes around a target are tried as its other pole."""
 _TRIES = 3
-"""Slots that a point tries to join, the farthest first."""
+"""Slots to try for a point, the farthest first."""
 _SLACK = 1.05
-"""What neighbors may make up for: by which part needs may lie above what they are allowed."""
+"""Factor by which needs may exceed the allowed ones, as neighbors may compensate."""
 
 
 class SwitchedSearch:
-    """Searches the states of one slot.
+    """Search over the states of one slot.
 
     Parameters
     ----------
@@ -49,10 +49,10 @@ class SwitchedSearch:
         Of a profile whose board switches one source. A one-against-all board
         insulates none: points are then several against all others.
     level : ndarray, (E,) in [0, 1]
-        What is wished at each site; those above zero share the slot.
+        Requested level at each site; those above zero share the slot.
     bounds : FrameBounds
     total_ma : float, optional
-        What the source may give; by default the profile's limit.
+        Limit of the source; by default the profile's.
 
     Raises
     ------
@@ -83,7 +83,7 @@ class SwitchedSearch:
         self._rows = judge.target[self.sites] / level[self.sites][:, None]
 
     def best(self, steps: int = STEPS) -> FrameSlot:
-        """Return the slot that breaks its bounds least, of those that were found.
+        """Return the slot found with the least excess over its bounds.
 
         Its currents are the source's shares: zero where an electrode is insulated.
         """
@@ -98,13 +98,13 @@ class SwitchedSearch:
         return self.slot(source_ma * self._shares(states[None])[0])
 
     def slot(self, current: Array) -> FrameSlot:
-        """Return the slot that has these currents, (E,) mA, judged."""
+        """Return the slot of these currents, (E,) mA, with its figures."""
         figures = self._judge.judge(current, self._level)
         kept = keeps(self._judge, figures, self._bounds, current, self._total_ma)
         return FrameSlot(self.sites, current, figures, kept)
 
     def excess(self, states: States) -> tuple[Array, Array]:
-        """Return by which part the worst bound is broken, (P,), and the source's current, (P,) mA.
+        """Return the relative excess over the worst bound, (P,), and the source's current, (P,) mA.
 
         The current brings all targets as near to their wish as limits allow.
         Excess is infinite where a pole has no electrode, or a target is not
@@ -143,13 +143,13 @@ class SwitchedSearch:
         return pole_shares(states, self._judge.profile.admittance)
 
     def _least(self, states: States) -> tuple[States, float, float]:
-        """Return the assignment of the least excess, that, and its source's current."""
+        """Return the assignment of the least excess, the excess, and the source's current."""
         excess, source_ma = self.excess(states)
         chosen = int(excess.argmin())
         return states[chosen], float(excess[chosen]), float(source_ma[chosen])
 
     def _starts(self) -> States:
-        """Return assignments to begin with, (P, E): all others, or rings, against the targets."""
+        """Return initial assignments, (P, E): all others, or rings, against the targets."""
         array = self._judge.profile.electrodes
         pitches = array.distance_mm[self.sites].min(axis=0) / array.pitch_mm
         within = (np.inf, *_RINGS) if self._insulates else (np.inf,)
@@ -160,7 +160,7 @@ class SwitchedSearch:
         return states
 
     def _around(self, states: States) -> States:
-        """Return the assignments with another state at one electrode, (P, E)."""
+        """Return the assignments with one electrode in another state, (P, E)."""
         values = np.array((-1, 0, 1) if self._insulates else (-1, 1), np.int8)
         around = np.repeat(states[None], len(values) * len(self._free), axis=0)
         index = np.repeat(self._free, len(values))
@@ -188,10 +188,10 @@ def plan_switched_slots(
     judge : FrameJudge
         Of a profile whose board switches one source.
     level : ndarray, (E,) in [0, 1]
-        What is wished at each site.
+        Requested level at each site.
     bounds : FrameBounds
     total_ma : float, optional
-        What the source may give; by default the profile's limit.
+        Limit of the source; by default the profile's.
     points_ma : ndarray, (E, E) mA, optional
         Currents of each site alone at level 1 (rows), positive cathodic, for
         points for which nothing within the bounds is found.
@@ -227,13 +227,13 @@ class _Planner:
         own = np.abs(np.diag(judge.target))
         self._least_ma = (1 - bounds.uneven) * level * judge.wish_af / own
         self._need = self._least_ma / judge.profile.admittance
-        """The voltage that a site alone asks of its pole, relative."""
+        """Voltage that a site alone needs at its pole, relative."""
         # The most crowded first, of those that need the same: they have the fewest choices.
         crowd = (1 / (1 + self._apart[np.ix_(sites, sites)] ** 2)).sum(axis=1)
         self._order = sites[np.lexsort((-crowd, -np.log(self._need[sites]).round(2)))]
 
     def plan(self, first: int, most: int) -> list[FrameSlot] | None:
-        """Return slots, at most so many, the first ones of one point each; None if in vain."""
+        """Return at most so many slots, the first ones of one point each; None if impossible."""
         slots: list[FrameSlot] = []
         for site in self._order:
             joined = None if len(slots) < first else self._joined(slots, site)
@@ -259,7 +259,7 @@ class _Planner:
         return None
 
     def _might_share(self, sites: NDArray[np.intp]) -> bool:
-        """Return whether sites need little enough, and nearly the same, for a search to pay."""
+        """Return whether the sites' needs are small and similar enough for a search to pay."""
         need, even = self._need[sites], (1 + self._bounds.uneven) / (1 - self._bounds.uneven)
         alike = need.max() <= _SLACK * even * need.min()
         return bool(alike and self._least_ma[sites].sum() <= _SLACK * self._total_ma)

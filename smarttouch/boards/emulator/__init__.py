@@ -1,1 +1,1 @@
-"""A display board without hardware: a process of its own behind a pseudo-terminal."""
+"""Emulated display board: a process of its own behind a pseudo-terminal."""

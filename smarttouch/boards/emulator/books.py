@@ -1,4 +1,4 @@
-"""The emulator's own account of what it did: counted from what flowed, not from what was asked."""
+"""Delivery log of the emulator, counted from the current that flowed."""
 
 import json
 from dataclasses import asdict, dataclass, field
@@ -14,11 +14,11 @@ from smarttouch.boards.emulator.skin import Delivered
 STATE_FILE = "state.json"
 DELIVERED_FILE = "delivered.bin"
 SAFE_CURRENT_UA, SAFE_WIDTH_US, SAFE_CHARGE_UC = 5000, 200, 0.5
-"""What is more than this on any electrode makes a slot unsafe, whatever its firmware allows."""
+"""Limits of a safe slot on any electrode, whatever the firmware allows."""
 SAFE_RECHARGE_UA, SAFE_RECHARGE_US, SAFE_RECHARGE_UC = 500, 20_000, 2.0
-"""The same of a recharge phase."""
+"""Limits of a safe recharge phase."""
 _RECHARGE = 0xFFFF
-"""Slot and site of a recharge phase among the records: no slot, and for no point."""
+"""Slot and site that mark a recharge phase among the records."""
 _ROUNDING = 1 + 1e-6
 _FLOWS_UA = 0.5
 
@@ -33,30 +33,30 @@ class Books:
     slots: int = 0
     pulses: int = 0
     violations: int = 0
-    """What the firmware refused."""
+    """Number of sequences that the firmware refused."""
     unsafe: int = 0
-    """What flowed and was above a safe value, one for each pulse of a slot."""
+    """Number of delivered pulses above a safe value, one for each pulse of a slot."""
     framing_errors: int = 0
     old_packets: int = 0
     foreign_packets: int = 0
-    """What a link board refused as old, and as of another session."""
+    """Numbers of packets that a link board refused as old, and as of another session."""
     max_current_ma: float = 0.0
     max_charge_uc: float = 0.0
     max_net_charge_uc: float = 0.0
     """Largest charge that was left on an electrode after a slot."""
     max_volts: float = 0.0
-    """Most that a source had to supply between its poles."""
+    """Largest voltage of a source between its poles."""
     recharges: int = 0
-    """Recharge phases; neither slots nor pulses, and not in the largest current and charge."""
+    """Number of recharge phases; not counted as slots or pulses, nor in the largest values."""
     passed_uc: NDArray[np.float64] = field(init=False)
     """Net charge that sources have driven through each electrode, (E,), positive cathodic:
     pulses and recharge phases, without what flows back while all electrodes are shorted."""
     state: str = "shorted"
     reason: str = "start"
     zero_after_ms: float = 0.0
-    """From the host's last sign of life to all electrodes shorted, the last time it was cut off."""
+    """Time from the host's last sign of life to all electrodes shorted, at the last cut-off."""
     stood_still_ms: float = 0.0
-    """How long the board's clock has stood still because its process did."""
+    """Time for which the board's clock has stood still because its process did."""
     _delivered: bytearray = field(default_factory=bytearray, repr=False)
 
     def __post_init__(self) -> None:
@@ -74,14 +74,14 @@ class Books:
         *,
         more: bool = False,
     ) -> None:
-        """Write down one pulse.
+        """Record one pulse.
 
         Parameters
         ----------
         number, slot, site : int
             Sequence or scan, slot in it, and the point that slot was for.
         delivered : Delivered
-            What flowed.
+            Delivered pulse.
         width_us : float
         residual_uc : ndarray, (E,)
             Charge left on each electrode after the slot's discharge.
@@ -114,7 +114,7 @@ class Books:
         residual_uc: NDArray[np.float64],
         time_us: float,
     ) -> None:
-        """Write down a recharge phase, or what flowed of it before it was cut off."""
+        """Record a recharge phase, or the part of it before it was cut off."""
         peak_ua = float(np.abs(delivered.current_ua).max(initial=0))
         self.recharges += 1
         self.unsafe += (
@@ -142,10 +142,10 @@ class Books:
             self._delivered += np.array([record], _record(self.electrodes)).tobytes()
 
     def keep(self, number: int, width_us: float, current_ua: NDArray[np.float64]) -> None:
-        """Have a pulse at hand, where someone asks for it later."""
+        """Keep a pulse in memory, for subclasses."""
 
     def write(self) -> None:
-        """Put on disk what has been entered since the last time."""
+        """Write all new records to disk."""
         if self.folder is None:
             return
         with (self.folder / DELIVERED_FILE).open("ab") as file:
@@ -160,7 +160,7 @@ class Books:
 
 
 def read_state(folder: Path) -> dict[str, object]:
-    """Return the last state that an emulator wrote down."""
+    """Return the last state that an emulator wrote."""
     state: dict[str, object] = json.loads((folder / STATE_FILE).read_text(encoding="utf-8"))
     return state
 
@@ -200,9 +200,9 @@ def read_delivered(
     numbers : ndarray, (N,)
         Sequence of each slot.
     width_us : ndarray, (N,) µs
-        How long each lasted.
+        Duration of each pulse.
     current_ua : ndarray, (N, E) int16, µA
-        What flowed, positive cathodic; what no int16 can hold is cut.
+        Delivered current, positive cathodic, clipped to int16.
     """
     table = read_slots(folder)
     limit = np.iinfo(np.int16)

@@ -1,4 +1,4 @@
-"""Starts the emulator and speaks to it as to any board on a serial line."""
+"""Driver that starts the emulator and connects to it as to any board on a serial line."""
 
 import os
 import select
@@ -15,12 +15,12 @@ from smarttouch.registry import refuse_rest
 from smarttouch.stimulation.safety import SafetyLimits
 
 _STARTS_WITHIN_S = 30.0
-"""On a busy computer too."""
+"""Time limit of the start, long enough for a busy computer."""
 _ENDS_WITHIN_S = 3.0
 
 
 class EmulatorBoard(LinkBoard):
-    """A board in a process of its own, as long as it is open.
+    """Board emulated by a process of its own, which runs as long as it is open.
 
     Parameters
     ----------
@@ -29,11 +29,11 @@ class EmulatorBoard(LinkBoard):
     limits : SafetyLimits
         Of the finger's profile.
     output : Output, optional
-        What the emulated board can do; weighted if not given.
+        Output of the emulated board; weighted if not given.
     books : Path, optional
         Existing folder in which it keeps its books.
     events : sequence of str
-        What happens to the finger, as for ``smarttouch board emulate --event``.
+        Events of the finger, as for ``smarttouch board emulate --event``.
     """
 
     on_a_finger = False
@@ -57,7 +57,7 @@ class EmulatorBoard(LinkBoard):
             self.keep_books(books)
 
     def keep_books(self, folder: Path) -> None:
-        """Have it keep books in an existing folder, from when it is opened next."""
+        """Set the existing folder of its delivery log, from the next opening on."""
         self._command.append(f"--books={folder}")
 
     @property
@@ -84,7 +84,7 @@ class EmulatorBoard(LinkBoard):
             raise
 
     def _port_of_process(self) -> str:
-        """Return what the process calls its port, as soon as it does."""
+        """Return the name of the process's port, as soon as it is printed."""
         assert self._process.stdout is not None
         deadline, said = time.monotonic() + _STARTS_WITHIN_S, b""
         with self._process.stdout as output:

@@ -1,4 +1,4 @@
-"""The firmware of the eTactileKit, to the byte and to the scan, its faults included.
+"""Emulated firmware of the eTactileKit, exact in bytes and scans, with its faults.
 
 It refuses nothing: a wrong byte is a wrong current. What a scan does is settled
 when it starts; commands that come later count from the next one. All generations
@@ -30,11 +30,11 @@ from smarttouch.boards.emulator.skin import COMPLIANCE_V
 UA_PER_COUNT = 9.99
 LARGEST = LARGEST_READING
 SHORTEST_US = 6.6
-"""What it takes to switch the source on and off."""
+"""Time to switch the source on and off."""
 SWITCHING_NS = 10_000
 FORGETS_NS = 2_000_000_000
 DUMMY_OHM = 66e3
-"""Load fitted beside the skin."""
+"""Load fitted in parallel with the skin."""
 RATE_HZ = 100
 BIPHASIC, SENSE_ONLY = 1, 2
 _MOST = 255
@@ -42,7 +42,7 @@ _MOST = 255
 
 @dataclass
 class _Scan:
-    """What a scan does, settled at its start.
+    """Settings of a scan, fixed at its start.
 
     Attributes
     ----------
@@ -68,10 +68,10 @@ class ETactileKitFirmware(Firmware):
     books : Books
         Its electrodes are all the outputs that there are.
     finger : Finger, optional
-        What happens to the skin while it runs.
+        Events of the skin while it runs.
     compliance_v : float, V
     firmware : str
-        Which of `GENERATIONS`.
+        Key of `GENERATIONS`.
     dummy_ohm : float
         Load beside the skin; infinite for none.
     """
@@ -104,7 +104,7 @@ class ETactileKitFirmware(Firmware):
         return bool(self._received) or not self._silent()
 
     def feed(self, data: bytes, now_ns: int) -> bytes:
-        """Take bytes from the host; return what there is to answer."""
+        """Process bytes from the host; return the answer."""
         self._pass_time(now_ns)
         self._fed_ns, self._hushed = now_ns, False
         if not self._received:
@@ -115,12 +115,12 @@ class ETactileKitFirmware(Firmware):
         return self._take_answers()
 
     def advance(self, now_ns: int) -> bytes:
-        """Do all that is due; return what there is to answer."""
+        """Execute all that is due; return the answer."""
         self._pass_time(now_ns)
         return self._take_answers()
 
     def zero(self, reason: str, now_ns: int) -> None:
-        """Forget the pattern, as without power."""
+        """Clear the pattern, as at a loss of power."""
         self._stop_all()
         self._scan = None
         self.books.state, self.books.reason = "shorted", reason
@@ -233,7 +233,7 @@ class ETactileKitFirmware(Firmware):
         return height, max(float(self._set[op.WIDTH]), SHORTEST_US), phases
 
     def _silent(self) -> bool:
-        """Whether no slot of a scan that starts now has a pulse."""
+        """Return whether a scan that starts now has no pulse."""
         return not any(self._pulse_of(each)[0] for each in range(self._set[op.COUNT]))
 
     def _settle(self, reason: str) -> None:
@@ -274,7 +274,7 @@ class ETactileKitFirmware(Firmware):
         self._scan = _Scan(pulses, starts_ns, discharge_us)
 
     def _go_on(self, scan: _Scan, now_ns: int) -> bool:
-        """Do the slots that are due; return whether the scan is over."""
+        """Run the slots that are due; return whether the scan is over."""
         while scan.done < len(scan.pulses):
             if scan.starts_ns[scan.done] > now_ns:
                 return False

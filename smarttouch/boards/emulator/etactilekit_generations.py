@@ -1,4 +1,4 @@
-"""The published firmwares of the eTactileKit, as far as they differ on the wire and in time."""
+"""Published firmwares of the eTactileKit and their differences on the wire and in time."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -65,5 +65,6 @@ GENERATIONS = {
     "71adee2": Generation(_SIZES, 2),
     "newest": Generation(_SIZES, 2, waits=False, silence_ns=500_000_000),
 }
-"""By the commit of its repository that first had them; the last one has a second processor core
-for its parser."""
+"""Firmwares by the first commit of their repository that has them; the last one parses on a second
+processor core.
+"""

@@ -1,4 +1,4 @@
-"""What happens to the finger and its contact over time.
+"""Events of the finger and its contact over time.
 
 Events are texts, a time in seconds and what happens then::
 
@@ -24,11 +24,11 @@ from smarttouch.boards.emulator.skin import Skin
 from smarttouch.errors import BoardError
 
 FORCE_N = 1.0
-"""A firm reading pressure, so that it gates nothing by itself."""
+"""Default force: a firm reading pressure, which does not reduce the current."""
 OPEN_FACTOR = 5e5
-"""About 1 GΩ: what is left of an electrode that touches nothing."""
+"""Impedance factor of an open electrode: about 1 GΩ."""
 SHORT_FACTOR = 1e-4
-"""A few ohm to the tissue."""
+"""Impedance factor of a shorted electrode: a few ohm to the tissue."""
 _FINEST = 0.005
 
 FORMS = {
@@ -59,7 +59,7 @@ class _Drift:
 
 
 def parse_event(text: str) -> Event:
-    """Return the event of a text.
+    """Return the event described by a text.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def parse_event(text: str) -> Event:
 
 
 class Finger:
-    """One finger on the electrodes, and what becomes of each contact.
+    """Finger on the electrodes, with the state of each contact.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Finger:
     Attributes
     ----------
     force_n : float
-        What it presses with now, 0 when lifted.
+        Current force, 0 when lifted.
 
     Raises
     ------
@@ -119,7 +119,7 @@ class Finger:
         return self._pressure_n if self._touches else 0.0
 
     def at(self, now_s: float, skin: Skin) -> None:
-        """Let everything happen to the skin that is due; times never go back."""
+        """Apply all events to the skin that are due; times must not decrease."""
         changed = False
         while self._due and self._due[0].time_s <= now_s:
             self._happen(self._due.popleft())

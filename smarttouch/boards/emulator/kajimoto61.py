@@ -1,4 +1,4 @@
-"""The firmware of the 61-electrode ESP32 kit, to the byte, its faults included.
+"""Emulated firmware of the 61-electrode ESP32 kit, exact in bytes, with its faults.
 
 It waits for ever for the rest of a short packet, checks nothing, and its
 readings wrap. After power-on it tests its source, which then drives into no
@@ -25,17 +25,17 @@ UA_PER_STEP = 16 * 10_000 / 4096
 """DAC counts of one step of intensity; 4096 counts are nominally 10 mA."""
 WIDTH_US, GROUNDED_US, SWITCHING_US = 50, 150, 8
 TEST_UA, LOADING_US = 898 * 10_000 / 4096, 3
-"""What the self-test left in the converter when it was seen, and how long loading takes there."""
+"""Current that the self-test left in the converter, as observed, and the time to load it."""
 MEASURE_UA, MEASURE_US = 2500, 25
 MEASURE_NS, WIRE_NS = 1_400_000, 670_000
-"""From a MEASURE to its reply, and that on the wire."""
+"""Time from a MEASURE to its reply, and the reply's time on the wire."""
 BUFFER = 384
-"""Serial bytes it holds while it scans: 128 of the chip and 256 of its driver. An estimate."""
+"""Serial bytes buffered during a scan: 128 of the chip and 256 of its driver. An estimate."""
 
 
 @dataclass
 class _Scan:
-    """One electrode after another, each with its current in µA, positive cathodic."""
+    """Scan of one electrode after another, each with its current in µA, positive cathodic."""
 
     number: int
     pulses: list[tuple[int, float]]
@@ -62,7 +62,7 @@ class Kajimoto61Firmware(Firmware):
     books : Books
         Of 61 electrodes.
     finger : Finger, optional
-        What happens to the skin while it runs.
+        Events of the skin while it runs.
     compliance_v : float, V
     """
 
@@ -86,7 +86,7 @@ class Kajimoto61Firmware(Firmware):
         return self._scan is not None or bool(self._replies)
 
     def feed(self, data: bytes, now_ns: int) -> bytes:
-        """Take bytes from the host; return what there is to answer."""
+        """Process bytes from the host; return the answer."""
         self._run(now_ns)
         self._fed_ns = now_ns
         self._received += data
@@ -96,12 +96,12 @@ class Kajimoto61Firmware(Firmware):
         return self._take_replies(now_ns)
 
     def advance(self, now_ns: int) -> bytes:
-        """Do all that is due; return what there is to answer."""
+        """Execute all that is due; return the answer."""
         self._run(now_ns)
         return self._take_replies(now_ns)
 
     def zero(self, reason: str, now_ns: int) -> None:
-        """Drop everything that waits, as without power."""
+        """Drop everything that waits, as at a loss of power."""
         self._scan = None
         self._received.clear()
         self._replies.clear()
@@ -194,7 +194,7 @@ class Kajimoto61Firmware(Firmware):
             self.books.sequences += 1
 
     def _connect_early(self, scan: _Scan, electrode: int, start_ns: int) -> int:
-        """Let flow what the converter still holds; return for how long, ns."""
+        """Deliver what the converter still holds; return its duration, ns."""
         self._source.pulse(
             scan.number,
             electrode,

@@ -1,4 +1,4 @@
-"""What runs on the board: a state machine with no clock of its own.
+"""Emulated firmware of the ``link`` board: a state machine with no clock of its own.
 
 It checks every sequence again, by its own rules and in its own code: a host
 that proves its sequences safe must not be the only one who looks.
@@ -31,19 +31,19 @@ _WHY = {
 
 @dataclass
 class _Table:
-    """A sequence that executes, or waits to."""
+    """Sequence that executes, or waits to."""
 
     number: int
     sequence: WireSequence
     left: int
-    """Scans still to be done, the one at hand included."""
+    """Number of remaining scans, with the current one."""
     start_ns: int = 0
     starts_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     end_ns: int = 0
     done: int = 0
     volts: list[float] = field(default_factory=list)
     recharge_ns: int | None = None
-    """When its recharge phase begins, as long as that is still to be written down."""
+    """Start of its recharge phase, until that has been recorded."""
 
     def begin(self, start_ns: int) -> None:
         sequence = self.sequence
@@ -62,17 +62,17 @@ class LinkFirmware(Firmware):
     Parameters
     ----------
     electrodes : int
-        How many outputs it has.
+        Number of outputs.
     output : str
-        What they can do.
+        Kind of the outputs.
     books : Books
-        Where all that flows is written down.
+        Delivery log.
     finger : Finger, optional
-        What happens to the skin while it runs.
+        Events of the skin while it runs.
     compliance_v : float, V
         The most its sources can give.
     session : BoardSession, optional
-        Which packets it takes.
+        Session that filters packets.
     """
 
     books: Books
@@ -100,9 +100,9 @@ class LinkFirmware(Firmware):
         """Number of the last sequence accepted, and whether it has begun."""
         self._refusing: Refusal | None = Refusal.STOPPED
         self._heard_ns = 0
-        """When the last sign of life came."""
+        """Time of the last sign of life."""
         self._packet_ns = 0
-        """When the first byte of the packet at hand came."""
+        """Time of the first byte of the present packet."""
         self._alive_ns = 0
         self._greeted = False
         self._shorted_since_ns = 0
@@ -114,7 +114,7 @@ class LinkFirmware(Firmware):
         return self._running is not None
 
     def feed(self, data: bytes, now_ns: int) -> bytes:
-        """Take bytes from the host; return what there is to answer."""
+        """Process bytes from the host; return the answer."""
         self._advance(now_ns)
         garbled = self._deframer.errors
         first, zero, rest = data.partition(b"\0")
@@ -134,7 +134,7 @@ class LinkFirmware(Firmware):
         return self._take_answers()
 
     def advance(self, now_ns: int) -> bytes:
-        """Do all that is due, and fall silent with the host; return what there is to answer."""
+        """Execute all that is due, stop if the host is silent; return the answer."""
         self._advance(now_ns)
         return self._take_answers()
 
@@ -160,7 +160,7 @@ class LinkFirmware(Firmware):
             self._answers.append(alive)
 
     def hang_up(self, now_ns: int) -> None:
-        """The host has closed the line; the next one has to begin a session."""
+        """End the session, as the host has closed the line."""
         self._advance(now_ns)
         self._answers.clear()
         if self._refusing is not Refusal.STOPPED:
@@ -236,7 +236,7 @@ class LinkFirmware(Firmware):
         )  # fmt: skip
 
     def _recharge(self, table: _Table, until_ns: int) -> None:
-        """Do the recharge phase, or as much of it as there was until it was cut off."""
+        """Execute the recharge phase, or the part of it before it was cut off."""
         sequence, start_ns = table.sequence, table.recharge_ns
         if sequence.recharge_ua is None or start_ns is None or until_ns <= start_ns:
             return
@@ -327,7 +327,7 @@ class LinkFirmware(Firmware):
         return head + NAME.encode()
 
     def account(self) -> tuple[int, int, int, int, float, float, float, int]:
-        """Return what has been delivered and refused, as `BoardReport` has it."""
+        """Return the counts of delivered and refused packets, as in `BoardReport`."""
         books = self.books
         return (
             books.sequences, books.slots, books.pulses, books.violations, books.max_current_ma,

@@ -1,4 +1,4 @@
-"""What the ``link`` board itself calls unsafe: its own rules, in its own code."""
+"""Safety rules of the ``link`` board, implemented independently of the host's."""
 
 from dataclasses import dataclass
 
@@ -14,20 +14,20 @@ MAX_CHARGE_PC = 500_000
 MIN_PERIOD_US = 5000
 MAX_SLOTS = 4096
 MAX_RECHARGE_UA = 500
-"""A tenth of the strongest pulse: thresholds it does not know."""
+"""Limit of a recharge phase, a tenth of the strongest pulse, as the board has no thresholds."""
 MAX_RECHARGE_US = 20_000
 MAX_RECHARGE_PC = 2_000_000
 
 
 @dataclass(frozen=True)
 class Rules:
-    """Those of a board with so many outputs of one kind."""
+    """Rules of a board with a number of outputs of one kind."""
 
     electrodes: int
     output: Output
 
     def complaint(self, sequence: WireSequence) -> str:
-        """Return what is wrong with a sequence, by the board's own rules; empty if nothing."""
+        """Return the first violation by a sequence of the board's own rules; empty if none."""
         weighted = self.output == "weighted"
         current = _nominal(sequence)
         if sequence.electrodes != self.electrodes:
@@ -70,7 +70,7 @@ class Rules:
 def _recharge_complaint(
     current_ua: NDArray[np.int16], width_us: int, slots_us: int, period_us: int
 ) -> str:
-    """Return what is wrong with a recharge phase after slots; empty if nothing."""
+    """Return the first violation by a recharge phase after slots; empty if none."""
     current = [int(each) for each in current_ua]
     strongest = max(map(abs, current), default=0)
     if not slots_us:
@@ -89,7 +89,7 @@ def _recharge_complaint(
 
 
 def _nominal(sequence: WireSequence) -> NDArray[np.float64]:
-    """Return what is asked for, (S, E) µA; a source divides equally among equal electrodes."""
+    """Return the nominal current, (S, E) µA; a source divides equally among equal electrodes."""
     if sequence.current_ua is not None:
         return sequence.current_ua.astype(np.float64)
     assert sequence.state is not None

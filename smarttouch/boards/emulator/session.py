@@ -1,4 +1,4 @@
-"""The board's end of sessions: which packets it takes, and what it counts of the others."""
+"""Board's end of sessions: accepts packets, and counts the refused ones."""
 
 from collections import deque
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from smarttouch.boards.link_protocol import (
 )
 
 MOST_HOSTS = 8
-"""Whose HELLOs are kept apart."""
+"""Number of hosts with separate HELLO records."""
 _MS = 1_000_000
 
 
@@ -47,9 +47,9 @@ class BoardSession:
         self._challenge = draw()
         self._taken = self._said = 0
         self._alive: deque[tuple[int, int]] = deque(maxlen=2 + LATE_MS // ALIVE_MS)
-        """When each of the last packets ALIVE was sent, in ns, and its number."""
+        """Time of each of the last packets ALIVE, in ns, and its number."""
         self._hellos: dict[int, tuple[int, int]] = {}
-        """Of each host since BEGIN, by its half: number of its last packet, and its HELLOs."""
+        """Last packet and number of HELLOs of each host since BEGIN, by its half."""
 
     def encode(self, kind: Kind, about: int = 0, payload: bytes = b"") -> bytes:
         """Return the board's next packet of the session."""
@@ -57,7 +57,7 @@ class BoardSession:
         return encode(kind, self.number, self._said, self._taken, about, payload)
 
     def encode_alive(self, payload: bytes, now_ns: int) -> bytes:
-        """Return the next ALIVE; by these the board knows what its host has heard and when."""
+        """Return the next ALIVE; its echo dates what the host has received."""
         packet = self.encode(Kind.ALIVE, 0, payload)
         self._alive.append((now_ns, self._said))
         return packet
@@ -98,7 +98,7 @@ class BoardSession:
         self._hellos.clear()
 
     def take(self, message: Message, began_ns: int) -> Refusal | None:
-        """Take a packet of the session, or return why it is refused.
+        """Take a packet of the session, or return the reason why it is refused.
 
         Parameters
         ----------
@@ -116,7 +116,7 @@ class BoardSession:
         return refusal
 
     def promises(self, head: bytes, began_ns: int, now_ns: int) -> bool:
-        """Return whether a packet that is still coming in is a sign of life: a SEQUENCE is long."""
+        """Return whether an incomplete packet is a sign of life: a SEQUENCE is long."""
         message, early = decode_head(head), now_ns - began_ns <= LONGEST_PACKET_MS * _MS
         fresh = self._judge(message, began_ns) is None
         return message.kind == Kind.SEQUENCE and early and fresh
@@ -126,11 +126,11 @@ class BoardSession:
             return Refusal.FOREIGN
         if message.number <= self._taken:
             return Refusal.OLD
-        # A stop is never too late: whoever sends it hears nothing, perhaps, and must get through.
+        # A stop is never too late: its sender may receive nothing, and must get through.
         late = message.kind != Kind.STOP and message.heard <= self._faded(began_ns)
         return Refusal.OLD if late else None
 
     def _faded(self, now_ns: int) -> int:
-        """Return the number of the last ALIVE that was sent too long ago; -1 if there is none."""
+        """Return the number of the last ALIVE that is too old; -1 if there is none."""
         gone = (number for sent_ns, number in self._alive if sent_ns < now_ns - LATE_MS * _MS)
         return max(gone, default=-1)

@@ -1,4 +1,4 @@
-"""The emulated board without a process and without waiting: its time passes as it is sent to."""
+"""Emulated board without a process or waiting: sequences advance its simulated time."""
 
 import threading
 from dataclasses import dataclass, field
@@ -25,12 +25,14 @@ from smarttouch.wire.framing import Deframer
 _BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2
 
 Pulses = tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]
-"""Sequence of each slot (N,), its width (N,) µs, and what flowed (N, E) µA, positive cathodic."""
+"""Sequence of each slot (N,), its width (N,) µs, and its delivered current (N, E) µA, positive
+cathodic.
+"""
 
 
 @dataclass
 class _KeptBooks(Books):
-    """Books that keep every pulse at hand until it is taken."""
+    """Delivery log that keeps every pulse in memory until it is taken."""
 
     _kept: list[tuple[int, float, NDArray[np.int16]]] = field(default_factory=list, repr=False)
 
@@ -48,10 +50,10 @@ class _KeptBooks(Books):
 
 
 class SimulatedBoard(Board):
-    """Speaks the bytes of ``link`` to its emulated firmware, in one thread: ``simulated:``.
+    """Emulated ``link`` firmware in the same thread, driven by its wire format: ``simulated:``.
 
-    What goes over the wire, what the firmware checks and what the skin model
-    does are those of ``emulator:``. Only time is not: a sequence is over as
+    The bytes on the wire, the checks of the firmware and the results of the skin model
+    are those of ``emulator:``. Only time is not: a sequence is over as
     soon as it has been computed, so long texts need not be waited for.
 
     Parameters
@@ -61,7 +63,7 @@ class SimulatedBoard(Board):
     limits : SafetyLimits
         Of the finger's profile.
     output : Output, optional
-        What the emulated board can do; weighted if not given.
+        Output of the emulated board; weighted if not given.
     """
 
     waits_for_nothing = True
@@ -87,10 +89,10 @@ class SimulatedBoard(Board):
         )
 
     def _time(self) -> None:
-        """Time is what sequences claim: no finger is on this board."""
+        """Return the clock of the sequences, as no finger is on this board."""
 
     def take_pulses(self) -> Pulses:
-        """Return all that has flowed since the last call."""
+        """Return all pulses delivered since the last call."""
         return self._books.take()
 
     def _open(self) -> None:
@@ -133,14 +135,14 @@ class SimulatedBoard(Board):
                 )
 
     def _wait(self, time_ns: int) -> None:
-        """Let time pass, and the board know that its host is there."""
+        """Advance the time while the host stays alive."""
         end_ns = self._now_ns + time_ns
         while self._now_ns < end_ns:
             self._now_ns = min(end_ns, self._now_ns + _BEAT_NS)
             self._say(Kind.HEARTBEAT)
 
     def drain(self, timeout_s: float = 1.0) -> None:
-        """Nothing waits here: what is sent is over."""
+        """Do nothing: everything sent is already delivered."""
 
     def report(self) -> BoardReport:
         return BoardReport(*self._firmware.account())

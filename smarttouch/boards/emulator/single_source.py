@@ -1,4 +1,4 @@
-"""What the kits share: one current source, one electrode at a time against all others."""
+"""Output stage of the kits: one current source, one electrode at a time against all others."""
 
 import math
 
@@ -9,19 +9,19 @@ from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.skin import Skin
 
 VOLTS_PER_COUNT = 0.0893
-"""Of the eTactileKit's converter; taken for its relative's as well."""
+"""Scale of the eTactileKit's converter; assumed for its relative's as well."""
 LARGEST_READING = 4095
 
 
 class SingleSource:
-    """The output stage of a kit, with the skin behind it.
+    """Output stage of a kit, with the skin connected.
 
     Parameters
     ----------
     books : Books
-        Where all that flows is written down.
+        Delivery log.
     finger : Finger, optional
-        What happens to the skin while it runs.
+        Events of the skin while it runs.
     compliance_v : float, V
     shunt_ohm : float
         Load beside the skin.
@@ -55,7 +55,7 @@ class SingleSource:
         grounded: bool = True,
         more: bool = False,
     ) -> int:
-        """Deliver a pulse, ground all outputs for the rest after it, and write both down.
+        """Deliver a pulse, ground all outputs for the rest after it, and record both.
 
         Parameters
         ----------
@@ -66,7 +66,7 @@ class SingleSource:
         width_us, rest_us : float, µs
         start_ns : int
         among : int
-            How many electrodes take part, the first of all; the others are their return.
+            Number of electrodes that take part, the first of all; the others are their return.
         grounded : bool
             Whether outputs were grounded since the rest before, or unconnected.
         more : bool

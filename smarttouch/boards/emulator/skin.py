@@ -1,4 +1,4 @@
-"""The electrodes on the skin, as one electrical circuit.
+"""Electrical circuit of the electrodes on the skin.
 
 Each electrode is a series resistance and behind it the horny layer, a
 resistance and a capacitance side by side; all meet in one node, the tissue::
@@ -23,18 +23,18 @@ CAPACITANCE_F = 1.0e-9
 """Horny layer under a 1 mm disc on a moist fingertip. Estimates of ours: 2.4 mA for 200 µs then
 needs about 125 V, what displays of this kind supply."""
 SPREAD = 0.15
-"""Electrodes of one array differ by up to this share. An estimate of ours."""
+"""Largest relative difference of electrodes of one array. An estimate of ours."""
 COMPLIANCE_V = 300.0
 _SHARED = (6, 1.3, 0.6)
 _CAPPED = (24, 1.15, 1.0)
-"""Steps of a pulse, growth of each over the one before, and where in it its current fits: the
+"""Steps of a pulse, their growth ratio, and the place in each at which its current fits: the
 coarsest within 3 % of a fine solution, and the end where no step may pass the compliance."""
 _MOST_WIDTHS = 64
 
 
 @dataclass(frozen=True, eq=False)
 class Delivered:
-    """What one pulse did.
+    """Result of one pulse.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Delivered:
     volts : ndarray, (E,) float64, V
         Each electrode against the tissue at the end of the pulse, positive cathodic.
     source_v : float
-        What the source had to supply between its poles at the end of the pulse.
+        Voltage of the source between its poles at the end of the pulse.
     """
 
     current_ua: NDArray[np.float64]
@@ -77,7 +77,7 @@ class _Modes(NamedTuple):
 
 
 class Skin:
-    """Charge on the E electrodes, pulse after pulse.
+    """Charge on the E electrodes, updated pulse by pulse.
 
     Parameters
     ----------
@@ -126,11 +126,11 @@ class Skin:
 
     @property
     def worst_uc(self) -> float:
-        """The largest charge left on an electrode, whatever its sign."""
+        """Largest charge left on an electrode, of either sign."""
         return float(np.abs(self.residual_uc).max(initial=0))
 
     def pulse(self, current_ua: NDArray[np.float64], width_us: float) -> Delivered:
-        """Let every electrode's own source drive its current (E,) for a while.
+        """Drive the current (E,) of each electrode's own source for a time.
 
         An electrode that would need more than the compliance gets what fits. Poles
         that differ in total, by this or from the start, carry what the weaker one does.
@@ -170,7 +170,7 @@ class Skin:
         width_us: float,
         shunt_ohm: float = np.inf,
     ) -> Delivered:
-        """Let one source drive for a while; its current divides by the impedances of each pole.
+        """Drive one source for a time; its current divides by the impedances of each pole.
 
         Parameters
         ----------
@@ -213,13 +213,13 @@ class Skin:
         return Delivered(charge_pc / width_us, charge_pc, ends_v, source_v)
 
     def idle(self, duration_us: float) -> None:
-        """Leave all electrodes unconnected; each capacitance empties through its own resistance."""
+        """Leave all electrodes unconnected; each capacitance discharges by its own resistance."""
         self._volts = self._volts * np.exp(
             -duration_us * 1e-6 / (self.parallel_ohm * self.capacitance_f)
         )
 
     def short(self, duration_us: float) -> None:
-        """Connect all electrodes: each capacitance empties by R_p and by R_s to the common node."""
+        """Short all electrodes: each capacitance discharges by R_p, and R_s to the common node."""
         if self._modes is None:
             self._modes = self._find_modes()
         rate, basis, root = self._modes

@@ -1,1 +1,1 @@
-"""All points of a slot at once: their currents, what these do, and which points share a slot."""
+"""All points of a slot at once: currents, side effects, and assignment of points to slots."""

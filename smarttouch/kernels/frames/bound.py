@@ -1,4 +1,4 @@
-"""What no subset of a set of sites can break: a proof for all frames at once.
+"""Bounds over all subsets of a set of sites: a proof for all frames at once.
 
 Fixed kernels that do not move one another's targets are superposed. A node of
 another class is then reached by at most the sum of what it gets from those
@@ -19,11 +19,11 @@ from smarttouch.kernels.frames.operator import AIM, FrameOperator
 Array = NDArray[np.float64]
 
 MOST_PROVED = 300
-"""Electrodes of arrays for which sets are proved in about a second."""
+"""Largest number of electrodes for which sets are proved, in about a second."""
 _STEPS = (2, 3, 4)
-"""Rows and columns between the points of a set that are tried."""
+"""Distances, in rows and columns, between the points of a set to try."""
 _SINGLE = 1.0001
-"""More than what single precision takes off a field."""
+"""Factor above the loss of single precision in a field."""
 _HALF_UA_MA = 0.0005
 
 
@@ -51,14 +51,14 @@ class SharedKernels:
 
     @cached_property
     def worst_other(self) -> float:
-        """No subset has a larger `FrameFigures.worst_other`."""
+        """Upper bound of `FrameFigures.worst_other` over all subsets."""
         judge = self.operator.judge
         reached = [np.maximum(field(self.kernels), 0).sum(axis=0).max() for field in judge.others]
         return self._against_targets(float(max(reached)))
 
     @cached_property
     def worst_spill(self) -> float:
-        """No subset has a larger `FrameFigures.worst_spill`.
+        """Upper bound of `FrameFigures.worst_spill` over all subsets.
 
         A node counts only where every active site is more than a pitch away:
         sites within a pitch of it add nothing.
@@ -71,23 +71,23 @@ class SharedKernels:
 
     @cached_property
     def totals_ma(self) -> Array:
-        """What the kernel of each site carries in all, (A,)."""
+        """Total current of the kernel of each site, (A,)."""
         return np.asarray(np.abs(self.kernels).sum(axis=1) / 2)
 
     @cached_property
     def total_ma(self) -> float:
-        """No subset has a larger total."""
+        """Upper bound of the total current over all subsets."""
         return float(self.totals_ma.sum())
 
     @cached_property
     def electrode_ma(self) -> Array:
-        """No subset sends more through an electrode, (E,)."""
+        """Upper bound of the current of each electrode over all subsets, (E,)."""
         positive = np.maximum(self.kernels, 0).sum(axis=0)
         return np.asarray(np.maximum(positive, np.maximum(-self.kernels, 0).sum(axis=0)))
 
     @cached_property
     def weakest(self) -> float:
-        """No subset leaves a target that is on less of its wish.
+        """Lower bound of an active target's part of its requested activation, over all subsets.
 
         Below 1 where there are as many wishes as electrodes: currents that sum
         to zero cannot keep them all.
@@ -95,12 +95,12 @@ class SharedKernels:
         return float((self._reached / self._wish).min())
 
     def _against_targets(self, reached: float) -> float:
-        """Return it over the least that a target of any subset gets; infinite if that is none."""
+        """Return a value over the least activation of a target; infinite if that is zero."""
         return reached / self.smallest if self.smallest > 0 else np.inf
 
     @cached_property
     def smallest(self) -> float:
-        """No subset gives a target of level 1 that is on less, V/mm²."""
+        """Lower bound of the activation of an active target of level 1, over all subsets, V/mm²."""
         return float(self._reached.min())
 
     @cached_property
@@ -112,7 +112,7 @@ class SharedKernels:
 
 @dataclass(frozen=True)
 class Certainty:
-    """What no subset of a set can break, when its currents have been rounded to whole µA.
+    """Bounds over all subsets of a set, after currents are rounded to whole µA.
 
     All in V/mm²: what other nodes get is at most ``reached`` times intensity and ``rounding``,
     of other classes and of the own one; what the weakest target gets, scaled to level 1, is at
@@ -126,7 +126,7 @@ class Certainty:
 
     @classmethod
     def of(cls, kernels: SharedKernels, aim: float, faintest: float) -> "Certainty":
-        """Return it for levels from ``faintest`` to 1 and targets that get ``aim`` of their wish.
+        """Return the bounds for levels from ``faintest`` to 1 and targets at ``aim`` of theirs.
 
         Rounding as `whole_ua` does it: what all electrodes up to one carry together is off by
         half a µA at most, so that each row of a field is off by no more than half of what it
@@ -155,7 +155,7 @@ class Certainty:
         )
 
     def figures(self, intensity: float) -> tuple[float, float]:
-        """Return what no `FrameFigures.worst_other` and no `worst_spill` is above."""
+        """Return the upper bounds of `FrameFigures.worst_other` and `worst_spill`."""
         weakest = intensity * self.target - self.lost
         if weakest <= 0:
             return np.inf, np.inf
@@ -166,7 +166,7 @@ class Certainty:
         return other, spill
 
     def least(self, bounds: FrameBounds) -> float:
-        """Return the intensity from which bounds are kept; infinite if there is none."""
+        """Return the intensity from which bounds are kept; infinite if never."""
         least = 0.0
         for most, reached, rounding in zip(
             (bounds.other, bounds.spill), self.reached, self.rounding, strict=True
@@ -177,7 +177,7 @@ class Certainty:
 
 
 def color_classes(operator: FrameOperator[FrameJudge], step: int) -> list[SharedKernels]:
-    """Return the sites of a grid in classes of every so many rows and columns.
+    """Return the sites of a grid in classes by rows and columns modulo a step.
 
     Raises
     ------
@@ -196,7 +196,7 @@ def color_classes(operator: FrameOperator[FrameJudge], step: int) -> list[Shared
 
 
 def proved_sets(operator: FrameOperator[FrameJudge], bounds: FrameBounds) -> list[SharedKernels]:
-    """Return few sets of sites no subset of which breaks a bound where targets are aimed at `AIM`.
+    """Return few sets of sites whose subsets all keep the bounds with targets aimed at `AIM`.
 
     Limits of single electrodes are kept by any subset, too; what all carry together is not
     looked at. There are none where the array is no grid or large, or nothing could be proved.

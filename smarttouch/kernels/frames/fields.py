@@ -1,4 +1,4 @@
-"""What currents in all electrodes at once do to every node of a class, quickly.
+"""Fast fields of currents in all electrodes at every node of a class.
 
 On a grid of equal electrodes the activating function at a node depends on its
 displacement from each electrode only. That kernel is smooth, so a few products
@@ -21,14 +21,14 @@ Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 
 TOLERANCE = 1e-4
-"""Error of a kernel that is made up of products, of its largest value."""
+"""Error of a kernel approximated by products, as a part of its largest value."""
 _MOST_DISTINCT = 2500
-"""Displacements along an axis beyond which products are not sought."""
+"""Displacements along an axis beyond which products are not used."""
 _ROUND_MM = 6
 
 
 class FieldMap:
-    """The AF rows of one set of nodes, applied without being kept where the array is a grid.
+    """AF rows of one set of nodes, applied without being stored where the array is a grid.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class FieldMap:
         return np.asarray((self._left @ stacked).reshape(count, self.rows_n))
 
     def rows(self, index: NDArray[np.intp]) -> Array:
-        """Return chosen rows as they are, (K, E) V/mm² per mA."""
+        """Return exact rows for chosen nodes, (K, E) V/mm² per mA."""
         if not self.separable:
             return np.asarray(self._dense[index], np.float64)
         line, column = np.divmod(index, self.grid[1])
@@ -134,7 +134,7 @@ def _products(
 
 
 def _kernel(profile: Profile, afferents: Afferents, skin: Skin, dx: Array, dy: Array) -> Array:
-    """Return what one electrode does at all displacements, (D, dy, dx)."""
+    """Return the field of one electrode at all displacements, (D, dy, dx)."""
     array = profile.electrodes
     # One electrode is no array: the second one's column is not used.
     half = array.pitch_mm

@@ -1,4 +1,4 @@
-"""What a slot is judged by, and what every judge of slots offers."""
+"""Figures of a slot, and the interface of all judges of slots."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FrameFigures:
-    """What one slot is judged by; AF as ratios to the weakest target's, scaled to level 1.
+    """Figures of one slot; AF as ratios to the weakest target's, scaled to level 1.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class FrameFigures:
     weakest, strongest : float
         Activation of the targets, of what was wished there.
     total_ma, electrode_ma : float, mA
-        What all cathodes carry together, and the strongest electrode.
+        Current of all cathodes together, and of the strongest electrode.
     """
 
     worst_other: float
@@ -39,13 +39,13 @@ class FrameFigures:
 
     @property
     def error(self) -> float:
-        """How far apart the targets are, each against its wish; 0 is even."""
+        """Spread of the targets, each relative to its requested activation; 0 is even."""
         return self.strongest / self.weakest - 1 if self.weakest > 0 else np.inf
 
 
 @dataclass(frozen=True)
 class FrameBounds:
-    """What a slot may do at most.
+    """Bounds on the side effects of a slot.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class FrameBounds:
         Of `FrameFigures.worst_other` and `worst_spill`. 0.30 is what the paper's
         own single SAI point reaches on its line array (Fig. 8).
     uneven : float
-        How far targets may be from their wish, of it. All may be as much weaker
+        Largest deviation of targets from their wish, of it. All may be as much weaker
         together, which saves current.
 
     Raises
@@ -79,11 +79,11 @@ class FrameBounds:
 
 
 Bounded = tuple[FieldMap, float, NDArray[np.bool_] | None]
-"""A field, what it may reach in V/mm², and where; None is everywhere."""
+"""A field, its bound in V/mm², and the places where it holds; None is everywhere."""
 
 
 class SlotJudge(Protocol):
-    """Judges what currents of a slot do to its P points, and to all else."""
+    """Evaluates the effects of a slot's currents on its P points, and on all else."""
 
     @property
     def profile(self) -> Profile: ...
@@ -93,17 +93,17 @@ class SlotJudge(Protocol):
 
     @property
     def wish_af(self) -> Array:
-        """Activation that a level of 1 wishes for at each point, (P,) V/mm²."""
+        """Activation requested by a level of 1 at each point, (P,) V/mm²."""
 
     @property
     def full_ma(self) -> Array: ...
     @property
     def wanted(self) -> list[FieldMap]:
-        """The classes that are to fire somewhere."""
+        """Classes that are to fire somewhere."""
 
     @property
     def unwanted(self) -> list[FieldMap]:
-        """The classes that are not."""
+        """Classes that are not to fire."""
 
     def reached(self, current: Array) -> list[Single]: ...
     def limits(
@@ -115,7 +115,7 @@ class SlotJudge(Protocol):
 
 
 def judge_all(judge: SlotJudge, current: Array, level: Array) -> list[FrameFigures]:
-    """Return the figures of many slots, their fields found together.
+    """Return the figures of many slots, with their fields computed together.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def judge_all(judge: SlotJudge, current: Array, level: Array) -> list[FrameFigur
 
 
 def no_active_site() -> DesignError:
-    """Return the error of a frame that nothing can be said of."""
+    """Return the error of a frame without an active site."""
     message = "a frame without an active site has no figures: leave its slot out"
     return DesignError(message, about="slot", problem="empty")
 

@@ -1,4 +1,4 @@
-"""What finished currents of one slot do: to the points they are for, and to all else."""
+"""Effects of the finished currents of one slot: on its targets, and on all else."""
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -20,7 +20,7 @@ _SAME_MM = 1e-9
 
 
 class FrameJudge:
-    """Judges currents that are to fire one class, on the nodes of one skin.
+    """Judge of currents that are to fire one class, on the nodes of one skin.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class FrameJudge:
 
     @cached_property
     def full_ma(self) -> Array:
-        """The most that each electrode may carry at intensity 1, (E,) mA, 0 where masked.
+        """Largest current of each electrode at intensity 1, (E,) mA, 0 where masked.
 
         Whole µA, as boards have them.
         """
@@ -100,14 +100,16 @@ class FrameJudge:
         return float(away.max())
 
     def reference(self, current: Array, level: Array) -> tuple[float, Array]:
-        """Return the weakest target's activation scaled to level 1, and all of its wish, (A,)."""
+        """Return the weakest target's activation scaled to level 1, and as a part of its wish,
+        (A,).
+        """
         active = np.flatnonzero(level)
         reached = self.target[active] @ current / level[active]
         return float(reached.min()), reached / self.wish_af[active]
 
     @property
     def by_class(self) -> dict[Primary, FieldMap]:
-        """The fields of the other classes."""
+        """Fields of the other classes."""
         names = (each for each in Primary if each is not self.primary)
         return dict(zip(names, self.others, strict=True))
 
@@ -126,7 +128,7 @@ class FrameJudge:
         return reached([*self.others, self.own], current)
 
     def limits(self, active: NDArray[np.intp], bounds: FrameBounds, aimed: float) -> list[Bounded]:
-        """Return what each of the fields of `reached` may reach.
+        """Return the bound of each field of `reached`.
 
         Parameters
         ----------
@@ -143,7 +145,7 @@ class FrameJudge:
     def judge(
         self, current: Array, level: Array, reached: Sequence[Single] | None = None
     ) -> FrameFigures:
-        """Return what currents (E,) mA do that are to activate sites with level (E,) > 0.
+        """Return the figures of currents (E,) mA that are to activate sites with level (E,) > 0.
 
         Where a target is not activated at all the ratios are infinite.
 
@@ -173,14 +175,14 @@ class FrameJudge:
 
 
 def reached(fields: Sequence[FieldMap], current: Array) -> list[Single]:
-    """Return what fields make of currents (E,) or (S, E) mA."""
+    """Return the values of fields for currents (E,) or (S, E) mA."""
     current = np.asarray(current)
     many = np.atleast_2d(current)
     return [field(many).reshape(*current.shape[:-1], -1) for field in fields]
 
 
 def full_wish(profile: Profile, primary: Primary, kernels: Array, receptor: Array) -> Array:
-    """Return what single kernels reach at the strongest comfortable current, (E,) V/mm².
+    """Return the activation of single kernels at full comfortable current, (E,) V/mm².
 
     Parameters
     ----------
@@ -193,7 +195,7 @@ def full_wish(profile: Profile, primary: Primary, kernels: Array, receptor: Arra
 
 
 def _near(position_mm: Array, profile: Profile) -> NDArray[np.intp]:
-    """Return the places within a pitch of each electrode, (E, K), filled up with N."""
+    """Return the places within a pitch of each electrode, (E, K), padded with N."""
     array = profile.electrodes
     found = []
     for center in array.position_mm:

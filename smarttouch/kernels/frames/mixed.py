@@ -1,4 +1,4 @@
-"""Points of several classes in one slot: what fires one class carries back what fires another.
+"""Points of several classes in one slot: currents of one class return through the other's.
 
 RA wants an anode over its receptor and SAI a cathode (paper, Fig. 10), so that
 an RA point and an SAI point may be each other's return: together they need
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class MixedJudge:
-    """Judges currents that are to fire several classes at once.
+    """Judge of currents that are to fire several classes at once.
 
     A point is a site of a class: points 0 to E − 1 are the sites of the first
     judge's class, the next E those of the second one's. To each class whose
@@ -61,11 +61,11 @@ class MixedJudge:
         return self.judges[0].full_ma
 
     def reached(self, current: Array) -> list[Single]:
-        """Return what currents do to each wanted class, then to others; see `FrameJudge`."""
+        """Return the activation of each wanted class, then of the others; see `FrameJudge`."""
         return reached([*self.wanted, *self.unwanted], current)
 
     def limits(self, active: NDArray[np.intp], bounds: FrameBounds, aimed: float) -> list[Bounded]:
-        """Return what each of the fields of `reached` may reach; see `FrameJudge.limits`."""
+        """Return the bound of each field of `reached`; see `FrameJudge.limits`."""
         count = len(self.judges)
         owner, site = active // self.full_ma.size, active % self.full_ma.size
         smallest = np.full(count, np.inf)
@@ -85,7 +85,7 @@ class MixedJudge:
     def judge(
         self, current: Array, level: Array, reached: Sequence[Single] | None = None
     ) -> FrameFigures:
-        """Return what currents (E,) mA do that are to activate points with level (K·E,) > 0.
+        """Return the figures of currents (E,) mA that are to activate points with level (K·E,) > 0.
 
         Raises
         ------

@@ -37,27 +37,27 @@ from smarttouch.kernels.frames.figures import (
 Array = NDArray[np.float64]
 
 _SOFT = 1e-6
-"""Of the targets' mean response: keeps systems solvable where all sites are active."""
+"""Part of the targets' mean response that keeps systems solvable if all sites are active."""
 _SOFT_BOUND = 1e-5
 _STEPS = 3
 _ROUNDS = 8
 _ROWS_AT_ONCE = 12
 _HOPELESS = 1.6
-"""Total current of the least-disturbing currents, of the limit, above which none keep it."""
+"""Ratio of the least-disturbing currents' total to the limit above which none keep it."""
 _PROGRESS = 0.9
-"""A round that leaves more than this of the excess, after the first few, is the last."""
+"""Remaining part of the excess after a round, above which the search ends."""
 _PATIENT_ROUNDS = 3
 AIM = 0.8
-"""Part of the allowed unevenness by which all targets are wished weaker: it saves current."""
+"""Part of the allowed unevenness by which all targets are made weaker, to save current."""
 _CELL = 3
-"""Lattice steps within which one broken row stands for its neighbors."""
+"""Lattice steps within which one broken row represents its neighbors."""
 _INSIDE = 0.985
-"""Part of a bound that is aimed at."""
+"""Part of a bound that is the goal."""
 
 
 @dataclass(frozen=True)
 class Weights:
-    """What counts how much in the quadratic form; each class relative to its own mean.
+    """Weights of the quadratic form; each class relative to its own mean.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ AnyJudge = TypeVar("AnyJudge", bound=SlotJudge)
 
 
 class FrameOperator(Generic[AnyJudge]):
-    """Finds the currents of one slot.
+    """Solver for the currents of one slot.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class FrameOperator(Generic[AnyJudge]):
 
     @cached_property
     def matrix(self) -> Array:
-        """The one matrix that serves all frames, (E, E) mA per V/mm²: every site has its wish.
+        """Matrix that serves all frames, (E, E) mA per V/mm²: every site has a request.
 
         An inactive site wishes for 0, which costs selectivity; w = matrix @ y is
         a single product.
@@ -128,13 +128,13 @@ class FrameOperator(Generic[AnyJudge]):
         return np.asarray(np.linalg.solve(system, self._columns.T).T)
 
     def currents(self, level: Array) -> Array:
-        """Return the currents (E,) mA that cause the least side effects for levels (E,)."""
+        """Return the currents (E,) mA with the least side effects for levels (E,)."""
         active = self._active(level)
         wish = level[active] * self.judge.wish_af[active]
         return np.asarray(self._columns[:, active] @ np.linalg.solve(self._system(active), wish))
 
     def independent(self, sites: NDArray[np.intp]) -> Array:
-        """Return kernels (A, E) mA per V/mm² of a set of sites that leave one another alone."""
+        """Return kernels (A, E) mA per V/mm² of a set of sites that do not disturb one another."""
         return np.asarray(np.linalg.solve(self._system(sites), self._columns[:, sites].T))
 
     def bounded(
@@ -144,14 +144,14 @@ class FrameOperator(Generic[AnyJudge]):
         total_ma: float | None = None,
         rounds: int = _ROUNDS,
     ) -> tuple[Array, FrameFigures]:
-        """Return currents that keep the bounds as far as that can be, and their figures.
+        """Return currents that keep the bounds as far as possible, and their figures.
 
         Parameters
         ----------
         level : ndarray, (E,)
         bounds : FrameBounds
         total_ma : float, optional
-            What all cathodes may carry; by default the profile's limit.
+            Limit of all cathodes together; by default the profile's.
         rounds : int
             Broken rows are added so often at most.
         """
@@ -203,7 +203,7 @@ class FrameOperator(Generic[AnyJudge]):
 
 
 class _Broken:
-    """Chooses the rows of nodes and limits that currents break, each with its bound."""
+    """Selection of the rows of nodes and limits that currents break, each with its bound."""
 
     def __init__(
         self,
@@ -214,7 +214,7 @@ class _Broken:
         self._judge, self._limits, self._total_ma = judge, limits, total_ma
 
     def rows(self, current: Array, reached: list[Single]) -> tuple[Array, Array]:
-        """Return broken rows (K, E) and what each may reach (K,)."""
+        """Return broken rows (K, E) and the bound of each (K,)."""
         rows, limits = [np.zeros((0, len(current)))], [np.zeros(0)]
         for (field, most, where), values in zip(self._limits, reached, strict=True):
             bound = _INSIDE * most
@@ -238,7 +238,7 @@ class _Broken:
 def _hills(
     field: FieldMap, values: Single, bound: float, where: NDArray[np.bool_] | None
 ) -> NDArray[np.intp]:
-    """Return the worst rows above a bound, one of each little cell of the lattice."""
+    """Return the worst rows above a bound, one per cell of the lattice."""
     index = np.flatnonzero(values > bound)
     if where is not None:
         index = index[where[index]]
@@ -289,7 +289,7 @@ def _excess(
     current: Array,
     total_ma: float | None,
 ) -> float:
-    """Return by which part the worst bound is broken; 0 or less if none is."""
+    """Return the relative excess over the worst bound; 0 or less if none is broken."""
     most, strength = judge.full_ma, np.abs(current)
     masked = most == 0
     idle = masked.any()

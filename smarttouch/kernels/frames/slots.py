@@ -1,4 +1,4 @@
-"""Which points of a frame share a slot: few slots, every one within its bounds."""
+"""Assignment of a frame's points to few slots, each within its bounds."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ from smarttouch.kernels.frames.operator import AnyJudge, FrameOperator, keeps
 Array = NDArray[np.float64]
 
 _TRIES = 5
-"""Slots that a point tries to join."""
+"""Slots to try for a point."""
 _ROOM = 0.8
-"""Part of the total current above which a slot has no room for one more."""
+"""Part of the total current above which a slot is full."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrameSlot:
-    """One slot and its proof.
+    """One slot and its figures.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class FrameSlot:
     current : ndarray, (E,) mA
         Finished currents at intensity 1, positive cathodic.
     figures : FrameFigures
-        What they do.
+        Figures of the currents.
     kept : bool
         Whether the bounds hold. They may not for a single point that cannot be
         selected any better; no slot of several points breaks one.
@@ -61,10 +61,10 @@ def plan_slots(
     ----------
     operator : FrameOperator
     level : ndarray, (P,) in [0, 1]
-        What is wished at each point: each site, of each class that the judge has.
+        Requested level at each point: each site, of each class of the judge.
     bounds : FrameBounds
     total_ma : float, optional
-        What all cathodes may carry; by default the profile's limit.
+        Limit of all cathodes together; by default the profile's.
     points_ma : ndarray, (P, E), optional
         Currents of each point alone at level 1 (rows), for points that break a
         bound even so: the profile's own kernels at full current.
@@ -100,7 +100,7 @@ def _join(
     total_ma: float | None,
     slot_of: Callable[[NDArray[np.intp]], FrameSlot],
 ) -> None:
-    """Let a point join one of the slots, or add its own."""
+    """Add a point to one of the slots, or as a slot of its own."""
     count, tries = len(position_mm), 0
     near = [
         (_push(position_mm[slot.sites % count] - position_mm[point % count])).sum()
@@ -124,7 +124,7 @@ def _join(
 def likely_slots(
     operator: FrameOperator[AnyJudge], level: Array, bounds: FrameBounds, total_ma: float | None
 ) -> int:
-    """Return how many slots total current asks for, about: where a plan begins.
+    """Return the approximate number of slots by total current, with which a plan begins.
 
     Each point is taken to need what its own electrode alone would, weakened as
     far as the bounds allow. Returns cost a little more, neighbors save a little.
@@ -164,7 +164,7 @@ def _slot(
 
 
 def _dealt(position_mm: Array, sites: NDArray[np.intp], many: int) -> list[NDArray[np.intp]]:
-    """Deal sites out to so many groups, each group's sites far apart from one another."""
+    """Distribute sites over a number of groups, each group's sites far apart from one another."""
     many = min(many, len(sites))
     place, kind = position_mm[sites % len(position_mm)], sites // len(position_mm)
     apart = np.hypot(*(place[:, None] - place[None]).transpose(2, 0, 1))
@@ -190,5 +190,5 @@ def _dealt(position_mm: Array, sites: NDArray[np.intp], many: int) -> list[NDArr
 
 
 def _push(between_mm: Array) -> Array:
-    """Return how much points disturb one another that are so far apart, (..., 2) mm."""
+    """Return the mutual disturbance of points at a distance, (..., 2) mm."""
     return np.asarray(1 / (1e-9 + np.hypot(between_mm[..., 0], between_mm[..., 1]) ** 3))

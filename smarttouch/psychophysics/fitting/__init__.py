@@ -1,1 +1,1 @@
-"""Psychometric functions through answers, and what can be said of them."""
+"""Fits of psychometric functions: thresholds, intervals, and diagnostics."""

@@ -1,4 +1,4 @@
-"""Answers to be fitted: which comparison was shown, and what was said of it."""
+"""Answers to be fitted: comparisons and the responses to them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 class Counts(NamedTuple):
-    """Answers by comparison.
+    """Number of trials and successes at each comparison.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Answers:
     Attributes
     ----------
     standard : float
-        What was compared with; 0 where there is nothing.
+        Standard of the comparison; 0 if there is none.
     comparison : ndarray, (N,)
         In the same unit.
     success : ndarray, (N,)
@@ -43,7 +43,7 @@ class Answers:
     interval : ndarray, (N,)
         Of the comparison, 1 or 2; 0 where there are no two intervals.
     alternatives : int
-        How many answers there were to choose from; 0 if *yes* and *no*, or not known.
+        Number of alternatives; 0 if *yes* and *no*, or not known.
     """
 
     standard: float
@@ -54,27 +54,27 @@ class Answers:
 
     @property
     def presented(self) -> int:
-        """Trials."""
+        """Number of trials."""
         return len(self.success)
 
     @property
     def answered(self) -> int:
-        """Trials with an answer."""
+        """Number of trials with an answer."""
         return int(np.isfinite(self.success).sum())
 
     @property
     def chose_first(self) -> int:
-        """Answers for the first interval."""
+        """Number of answers for the first interval."""
         chosen = np.where(self.success == 1, self.interval, 3 - self.interval)
         return int((chosen[self._two] == 1).sum())
 
     @property
     def compared(self) -> int:
-        """Answers for one of two intervals."""
+        """Number of answers for one of two intervals."""
         return int(self._two.sum())
 
     def counts(self) -> Counts:
-        """Return answers by comparison; those that never came are not among them."""
+        """Return trials and successes at each comparison; trials without an answer are left out."""
         given = np.isfinite(self.success)
         stimulus, which = np.unique(self.comparison[given], return_inverse=True)
         n, k = np.zeros(len(stimulus)), np.zeros(len(stimulus))

@@ -1,4 +1,4 @@
-"""How sure a threshold is: fits of answers that are drawn anew."""
+"""Bootstrap confidence intervals: fits of resampled answers."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -15,7 +15,7 @@ _REPLICA_STARTS = 2
 
 
 class Bounded(NamedTuple):
-    """A figure and its confidence interval; an end that the answers do not show is infinite."""
+    """A figure and its confidence interval; an end that is not determined is infinite."""
 
     value: float
     low: float
@@ -39,7 +39,7 @@ class Replicas:
 def resample(
     model: Model, counts: Counts, best: Maximum, samples: int, seed: int, parametric: bool = True
 ) -> Replicas:
-    """Fit answers drawn anew at the same comparisons.
+    """Fit answers resampled at the same comparisons.
 
     Parameters
     ----------

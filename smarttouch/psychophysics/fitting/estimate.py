@@ -1,11 +1,11 @@
-"""A threshold, as a procedure itself finds it."""
+"""Threshold estimate of a procedure."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a procedure itself makes of the answers.
+    """Threshold that a procedure estimates from its own answers.
 
     Attributes
     ----------

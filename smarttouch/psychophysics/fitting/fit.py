@@ -1,4 +1,4 @@
-"""One psychometric function through the answers to one standard."""
+"""Fit of one psychometric function to the answers to one standard."""
 
 from dataclasses import dataclass
 
@@ -19,18 +19,18 @@ from smarttouch.psychophysics.fitting.psychometric import Model, Parameters
 
 _STARTS = 20
 _SUDDEN_SHARE = 0.05
-"""Of replicas that change too suddenly: above it they do not know how wide to spread."""
+"""Share of step-like replicas above which the replicas are too narrow for an interval."""
 _CHANGING = (0.02, 0.98)
 _FEWEST_CHANGING = 2
-"""Comparisons at which F has to be neither of its ends, or its steepness is anybody's guess."""
+"""Comparisons with F between its ends; with fewer, its steepness is not determined."""
 _BY_LEVEL = 4
-"""Answers at every comparison: with fewer the comparisons were mostly chosen by the answers, or the
-deviance tells nothing (McCullagh and Nelder, *Generalized Linear Models*, 1989, section 4.4.5)."""
+"""Fewest answers at each comparison; with fewer, comparisons were mostly placed adaptively, or the
+deviance is uninformative (McCullagh and Nelder, *Generalized Linear Models*, 1989, sec. 4.4.5)."""
 
 
 @dataclass(frozen=True)
 class How:
-    """How intervals are found.
+    """Settings of the confidence intervals.
 
     Attributes
     ----------
@@ -49,13 +49,13 @@ class How:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The most likely function.
+    """Most likely psychometric function.
 
     Attributes
     ----------
     model : Model
     counts : Counts
-        What it was fitted to.
+        Answers it was fitted to.
     best : Maximum
         The one function, B = 1.
     """
@@ -91,17 +91,17 @@ class Fit:
 
     @property
     def deviance(self) -> float:
-        """Twice what log likelihood is lost against the shares themselves."""
+        """Deviance: twice the log likelihood lost against the observed shares."""
         lost = saturated(self.counts.n, self.counts.k) - self.best.log_likelihood[0]
         return float(2 * lost)
 
     @property
     def sudden(self) -> bool:
-        """Whether answers change too suddenly to tell how steep it is."""
+        """Whether answers change too suddenly to determine the steepness."""
         return _sudden(self.model, self.counts, self.best.parameters) > 0
 
     def at(self, part: float) -> float:
-        """Return the stimulus at which F is a part of 1."""
+        """Return the stimulus at which F equals the given part of 1."""
         return float(self.model.stimulus(self.model.place(part, self.best.parameters)[0]))
 
     def __call__(self, stimulus: Array) -> Array:
@@ -125,7 +125,7 @@ def fit(counts: Counts, model: Model) -> Fit:
 
 @dataclass(frozen=True, eq=False)
 class Sureness:
-    """How sure a fit is.
+    """Uncertainty of a fit.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ class Sureness:
 
     @property
     def sparse(self) -> bool:
-        """Whether some comparison was hardly asked, as in adaptive procedures.
+        """Whether some comparison has few answers, as in adaptive procedures.
 
         Fits to such answers are too steep, and what is drawn from them varies too little: in
         simulations 95 % intervals of the bootstrap held 70 % of thresholds.
@@ -149,18 +149,18 @@ class Sureness:
 
     @property
     def sudden(self) -> bool:
-        """Whether fit or replicas change too suddenly to tell how steep they are."""
+        """Whether fit or replicas change too suddenly to determine the steepness."""
         share = _sudden(self.fit.model, self.fit.counts, self.replicas.parameters)
         return self.fit.sudden or share > _SUDDEN_SHARE
 
     @property
     def by_posterior(self) -> bool:
-        """Whether intervals come from the posterior, and not from replicas."""
+        """Whether intervals come from the posterior instead of from replicas."""
         return self.sparse or self.sudden
 
     @property
     def goodness(self) -> float | None:
-        """Share of replicas that fit no better; None where the deviance tells nothing.
+        """Share of replicas that fit no better; None where the deviance is not informative.
 
         Wichmann and Hill (2001), section on goodness of fit.
         """
@@ -170,7 +170,7 @@ class Sureness:
         return float((self.replicas.deviance >= self.fit.deviance - 1e-6).mean())
 
     def at(self, part: float) -> Bounded:
-        """Return the stimulus at which F is a part of 1, and its interval."""
+        """Return the stimulus at which F equals the given part of 1, and its interval."""
         model = self.fit.model
         if self.by_posterior:
             low, high = credible_interval(model, self.fit.counts, part, self.how.confidence)
@@ -181,13 +181,13 @@ class Sureness:
 
 
 def how_sure(found: Fit, how: How) -> Sureness:
-    """Draw the replicas of a fit."""
+    """Compute the replicas of a fit."""
     drawn = resample(found.model, found.counts, found.best, how.samples, how.seed, how.parametric)
     return Sureness(found, how, drawn)
 
 
 def _sudden(model: Model, counts: Counts, parameters: Parameters) -> float:
-    """Return the share of functions that change between one comparison and the next or so."""
+    """Return the share of functions that rise within about one step of the comparisons."""
     bare = parameters._replace(lapse=np.zeros_like(parameters.lapse), guess=np.zeros(1))
     rise = model.probability(model.axis(counts.stimulus), bare)
     changing = (rise > _CHANGING[0]) & (rise < _CHANGING[1])

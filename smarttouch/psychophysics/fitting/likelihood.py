@@ -1,4 +1,4 @@
-"""Maximum likelihood of psychometric functions, of thousands of data sets at once.
+"""Maximum likelihood fits of psychometric functions, for thousands of data sets at once.
 
 From the best of a grid, Fisher's scoring with Levenberg's damping inside bounds (Nocedal and
 Wright, *Numerical Optimization*, 2006, chapters 10 and 16.7). No randomness: the same data give
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from smarttouch.psychophysics.fitting.psychometric import MOST_GUESSES, Array, Model, Parameters
 
 _TINY = 1e-9
-"""Probabilities stay so far from 0 and 1: a single odd answer has a finite likelihood."""
+"""Least distance of probabilities from 0 and 1, which keeps the likelihood of any answer finite."""
 _FLATTEST, _STEEPEST = 10.0, 1 / 300
 """Bounds of the spread, in spans of the stimuli."""
 _GRID_PLACES, _GRID_SPREADS = 41, 13
@@ -26,7 +26,7 @@ _SETTLED = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """What parameters may be, (4,) each, in the order of `Parameters`."""
+    """Bounds of the parameters, (4,) each, in the order of `Parameters`."""
 
     low: Array
     high: Array
@@ -34,7 +34,7 @@ class Bounds:
 
 @dataclass(frozen=True, eq=False)
 class Maximum:
-    """Where the likelihood is largest.
+    """Maximum of the likelihood.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Maximum:
 
 
 def bounds_of(model: Model, x: Array) -> Bounds:
-    """Return the bounds that stimuli at places x set: thresholds up to a span beyond them."""
+    """Return the bounds for stimuli at places x: thresholds up to a span beyond them."""
     finite = x[np.isfinite(x)]
     low, high = float(finite.min()), float(finite.max())
     span = (high - low) or 1.0
@@ -69,7 +69,7 @@ def log_likelihood(model: Model, x: Array, n: Array, k: Array, parameters: Param
 
 
 def saturated(n: Array, k: Array) -> Array:
-    """Return the largest log likelihood of any function, (...,): that through the shares."""
+    """Return the log likelihood of the saturated model, (...,): the observed shares themselves."""
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(n > 0, k / n, 0.5)
     return _log_likelihood(share, n, k)
@@ -86,7 +86,7 @@ def maximize(model: Model, x: Array, n: Array, k: Array, starts: int = 1) -> Max
     n, k : ndarray, (B, K)
         Trials and successes.
     starts : int
-        How many of the best points of the grid to climb from.
+        Number of grid points, the best ones, to climb from.
     """
     n, k = np.atleast_2d(n).astype(np.float64), np.atleast_2d(k).astype(np.float64)
     within = bounds_of(model, x)
@@ -101,7 +101,7 @@ def maximize(model: Model, x: Array, n: Array, k: Array, starts: int = 1) -> Max
 
 
 def _grid(model: Model, x: Array) -> Array:
-    """Return parameters to begin from, (G, 4)."""
+    """Return the grid of starting parameters, (G, 4)."""
     finite = x[np.isfinite(x)]
     low, high = float(finite.min()), float(finite.max())
     span = (high - low) or 1.0
@@ -169,7 +169,7 @@ def _step(
     within: Bounds,
     damping: Array,
 ) -> Array:
-    """Return where to go from each point, (B, 4); 0 for what stands at a bound."""
+    """Return the step from each point, (B, 4); 0 for a parameter at its bound."""
     likely, slopes = model.slopes(x, _parameters(model, at))
     likely = np.clip(likely, _TINY, 1 - _TINY)
     weight = 1 / (likely * (1 - likely))

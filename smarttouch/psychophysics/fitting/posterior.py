@@ -1,4 +1,4 @@
-"""How sure a threshold is where answers are few or too sudden: the posterior on a grid.
+"""Credible intervals from a posterior on a grid, where answers are few or change too suddenly.
 
 Resampling cannot know how steep a function is that changes between two comparisons, and finds what
 adaptive procedures leave behind steeper than it is. Weighing every function by its likelihood can
@@ -16,13 +16,13 @@ _NARROWEST, _WIDEST = 1 / 20, 2.0
 """Spreads, in spans of the comparisons; alike in logarithms, all equally likely (our own choice,
 by which intervals of simulated subjects hold 92 to 95 % of thresholds)."""
 _EDGE = 0.05
-"""Of a span: an interval that comes so close to the end of the grid has no end."""
+"""Part of a span: an interval that ends closer than this to the edge of the grid is unbounded."""
 
 
 def credible_interval(
     model: Model, counts: Counts, level: float, confidence: float
 ) -> tuple[float, float]:
-    """Return between which places on the axis F reaches a level, all functions weighed.
+    """Return the credible interval of the place on the axis at which F reaches a level.
 
     Beforehand all places up to a span beyond the comparisons, all logarithms of spreads, all
     lapses and, if they are free, all guesses are equally likely.
@@ -64,7 +64,7 @@ def credible_interval(
 
 
 def _weigh(model: Model, x: Array, counts: Counts, parameters: Parameters) -> Array:
-    """Return the likelihood of each function, (G,), of the largest."""
+    """Return the likelihood of each function, (G,), relative to the largest."""
     likely = np.clip(model.probability(x, parameters), 1e-9, 1 - 1e-9)
     value = np.log(likely) @ counts.k + np.log1p(-likely) @ (counts.n - counts.k)
     return np.asarray(np.exp(value - value.max()))

@@ -1,4 +1,4 @@
-"""Psychometric functions: how often a stimulus is judged higher, felt, or named.
+"""Psychometric functions: probability that a stimulus is judged higher, felt, or named.
 
 ``p = guess + (1 - guess - lapse) F((x - threshold) / spread + F⁻¹(level))``, x a stimulus or its
 natural logarithm, as in Wichmann and Hill (Perception & Psychophysics 63, 2001, Eq. 1), with the
@@ -20,13 +20,13 @@ Array = NDArray[np.float64]
 Guess = float | Literal["equal", "free"]
 
 MOST_LAPSES = 0.1
-"""Share of answers that have nothing to do with the stimulus, at most (our own choice)."""
+"""Largest lapse rate: share of answers independent of the stimulus (our own choice)."""
 MOST_GUESSES = 0.5
-"""Share of *felt* where there is nothing, at most, where it is not known beforehand."""
+"""Largest guess rate: share of *felt* without a stimulus, where it is not known beforehand."""
 
 
 class Shape(StrEnum):
-    """What F is: the paper's cumulative normal, the logistic function, or Weibull's.
+    """Shape of F: the paper's cumulative normal, the logistic function, or Weibull's.
 
     Weibull's function of a stimulus is Gumbel's, ``1 - exp(-ln 2 exp z)``, of its logarithm.
     All are a half at 0.
@@ -48,7 +48,7 @@ class Shape(StrEnum):
         return -np.expm1(-power), power * np.exp(-power)
 
     def inverse(self, part: float) -> float:
-        """Return the z at which F is a part of 1."""
+        """Return the z at which F equals the given part of 1."""
         if self is Shape.NORMAL:
             return float(ndtri(part))
         if self is Shape.LOGISTIC:
@@ -157,7 +157,7 @@ class Model:
         return self.guess + (1 - self.guess) * self.level
 
     def axis(self, stimulus: ArrayLike) -> Array:
-        """Return the place of stimuli on the axis; nothing at all is at minus infinity.
+        """Return the place of stimuli on the axis; a stimulus of zero may be at minus infinity.
 
         Raises
         ------
@@ -184,12 +184,12 @@ class Model:
         return np.asarray(np.exp(place) if self.logarithmic else place, np.float64)
 
     def place(self, part: float, parameters: Parameters) -> Array:
-        """Return where on the axis F is a part of 1."""
+        """Return the place on the axis at which F equals the given part of 1."""
         apart = self.shape.inverse(part) - self.shape.inverse(self.level)
         return np.asarray(parameters.threshold + apart * np.exp(parameters.log_spread))
 
     def probability(self, x: Array, parameters: Parameters) -> Array:
-        """Return how likely a success is at places on the axis, (..., B, K).
+        """Return the probability of a success at places on the axis, (..., B, K).
 
         Parameters
         ----------
@@ -200,7 +200,7 @@ class Model:
         return self.slopes(x, parameters)[0]
 
     def slopes(self, x: Array, parameters: Parameters) -> tuple[Array, Array]:
-        """Return probabilities (B, K), and how they change with each parameter, (B, 4, K)."""
+        """Return probabilities, (B, K), and their derivatives by each parameter, (B, 4, K)."""
         threshold, log_spread, lapse, guess = (np.asarray(each)[..., None] for each in parameters)
         spread = np.exp(log_spread)
         apart = (x - threshold) / spread

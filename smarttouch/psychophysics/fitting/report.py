@@ -1,4 +1,4 @@
-"""Findings as a chart takes them, as JSON, and as words."""
+"""Findings as series for a chart, as JSON, and as text."""
 
 import math
 from collections.abc import Sequence
@@ -15,14 +15,14 @@ _CURVE_POINTS = 301
 
 
 def as_series(table: Table, findings: Sequence[Finding]) -> Series:
-    """Return what a chart draws of one file."""
+    """Return the chart's series of one file."""
     first = findings[0]
     said = what_was_said(first.answers, first.model)
     return Series(table.name, table.unit, tuple(map(_judged, findings)), first.model.share, said)
 
 
 def as_figures(findings: Sequence[Finding]) -> list[dict[str, Any]]:
-    """Return what JSON keeps of each standard; an end that is not known is null."""
+    """Return the JSON figures of each standard; an end that is not known is null."""
     return [
         {
             "standard": each.answers.standard or None,
@@ -76,7 +76,7 @@ def threshold_rows(findings: Sequence[Finding], compares: bool) -> list[list[str
 
 
 def in_words(found: Bounded | None) -> str:
-    """Return a figure with its interval; an end that is not known is an ellipsis."""
+    """Return a figure with its interval as text; an end that is not known is an ellipsis."""
     if found is None:
         return ""
     low, high = (f"{each:.3g}" if math.isfinite(each) else "…" for each in found[1:])

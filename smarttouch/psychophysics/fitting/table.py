@@ -1,4 +1,4 @@
-"""Answers from CSV files: our own, and those of others that have a comparison and a success."""
+"""Reader of answers from CSV files: ours, and others with a comparison and a success."""
 
 import math
 from dataclasses import dataclass
@@ -163,7 +163,7 @@ def _success(text: str, where: str, column: str) -> float:
 
 
 def _alternatives(lines: list[_Cells]) -> int:
-    """Return how many answers there were to choose from; 0 if yes and no, or not known."""
+    """Return the number of alternatives; 0 if *yes* and *no*, or not known."""
     if any(cells.get("comparison_interval") for cells in lines):
         return 2
     said = {cells.get("response", "") for cells in lines}

@@ -1,4 +1,4 @@
-"""What the answers to one standard say: a threshold, or why there is none."""
+"""Threshold for the answers to one standard, or the reason why there is none."""
 
 import math
 from dataclasses import dataclass
@@ -14,22 +14,22 @@ from smarttouch.psychophysics.fitting.psychometric import Model
 
 FEWEST_ANSWERS = 15
 MOST_UNANSWERED = 0.5
-"""Share of trials without an answer: above it those with one may be a choice of the subject's."""
+"""Share of trials without an answer above which the answered ones may be a biased choice."""
 SAME_INTERVAL = 0.95
-"""Share of answers for the same interval, above which the answers are about nothing else."""
+"""Share of answers for the same interval above which answers do not depend on the stimulus."""
 FLAT = 0.02
-"""Error of the test against answers that know nothing of the comparison."""
+"""Significance level of the test against answers independent of the comparison."""
 POOR = 0.01
-"""Share of replicas that fit no better than the answers: below it the fit is called poor."""
+"""Share of replicas that fit no better than the answers, below which the fit is called poor."""
 _FALLING = -2.58
-"""Standard deviations: one in two hundred by chance."""
+"""Trend, in standard deviations, of falling answers: one in two hundred by chance."""
 _SAMPLES = 200
-"""Of a bootstrap that only has to tell a standard deviation."""
+"""Replicas of a bootstrap that only estimates a standard deviation."""
 
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """What there is to report of one standard.
+    """Result for one standard.
 
     Attributes
     ----------
@@ -57,17 +57,17 @@ class Finding:
 
     @cached_property
     def sureness(self) -> Sureness | None:
-        """How sure the fit is; None without one."""
+        """Uncertainty of the fit; None without a fit."""
         return None if self.fit is None else how_sure(self.fit, self.how)
 
     @cached_property
     def threshold(self) -> Bounded | None:
-        """Where the model's share of answers is reached."""
+        """Stimulus at which the model's share of answers is reached."""
         return self._at(self.model.level)
 
     @cached_property
     def middle(self) -> Bounded | None:
-        """Where F is a half: the point of subjective equality, if asymptotes are equal."""
+        """Stimulus where F is a half: the point of subjective equality, if asymptotes are equal."""
         return self._at(0.5)
 
     @cached_property
@@ -93,12 +93,12 @@ class Finding:
 
     @property
     def goodness(self) -> float | None:
-        """How many replicas fit no better, 0 to 1; None where that tells nothing."""
+        """Share of replicas that fit no better, 0 to 1; None where it is not informative."""
         return None if self.verdict or self.sureness is None else self.sureness.goodness
 
     @property
     def notes(self) -> list[str]:
-        """What to know of a threshold that is reported."""
+        """Warnings about a threshold that is reported."""
         if self.verdict or self.fit is None or self.sureness is None or self.threshold is None:
             return []
         notes = []
@@ -132,14 +132,14 @@ class Finding:
 
 
 def judge(answers: Answers, model: Model, how: How | None = None) -> Finding:
-    """Fit the answers to one standard, or say why not.
+    """Fit the answers to one standard, or give the reason why not.
 
     Parameters
     ----------
     answers : Answers
     model : Model
     how : How or None
-        How intervals are found; the usual way if None.
+        Settings of the intervals; defaults if None.
     """
     how = how or How()
 
@@ -197,7 +197,7 @@ def estimate(answers: Answers) -> Estimate | None:
 
 
 def _unusable(answers: Answers) -> tuple[str, str] | None:
-    """Return why answers cannot be fitted at all, in short and in a sentence."""
+    """Return the reason why answers cannot be fitted, as a short name and as a sentence."""
     answered, presented = answers.answered, answers.presented
     if answered < (1 - MOST_UNANSWERED) * presented:
         return "unanswered", f"only {answered} of {presented} trials were answered"
@@ -213,14 +213,14 @@ def _unusable(answers: Answers) -> tuple[str, str] | None:
 
 
 def what_was_said(answers: Answers, model: Model) -> str:
-    """Return what a success is: *judged higher*, *felt* or *right*."""
+    """Return the name of a success: *judged higher*, *felt* or *right*."""
     if model.guess == "equal":
         return "judged higher" if answers.standard else "judged more"
     return "felt" if model.guess in ("free", 0) else "right"
 
 
 def _chance_of_flat(found: Fit, share: float) -> float:
-    """Return how often the fit would gain as much on a constant share by chance.
+    """Return the probability that the fit gains as much on a constant share by chance.
 
     Likelihood ratio; chi squared with the two degrees of freedom of threshold and spread.
     """
@@ -230,7 +230,7 @@ def _chance_of_flat(found: Fit, share: float) -> float:
 
 
 def _guessing(answers: Answers, model: Model) -> float:
-    """Return the share of successes of who only guesses.
+    """Return the share of successes by guessing alone.
 
     That is known where a success is to be right. Adaptive procedures keep the share of successes
     nearly the same, so that the slope itself would be a weak proof.

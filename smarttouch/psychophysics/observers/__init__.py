@@ -1,1 +1,1 @@
-"""Who answers where no person does."""
+"""Simulated observers, which answer in place of a person."""

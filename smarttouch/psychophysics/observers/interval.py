@@ -1,4 +1,4 @@
-"""What the skin got in one interval of a trial."""
+"""Pulses delivered in one interval of a trial."""
 
 from dataclasses import dataclass
 
@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Interval:
-    """What flowed in one interval of a trial, by the board's own account.
+    """Pulses delivered in one interval of a trial, as the board reports them.
 
     Attributes
     ----------
     time_s : ndarray, (N,) float64, s
         Of each slot, since the interval began.
     width_us : ndarray, (N,) float32, µs
-        How long each slot lasted.
+        Duration of each slot.
     current_ua : ndarray, (N, E) int16, µA
         Current of each electrode, positive cathodic.
     """
@@ -25,7 +25,8 @@ class Interval:
     current_ua: NDArray[np.int16]
 
     def distinct(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the slots that differ, by their first, and which of them each slot is.
+        """Return the distinct slots, by their first, and the index of the distinct one for each
+        slot.
 
         Trains repeat the same few pulses: what follows from a pulse need be computed once.
         """

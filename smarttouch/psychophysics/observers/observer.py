@@ -1,4 +1,4 @@
-"""Who answers in an experiment where no person does: subjects whose truth is known."""
+"""Simulated observers for experiments: subjects with known thresholds."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -24,12 +24,12 @@ __all__ = [
 ]  # fmt: skip
 
 GRATING_LIMIT_MM = 0.94
-"""Finest grooves whose direction a fingertip tells reliably (Van Boven and Johnson, Neurology 44,
+"""Finest grooves whose direction a fingertip identifies (Van Boven and Johnson, Neurology 44,
 1994). That places are told apart as well as grooves, and in 75 %, is our assumption."""
 
 
 class Observer(Protocol):
-    """Answers trials."""
+    """Observer that answers trials."""
 
     def respond(
         self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
@@ -42,7 +42,7 @@ class Observer(Protocol):
             ``faster`` and ``two`` (which interval: 1 or 2), ``felt`` and ``enough`` (y or n),
             ``side`` (of the second point: l or r), ``which`` (a letter).
         intervals : sequence of Interval
-            What was felt, in its order.
+            Delivered pulses, in their order.
         alternatives : sequence of str
             The answers there are.
         """
@@ -51,7 +51,7 @@ class Observer(Protocol):
 
 @dataclass
 class RandomObserver:
-    """Guesses, whatever is felt."""
+    """Observer that guesses, whatever is delivered."""
 
     seed: int = 0
 
@@ -66,7 +66,7 @@ class RandomObserver:
 
 @dataclass
 class SameObserver:
-    """Gives the first answer there is, always."""
+    """Observer that always gives the first answer."""
 
     def respond(
         self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
@@ -76,7 +76,7 @@ class SameObserver:
 
 @dataclass
 class SilentObserver:
-    """Never answers."""
+    """Observer that never answers."""
 
     def respond(
         self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
@@ -86,7 +86,7 @@ class SilentObserver:
 
 @dataclass
 class SimulatedObserver:
-    """Feels delivered pulses by a model, answers with noise, and knows what it should answer.
+    """Observer that applies a model to delivered pulses, with noise and known thresholds.
 
     Everything but the frequency sense is a plain assumption, so that procedures have a
     known truth to find.
@@ -98,14 +98,14 @@ class SimulatedObserver:
         The profile's.
     seed : int
     frequency : FrequencySense
-        How fast trains seem.
+        Model of the perceived frequency of trains.
     threshold_ma, enough_ma : ndarray, (E,) mA, optional
         Strongest electrode's current that is felt, or enough, in half of the trials; the
         profile's threshold and strongest comfortable current if not given.
     slope : float
         Standard deviation of both, in natural logarithms of current.
     guess, lapse : float
-        How often something is felt that is not there, and how often the answer is not
+        Rate of false detections, and rate at which the answer is not
         what was felt: of two or more alternatives any one.
     place_mm : float, mm
         Standard deviation of a felt place, and of a felt distance.
@@ -166,7 +166,7 @@ class SimulatedObserver:
     # -- the truth ---------------------------------------------------------
 
     def ratio(self, primary: Primary, site: int, level: float = 1.0) -> float:
-        """Return the PC for each RA that a mode's pulses cause at a site.
+        """Return the ratio of PC to RA that a mode's pulses recruit at a site.
 
         Parameters
         ----------
@@ -186,21 +186,21 @@ class SimulatedObserver:
         return self._recruitment.of(pulse).ratio
 
     def chance_higher(self, standard_hz: float, comparison_hz: float, ratio: float = 0.0) -> float:
-        """Return how likely a comparison is judged faster than a standard, lapses included."""
+        """Return the chance that a comparison is judged faster than a standard, lapses included."""
         chance = self.frequency.chance_higher(standard_hz, comparison_hz, ratio)
         return self.lapse / 2 + (1 - self.lapse) * chance
 
     def chance_felt(self, current_ma: float, electrode: int, task: str = "felt") -> float:
-        """Return how likely a pulse is called felt, or with that task enough."""
+        """Return the probability that a pulse is called felt, or with that task enough."""
         middle_ma = float(self._middles_ma[task][electrode])
         above = math.log(current_ma / middle_ma) if current_ma > 0 else -math.inf
         found = float(ndtr(above / self.slope))
-        # Nobody says enough of nothing.
+        # No current is never enough.
         guess = self.guess if task == "felt" else 0.0
         return guess + (1 - guess - self.lapse) * found
 
     def chance_apart(self, distance_mm: float) -> float:
-        """Return how likely places or distances that differ so much are put in order."""
+        """Return the probability that places or distances so different are put in order."""
         chance = float(ndtr(distance_mm / (math.sqrt(2) * self.place_mm)))
         return self.lapse / 2 + (1 - self.lapse) * chance
 
@@ -219,7 +219,7 @@ class SimulatedObserver:
         return self._judges[task]
 
     def _chance_of(self, task: str, intervals: Sequence[Interval]) -> float:
-        """Return the chance of a yes to the strongest pulse of all."""
+        """Return the probability of a yes to the strongest pulse of all."""
         current_ua = np.concatenate([each.current_ua for each in intervals])
         if not len(current_ua):
             return self.chance_felt(0.0, 0, task)
@@ -238,15 +238,14 @@ class SimulatedObserver:
         return self._larger(perceived, self.frequency.spread)
 
     def _two(self, intervals: Sequence[Interval]) -> str | None:
-        """Return the interval whose points seem farther apart."""
+        """Return the interval whose points are farther apart."""
         wide_mm = [self._skin.width_mm(self._skin.of(each)) for each in intervals]
         if any(math.isnan(each) for each in wide_mm):
             return None
         return self._larger(np.array(wide_mm), self.place_mm)
 
     def _side(self, intervals: Sequence[Interval]) -> str | None:
-        """Return where the last point is felt, of the first: in two intervals, or one after
-        the other in a single one."""
+        """Return the side of the last point from the first, in one interval or in two."""
         first, last = _first_and_last(intervals)
         at_mm = [self._skin.center_mm(self._skin.of(each))[0] for each in (first, last)]
         if any(math.isnan(each) for each in at_mm):

@@ -1,4 +1,4 @@
-"""What a subject makes of pulse trains: which afferents they recruit, and how fast they seem.
+"""Model of perceived pulse trains: afferents recruited, and perceived frequency.
 
 The paper's own explanation of its thresholds (Section III-C) as a model. Pulses fire RA
 and, if they reach deep enough, PC. RA's pulses tell the frequency; but who has learned
@@ -32,13 +32,13 @@ BASE_WEBER = 0.125
 """75 % discrimination threshold where nothing contradicts the pulses' own frequency. Ours: with
 it thresholds stay below the 20 % of the paper up to 45 Hz (Section III-C)."""
 SHARPNESS = 3.2
-"""How suddenly a frequency stops being believed. Ours: with it the threshold at 75 Hz in RA mode
+"""Steepness of the limit of perceived frequency. Ours: with it the threshold at 75 Hz in RA mode
 is 0.68, where the paper has 0.7."""
 
 
 @dataclass(frozen=True)
 class Activity:
-    """What an interval did to the vibration senses.
+    """Activity of the vibration senses in an interval.
 
     Attributes
     ----------
@@ -54,14 +54,14 @@ class Activity:
 
     @property
     def ratio(self) -> float:
-        """PC for each RA; infinite where PC alone fired."""
+        """Ratio of PC to RA; infinite where PC alone fired."""
         if self.ra == 0:
             return math.inf if self.pc else 0.0
         return self.pc / self.ra
 
 
 class Recruitment:
-    """Tells which part of RA and PC fires at each pulse.
+    """Recruitment model: the part of RA and PC that fires at each pulse.
 
     A node of Ranvier fires where its activating function (AF) exceeds a threshold, the same
     for all classes (paper, Section II); here the least AF with which any mode is felt, the
@@ -119,7 +119,7 @@ def _hz(time_s: Array, recruited: NDArray[np.float32]) -> float:
 
 @dataclass(frozen=True)
 class FrequencySense:
-    """How fast a train seems, and how surely two are told apart.
+    """Model of perceived frequency: its mean, and the discrimination of two trains.
 
     Perceived is the soft minimum of the pulses' frequency f and of the highest frequency L
     that the activity of PC and RA lets believe: (f^−n + L^−n)^(−1/n), with noise on its
@@ -137,7 +137,7 @@ class FrequencySense:
     sharpness: float = SHARPNESS
 
     def believable_hz(self, ratio: float) -> float:
-        """Return the highest frequency that a ratio of PC to RA lets believe, Hz.
+        """Return the highest frequency perceived at a ratio of PC to RA, Hz.
 
         It is the frequency of a mechanical vibration to which PC and RA, each of what it
         answers at its best, answer in that ratio (paper, Fig. 2). No PC at all means that
@@ -159,19 +159,19 @@ class FrequencySense:
         return math.log1p(self.weber) / float(math.sqrt(2) * ndtri(0.75))
 
     def perceived_hz(self, hz: float, ratio: float) -> float:
-        """Return what a train is taken for, without noise, Hz."""
+        """Return the perceived frequency of a train, without noise, Hz."""
         n, limit_hz = self.sharpness, self.believable_hz(ratio)
         return float((hz**-n + limit_hz**-n) ** (-1 / n))
 
     def chance_higher(self, standard_hz: float, comparison_hz: float, ratio: float) -> float:
-        """Return how likely the comparison is judged faster, if both have that ratio."""
+        """Return the probability that the comparison is judged faster, if both have that ratio."""
         apart = math.log(
             self.perceived_hz(comparison_hz, ratio) / self.perceived_hz(standard_hz, ratio)
         )
         return float(ndtr(apart / (math.sqrt(2) * self.spread)))
 
     def weber_fraction(self, standard_hz: float, ratio: float) -> float:
-        """Return how much higher a comparison must be to be judged so in 75 %.
+        """Return the Weber fraction: how much higher a comparison is judged so in 75 %.
 
         A part of the standard; infinite where no frequency is high enough.
         """

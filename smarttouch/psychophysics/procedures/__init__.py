@@ -1,1 +1,1 @@
-"""Which stimulus comes next."""
+"""Procedures that choose the next stimulus."""

@@ -12,12 +12,13 @@ WIDEST_RATIO = 2.0
 """Comparison over standard, as in the paper's constant stimuli (Section III.C)."""
 NARROWEST_RATIO = 1.01
 _START_RATIO = 1.6
-"""Of a staircase: clearly faster (our own choice)."""
+"""First ratio of a staircase: clearly faster (our own choice)."""
 _STEP = 0.03
-"""Of a staircase of frequencies: a quarter of the mechanical threshold of about 20 % is 5 %."""
+"""Step of a staircase of frequencies: a quarter of the mechanical threshold of about 20 % is 5 %.
+"""
 _DETECTION_STEP = 0.05
 _DETECTION_RANGE = (0.3, 3.0)
-"""Of the profile's threshold."""
+"""Range of detection, as parts of the profile's threshold."""
 
 
 def frequency_procedures(

@@ -1,4 +1,4 @@
-"""The method of constant stimuli: every condition so many times, in random order."""
+"""The method of constant stimuli: each condition a fixed number of times, in random order."""
 
 import math
 from collections.abc import Sequence
@@ -12,14 +12,14 @@ from smarttouch.psychophysics.fitting.verdict import estimate
 from smarttouch.psychophysics.procedures.procedure import Condition
 
 STANDARDS_HZ = (15.0, 30.0, 45.0, 60.0, 75.0)
-"""Of the paper's frequency discrimination (Section III.C)."""
+"""Standards of the paper's frequency discrimination (Section III.C)."""
 WIDEST_RATIO = 2.0
 """Comparisons reach from a half to twice the standard (Section III.C)."""
 RATIOS = tuple(WIDEST_RATIO ** (step / 9) for step in range(-9, 10, 2))
 """Ten steps alike in logarithms and symmetric. 1.0 is not among them: nobody can be right about
 two equal frequencies, and the curve at 1.0 follows from its neighbors on both sides."""
 REPETITIONS = 10
-"""Of each pair (Section III.C)."""
+"""Repetitions of each pair (Section III.C)."""
 
 
 def ratio_pairs(
@@ -27,14 +27,14 @@ def ratio_pairs(
     ratios: Sequence[float] = RATIOS,
     highest: float = math.inf,
 ) -> list[tuple[float, float]]:
-    """Return standards with their comparisons, to a thousandth; none above the highest.
+    """Return standards with their comparisons, to a thousandth; none above `highest`.
 
     Parameters
     ----------
     standards, ratios : sequence of float
         Each standard is paired with its product with each ratio.
     highest : float
-        What can be shown at most, in the unit of the standards.
+        Largest comparison, in the unit of the standards.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def ratio_pairs(
 
 
 class ConstantStimuli:
-    """Shows each pair so many times, in another random order each time.
+    """Procedure that shows each pair a fixed number of times, in a new random order each time.
 
     In two intervals the comparison comes first in half the trials of each pair, so that who
     always answers *the first* is right half the time. A trial without an answer comes again at the
@@ -117,12 +117,12 @@ class ConstantStimuli:
 
     @property
     def total(self) -> int:
-        """Trials there will be, with those that come again."""
+        """Number of trials, with the repeated ones."""
         return len(self._plan)
 
     @property
     def done(self) -> bool:
-        """Whether all were answered, or not answered twice."""
+        """Whether each trial has an answer, or was repeated without one."""
         return len(self._answers) == len(self._plan)
 
     def next(self) -> Condition:
@@ -140,7 +140,7 @@ class ConstantStimuli:
         return self._plan[len(self._answers)]
 
     def answer(self, success: bool | None) -> None:
-        """Take an answer; None brings the trial again at the end, once."""
+        """Take an answer; None repeats the trial at the end, once."""
         condition = self.next()
         if success is None and len(self._answers) < self._once:
             self._plan.append(condition)
@@ -161,7 +161,7 @@ class ConstantStimuli:
 def _first_intervals(
     pairs: int, repetitions: int, random: np.random.Generator
 ) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
-    """Return in which interval each comparison comes, (P, R), 1 or 2, balanced in each row."""
+    """Return the interval of each comparison, (P, R), 1 or 2, balanced in each row."""
     # The odd repetition, where there is one, is a first for every second pair.
     balanced = (np.arange(repetitions) + np.arange(pairs)[:, None]) % 2 + 1
     return np.asarray(random.permuted(balanced, axis=1))

@@ -1,4 +1,4 @@
-"""What every procedure has in common: it names the next stimulus and takes the answer."""
+"""Interface of procedures: choose the next stimulus, take the answer."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,19 +10,19 @@ from smarttouch.errors import ExperimentError
 from smarttouch.psychophysics.fitting.estimate import Estimate
 
 PAIRS_IN_A_BLOCK = 4
-"""Of every eight trials of an adaptive procedure the comparison comes first in four."""
+"""Trials, of every eight of an adaptive procedure, with the comparison first."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """What one trial shows.
+    """Stimulus of one trial.
 
     Attributes
     ----------
     standard : float
-        What is compared with; 0 where there is nothing.
+        Standard; 0 if there is none.
     comparison : float
-        What is tested, in the same unit.
+        Comparison, in the same unit.
     comparison_interval : int
         In which interval the comparison comes, 1 or 2; 0 where there are no two intervals.
     repetition, trial, index : int
@@ -39,7 +39,7 @@ class Condition:
 
 
 class Procedure(Protocol):
-    """Until `done`: show what `next` returns, then say by `answer` what came of it.
+    """Procedure: until `done`, show the condition of `next`, then pass its result to `answer`.
 
     The same arguments and answers lead to the same conditions: a session is resumed by
     answering anew what has been answered before.
@@ -47,24 +47,24 @@ class Procedure(Protocol):
 
     @property
     def total(self) -> int | None:
-        """Trials there will be, as far as is known now; None if that depends on the answers."""
+        """Number of trials, as far as it is known; None if it depends on the answers."""
 
     @property
     def done(self) -> bool:
         """Whether there is no next trial."""
 
     def next(self) -> Condition:
-        """Return what the next trial shows; the same until it is answered."""
+        """Return the condition of the next trial; the same until it is answered."""
 
     def answer(self, success: bool | None) -> None:
-        """Say what was answered: judged higher, felt, or correct; None if no answer came."""
+        """Take the result: judged higher, felt, or correct; None if there was no answer."""
 
     def estimate(self) -> Estimate | None:
-        """Return the threshold; None if nothing can be told."""
+        """Return the threshold; None if it is not determined."""
 
 
 class Interleaved:
-    """Several procedures at once, their trials mixed at random.
+    """Several procedures at once, with trials mixed at random.
 
     Parameters
     ----------
@@ -89,18 +89,18 @@ class Interleaved:
 
     @property
     def total(self) -> int | None:
-        """Trials of all, if all know."""
+        """Number of trials of all; None if one does not know its own."""
         totals = [each.total for each in self.procedures]
         known = [total for total in totals if total is not None]
         return sum(known) if len(known) == len(totals) else None
 
     @property
     def done(self) -> bool:
-        """Whether all are."""
+        """Whether all procedures are done."""
         return all(each.done for each in self.procedures)
 
     def next(self) -> Condition:
-        """Return the next condition of one that is not done; its index says which."""
+        """Return the next condition of a procedure that is not done, with its index."""
         if self._chosen is None:
             waiting = [i for i, each in enumerate(self.procedures) if not each.done]
             if not waiting:
@@ -111,23 +111,25 @@ class Interleaved:
         return replace(self.procedures[self._chosen].next(), index=self._chosen)
 
     def answer(self, success: bool | None) -> None:
-        """Pass the answer to the one that asked."""
+        """Pass the answer to the procedure of the last condition."""
         self.next()
         assert self._chosen is not None
         self.procedures[self._chosen].answer(success)
         self._chosen = None
 
     def estimate(self) -> Estimate | None:
-        """Return the only one's; None if there are several, whose thresholds are their own."""
+        """Return the only procedure's threshold; None if there are several: see `estimates`."""
         return self.procedures[0].estimate() if len(self.procedures) == 1 else None
 
     def estimates(self) -> list[Estimate | None]:
-        """Return the threshold of each, in their order."""
+        """Return the threshold of each procedure, in their order."""
         return [each.estimate() for each in self.procedures]
 
 
 class IntervalOrder:
-    """In which interval the comparison of an adaptive procedure comes: half the time in each."""
+    """Balanced order of intervals: the comparison of an adaptive procedure is in each half the
+    time.
+    """
 
     def __init__(self, two_intervals: bool, seed: int) -> None:
         self._two = two_intervals

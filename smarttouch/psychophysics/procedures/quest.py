@@ -1,4 +1,4 @@
-"""QUEST+: each stimulus is the one whose answer is expected to leave the least entropy."""
+"""QUEST+: each stimulus is the one with the least expected entropy after its answer."""
 
 from dataclasses import dataclass, field
 
@@ -12,15 +12,15 @@ from smarttouch.psychophysics.procedures.procedure import Condition, IntervalOrd
 STIMULI, THRESHOLDS = 41, 61
 SLOPES = 9
 LAPSES = (0.0, 0.02, 0.05, 0.1)
-"""Of the grid, all equally likely beforehand (our own choice)."""
+"""Lapse rates of the grid, all equally likely beforehand (our own choice)."""
 NARROWEST, WIDEST = 1 / 40, 1.0
 """Spreads of the grid, in spans of the stimuli."""
 
 
 @dataclass
 class QuestPlus:
-    """One threshold on a grid of threshold, slope and lapse (Watson, Journal of Vision 17(3):10,
-    2017).
+    """QUEST+ for one threshold, on a grid of threshold, slope and lapse (Watson, Journal of Vision
+    17(3):10, 2017).
 
     The expected entropy of the posterior is least where the answer's own entropy exceeds most
     what is expected of it given the parameters: the same stimulus, found without one posterior for
@@ -31,9 +31,9 @@ class QuestPlus:
     lowest, highest : float
         Range of stimuli and thresholds.
     model : Model
-        Whose threshold is looked for.
+        Model of the threshold.
     standard : float
-        What is compared with; 0 where there is nothing.
+        Standard; 0 if there is none.
     most_trials, fewest_trials : int
     enough_spread : float
         It also ends when the posterior of the threshold is as narrow as this: a part of the
@@ -95,12 +95,12 @@ class QuestPlus:
 
     @property
     def total(self) -> int | None:
-        """Most trials, unless it may end before."""
+        """Largest number of trials; None if it may end before."""
         return None if self.enough_spread else self.most_trials
 
     @property
     def done(self) -> bool:
-        """Whether the posterior is narrow enough, or all trials are used up."""
+        """Whether the posterior is narrow enough, or all trials are used."""
         enough = self._answered >= self.fewest_trials and self._spread <= self.enough_spread
         return enough or self.trials >= self.most_trials
 
@@ -125,7 +125,7 @@ class QuestPlus:
         return self._shown
 
     def answer(self, success: bool | None) -> None:
-        """Learn from the answer; from none nothing is learned, though the trial is used up."""
+        """Update the posterior by the answer; no answer leaves it as it is, and uses the trial."""
         self.next()
         self.trials += 1
         self._shown = None
@@ -137,7 +137,7 @@ class QuestPlus:
         self._posterior /= self._posterior.sum()
 
     def estimate(self) -> Estimate | None:
-        """Return mean and standard deviation of the threshold's posterior; None of no answers."""
+        """Return mean and standard deviation of the threshold's posterior; None without answers."""
         if not self._answered:
             return None
         threshold = float(self.model.stimulus(self._marginal @ self._thresholds))

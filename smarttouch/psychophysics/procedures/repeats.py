@@ -1,4 +1,4 @@
-"""The same trial again and again: for what the answer itself measures."""
+"""Procedure that repeats one trial, for experiments in which the answer is the measurement."""
 
 import math
 
@@ -10,12 +10,12 @@ from smarttouch.psychophysics.procedures.procedure import Condition
 
 
 class Repeats:
-    """So many trials whose comparison is not a number: the answer will say it.
+    """Repeated trials whose comparison is not a number but the result of the trial.
 
     Parameters
     ----------
     repetitions : int
-        How many.
+        Number of trials.
 
     Raises
     ------
@@ -36,12 +36,12 @@ class Repeats:
 
     @property
     def total(self) -> int:
-        """All repetitions."""
+        """Number of repetitions."""
         return self._count
 
     @property
     def done(self) -> bool:
-        """Whether all have been."""
+        """Whether all repetitions are over."""
         return self._answers >= self._count
 
     def next(self) -> Condition:
@@ -53,11 +53,11 @@ class Repeats:
         return Condition(0.0, math.nan, 0, repetition=self._answers, index=0)
 
     def answer(self, success: bool | None) -> None:
-        """Count it; what was measured is with who asked."""
+        """Count the trial; its measurement is in the rows."""
         self._answers += 1
 
     def estimate(self) -> Estimate | None:
-        """Nothing: see the rows."""
+        """Return None; the measurements are in the rows."""
         return None
 
 

@@ -1,4 +1,4 @@
-"""The weighted up-down staircase: down after a success, farther up after a failure."""
+"""The weighted up-down staircase: a step down after a success, a larger one up after a failure."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -10,12 +10,12 @@ from smarttouch.psychophysics.fitting.estimate import Estimate
 from smarttouch.psychophysics.procedures.procedure import Condition, IntervalOrder
 
 COARSE_FACTOR = 2.0
-"""Steps are so much larger until the second reversal (our own choice)."""
+"""Factor of steps until the second reversal (our own choice)."""
 COARSE_REVERSALS = 2
 FEWEST_REVERSALS = 4
-"""Of fine steps, for an estimate."""
+"""Fewest reversals with fine steps, for an estimate."""
 PINNED_TRIALS = 4
-"""Answers in a row that would lead out of the range: what is looked for lies beyond it."""
+"""Answers in a row toward the end of the range, after which the threshold lies beyond it."""
 
 
 @dataclass
@@ -33,13 +33,13 @@ class WeightedStaircase:
     step : float
         Down, once it is fine: as a part of the comparison, or in its unit if not logarithmic.
     standard : float
-        What is compared with; 0 where there is nothing.
+        Standard; 0 if there is none.
     target : float
         Share of successes that is looked for.
     logarithmic : bool
         Whether steps are ratios.
     reversals, most_trials : int
-        What ends it, whichever comes first.
+        Limits, the first of which ends it.
     two_intervals : bool
         Whether standard and comparison come one after the other.
     seed : int
@@ -100,12 +100,12 @@ class WeightedStaircase:
 
     @property
     def total(self) -> int | None:
-        """Depends on the answers."""
+        """None: the number of trials depends on the answers."""
         return None
 
     @property
     def done(self) -> bool:
-        """Whether it turned or ran often enough, or stands at the end of its range."""
+        """Whether it has enough reversals or trials, or is stuck at the end of its range."""
         return (
             len(self._turns) >= self.reversals
             or self.trials >= self.most_trials
@@ -155,7 +155,7 @@ class WeightedStaircase:
         self._level = min(max(wanted, low), high)
 
     def estimate(self) -> Estimate | None:
-        """Return the mean of the reversals with fine steps, of as many peaks as valleys.
+        """Return the mean of the reversals with fine steps, from as many peaks as valleys.
 
         In simulations that is 4 to 5 % above the threshold, because it comes from above; a fit to
         the same answers is not. None if there are too few, or if it stands at the range's end.

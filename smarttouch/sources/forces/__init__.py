@@ -1,1 +1,1 @@
-"""How hard the finger presses: fixed, recorded, or by a load cell."""
+"""Sources of finger force: fixed, recorded, or a load cell."""

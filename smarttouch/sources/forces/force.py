@@ -1,4 +1,4 @@
-"""How hard the finger presses, where the sensor does not tell."""
+"""Finger force from a source other than the sensor."""
 
 import math
 from abc import ABC, abstractmethod
@@ -14,16 +14,16 @@ from smarttouch.tables import read_csv
 
 LARGEST_FIXED_N = 20.0
 LARGEST_RECORDED_N = 100.0
-"""No finger presses harder: the numbers are not newtons."""
+"""Largest plausible force of a finger; larger numbers are not newtons."""
 _COLUMNS = ("time_s", "force_n")
 
 
 class ForceSource(Device, ABC):
-    """Where finger force comes from, opened by its URL."""
+    """Source of finger force, opened by its URL."""
 
     @abstractmethod
     def read(self, time_ns: int) -> float:
-        """Return the force at a time since the start of the run, N; NaN where it is not known.
+        """Return the force at a time since the start of the run, N; NaN if it is unknown.
 
         Never waits and never raises.
         """
@@ -45,7 +45,7 @@ def open_force(url: str, profile: Profile) -> ForceSource:
 
 
 def open_fixed(rest: str, profile: Profile) -> ForceSource:
-    """Open ``fixed:N``, always the same newtons: for where nothing can measure."""
+    """Open ``fixed:N``, a constant force in newtons, if there is no measurement."""
     return FixedForce(rest)
 
 
@@ -55,7 +55,7 @@ def open_recorded(rest: str, profile: Profile) -> ForceSource:
 
 
 class FixedForce(ForceSource):
-    """Always the same force.
+    """Constant force.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class FixedForce(ForceSource):
 
 
 class RecordedForce(ForceSource):
-    """Force from a table, linear between its rows; not known before the first and after the last.
+    """Force from a table, linear between its rows; unknown before the first and after the last.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ class RecordedForce(ForceSource):
     Raises
     ------
     SensorError
-        If the file is missing or wrong; it says in which line.
+        If the file is missing or wrong, with the line number.
     """
 
     def __init__(self, path: Path) -> None:

@@ -26,13 +26,13 @@ from smarttouch.sources.line import read_what_came
 from smarttouch.wire.port import LINE_ERRORS, Port, open_port
 
 FIRST_READING_S = 5.0
-"""Opening the port makes some boards start anew, which takes two seconds."""
+"""Time limit of the first reading: some boards restart when the port opens, for two seconds."""
 RETRY_S = 0.25
-"""A lost port is looked for so often."""
+"""Interval of attempts to reopen a lost port."""
 JOIN_S = 2.0
-"""A driver that hangs longer than this is left behind."""
+"""Time to wait for a driver that hangs, before it is abandoned."""
 LARGEST_N = 100.0
-"""No finger presses harder: the curve is not this cell's."""
+"""Largest plausible force of a finger; with more, the curve is not this cell's."""
 _WAIT_S = 0.05
 _KINDS: dict[str, tuple[int, Callable[[], Readings]]] = {
     "hx711": (57_600, TextReadings),
@@ -41,7 +41,7 @@ _KINDS: dict[str, tuple[int, Callable[[], Readings]]] = {
 
 
 def open_hx711(rest: str, profile: Profile) -> ForceSource:
-    """Open ``hx711:PORT``, a sketch that prints a reading to a line.
+    """Open ``hx711:PORT``, a sketch that prints one reading per line.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def open_hx711(rest: str, profile: Profile) -> ForceSource:
 
 
 def open_loadcell(rest: str, profile: Profile) -> ForceSource:
-    """Open ``loadcell:PORT``, a load cell that speaks the sensors' own format.
+    """Open ``loadcell:PORT``, a load cell with the sensors' own format.
 
     Raises
     ------
@@ -98,7 +98,7 @@ class LoadCell(Closing):
         self._readings = _KINDS[kind][1]()
         self._watch = CellWatch(self.title, self.notes, presses)
         self._news = threading.Condition()
-        """Guards the watch and what is collected."""
+        """Guards the watch and the collected readings."""
         self._any = self._heard = False
         self._collected: list[float] | None = None
         self._closing = threading.Event()
@@ -114,12 +114,12 @@ class LoadCell(Closing):
             raise
 
     def reading(self) -> float:
-        """Return the newest raw reading; NaN where none is fresh, or the cell is frozen."""
+        """Return the newest raw reading; NaN if none is fresh, or the cell is frozen."""
         with self._news:
             return self._watch.reading(time.perf_counter_ns())
 
     def collect(self, seconds: float) -> NDArray[np.float64]:
-        """Wait, and return the raw readings that came meanwhile, (N,).
+        """Wait, and return the raw readings that arrived meanwhile, (N,).
 
         Raises
         ------
@@ -140,7 +140,7 @@ class LoadCell(Closing):
         return np.array(came, np.float64)
 
     def close(self) -> None:
-        """End the thread and let go of the port."""
+        """End the thread and close the port."""
         self._closing.set()
         self._thread.join(JOIN_S)
 
@@ -209,7 +209,7 @@ class LoadCell(Closing):
 
 
 class LoadCellForce(ForceSource):
-    """Newtons by the profile's curve.
+    """Force of a load cell by the profile's curve.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ class LoadCellForce(ForceSource):
         self._beyond = False
 
     def read(self, time_ns: int) -> float:
-        """Return the force by the newest reading, N; NaN where it is not known."""
+        """Return the force by the newest reading, N; NaN if it is unknown."""
         newtons = self._newtons(self._cell.reading())
         if newtons > LARGEST_N or math.isinf(newtons):
             if not self._beyond:
@@ -255,7 +255,7 @@ class LoadCellForce(ForceSource):
         return newtons if math.isnan(newtons) else max(0.0, newtons)
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         self._cell.close()
 
     def _newtons(self, reading: float) -> float:
@@ -266,7 +266,7 @@ class LoadCellForce(ForceSource):
 
 
 def _parse(url: str) -> tuple[str, str, int]:
-    """Return the kind, port and speed that a URL names."""
+    """Return the kind, port and speed in a URL."""
     kind, _, rest = url.partition(":")
     if kind not in _KINDS:
         kinds = " or ".join(f"{each}:PORT" for each in _KINDS)

@@ -1,4 +1,4 @@
-"""What a load cell's readings are worth: fresh, silent, frozen, or none at all. Without a clock."""
+"""State of a load cell's readings: fresh, silent, frozen, or missing. Without a clock."""
 
 import math
 from collections.abc import Callable
@@ -6,23 +6,23 @@ from collections.abc import Callable
 from smarttouch.sources.notes import Episodes, StandingNotes
 
 FRESH_S = 0.35
-"""A reading counts for so long: cells that convert ten times a second must pass."""
+"""Age up to which a reading is fresh: enough for cells with ten conversions a second."""
 FROZEN_READINGS = 20
 FROZEN_S = 2.0
-"""So many equal readings over so long: a converter's noise never stands still."""
+"""Time of equal readings after which a cell is frozen: a converter's noise never stands still."""
 SATURATED = (float(-(2**23)), float(2**23 - 1))
-"""The ends of the HX711's range: overloaded, or nothing is connected."""
+"""Ends of the HX711's range: overloaded, or nothing is connected."""
 
 
 class CellWatch:
-    """Follows the readings of one cell; time comes in with each call.
+    """Tracks the readings of one cell; the time is passed in each call.
 
     Parameters
     ----------
     title : str
         Of the cell, for the notes.
     notes : list of str
-        Where they go, one sentence for each cause.
+        List of warnings, one sentence for each cause.
     presses : callable
         Whether a reading means contact: only then is standing still a fault.
     """
@@ -49,7 +49,7 @@ class CellWatch:
         self._absence = Episodes(self._said, f"{title} was gone", "check the cable")
 
     def hear(self, readings: list[float], now_ns: int) -> None:
-        """Take in readings, oldest first, that came now."""
+        """Take new readings, oldest first."""
         for value in readings:
             known = self._count(value)
             if known == self._value:
@@ -63,7 +63,7 @@ class CellWatch:
             self._frost.update(self._frozen(now_ns), now_ns, self._same_since_ns)
 
     def look(self, now_ns: int, garbled: int, last_garbled: str) -> None:
-        """See what is missing, now and then; ``garbled`` is what came and was no reading."""
+        """Update the state between readings; ``garbled`` is input without a reading."""
         heard_ns = self._heard_ns
         if heard_ns is not None and now_ns - heard_ns > FRESH_S * 1e9:
             self._silence.update(True, now_ns, heard_ns)
@@ -77,15 +77,15 @@ class CellWatch:
             )
 
     def lose(self, now_ns: int) -> None:
-        """Say that the port is gone; what was read before counts no more."""
+        """Report that the port is lost, and discard earlier readings."""
         self._absence.update(True, now_ns)
-        # Its absence says why nothing came: no silence besides.
+        # A lost port explains the missing readings: no note on silence besides.
         self._silence.update(False, now_ns)
         self._frost.update(False, now_ns)
         self._heard_ns, self._value, self._same = None, math.nan, 0
 
     def reading(self, now_ns: int) -> float:
-        """Return the newest reading; NaN where it is not known."""
+        """Return the newest reading; NaN if it is unknown."""
         if self._heard_ns is None or now_ns - self._heard_ns > FRESH_S * 1e9:
             return math.nan
         return math.nan if self._frozen(now_ns) else self._value
@@ -98,7 +98,7 @@ class CellWatch:
         )
 
     def _count(self, value: float) -> float:
-        """Return a reading, or NaN for one that is none, and say so."""
+        """Return a reading, or NaN for an invalid one, with a note."""
         if value in SATURATED:
             self._saturated += 1
             self._said.put(

@@ -1,4 +1,4 @@
-"""Readings of a load cell, found in whatever bytes come: lines of text, or packets.
+"""Parsers of a load cell's readings in a byte stream: lines of text, or packets.
 
 Text is what HX711 sketches print, one reading to a line::
 
@@ -21,29 +21,29 @@ from smarttouch.sources.sensor_protocol import CellReading, MessageStream
 
 LONGEST_LINE = 240
 LARGEST_READING = 1e9
-"""No sketch prints more; the converter itself ends at 8,388,607."""
+"""Largest plausible reading; the converter itself ends at 8,388,607."""
 _NUMBER = re.compile(rb"(?<![\w.+-])[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?(?![\d.])")
 _NOT_A_NUMBER = re.compile(rb"(?<!\w)[+-]?(?:nan|inf|ovf)(?!\w)", re.IGNORECASE)
 _TEXT = re.compile(rb"[\t\x20-\x7e]*")
 
 
 class Readings(Protocol):
-    """Finds readings in a stream of bytes."""
+    """Parser of readings in a stream of bytes."""
 
     garbled: int
-    """Lines or packets that were no readings."""
+    """Number of lines or packets without a valid reading."""
     last_garbled: str
-    """What the last of them looked like."""
+    """Text of the last invalid one."""
 
     def feed(self, data: bytes) -> list[float]:
-        """Return the readings that are complete with these bytes; NaN where the cell has none."""
+        """Return the readings completed by these bytes; NaN where the cell has none."""
 
     def restart(self) -> None:
-        """Forget what stands half read: the line was cut."""
+        """Discard a partial reading: the line was interrupted."""
 
 
 def parse_line(line: bytes) -> float | None:
-    """Return the reading of a line; NaN if it says that there is none; None if it is no reading.
+    """Return the reading of a line; NaN if it reports none; None if it is invalid.
 
     Parameters
     ----------
@@ -74,13 +74,13 @@ class TextReadings:
         self.restart()
 
     def restart(self) -> None:
-        """Forget what stands half read: the line was cut."""
+        """Discard a partial reading: the line was interrupted."""
         self._waiting = bytearray()
         self._skipping = True
         self._in_doubt = False
 
     def feed(self, data: bytes) -> list[float]:
-        """Return the readings of all lines that are complete with these bytes."""
+        """Return the readings of all lines completed by these bytes."""
         *whole, rest = data.replace(b"\r", b"\n").split(b"\n")
         readings: list[float] = []
         for piece in whole:
@@ -99,7 +99,7 @@ class TextReadings:
         return readings
 
     def _read(self, line: bytes) -> list[float]:
-        """Return the reading of a whole line, if it is one to be believed."""
+        """Return the reading of a whole line, if it is plausible."""
         line = line.strip()
         if not line or (line.endswith(b":") and _TEXT.fullmatch(line)):
             return []
@@ -125,11 +125,11 @@ class PacketReadings:
         self.restart()
 
     def restart(self) -> None:
-        """Forget what stands half read: the line was cut."""
+        """Discard a partial reading: the line was interrupted."""
         self._stream = MessageStream()
 
     def feed(self, data: bytes) -> list[float]:
-        """Return the readings of all packets that are complete with these bytes."""
+        """Return the readings of all packets completed by these bytes."""
         before = self._stream.broken
         values = [
             message.reading
