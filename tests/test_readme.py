@@ -16,6 +16,7 @@ def test_there_is_some():
 @pytest.mark.parametrize("code", BLOCKS, ids=lambda code: code.split("\n")[0])
 def test_it_runs(code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     found = {}
     exec(compile(code, "README.md", "exec"), found)
     if "statistics" in found:

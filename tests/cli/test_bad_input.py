@@ -81,7 +81,10 @@ def no_place(name):
             says(SensorError, about="source", problem="unknown", value="radio:5"),
         ),
         ("live --profile nobody", says(ProfileError, "'nobody'", "electric-mouse")),
-        ("live --profile wrong.toml", says(ProfileError, "wrong.toml", "'array'")),
+        (
+            "live --profile wrong.toml",
+            says(ProfileError, "wrong.toml", about="foo", problem="unknown"),
+        ),
         (
             "live --board nobody:",
             says(BoardError, about="board", problem="unknown", value="nobody:"),

@@ -8,7 +8,6 @@ import pytest
 from PIL import Image
 from scipy.io import wavfile
 
-from smarttouch.cli import screen
 from smarttouch.primary import Mode, Primary
 from smarttouch.recording.check import check_recording
 from smarttouch.recording.reader import Recording
@@ -81,6 +80,6 @@ def test_the_screen_shows_every_point_of_a_slot(profile, bank):
     for time_ns in (0, 10**9, 2 * 10**9):
         step = pipeline.process(Stimulus(activation, time_ns, 0.9, 20_000))
     assert 0 < step.sequence.slots < 5
-    shown = screen._felt_ma(StepResult(step, 1, 0.0))
+    shown = StepResult(step, 1, 0.0).felt_ma
     assert np.flatnonzero(shown).tolist() == [9, 11, 13, 27, 29]
     assert shown.max() > 2

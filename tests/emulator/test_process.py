@@ -200,7 +200,7 @@ def test_every_frame_of_an_array_is_read_dropped_or_lost(start, profile, tmp_pat
             read.add(look.number)
             return look
 
-        wait_for(lambda: see() and sensor._source._before >= 299)
+        wait_for(lambda: see() and sensor._device._before >= 299)
         wait_for(lambda: see().stale)
     assert process.wait(60) == 0
     account = json.loads(books.read_text())
