@@ -20,7 +20,6 @@ from smarttouch.calibrate.session import (
 )
 from smarttouch.calibrate.stimulus import ceiling_ma, measuring_limits, slew_ma_s
 from smarttouch.calibrate.subject import SimulatedSubject
-from smarttouch.clock import SimulatedClock
 from smarttouch.errors import BoardRestartedError, CalibrationError, LineLostError
 from smarttouch.profile import list_profiles, load_profile
 from smarttouch.stimulation.safety import SafetyLimits
@@ -28,11 +27,15 @@ from smarttouch.stimulation.safety import SafetyLimits
 from ..raising import raises
 
 
+@pytest.fixture(autouse=True)
+def nothing_is_late(monkeypatch):
+    """However busy the machine is."""
+    monkeypatch.setattr("smarttouch.boards.timely.LATE_NS", 10**15)
+
+
 @pytest.fixture
 def board(profile):
     with MemoryBoard("", measuring_limits(profile), profile.output) as opened:
-        # Nothing is late, however busy the machine is.
-        opened._clock = SimulatedClock()
         yield opened
 
 

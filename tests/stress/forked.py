@@ -33,12 +33,15 @@ from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.cli import driving, main
 from smarttouch.emulator.server import Server
+from smarttouch.realtime import prioritized
 from smarttouch.wire.pty_line import PtyLine
 
 KINDS = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 FLOWS_UA = 20
 ALONE_S = 0.3
 """A board that goes on without its host shows it within that time."""
+BOARD = 3
+"""Its real-time priority: above those of loop and keeper."""
 AWAY_NS = 10_000_000
 """A board that did not look at its line for so long notes that: it was kept waiting."""
 _PAGE = struct.Struct("<qqqqqq")
@@ -128,8 +131,14 @@ class Emulated:
             "kajimoto61": lambda: Kajimoto61Firmware(books),
             "etactilekit": lambda: ETactileKitFirmware(books),
         }[self.kind]()
-        with Path(trace or os.devnull).open("wb") as file:
+        # A board is kept waiting by nothing: before the hosts, where that is allowed.
+        with Path(trace or os.devnull).open("wb") as file, prioritized(BOARD):
             Server(_Noted(firmware, self._page, file), line).serve(60.0)
+
+    @property
+    def pulses(self):
+        """How many it has delivered until now."""
+        return _PAGE.unpack(self._page[: _PAGE.size])[3]
 
     def flag(self):
         """Write down when it is, by the board's clock."""

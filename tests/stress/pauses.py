@@ -33,6 +33,7 @@ from smarttouch.stopping import StopRequest
 PROFILES = {"link": "electric-mouse", "kajimoto61": "kajimoto-61", "etactilekit": "etactilekit-32"}
 RISEN_S = 0.7
 """After a pause, until it is at its strongest again."""
+DRIVES_WITHIN_S = 60.0
 GAP_NS = 150_000_000
 """After such a pause what was due is late."""
 RECORD = struct.Struct("<qi")
@@ -92,7 +93,10 @@ def stopped_and_judged(kind, count, seed, folder):
     if process == 0:
         run_and_exit(lambda: host(kind, board.url, folder))
     overs_ns = []
-    time.sleep(3.0)
+    begun = time.monotonic()
+    while not board.pulses:
+        assert time.monotonic() < begun + DRIVES_WITHIN_S, "nothing flowed"
+        time.sleep(0.01)
     for _ in range(count):
         time.sleep(RISEN_S + draw.uniform(0.0, 0.1))
         os.kill(process, signal.SIGSTOP)
