@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from smarttouch.version import __version__
 
 if TYPE_CHECKING:
+    from smarttouch.boards.board import Board
     from smarttouch.errors import (
         BoardError,
         ProfileError,
@@ -39,17 +40,20 @@ if TYPE_CHECKING:
     from smarttouch.running.step import StepResult
     from smarttouch.sources import open_source
     from smarttouch.sources.frame import Frame
+    from smarttouch.sources.source import OpticalSource, StimulusSource
     from smarttouch.stimulation.safety import SafetyLimits
     from smarttouch.stimulation.sequence import ScanSequence
     from smarttouch.tactile_image import TactileImage
 
 
 __all__ = [
+    "Board",
     "BoardError",
     "Display",
     "Frame",
     "Kernel",
     "Listener",
+    "OpticalSource",
     "Primary",
     "Profile",
     "ProfileError",
@@ -62,6 +66,7 @@ __all__ = [
     "SensorError",
     "SmartTouchError",
     "StepResult",
+    "StimulusSource",
     "TactileImage",
     "__version__",
     "design_kernel",
@@ -76,6 +81,7 @@ __all__ = [
 ]
 
 _WHERE = {
+    "boards.board": ("Board",),
     "errors": ("BoardError", "ProfileError", "SafetyError", "SensorError", "SmartTouchError"),
     "front": ("design_kernel", "load_kernels", "replay", "run", "steps"),
     "tactile_image": ("TactileImage",),
@@ -90,6 +96,7 @@ _WHERE = {
     "running.step": ("StepResult",),
     "sources": ("open_source",),
     "sources.frame": ("Frame",),
+    "sources.source": ("OpticalSource", "StimulusSource"),
     "stimulation.safety": ("SafetyLimits",),
     "stimulation.sequence": ("ScanSequence",),
 }

@@ -1,5 +1,6 @@
 """Frames: images with the place and force at which they were taken."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,8 +44,8 @@ class Frame:
 
     image: NDArray[np.uint8]
     time_ns: int
-    pose: Pose
-    force_n: float
+    pose: Pose = Pose(0.0, 0.0)
+    force_n: float = math.nan
     number: int = 0
     age_ns: int = 0
     stale: bool = False
