@@ -87,7 +87,9 @@ class StepDecoder:
         try:
             message = parse_message(data)
             self._parts.setdefault(topic, []).append(message)
-            return self._step() if topic == LAST else None
+            # What is too large for single precision is infinite, and refused as such.
+            with np.errstate(over="ignore"):
+                return self._step() if topic == LAST else None
         except _IMPOSSIBLE:
             self.broken += 1
         finally:

@@ -251,6 +251,16 @@ def test_no_message_crashes_the_decoder(topic, data):
     assert decoder.broken >= 1
 
 
+@pytest.mark.parametrize("vibration", [1e39, [1e39] * 64, [float("inf")] * 64])
+def test_what_is_too_large_breaks_the_step(steps, vibration):
+    messages = dict(StepEncoder(0).messages(steps[30]))
+    messages["/sequence"] = {**messages["/sequence"], "vibration": vibration}
+    decoder = StepDecoder(64)
+    taken = [decoder.take(name, 0, json.dumps(each).encode()) for name, each in messages.items()]
+    assert taken == [None] * len(messages)
+    assert decoder.broken == 1
+
+
 @settings(deadline=None)
 @given(st.data())
 def test_no_changed_field_crashes_the_decoder(steps, data):
