@@ -14,7 +14,7 @@ from smarttouch.running.pipeline import Pipeline
 
 pytestmark = pytest.mark.realtime
 
-PATIENCE_S = 20
+PATIENCE_S = 60
 
 
 def wait_for(condition):
