@@ -37,7 +37,7 @@ _OWN = {
 }
 """The package's own, by entry-point group; no other package can take their names."""
 _FORMER = {"smarttouch.sources": "smarttouch.sensors"}
-"""What entry-point groups were called before."""
+"""Former names of entry-point groups."""
 _BY_POSITION = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 

@@ -124,7 +124,7 @@ class ThresholdProcedure:
 
 
 STOPPED = (StoppedError, BoardStoppedError)
-"""What `ThresholdProcedure.measure` raises when it is stopped."""
+"""Errors that `ThresholdProcedure.measure` raises when it is stopped."""
 
 
 def _describe(site: int, found: Thresholds) -> str:

@@ -48,6 +48,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
 class _InOrder(TyperGroup):
     """The commands in the order of their panels."""
 
+    # Some versions of typer hand over a context class of their own, not the one of the base.
     def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]
         """Return their names."""
         return [name for panel in _COMMANDS.values() for name in panel]

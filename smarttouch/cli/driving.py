@@ -1,4 +1,4 @@
-"""What surrounds every command that speaks to a board: it can be stopped at any instant."""
+"""Surroundings of every command that speaks to a board: it can be stopped at any instant."""
 
 import contextlib
 import functools

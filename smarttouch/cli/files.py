@@ -1,4 +1,4 @@
-"""What the commands share: modes by name, and files to write."""
+"""Helpers of the commands: modes by name, and files to write."""
 
 import json
 import math

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 LOST = ""
-"""What `Keys` calls a terminal that is gone."""
+"""Key that stands for a terminal that is gone."""
 JOIN_S = 0.3
 """How long the end waits for a key that is being heeded."""
 

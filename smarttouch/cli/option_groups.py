@@ -65,6 +65,7 @@ def _expanded(command: Callable[..., _T], defaults: dict[str, Any]) -> Callable[
             for each in shared(group)
         ]
     signature = inspect.Signature(taken, return_annotation=hints.get("return"))
+    # Typer reads it, and the type of a function does not have it.
     expanded.__signature__ = signature  # type: ignore[attr-defined]
     expanded.__annotations__ = {each.name: each.annotation for each in taken}
     return expanded

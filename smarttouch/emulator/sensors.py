@@ -1,6 +1,7 @@
 """Emulated sensors: frames of an array, readings of a load cell, sent at a steady rate."""
 
 import sys
+from abc import abstractmethod
 from collections.abc import Callable
 from pathlib import Path
 
@@ -65,9 +66,9 @@ class SensorFirmware(Firmware):
         number, self._number = self._number, self._number + 1
         return self.packet(number, (now_ns - self._start_ns) / 1e9)
 
+    @abstractmethod
     def packet(self, number: int, time_s: float) -> bytes:
         """Return what goes over the line now."""
-        raise NotImplementedError
 
 
 class SensorArray(SensorFirmware):

@@ -13,7 +13,7 @@ _KINDS = ("constrained-", "function-", "tuple[", "str-enum[")
 _WHOLE_KINDS = ("bool", "int", "float", "str", "Sharing")
 """Kinds of value that pydantic names between the keys of the file."""
 _NOT_OF_KIND = ("float_type", "tuple_type")
-"""What it says of each kind that a value is not, where there are several to choose from."""
+"""Choices that are named for each kind that a value fails to be."""
 _PROBLEMS = {
     "missing": "missing",
     "union_tag_not_found": "missing",
@@ -28,13 +28,13 @@ _PROBLEMS = {
     "too_short": "too few",
     "too_long": "too many",
 }
-"""What pydantic calls it, and what `SmartTouchError` does."""
+"""Problems of `SmartTouchError` by the names that pydantic has for them."""
 _BOUNDS = ("gt", "ge", "lt", "le", "min_length", "max_length")
 _MOST_IN_A_SENTENCE = 8
 
 _Error = TypeVar("_Error", bound=TableError)
 Found = tuple[str, dict[str, Any]]
-"""What is wrong, in words, and the attributes of an error that says so."""
+"""Words on a fault, and the attributes of the error that carries them."""
 
 
 def table_error(

@@ -53,6 +53,7 @@ class Display(Closing):
         if isinstance(url, str):
             board = make_board(url, limits, profile.output, **options)
         else:
+            # Drivers are made as their URLs are opened, and `Board` itself by its limits alone.
             board = url("", limits, profile.output, **options)  # type: ignore[call-arg, arg-type]
             require_gate(board, limits)
             url = f"{url.__module__}.{url.__qualname__}:"

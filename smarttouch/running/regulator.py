@@ -10,7 +10,7 @@ from smarttouch.stimulation.recharge import RechargeRules, add_recharge
 from smarttouch.stimulation.sequence import ScanSequence
 
 _WAITING_UC = 0.02
-"""What whole µA of the longest recharge phase may leave."""
+"""Charge that whole µA of the longest recharge phase may leave."""
 
 
 @dataclass

@@ -42,4 +42,4 @@ class Stimulus(TactileImage):
 
 
 Input = Frame | Stimulus
-"""What a run reads, once for each sequence."""
+"""Input of a run, read once for each sequence."""

@@ -28,6 +28,7 @@ class ForceContract:
 
     def make(self, profile: Profile) -> ForceSource:
         """Return a new source of force."""
+        # Not abstract: pytest could not make the class to run what needs no device.
         raise NotImplementedError("return your source of force")
 
     def make_impossible(self, profile: Profile) -> None:

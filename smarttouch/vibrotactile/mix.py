@@ -1,4 +1,4 @@
-"""What three classes answer, mixed into one train of stimuli.
+"""Answers of three classes, mixed into one train of stimuli.
 
 Each class keeps its own pulses: RA and PC locked to the phase of the vibration, at every
 cycle or, where cycles come faster than the board can follow, at every second, third ...;

@@ -105,6 +105,12 @@ class Watched(MemoryBoard):
         self.calls.append("drain")
 
 
+def loop(source, pipeline, board, **options):
+    """Run on a clock that is told, with a stop and statistics of its own if none are given."""
+    usual = {"stop": StopRequest(), "statistics": RunStatistics(), "clock": FakeClock()}
+    run_loop(source, pipeline, board, **(usual | options))
+
+
 @pytest.fixture
 def board(profile):
     return Watched(profile)
@@ -118,7 +124,7 @@ def pipeline(profile, bank):
 def test_frames_are_asked_for_at_absolute_deadlines(pipeline, board):
     sensor, clock, tally = Bars(50), FakeClock(), RunStatistics()
     with board:
-        run_loop(sensor, pipeline, board, stop=StopRequest(), statistics=tally, clock=clock)
+        loop(sensor, pipeline, board, statistics=tally, clock=clock)
     assert clock.deadlines == [i * 20_000_000 for i in range(51)]
     assert sensor.times == clock.deadlines[:50]
     assert len(board.sequences) == tally.frames == 50
@@ -128,7 +134,7 @@ def test_frames_are_asked_for_at_absolute_deadlines(pipeline, board):
 def test_a_late_loop_moves_its_schedule_and_never_hurries(pipeline, board):
     clock, tally = FakeClock([0, 0, 65_000_000]), RunStatistics()
     with board:
-        run_loop(Bars(5), pipeline, board, stop=StopRequest(), statistics=tally, clock=clock)
+        loop(Bars(5), pipeline, board, statistics=tally, clock=clock)
     assert tally.late == 1
     assert np.diff(clock.deadlines).min() == 20_000_000
     assert clock.deadlines[3] - clock.deadlines[2] == 85_000_000
@@ -137,9 +143,7 @@ def test_a_late_loop_moves_its_schedule_and_never_hurries(pipeline, board):
 def test_after_a_stall_nothing_comes_on_suddenly(pipeline, board):
     clock = FakeClock([0] * 40 + [150_000_000])
     with board:
-        run_loop(
-            Bars(60), pipeline, board, stop=StopRequest(), statistics=RunStatistics(), clock=clock
-        )
+        loop(Bars(60), pipeline, board, clock=clock)
     intensity = [sequence.intensity for sequence in board.sequences]
     assert intensity[39] == 1
     assert intensity[40] <= 0.041
@@ -149,9 +153,7 @@ def test_after_a_stall_nothing_comes_on_suddenly(pipeline, board):
 def test_a_little_lateness_does_not_add_up(pipeline, board):
     clock = FakeClock([3_000_000] * 20)
     with board:
-        run_loop(
-            Bars(20), pipeline, board, stop=StopRequest(), statistics=RunStatistics(), clock=clock
-        )
+        loop(Bars(20), pipeline, board, clock=clock)
     assert clock.deadlines == [i * 20_000_000 for i in range(21)]
 
 
@@ -166,7 +168,7 @@ def test_a_board_whose_clock_is_behind_is_followed(pipeline, board, monkeypatch)
 
     monkeypatch.setattr(board, "_send", held_up)
     with board:
-        run_loop(Bars(20), pipeline, board, stop=StopRequest(), statistics=tally, clock=clock)
+        loop(Bars(20), pipeline, board, statistics=tally, clock=clock)
     # It waits once, and from then on takes its frames 7 ms later.
     assert np.diff(clock.deadlines).tolist() == [27_000_000] + [20_000_000] * 19
     assert tally.latency.total_us == tally.latency.largest_us > 0
@@ -176,14 +178,7 @@ def test_same_frames_same_sequences(profile, bank):
     runs = []
     for _ in range(2):
         with Watched(profile) as board:
-            run_loop(
-                Bars(30),
-                Pipeline(profile, bank, RunConfig(scan="points")),
-                board,
-                stop=StopRequest(),
-                statistics=RunStatistics(),
-                clock=FakeClock(),
-            )
+            loop(Bars(30), Pipeline(profile, bank, RunConfig(scan="points")), board)
         runs.append([s.current_ua.tobytes() + s.site.tobytes() for s in board.sequences])
     assert runs[0] == runs[1]
     assert any(runs[0])
@@ -192,9 +187,7 @@ def test_same_frames_same_sequences(profile, bank):
 def test_seconds_end_it(pipeline, board):
     stop, tally = StopRequest(), RunStatistics()
     with board:
-        run_loop(
-            Bars(), pipeline, board, stop=stop, statistics=tally, seconds=0.5, clock=FakeClock()
-        )
+        loop(Bars(), pipeline, board, stop=stop, statistics=tally, seconds=0.5)
     assert tally.frames == 25
     assert "0.5 s" in stop.reason
 
@@ -208,14 +201,13 @@ def test_a_stop_request_ends_it_before_the_next_frame(pipeline, board):
             stop.ask("too late to be the reason")
 
     with board:
-        run_loop(
+        loop(
             Bars(),
             pipeline,
             board,
             stop=stop,
             statistics=tally,
             listeners=as_listeners([after_ten]),
-            clock=FakeClock(),
         )
     assert tally.frames == 10
     assert stop.reason == "enough"
@@ -233,28 +225,13 @@ def test_an_exception_in_any_stage_ends_at_zero(monkeypatch, pipeline, board, st
         monkeypatch.setattr(pipeline, "process", broken)
     observers = [broken] if stage == "observer" else []
     with pytest.raises(BrokenStageError), board:
-        run_loop(
-            sensor,
-            pipeline,
-            board,
-            stop=StopRequest(),
-            statistics=RunStatistics(),
-            listeners=as_listeners(observers),
-            clock=FakeClock(),
-        )
+        loop(sensor, pipeline, board, listeners=as_listeners(observers))
     assert board.calls == ["open", "stop", "close"]
 
 
 def test_soft_start_from_the_first_frame(pipeline, board):
     with board:
-        run_loop(
-            Bars(40),
-            pipeline,
-            board,
-            stop=StopRequest(),
-            statistics=RunStatistics(),
-            clock=FakeClock(),
-        )
+        loop(Bars(40), pipeline, board)
     intensity = [sequence.intensity for sequence in board.sequences]
     assert intensity[0] == 0
     assert intensity[25] == pytest.approx(1.0)
@@ -267,7 +244,7 @@ def test_stopping_is_safe_from_another_thread(pipeline, board):
         thread = threading.Thread(target=stop.ask, args=("other thread",))
         thread.start()
         thread.join()
-        run_loop(Bars(), pipeline, board, stop=stop, statistics=RunStatistics(), clock=FakeClock())
+        loop(Bars(), pipeline, board, stop=stop)
     assert board.sequences == []
 
 
@@ -288,7 +265,7 @@ def test_a_board_that_was_lost_and_is_back_begins_at_zero(monkeypatch, pipeline,
     monkeypatch.setattr(board, "_send", loses_the_fortieth)
     monkeypatch.setattr(board, "_recover", lambda lost: None)
     with board:
-        run_loop(Bars(60), pipeline, board, stop=StopRequest(), statistics=tally, clock=FakeClock())
+        loop(Bars(60), pipeline, board, statistics=tally)
     assert (tally.restarts, tally.frames) == (1, 59)
     assert intensities(board)[39:42] == [1, 0, pytest.approx(0.04)]
     (note,) = board.notes
@@ -300,14 +277,7 @@ def test_after_a_loss_nothing_but_zero_is_let_through(monkeypatch, profile, pipe
         raise LineLostError("the board at x has vanished")
 
     with board:
-        run_loop(
-            Bars(40),
-            pipeline,
-            board,
-            stop=StopRequest(),
-            statistics=RunStatistics(),
-            clock=FakeClock(),
-        )
+        loop(Bars(40), pipeline, board)
         last = board.sequences[-1]
         assert last.intensity == 1
         with monkeypatch.context() as patch:
@@ -325,14 +295,7 @@ def test_a_board_that_stays_lost_ends_the_run(monkeypatch, pipeline, board):
 
     monkeypatch.setattr(board, "_send", broken)
     with raises(LineLostError, about="board", problem="gone", value="x"), board:
-        run_loop(
-            Bars(60),
-            pipeline,
-            board,
-            stop=StopRequest(),
-            statistics=RunStatistics(),
-            clock=FakeClock(),
-        )
+        loop(Bars(60), pipeline, board)
     assert board.calls == ["open", "stop", "close"]
 
 
@@ -345,15 +308,7 @@ def test_a_lifted_finger_stops_the_current_and_its_return_begins_at_zero(pipelin
             board.lifted = True
 
     with board:
-        run_loop(
-            Bars(100),
-            pipeline,
-            board,
-            stop=StopRequest(),
-            statistics=tally,
-            listeners=as_listeners([lift]),
-            clock=FakeClock(),
-        )
+        loop(Bars(100), pipeline, board, statistics=tally, listeners=as_listeners([lift]))
     found = intensities(board)
     assert found[39] == 1
     assert found[40:55] == [0] * 15
@@ -367,14 +322,7 @@ def test_a_lifted_finger_stops_the_current_and_its_return_begins_at_zero(pipelin
 def test_the_force_that_the_board_measures_gates_too(pipeline, board):
     board.force_n = 0.05
     with board:
-        run_loop(
-            Bars(40),
-            pipeline,
-            board,
-            stop=StopRequest(),
-            statistics=RunStatistics(),
-            clock=FakeClock(),
-        )
+        loop(Bars(40), pipeline, board)
     assert set(intensities(board)) == {0}
 
 
@@ -389,16 +337,7 @@ def test_what_was_measured_changes_what_is_sent(profile, pipeline, board, monkey
 
     regulator = Regulator(Adaptation(profile, "energy", 300.0), ChargeLedger(64))
     with board:
-        run_loop(
-            Bars(60),
-            pipeline,
-            board,
-            stop=StopRequest(),
-            statistics=RunStatistics(),
-            listeners=as_listeners([saturate]),
-            regulator=regulator,
-            clock=FakeClock(),
-        )
+        loop(Bars(60), pipeline, board, listeners=as_listeners([saturate]), regulator=regulator)
     # The same voltage at ever more current: impedance seems to fall, and energy holds.
     late = [s for s in board.sequences[30:] if s.slots]
     assert {bool(s.current_ua[0, s.site[0]] > 0) for s in late} == {True, False}
@@ -600,7 +539,7 @@ def test_the_time_that_a_board_was_lost_is_no_error_of_the_period(pipeline, boar
     monkeypatch.setattr(board, "_send", lose)
     monkeypatch.setattr(board, "_recover", lambda lost: None)
     with board:
-        run_loop(Bars(40), pipeline, board, stop=StopRequest(), statistics=tally, clock=clock)
+        loop(Bars(40), pipeline, board, statistics=tally, clock=clock)
     assert tally.period_error.count == 37
     assert tally.period_error.largest_us == 0
 
@@ -626,10 +565,14 @@ def test_what_was_computed_before_a_pause_is_not_sent(monkeypatch, pipeline, boa
 
     monkeypatch.setattr(pipeline, "process", stand_still)
     with board:
-        run_loop(
-            Bars(60), pipeline, board, stop=StopRequest(), statistics=tally, clock=clock,
+        loop(
+            Bars(60),
+            pipeline,
+            board,
+            statistics=tally,
+            clock=clock,
             listeners=[OnEvent(words.append)],
-        )  # fmt: skip
+        )
     assert intensities(board)[39:42] == [1, 0, pytest.approx(0.04)]
     assert (board.dropped_late, tally.restarts, tally.frames) == (1, 0, 59)
     assert any(isinstance(event, BoardRestarted) for event in words)
@@ -638,9 +581,7 @@ def test_what_was_computed_before_a_pause_is_not_sent(monkeypatch, pipeline, boa
 def test_a_pause_before_a_frame_is_taken_drops_nothing(pipeline, board):
     board._clock = clock = FakeClock([0] * 40 + [300_000_000])
     with board:
-        run_loop(
-            Bars(60), pipeline, board, stop=StopRequest(), statistics=RunStatistics(), clock=clock
-        )
+        loop(Bars(60), pipeline, board, clock=clock)
     assert intensities(board)[39:42] == [1, 0, pytest.approx(0.04)]
     assert board.dropped_late == 0
 
@@ -658,7 +599,7 @@ def test_a_stop_halts_the_board_in_the_middle_of_a_step(monkeypatch, pipeline, b
 
     monkeypatch.setattr(pipeline, "process", stopped_meanwhile)
     with board, stop.telling(board.halt):
-        run_loop(Bars(60), pipeline, board, stop=stop, statistics=tally, clock=FakeClock())
+        loop(Bars(60), pipeline, board, stop=stop, statistics=tally)
     assert (len(board.sequences), tally.frames, stop.reason) == (10, 10, "key q")
 
 
@@ -667,40 +608,17 @@ def test_a_board_stopped_by_nobody_who_may_is_a_fault(pipeline, board):
         board.stop()
 
     with board, raises(BoardStoppedError, about="board", problem="stopped"):
-        run_loop(
-            Bars(60),
-            pipeline,
-            board,
-            stop=StopRequest(),
-            statistics=RunStatistics(),
-            listeners=as_listeners([stops]),
-            clock=FakeClock(),
-        )
+        loop(Bars(60), pipeline, board, listeners=as_listeners([stops]))
 
 
 def test_on_a_finger_somebody_must_say_how_strong(monkeypatch, pipeline, board):
     monkeypatch.setattr(type(board), "on_a_finger", True)
     with board:
         with raises(BoardError, about="controls", problem="missing"):
-            run_loop(
-                Bars(5),
-                pipeline,
-                board,
-                stop=StopRequest(),
-                statistics=RunStatistics(),
-                clock=FakeClock(),
-            )
+            loop(Bars(5), pipeline, board)
         assert board.sequences == []
         controls = Controls(ControlState(Mode.RA, 0.0))
-        run_loop(
-            Bars(5),
-            pipeline,
-            board,
-            stop=StopRequest(),
-            statistics=RunStatistics(),
-            clock=FakeClock(),
-            controls=controls,
-        )
+        loop(Bars(5), pipeline, board, controls=controls)
     assert intensities(board) == [0] * 5
 
 
@@ -721,13 +639,11 @@ def test_priority_is_for_boards_whose_time_passes(
     monkeypatch.setattr("smarttouch.running.loop.paced", paced)
     told, tally = [], RunStatistics()
     with board:
-        run_loop(
+        loop(
             Bars(3),
             pipeline,
             board,
-            stop=StopRequest(),
             statistics=tally,
-            clock=FakeClock(),
             controls=Controls(ControlState(pipeline.mode)),
             listeners=[OnEvent(lambda event: told.append(str(event)))],
         )

@@ -1,5 +1,6 @@
-"""What the firmware of every emulated device has in common."""
+"""Base of the firmware of every emulated device."""
 
+from abc import ABC, abstractmethod
 from typing import Protocol
 
 from smarttouch.boards.emulator.books import Books
@@ -11,7 +12,7 @@ class Clock(Protocol):
     def now_ns(self) -> int: ...
 
 
-class Firmware:
+class Firmware(ABC):
     """A device between its line and what it touches; it has no clock of its own.
 
     Attributes
@@ -44,9 +45,9 @@ class Firmware:
         """Take bytes from the host; return what there is to answer."""
         return self.advance(now_ns)
 
+    @abstractmethod
     def advance(self, now_ns: int) -> bytes:
         """Do all that is due; return what there is to send."""
-        raise NotImplementedError
 
     def idle(self, now_ns: int) -> None:
         """Let time pass without a line; what is sent meanwhile is lost."""
@@ -56,8 +57,8 @@ class Firmware:
         """The host has closed the line, which the device need not notice."""
         self.idle(now_ns)
 
-    def zero(self, reason: str, now_ns: int) -> None:
-        """Lose power."""
+    def zero(self, reason: str, now_ns: int) -> None:  # noqa: B027 (sensors carry no current)
+        """Lose power; does nothing unless it is overridden."""
 
     def take_order(self, words: list[str]) -> bool:
         """Do what a line of input says; return whether it is an order."""
