@@ -123,7 +123,7 @@ class ETactileKitBoard(SteppedKit):
         while not self._closing.is_set():
             self._rest()
             job = self._take(None if idle else time.monotonic() + IDLE_S)
-            if job is not None and not self._is_late(max(job.due_ns, free_ns)):
+            if job is not None and self._is_in_time(job, max(job.due_ns, free_ns)):
                 self._perform(job)
                 # What waited for its turn is not late; what comes after a pause is.
                 free_ns = self._clock.now_ns()
@@ -193,6 +193,7 @@ class ETactileKitBoard(SteppedKit):
         if self._closing.is_set() or (told := self._ask(self._codec.go(job.data))) is None:
             self._on_board = b""
             return False
+        self._note_rise(job)
         assert self._before is not None
         self._shown = Shown(job, told, self._before[1])
         return True

@@ -163,7 +163,7 @@ class Kajimoto61Board(StreamedBoard):
         deadline_ns, job = 0, None
         while (newest := self._take()) is not None:
             now = self._clock.now_ns()
-            if self._is_late(newest.due_ns):
+            if not self._is_in_time(newest, newest.due_ns):
                 self._drop_late(newest)
                 continue
             if job is None or now - deadline_ns > 1000 * job.sequence.period_us:
@@ -192,9 +192,13 @@ class Kajimoto61Board(StreamedBoard):
                 if self._closing.is_set():
                     break
                 sent_ns = self._clock.now_ns()
-                if not self._write_in_time(job.data, deadline_ns):
+                if not (
+                    self._is_in_time(job, deadline_ns)
+                    and self._write_in_time(job.data, deadline_ns)
+                ):
                     self._drop_late(job)
                     return None, deadline_ns
+                self._note_rise(job)
             self._delivered(job)
             left -= 1
             # After a packet that left late the grid moves: catching up would pass the rate that

@@ -2,7 +2,7 @@
 
 from collections import deque
 from dataclasses import replace
-from typing import Any
+from typing import Any, Never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from smarttouch.boards.recovery import start_anew
 from smarttouch.clock import LATE_NS
 from smarttouch.errors import BoardError, LineLostError, OtherDeviceError
 from smarttouch.profile.device import Output
+from smarttouch.stimulation.limits import parts_per_billion
+from smarttouch.stimulation.rise import Rise
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.port import Port, UsbIdentity, identity_of, open_port, reopen_port
@@ -66,6 +68,9 @@ class LinkBoard(Board):
         self._packets_before = 0
         self._identity: UsbIdentity | None = None
         self._in_flight_due_ns = 0
+        self._in_flight_ppb = 0
+        # The line may be slower than the gate: the rise that the skin gets is the line's.
+        self._rise = Rise(limits.ramp_ns)
         self._again_s = 0.0
         self._sent: deque[tuple[int, ScanSequence]] = deque(maxlen=4)
         self._measured: deque[Measured] = deque(maxlen=64)
@@ -84,6 +89,7 @@ class LinkBoard(Board):
 
     def _start(self, port: Port, known: Capabilities | None = None) -> None:
         self._in_flight.clear()
+        self._rise.restart()
         self._line.open(port)
         try:
             self._shake_hands(known)
@@ -105,25 +111,35 @@ class LinkBoard(Board):
         self._number += 1
         payload = encode_scan(self._kind, sequence, times, self.capabilities.measures)
         self._wait_for_room()
-        self._refuse_late(self._due_ns)
+        ppb = parts_per_billion(sequence.intensity)
+        if self._is_late(self._due_ns) or not self._rise.permits(ppb, self._clock.now_ns()):
+            self._drop_late()
         with self._line.news:
             self._in_flight[self._number] = payload
-            self._in_flight_due_ns = self._due_ns
+            self._in_flight_due_ns, self._in_flight_ppb = self._due_ns, ppb
             self._again_s = self._line.now_s() + AGAIN_S
             self._sent.append((self._number, sequence))
         if not self._write_in_time(self._number, payload):
             with self._line.news:
                 self._in_flight.pop(self._number, None)
-            self.dropped_late += 1
-            raise self._late()
+            self._drop_late()
         return self._number
+
+    def _drop_late(self) -> Never:
+        """Count a sequence that is not sent; the next one must begin at zero."""
+        self._rise.restart()
+        self.dropped_late += 1
+        raise self._late()
 
     def _write_in_time(self, number: int, payload: bytes) -> bool:
         """Write the sequence in flight, unless it is too late for it."""
         latest_ns = self._in_flight_due_ns + LATE_NS
-        return self._line.send(
+        went = self._line.send(
             Kind.SEQUENCE, number, payload, latest_ns=latest_ns, now_ns=self._clock.now_ns
         )
+        if went:
+            self._rise.note(self._in_flight_ppb, self._clock.now_ns())
+        return went
 
     def _wait_for_room(self) -> None:
         line = self._line

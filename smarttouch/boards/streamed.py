@@ -14,6 +14,8 @@ from smarttouch.clock import LATE_NS
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.realtime import prioritized
+from smarttouch.stimulation.limits import parts_per_billion
+from smarttouch.stimulation.rise import Rise
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.port import (
@@ -100,6 +102,8 @@ class StreamedBoard(Board):
         self._closing = threading.Event()
         self._news = threading.Condition()
         self._line = threading.RLock()
+        # What the gate proved at once may wait here: the rise that the skin gets is of the line.
+        self._rise = Rise(limits.ramp_ns)
         self._serial: Port | None = None
         self._identity: UsbIdentity | None = None
         self._thread: threading.Thread | None = None
@@ -116,6 +120,7 @@ class StreamedBoard(Board):
         self._serial = self._wrap(port)
         self._fault, self._waiting, self._busy = None, None, False
         self._late_since_told = False
+        self._rise.restart()
         self._closing.clear()
         # From here to the end of the greeting nothing flows, and the line is this thread's.
         self._opening = True
@@ -275,8 +280,18 @@ class StreamedBoard(Board):
             self._news.notify_all()
             return job if self._busy else None
 
+    def _is_in_time(self, job: Job, due_ns: int) -> bool:
+        """Whether a sequence may begin now: it is not late, and does not rise too fast for it."""
+        ppb = parts_per_billion(job.sequence.intensity)
+        return not self._is_late(due_ns) and self._rise.permits(ppb, self._clock.now_ns())
+
+    def _note_rise(self, job: Job) -> None:
+        """Take down the intensity of a sequence whose bytes have just been written."""
+        self._rise.note(parts_per_billion(job.sequence.intensity), self._clock.now_ns())
+
     def _drop_late(self, job: Job) -> None:
         """Count a sequence that is not sent; the next one must begin at zero."""
+        self._rise.restart()
         with self._news:
             self.dropped_late += 1 + (self._waiting is not None)
             self._waiting = None

@@ -6,18 +6,12 @@ from typing import Protocol
 from smarttouch.errors import SafetyError
 from smarttouch.stimulation.exposure import Dose, Exposure
 from smarttouch.stimulation.limits import PPB, SafetyLimits, parts_per_billion
+from smarttouch.stimulation.rise import LEEWAY_PPB, Rise
 from smarttouch.stimulation.sequence import ScanSequence, frozen
 from smarttouch.stimulation.sequence_limits import prove_fields, prove_slots
 from smarttouch.stimulation.sums import SlotAdder
 
 __all__ = ["SafetyGate", "SafetyLimits"]
-
-LATE_NS = 100_000_000
-"""Delay after which a sequence is dropped and the next starts at zero, so no rise is hurried by
-more.
-"""
-_LEEWAY_PPB = 1000
-"""Tolerance for rounding in the ramp's sum."""
 
 
 class Now(Protocol):
@@ -45,6 +39,7 @@ class SafetyGate:
         self._adder = SlotAdder(limits.felt_ua)
         self._lock = Lock()
         self._now_ns: int | None = None
+        self._rise = Rise(limits.ramp_ns)
         self.restart()
 
     @property
@@ -54,7 +49,8 @@ class SafetyGate:
 
     def restart(self) -> None:
         """Restart at intensity zero; sequence time may start anew, the session continues."""
-        self._intensity_ppb = self._rise_ppb = self._rise_ns = 0
+        self._intensity_ppb = 0
+        self._rise.restart()
         self._time_ns: int | None = None
         if self._clock is None:
             self._now_ns = None
@@ -93,15 +89,14 @@ class SafetyGate:
         ppb = parts_per_billion(sequence.intensity)
         load = prove_slots(sequence, self.limits, ppb, self._adder)
         now_ns = self._read_clock(sequence)
-        rise_ppb = self._rise_ppb
         if ramped:
-            rise_ppb = self._prove_rise(sequence, ppb, now_ns)
+            self._prove_rise(sequence, ppb, now_ns)
         flows = sequence.slots > 0
         self._exposure.enter(now_ns, sequence.period_us, times, load, flows=flows)
         self._now_ns = now_ns
         if ramped:
-            self._intensity_ppb, self._time_ns, self._rise_ns = ppb, sequence.time_ns, now_ns
-            self._rise_ppb = min(rise_ppb, ppb)
+            self._intensity_ppb, self._time_ns = ppb, sequence.time_ns
+            self._rise.note(ppb, now_ns)
         return sequence
 
     def _read_clock(self, sequence: ScanSequence) -> int:
@@ -109,8 +104,8 @@ class SafetyGate:
         now_ns = sequence.time_ns if self._clock is None else self._clock.now_ns()
         return now_ns if self._now_ns is None else max(now_ns, self._now_ns)
 
-    def _prove_rise(self, sequence: ScanSequence, ppb: int, now_ns: int) -> int:
-        """Raise if intensity rises too fast; return what the display's clock allows by now."""
+    def _prove_rise(self, sequence: ScanSequence, ppb: int, now_ns: int) -> None:
+        """Raise if intensity rises too fast, by the time sequences claim or the display's."""
         limits, before_ns = self.limits, self._time_ns
         if before_ns is not None and sequence.time_ns <= before_ns:
             raise SafetyError(
@@ -120,19 +115,12 @@ class SafetyGate:
                 allowed=before_ns + 1,
             )
         claimed_ns = 0 if before_ns is None else sequence.time_ns - before_ns
-        rise_ppb = self._rise_ppb
-        if before_ns is not None:
-            rise_ppb = min(PPB, rise_ppb + (now_ns - self._rise_ns) * PPB // limits.ramp_ns)
-        hurried_ppb = LATE_NS * PPB // limits.ramp_ns
-        above = ppb - _LEEWAY_PPB
-        if (above - self._intensity_ppb) * limits.ramp_ns > claimed_ns * PPB or (
-            above > rise_ppb + hurried_ppb
-        ):
+        above = ppb - LEEWAY_PPB - self._intensity_ppb
+        if above * limits.ramp_ns > claimed_ns * PPB or not self._rise.permits(ppb, now_ns):
             raise SafetyError(
                 f"intensity rises from {self._intensity_ppb / PPB:.3f} to {ppb / PPB:.3f}: "
                 f"zero to full must take {limits.ramp_s:g} s or more",
                 limit="ramp_s",
                 value=ppb / PPB,
-                allowed=min(self._intensity_ppb, rise_ppb) / PPB,
+                allowed=min(self._intensity_ppb, self._rise.risen_ppb(now_ns)) / PPB,
             )
-        return rise_ppb

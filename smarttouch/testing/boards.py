@@ -71,7 +71,8 @@ class BoardContract:
     @pytest.fixture(autouse=True)
     def never_late(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Let nothing be dropped for being late, however busy the machine is."""
-        monkeypatch.setattr("smarttouch.boards.timely.LATE_NS", 60 * SECOND)
+        for module in ("boards.timely", "stimulation.rise"):
+            monkeypatch.setattr(f"smarttouch.{module}.LATE_NS", 60 * SECOND)
 
     @pytest.fixture
     def limits(self) -> SafetyLimits:

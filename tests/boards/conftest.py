@@ -32,6 +32,7 @@ def claimed_time(request, monkeypatch):
     """
     if "wall_clock" not in request.keywords:
         monkeypatch.setattr(Board, "_time", lambda self: None)
+        monkeypatch.setattr("smarttouch.stimulation.rise.LATE_NS", 3600 * SECOND)
 
 
 @pytest.fixture(scope="session")

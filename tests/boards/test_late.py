@@ -134,6 +134,59 @@ def test_a_job_that_waited_through_a_pause_is_not_sent(script):
         assert (board.acknowledged, board.dropped_late) == (0, 1)
 
 
+LATE_RISE = [(20, True), (60, True), (100, True), (180, False)]
+"""Milliseconds of the ramp that a sequence is ahead of what was written, and whether it goes."""
+
+
+def rising(electrodes, part, step):
+    """One anodic slot at a part of full intensity, after the silent first."""
+    return one_each(
+        limits(electrodes), round(1000 * part), 50, part, step * 10**9,
+        cathodic=False, sites=[1], discharge_us=150, period_us=20_000,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def rise_of_the_line(monkeypatch):
+    """The ramp by the clock of the line, as outside these tests."""
+    monkeypatch.setattr("smarttouch.stimulation.rise.LATE_NS", LATE_NS)
+
+
+@pytest.mark.parametrize(("ahead_ms", "sent"), LATE_RISE)
+@pytest.mark.usefixtures("rise_of_the_line")
+def test_the_rise_is_counted_from_what_was_written(script, ahead_ms, sent):
+    """Though both were proved, and neither is late: the first one's delay adds nothing."""
+    part = ahead_ms / 1000 / limits(61).ramp_s
+    board = Kajimoto61Board("x", limits(61))
+    board._clock = ToldClock()
+    packets = [(board._encode(rising(61, part, 1)), b"")] * sent
+    script(*KAJIMOTO_OPEN, (KAJIMOTO_ZERO, b""), *packets, *KAJIMOTO_OPEN)
+    with board:
+        board.send(pulses(61, 0))
+        board.drain()
+        board.send(rising(61, part, 1))
+        board.drain()
+        assert (board.acknowledged, board.dropped_late) == (1 + sent, 1 - sent)
+
+
+@pytest.mark.parametrize(("ahead_ms", "sent"), LATE_RISE)
+@pytest.mark.usefixtures("rise_of_the_line")
+def test_a_link_board_rises_from_what_was_written(ahead_ms, sent):
+    with EmulatorBoard("", limits(8)) as board:
+        board._clock = ToldClock()
+        board.send(pulses(8, 0))
+        board.drain()
+        # Nor does it matter how late the first went.
+        fast = rising(8, ahead_ms / 1000 / limits(8).ramp_s, 1)
+        if sent:
+            board.send(fast)
+            board.drain()
+        else:
+            with pytest.raises(SequenceLateError):
+                board.send(fast)
+        assert board.dropped_late == 1 - sent
+
+
 @pytest.mark.parametrize(("late_ns", "scans"), [(0, 5), (LATE_NS, 5), (LATE_NS + 1, 0)])
 def test_a_pattern_whose_time_has_passed_is_not_let_through(monkeypatch, late_ns, scans):
     kit = ToldKit(monkeypatch, limits(4))
