@@ -50,7 +50,9 @@ seen, touched, sent = figure.subplots(1, 3)
 middle = steps[len(steps) // 2]
 seen.imshow(middle.input.image, cmap="gray", vmin=0, vmax=255)
 seen.set_title("frame")
-touched.imshow(middle.tactile.activation[st.Primary.RA].reshape(5, 5), cmap="Greys", vmin=0, vmax=1)
+touched.imshow(
+    middle.tactile.activation[st.Afferent.RA].reshape(5, 5), cmap="Greys", vmin=0, vmax=1
+)
 touched.set_title("tactile image, RA")
 most_ma = np.abs(middle.sequence.current_ua).max() / 1000
 image = sent.imshow(middle.sequence.current_ua / 1000, cmap="RdBu", vmin=-most_ma, vmax=most_ma)

@@ -20,17 +20,17 @@ from typing import TYPE_CHECKING, Any
 from smarttouch.version import __version__
 
 if TYPE_CHECKING:
+    from smarttouch.afferent import Afferent
     from smarttouch.boards.board import Board
     from smarttouch.errors import (
         BoardError,
         ProfileError,
         SafetyError,
-        SensorError,
         SmartTouchError,
+        SourceError,
     )
     from smarttouch.front import design_kernel, load_kernels, replay, run, steps
     from smarttouch.kernels.problem import Kernel
-    from smarttouch.primary import Primary
     from smarttouch.profile import Profile, list_profiles, load_profile
     from smarttouch.recording.recorder import Recorder
     from smarttouch.running.config import RunConfig
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 
 
 __all__ = [
+    "Afferent",
     "Board",
     "BoardError",
     "Display",
@@ -54,7 +55,6 @@ __all__ = [
     "Kernel",
     "Listener",
     "OpticalSource",
-    "Primary",
     "Profile",
     "ProfileError",
     "Recorder",
@@ -63,8 +63,8 @@ __all__ = [
     "SafetyError",
     "SafetyLimits",
     "ScanSequence",
-    "SensorError",
     "SmartTouchError",
+    "SourceError",
     "StepResult",
     "StimulusSource",
     "TactileImage",
@@ -82,11 +82,11 @@ __all__ = [
 
 _WHERE = {
     "boards.board": ("Board",),
-    "errors": ("BoardError", "ProfileError", "SafetyError", "SensorError", "SmartTouchError"),
+    "errors": ("BoardError", "ProfileError", "SafetyError", "SourceError", "SmartTouchError"),
     "front": ("design_kernel", "load_kernels", "replay", "run", "steps"),
     "tactile_image": ("TactileImage",),
     "kernels.problem": ("Kernel",),
-    "primary": ("Primary",),
+    "afferent": ("Afferent",),
     "profile": ("Profile", "list_profiles", "load_profile"),
     "recording.recorder": ("Recorder",),
     "running.config": ("RunConfig",),

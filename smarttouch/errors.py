@@ -102,11 +102,11 @@ class SavedRunError(TableError):
     """Saved settings of a run cannot be found, read, believed or written."""
 
 
-class SensorError(SmartTouchError):
+class SourceError(SmartTouchError):
     """A source of frames cannot be opened or has failed."""
 
 
-class SourceLostError(SensorError):
+class SourceLostError(SourceError):
     """A sensor is gone that was there; it may come back."""
 
 

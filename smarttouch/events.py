@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from smarttouch.primary import Mode
+from smarttouch.afferent import Mode
 
 
 @dataclass(frozen=True)

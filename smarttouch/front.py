@@ -6,10 +6,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.kernels.problem import Kernel, Problem
 from smarttouch.kernels.switching import designer
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
 from smarttouch.recording.controls import RecordedControls
 from smarttouch.recording.reader import Recording
@@ -200,13 +200,13 @@ def load_kernels(profile: Profile) -> KernelBank:
     return load_bank(profile)
 
 
-def design_kernel(profile: Profile, primary: Primary | str, site: int) -> Kernel:
+def design_kernel(profile: Profile, afferent: Afferent | str, site: int) -> Kernel:
     """Design the kernel of one site, of the kind that the profile's board can make.
 
     Parameters
     ----------
     profile : Profile
-    primary : Primary or str
+    afferent : Afferent or str
         Afferent class: RA, SAI or PC.
     site : int
         Electrode over the target.
@@ -223,5 +223,5 @@ def design_kernel(profile: Profile, primary: Primary | str, site: int) -> Kernel
     >>> bool(kernel.worst_other < 0.3)
     True
     """
-    primary = primary if isinstance(primary, Primary) else Primary[primary]
-    return designer(profile)(Problem(profile, primary), site)
+    afferent = afferent if isinstance(afferent, Afferent) else Afferent[afferent]
+    return designer(profile)(Problem(profile, afferent), site)

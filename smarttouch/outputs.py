@@ -41,7 +41,7 @@ class FeltPicture(Listener):
         """Begin the picture, and have the board keep books."""
         board = getattr(run.board, "electric", run.board)
         if isinstance(board, EmulatorBoard):
-            from smarttouch.boards.emulator.books import read_delivered
+            from smarttouch.boards.emulator.delivery_log import read_delivered
 
             folder = Path(self._open.enter_context(TemporaryDirectory(prefix="smarttouch-")))
             board.keep_books(folder)
@@ -63,9 +63,9 @@ class FeltPicture(Listener):
         else:
             from smarttouch.delivered.drawing import PageDrawing
 
-            primaries = run.controls.state(0).mode.primaries
+            afferents = run.controls.state(0).mode.afferents
             page = getattr(run.source, "page", None)
-            self._drawing = PageDrawing(run.profile, run.bank, primaries, page)
+            self._drawing = PageDrawing(run.profile, run.bank, afferents, page)
 
     def step(self, result: StepResult) -> None:
         """Remember where the finger was."""

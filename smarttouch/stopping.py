@@ -151,7 +151,7 @@ class SignalWatch:
         self._thread = threading.Thread(target=self._watch, name="signals", daemon=True)
         self._thread.start()
         self._wakeup_before = signal.set_wakeup_fd(self._write_end, warn_on_full_buffer=False)
-        self._before = {number: signal.signal(number, self._heed) for number in SIGNALS}
+        self._before = {number: signal.signal(number, self._handle) for number in SIGNALS}
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -167,7 +167,7 @@ class SignalWatch:
             os.close(self._read_end)
             os.close(self._write_end)
 
-    def _heed(self, number: int, _frame: FrameType | None) -> None:
+    def _handle(self, number: int, _frame: FrameType | None) -> None:
         self.number = self.number or number
         if not self.orderly:
             # Only the first: what it unwinds is not to be cut short.

@@ -13,7 +13,7 @@ class TactileImage:
     Attributes
     ----------
     activation : ndarray, (3, E) float32, in [0, 1]
-        One row for each `Primary`: RA, SAI, PC.
+        One row for each `Afferent`: RA, SAI, PC.
     time_ns : int
         Time of what it came from.
     force_n : float, N

@@ -133,13 +133,13 @@ def bank(profile):
 @pytest.fixture(scope="session")
 def make_bank():
     """Return a maker of RA banks from weights and receptors alone, (E, E) each."""
+    from smarttouch.afferent import Afferent
     from smarttouch.kernels.bank import KernelBank
-    from smarttouch.primary import Primary
 
     def make(weights, receptor):
         figures = ("worst_other", "worst_class", "own_spill", "gap", "seconds")
-        nothing = {name: {Primary.RA: np.zeros(len(weights))} for name in figures}
-        return KernelBank({Primary.RA: weights}, receptor={Primary.RA: receptor}, **nothing)
+        nothing = {name: {Afferent.RA: np.zeros(len(weights))} for name in figures}
+        return KernelBank({Afferent.RA: weights}, receptor={Afferent.RA: receptor}, **nothing)
 
     return make
 

@@ -6,12 +6,12 @@ import types
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Mode
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.clock import SimulatedClock
 from smarttouch.errors import MarkersError
 from smarttouch.events import Note
 from smarttouch.markers import FRAMES, PULSES, Markers
-from smarttouch.primary import Mode
 from smarttouch.running.config import RunConfig
 from smarttouch.running.listener import as_listeners
 from smarttouch.running.loop import run_loop

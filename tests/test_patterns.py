@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.errors import SmartTouchError
 from smarttouch.patterns import PatternFile
-from smarttouch.primary import Mode, Primary
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.stimulation.sequence import ScanSequence
@@ -20,7 +20,7 @@ from .raising import raises
 
 def step(electrode, intensity=1.0, period_us=20_000):
     activation = np.zeros((3, 64), np.float32)
-    activation[Primary.RA, electrode] = 0.5
+    activation[Afferent.RA, electrode] = 0.5
     empty = np.zeros(0, np.uint16)
     sequence = ScanSequence(
         np.zeros((0, 64), np.int16), empty, empty, empty, period_us, intensity, 0
@@ -99,7 +99,7 @@ def test_what_cannot_be_written_is_named(profile, tmp_path):
 def test_every_class_counts(profile, tmp_path):
     sent = step(3)
     activation = sent.step.tactile.activation.copy()
-    activation[Primary.SAI, 5] = 1.0
+    activation[Afferent.SAI, 5] = 1.0
     tactile = TactileImage(activation, 0, 1.0)
     patterns = PatternFile(tmp_path / "a.json", profile)
     patterns.watch(replace(sent, step=replace(sent.step, tactile=tactile)))

@@ -92,7 +92,7 @@ def test_a_kernel_is_designed_by_the_name_of_its_class():
 
 def test_kernels_of_one_array_are_found():
     profile = st.load_profile("electric-mouse")
-    assert st.load_kernels(profile).weights[st.Primary.SAI].shape == (64, 64)
+    assert st.load_kernels(profile).weights[st.Afferent.SAI].shape == (64, 64)
 
 
 def test_errors_are_public():
@@ -101,5 +101,5 @@ def test_errors_are_public():
     profile = st.load_profile("electric-mouse")
     with raises(st.BoardError, about="board", problem="unknown"):
         st.open_display("nothing:", profile)
-    with raises(st.SensorError, about="source", problem="unknown"):
+    with raises(st.SourceError, about="source", problem="unknown"):
         st.open_source("nothing:", profile)

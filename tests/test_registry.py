@@ -6,9 +6,9 @@ from importlib.metadata import entry_points
 
 import pytest
 
-from smarttouch.boards.board import Board, make_board, may_touch_a_finger, usual_profile
+from smarttouch.boards.board import Board, default_profile, make_board, may_touch_a_finger
 from smarttouch.boards.memory import MemoryBoard
-from smarttouch.errors import BoardError, SensorError, SmartTouchError
+from smarttouch.errors import BoardError, SmartTouchError, SourceError
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.registry import fault_of, find_opener, known_names
 from smarttouch.running.display import open_display
@@ -80,7 +80,7 @@ def test_a_board_of_others(installed, limits):
     with board:
         assert board.capabilities.firmware == "mine"
     assert may_touch_a_finger("mine:")
-    assert usual_profile("mine:") == DEFAULT_PROFILE
+    assert default_profile("mine:") == DEFAULT_PROFILE
     assert "mine" in known_names("smarttouch.boards")
 
 
@@ -88,7 +88,7 @@ def test_a_source_of_others(installed, profile):
     installed(SOURCE, "smarttouch.sources", "open_mine")
     with open_source("mine:", profile, shade=3) as source:
         assert source.read(0) is None
-    with raises(SensorError, about="color", problem="unknown", allowed=("shade",)):
+    with raises(SourceError, about="color", problem="unknown", allowed=("shade",)):
         open_source("mine:", profile, color=1)
 
 
@@ -173,14 +173,14 @@ def test_a_broken_source_is_refused_by_its_package(
     installed, profile, text, target, about, problem
 ):
     installed(text, "smarttouch.sources", target, "their-source")
-    with raises(SensorError, problem=problem, value="their-source") as caught:
+    with raises(SourceError, problem=problem, value="their-source") as caught:
         open_source("mine:", profile)
     assert about in caught.value.about
 
 
 def test_a_broken_force_is_refused_by_its_package(installed, profile):
     installed(SOURCE, "smarttouch.forces", "open_mine", "their-force")
-    with raises(SensorError, about="Mine", problem="not a subclass", value="their-force"):
+    with raises(SourceError, about="Mine", problem="not a subclass", value="their-force"):
         open_force("mine:", profile)
 
 

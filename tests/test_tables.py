@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from smarttouch.errors import SensorError, SmartTouchError
+from smarttouch.errors import SmartTouchError, SourceError
 from smarttouch.tables import finite, parse_csv, read_csv
 
 from .raising import raises
@@ -15,7 +15,7 @@ def table(tmp_path):
     def make(text):
         path = tmp_path / "a.csv"
         path.write_text(text, encoding="utf-8", newline="")
-        return read_csv(path, SensorError)
+        return read_csv(path, SourceError)
 
     return make
 
@@ -47,7 +47,7 @@ def test_a_quoted_cell_may_go_over_lines(table):
     ],
 )
 def test_what_is_wrong_is_said_with_its_line(table, text, about, problem, value):
-    with raises(SensorError, about=about, problem=problem, value=value):
+    with raises(SourceError, about=about, problem=problem, value=value):
         table(text).numbers(("a", "b"))
 
 

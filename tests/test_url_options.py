@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from smarttouch.boards.board import make_board
-from smarttouch.errors import BoardError, PageError, SensorError
+from smarttouch.errors import BoardError, PageError, SourceError
 from smarttouch.profile import load_profile
 from smarttouch.sources import open_source
 from smarttouch.stimulation.safety import SafetyLimits
@@ -42,12 +42,12 @@ def opener(
     ],
 )
 def test_options_in_their_types(url, rest, options):
-    assert read_options(opener, url, SensorError) == (rest, options)
+    assert read_options(opener, url, SourceError) == (rest, options)
 
 
 @pytest.mark.parametrize("url", ["", "a", "Why?", "Is it so? Yes", "a?b.png", "a?", "a?Seed=1"])
 def test_a_question_mark_need_not_begin_options(url):
-    assert read_options(opener, url, SensorError) == (url, {})
+    assert read_options(opener, url, SourceError) == (url, {})
 
 
 def test_an_opener_without_options_reads_its_own():
@@ -70,14 +70,14 @@ def test_an_opener_without_options_reads_its_own():
     ],
 )
 def test_options_that_are_none(url, about, value):
-    with pytest.raises(SensorError) as raised:
-        read_options(opener, url, SensorError, but=("light_on_dark",))
+    with pytest.raises(SourceError) as raised:
+        read_options(opener, url, SourceError, but=("light_on_dark",))
     assert (raised.value.about, raised.value.value) == (about, value)
 
 
 def test_an_unknown_option_lists_what_there_is():
-    with pytest.raises(SensorError) as raised:
-        read_options(opener, "a?speed=1", SensorError)
+    with pytest.raises(SourceError) as raised:
+        read_options(opener, "a?speed=1", SourceError)
     assert raised.value.allowed == (
         "events", "fps", "light_on_dark", "path", "seed", "size", "unpaced",
     )  # fmt: skip
@@ -94,7 +94,7 @@ def test_pages_by_url(tmp_path, monkeypatch):
     for url in ("page:a?dpi=50", "page:page.png"):
         with pytest.raises(PageError):
             open_source(url, profile)
-    with pytest.raises(SensorError) as raised:
+    with pytest.raises(SourceError) as raised:
         open_source("page:page.png?dpi=300", profile, dpi=200)
     assert (raised.value.about, raised.value.value) == ("dpi", (300.0, 200))
 
@@ -112,6 +112,6 @@ def test_boards_by_url(tmp_path):
 
 @pytest.mark.parametrize("text", ["", "640", "640x", "0x5", "6_4x4", "640x480x3", "123456x1"])
 def test_sizes_that_are_none(text):
-    with pytest.raises(SensorError) as raised:
-        parse_size(text, SensorError, "--size")
+    with pytest.raises(SourceError) as raised:
+        parse_size(text, SourceError, "--size")
     assert (raised.value.about, raised.value.value) == ("--size", text)

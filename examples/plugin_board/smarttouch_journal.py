@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import IO
 
 from smarttouch.boards.board import Board, BoardReport, Capabilities
-from smarttouch.boards.books import HostBooks
+from smarttouch.boards.host_statistics import HostStatistics
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits
@@ -59,7 +59,7 @@ class JournalBoard(Board):
                 value=self._path,
             ) from None
         self._number = 0
-        self._books = HostBooks(self.capabilities.electrodes)
+        self._books = HostStatistics(self.capabilities.electrodes)
         self._write("zero")
 
     def _send(self, sequence: ScanSequence, times: int) -> int:

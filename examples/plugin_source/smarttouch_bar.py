@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.profile import Profile
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.sources.source import OpticalSource
@@ -22,7 +22,7 @@ def open_bar(rest: str, profile: Profile, *, speed_mm_s: float = 10.0) -> "BarSo
     except ValueError:
         width_mm = math.nan
     if not 0 < width_mm <= profile.optics.field_width_mm:
-        raise SensorError(
+        raise SourceError(
             f"bar:{rest} is no width: give millimeters above 0, at most "
             f"{profile.optics.field_width_mm:g}",
             about="width",
@@ -31,7 +31,7 @@ def open_bar(rest: str, profile: Profile, *, speed_mm_s: float = 10.0) -> "BarSo
             allowed=profile.optics.field_width_mm,
         )
     if not 0 < speed_mm_s <= 1000:
-        raise SensorError(
+        raise SourceError(
             f"{speed_mm_s:g} mm/s cannot be: give above 0, at most 1000",
             about="speed_mm_s",
             problem="impossible",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from smarttouch_bar import open_bar
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.profile import Profile
 from smarttouch.sources.source import OpticalSource
 from smarttouch.testing.sources import SourceContract
@@ -28,6 +28,6 @@ class TestBar(SourceContract):
 
     @pytest.mark.parametrize("speed_mm_s", [0.0, -1.0, 1001.0])
     def test_speeds_that_cannot_be(self, profile: Profile, speed_mm_s: float) -> None:
-        with pytest.raises(SensorError) as error:
+        with pytest.raises(SourceError) as error:
             open_bar("1", profile, speed_mm_s=speed_mm_s)
         assert error.value.about == "speed_mm_s"

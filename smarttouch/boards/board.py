@@ -29,9 +29,9 @@ __all__ = [
     "BoardReport",
     "Capabilities",
     "Polarity",
+    "default_profile",
     "make_board",
     "may_touch_a_finger",
-    "usual_profile",
 ]
 
 LONGEST_REPEAT = 0xFFFF
@@ -55,7 +55,7 @@ class Board(Timely, ABC):
         Output section of the profile: kind, scale, wiring.
     """
 
-    usual_profile: ClassVar[str] = DEFAULT_PROFILE
+    default_profile: ClassVar[str] = DEFAULT_PROFILE
     """Name of the default profile of such a board."""
     takes_wiring: ClassVar[bool] = False
     on_a_finger: ClassVar[bool] = True
@@ -424,9 +424,9 @@ def may_touch_a_finger(url: str) -> bool:
     return bool(getattr(_find(url)[0], "on_a_finger", True))
 
 
-def usual_profile(url: str) -> str:
+def default_profile(url: str) -> str:
     """Return the name of the shipped profile that goes with a board's URL."""
-    return str(getattr(_find(url)[0], "usual_profile", DEFAULT_PROFILE))
+    return str(getattr(_find(url)[0], "default_profile", DEFAULT_PROFILE))
 
 
 def _find(url: str) -> tuple[Callable[..., Any], str]:

@@ -55,7 +55,7 @@ class ETactileKitBoard(SteppedKit):
     cannot. Both: ``?slow&firmware=936c6c0``.
     """
 
-    usual_profile: ClassVar[str] = "etactilekit-32"
+    default_profile: ClassVar[str] = "etactilekit-32"
     room_s = 0.5
     timing = ScanTiming(
         slot_extra_us=10, every_electrode=True, own_widths=False, whole_hz=True, load=0.9

@@ -57,7 +57,7 @@ class HybridBoard(Board):
     lifted: bool = _electric("lifted")
     ua_per_count: float | None = _electric("ua_per_count")
     timing: ScanTiming = _electric("timing")
-    waits_for_nothing: ClassVar[bool] = _electric("waits_for_nothing")
+    simulated_time: ClassVar[bool] = _electric("simulated_time")
     on_a_finger: ClassVar[bool] = _electric("on_a_finger")
     capabilities: Capabilities = _vibrating()
 

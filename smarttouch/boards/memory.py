@@ -3,7 +3,7 @@
 from typing import Any
 
 from smarttouch.boards.board import Board, BoardReport, Capabilities
-from smarttouch.boards.books import HostBooks
+from smarttouch.boards.host_statistics import HostStatistics
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
 from smarttouch.registry import refuse_rest
@@ -44,7 +44,7 @@ class MemoryBoard(Board):
 
     def _open(self) -> None:
         self.sequences.clear()
-        self._books = HostBooks(self.capabilities.electrodes)
+        self._books = HostStatistics(self.capabilities.electrodes)
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         self.sequences.append(sequence)

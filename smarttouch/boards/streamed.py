@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from smarttouch.boards.board import Board, BoardReport
-from smarttouch.boards.books import HostBooks
+from smarttouch.boards.host_statistics import HostStatistics
 from smarttouch.boards.recovery import start_anew
 from smarttouch.clock import LATE_NS
 from smarttouch.errors import BoardError, LineLostError
@@ -83,12 +83,12 @@ class StreamedBoard(Board):
         if output is not None and output.kind != "one-against-all":
             raise BoardError(
                 f"a {self.kind} board is one-against-all, the profile needs {output.kind}: use "
-                f"--profile {self.usual_profile}",
+                f"--profile {self.default_profile}",
                 about="output.kind",
                 problem="conflict",
                 value=output.kind,
                 allowed="one-against-all",
-                remedy=f"--profile {self.usual_profile}",
+                remedy=f"--profile {self.default_profile}",
             )
         self._port_name = port
         self._number = 0
@@ -111,7 +111,7 @@ class StreamedBoard(Board):
     # -- the contract ------------------------------------------------------
 
     def _open(self) -> None:
-        self._books = HostBooks(self._gate.limits.electrodes)
+        self._books = HostStatistics(self._gate.limits.electrodes)
         port = open_port(self._port_name)
         self._identity = identity_of(port)
         self._start(port)

@@ -13,7 +13,7 @@ class Timely:
     It uses the machine's own clock, whatever clock a program passes.
     """
 
-    waits_for_nothing: ClassVar[bool] = False
+    simulated_time: ClassVar[bool] = False
     """Whether its time is simulated, without waiting."""
     dropped_late: int = 0
     """Number of sequences that were not sent because they were too late."""
@@ -55,7 +55,7 @@ class Timely:
 
     @final
     def _is_late(self, due_ns: int) -> bool:
-        return not self.waits_for_nothing and self.clock.now_ns() - due_ns > LATE_NS
+        return not self.simulated_time and self.clock.now_ns() - due_ns > LATE_NS
 
     @final
     def _refuse_late(self, due_ns: int) -> None:

@@ -148,7 +148,7 @@ def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
 
     Raises
     ------
-    SensorError
+    SourceError
         If none come.
     CalibrationError
         If there are too few, or most are no numbers.

@@ -33,9 +33,9 @@ class CalibrationOptions(OptionGroup):
 
     def start(self, board_url: str) -> str:
         """Return the profile to start from; a board's usual one if none was given."""
-        from smarttouch.boards.board import usual_profile
+        from smarttouch.boards.board import default_profile
 
-        return self.profile or usual_profile(board_url)
+        return self.profile or default_profile(board_url)
 
     def begun(self) -> str:
         """Return what was given to start from, or the output if it is there already."""
@@ -46,7 +46,7 @@ class CalibrationOptions(OptionGroup):
 
     def file(self, part: str, simulated: bool, board_url: str | None = None) -> "ProfileFile":
         """Return the profile on its way from one file to another."""
-        from smarttouch.boards.board import usual_profile
+        from smarttouch.boards.board import default_profile
         from smarttouch.calibrate.profile_file import file_to_calibrate
         from smarttouch.cli.profiles import tell_changes
         from smarttouch.errors import CalibrationError
@@ -55,7 +55,7 @@ class CalibrationOptions(OptionGroup):
         if self.output is None:
             message = "give --output FILE.toml for what is measured"
             raise CalibrationError(message, about="--output", problem="missing")
-        usual = DEFAULT_PROFILE if board_url is None else usual_profile(board_url)
+        usual = DEFAULT_PROFILE if board_url is None else default_profile(board_url)
         file = file_to_calibrate(
             part, self.profile, usual, self.output, self.overwrite, simulated=simulated
         )

@@ -50,16 +50,16 @@ def color(
     """
     import contextlib
 
+    from smarttouch.afferent import Afferent
     from smarttouch.cli.files import require_folder, write_json
     from smarttouch.cli.progress import bank_progress
     from smarttouch.cli.session import run_in_terminal
     from smarttouch.cli.tables import print_table
     from smarttouch.kernels.bank import load_bank
-    from smarttouch.primary import Primary
     from smarttouch.reading.window import press_n
+    from smarttouch.vibrotactile.crosstalk import pacinian_price
     from smarttouch.vibrotactile.mix import mix
     from smarttouch.vibrotactile.picture import draw
-    from smarttouch.vibrotactile.price import pacinian_price
     from smarttouch.vibrotactile.report import answer_rows, as_figures, mixture_rows, notes
     from smarttouch.vibrotactile.sites import parse_places
     from smarttouch.vibrotactile.source import ColorSource
@@ -102,7 +102,7 @@ def color(
     sensor.url = source
     sensor.notes += notes(mixture, answers)
     price = None
-    if mixture.pulses(Primary.PC):
+    if mixture.pulses(Afferent.PC):
         price = pacinian_price(chosen, bank, mixture.sites)
         sensor.notes.append(str(price))
     with contextlib.ExitStack() as stack:

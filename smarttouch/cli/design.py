@@ -47,7 +47,7 @@ def design(
     ] = None,
 ) -> None:
     """Show the kernels of a profile: current patterns that reach one class of afferents."""
-    from smarttouch.cli.files import parse_primary, require_folder, require_site, write_json
+    from smarttouch.cli.files import parse_afferent, require_folder, require_site, write_json
     from smarttouch.cli.progress import bank_progress
     from smarttouch.errors import DesignError, SmartTouchError
     from smarttouch.kernels import report
@@ -55,7 +55,7 @@ def design(
     from smarttouch.kernels.switching import possible_modes
     from smarttouch.profile import load_profile
 
-    primary = None if mode is None else parse_primary(mode)
+    afferent = None if mode is None else parse_afferent(mode)
     chosen = load_profile(profile)
     for output in (json_file, plot_file, bank_file):
         require_folder(output)
@@ -73,18 +73,18 @@ def design(
     if site is not None:
         require_site(chosen, site)
     modes = possible_modes(chosen)
-    if primary is not None:
-        if primary not in modes and not special:
+    if afferent is not None:
+        if afferent not in modes and not special:
             offered = tuple(each.name for each in modes)
             raise DesignError(
-                f"mode {primary.name} is not possible with the board of {profile}: it offers "
+                f"mode {afferent.name} is not possible with the board of {profile}: it offers "
                 f"{', '.join(offered) or 'none'}",
                 about="--mode",
                 problem="impossible",
-                value=primary.name,
+                value=afferent.name,
                 allowed=offered,
             )
-        modes = [primary]
+        modes = [afferent]
     sites = chosen.driven.tolist() if site is None else [site]
     with bank_progress(quiet=False) as progress:
         if compare:

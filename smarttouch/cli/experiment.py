@@ -102,9 +102,8 @@ def run_listed(
     from dataclasses import replace
 
     from smarttouch.cli.experiment_steps import require_answers, sit
-    from smarttouch.cli.files import parse_choice, parse_primary
-    from smarttouch.psychophysics.catalog import Wanted, design
-    from smarttouch.psychophysics.course import Course
+    from smarttouch.cli.files import parse_afferent, parse_choice
+    from smarttouch.psychophysics.catalog import ExperimentOptions, design
     from smarttouch.psychophysics.rows import About
     from smarttouch.psychophysics.sitting import (
         numbered,
@@ -112,27 +111,28 @@ def run_listed(
         parse_standards,
         usual_name,
     )
+    from smarttouch.psychophysics.timing import TrialTiming
 
     if simulate is not None:
         simulate = parse_choice("--simulate", simulate, ("model", "random", "first", "silent"))
     run = replace(run, board=board or (None if simulate is None else "simulated:"))
     require_answers(simulate, run.board_url)
     chosen = run.load_profile()
-    primary = parse_primary(mode)
-    named = f"{name}-{primary.name}"
+    afferent = parse_afferent(mode)
+    named = f"{name}-{afferent.name}"
     stem, order = usual_name(named, participant, session, seed)
-    wanted = Wanted(
-        primary, procedure, parse_standards(standards), repetitions, trials, site, train_s, rate,
+    wanted = ExperimentOptions(
+        afferent, procedure, parse_standards(standards), repetitions, trials, site, train_s, rate,
         letters, two_intervals, order,
     )  # fmt: skip
     made = design(name, chosen, wanted)
     # Nobody is there who could press harder, or turn the intensity up.
     patience_s = None if simulate is None else 10.0
-    course = Course(gap_s, answer_s or None, made.again, patience_s)
+    course = TrialTiming(gap_s, answer_s or None, made.again, patience_s)
     path = output or Path(f"{stem}.csv")
     about = About(named, made.method, participant, session, order)
     config = run.config(
-        primary.name,
+        afferent.name,
         seed=order,
         subject=run.subject or participant,
         note=run.note or session,
@@ -174,11 +174,11 @@ def free(
     from dataclasses import replace
 
     from smarttouch.cli.experiment_steps import free_run
-    from smarttouch.cli.files import parse_primary
+    from smarttouch.cli.files import parse_afferent
     from smarttouch.profile import load_profile
 
     if run.intensity is None and not run.on_a_finger:
         # By hand from nothing here too.
         run = replace(run, intensity=0.0)
     run = replace(run, subject=run.subject or participant)
-    free_run(run, load_profile(profile), parse_primary(mode), site, rate, knob, output)
+    free_run(run, load_profile(profile), parse_afferent(mode), site, rate, knob, output)

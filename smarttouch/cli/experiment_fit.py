@@ -73,7 +73,7 @@ def fit(
     from smarttouch.plotting import style
     from smarttouch.plotting.discrimination import discrimination_figure
     from smarttouch.psychophysics.fitting.answers import usual_model
-    from smarttouch.psychophysics.fitting.fit import How
+    from smarttouch.psychophysics.fitting.fit import BootstrapOptions
     from smarttouch.psychophysics.fitting.psychometric import Shape
     from smarttouch.psychophysics.fitting.report import as_figures, as_series
     from smarttouch.psychophysics.fitting.table import read_table
@@ -90,7 +90,7 @@ def fit(
         message = f"--seed {seed} is not offered: give 0 or more"
         raise ExperimentError(message, about="--seed", value=seed, allowed=0)
     parametric = parse_choice("--resample", resample, ("curve", "trials")) == "curve"
-    how = How(samples, seed, parametric)
+    how = BootstrapOptions(samples, seed, parametric)
     shape, wanted = parse_choice("--function", function, Shape), _parse_guess(guess)
     found: list[tuple[Table, list[Finding]]] = []
     for path in files:

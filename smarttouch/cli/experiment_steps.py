@@ -8,16 +8,16 @@ from pathlib import Path
 
 import typer
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.cli.blind_screen import BlindScreen
 from smarttouch.cli.progress import bank_progress
 from smarttouch.cli.run_options import RunOptions
 from smarttouch.cli.session import run_in_terminal
 from smarttouch.errors import ExperimentError
 from smarttouch.kernels.bank import load_bank
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.free import FreeLog, FreeSource, HandControls, up_to_the_ceiling
-from smarttouch.psychophysics.sitting import Sitting, numbered
+from smarttouch.psychophysics.sitting import ExperimentSession, numbered
 from smarttouch.reading.window import press_n
 from smarttouch.running.config import RunConfig
 from smarttouch.sources.forces.force import ForceSource
@@ -27,7 +27,7 @@ _SIMULATED = "simulated:"
 
 
 def sit(
-    sitting: Sitting,
+    sitting: ExperimentSession,
     options: RunOptions,
     config: RunConfig,
     force: ForceSource | None,
@@ -63,7 +63,7 @@ def sit(
 def free_run(
     options: RunOptions,
     profile: Profile,
-    primary: Primary,
+    afferent: Afferent,
     site: int | None,
     rate_hz: float,
     knob_url: str | None,
@@ -81,7 +81,7 @@ def free_run(
             offered = tuple(sorted(load_bank(raised, progress).weights))
         log = stack.enter_context(FreeLog(output or numbered(Path("free.csv"))))
         pressed_n = press_n(raised) if options.pressed else None
-        sensor = FreeSource(raised, offered, log, primary, site, rate_hz, pressed_n)
+        sensor = FreeSource(raised, offered, log, afferent, site, rate_hz, pressed_n)
         sensor.url = "experiment:free"
         run_in_terminal(
             sensor,

@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.errors import SmartTouchError
 from smarttouch.files import write_bytes
-from smarttouch.primary import Mode, Primary
 
 if TYPE_CHECKING:
     from smarttouch.profile import Profile
@@ -33,11 +33,11 @@ def parse_choice(option: str, text: str, choices: Iterable[Choice]) -> Choice:
     return next(each for each in known if each == text.lower())
 
 
-def parse_primary(mode: str) -> Primary:
+def parse_afferent(mode: str) -> Afferent:
     """Return the primary that ``--mode`` names."""
-    if mode.upper() not in Primary.__members__:
-        raise not_offered("--mode", mode, Primary.__members__)
-    return Primary[mode.upper()]
+    if mode.upper() not in Afferent.__members__:
+        raise not_offered("--mode", mode, Afferent.__members__)
+    return Afferent[mode.upper()]
 
 
 def not_offered(

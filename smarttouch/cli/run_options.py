@@ -146,10 +146,10 @@ class RunOptions(OptionGroup):
 
     def load_profile(self) -> "Profile":
         """Return the profile that was asked for, or the board's usual one."""
-        from smarttouch.boards.board import usual_profile
+        from smarttouch.boards.board import default_profile
         from smarttouch.profile import load_profile
 
-        return load_profile(self.profile or usual_profile(self.board_url))
+        return load_profile(self.profile or default_profile(self.board_url))
 
     def display(self, profile: "Profile") -> "Display":
         """Return the display, not opened yet."""

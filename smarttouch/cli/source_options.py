@@ -10,7 +10,7 @@ from smarttouch.cli.option_groups import OptionGroup
 
 if TYPE_CHECKING:
     from smarttouch.reading.braille import Braille
-    from smarttouch.reading.printed import HowToLook
+    from smarttouch.reading.printed import RecognitionOptions
     from smarttouch.reading.shapes import Shapes
 
 _PAGE = "The page"
@@ -76,11 +76,11 @@ class DocumentOptions(OptionGroup):
         ),
     ] = None
 
-    def look(self, *, scale_matters: bool = False) -> "HowToLook":
+    def look(self, *, scale_matters: bool = False) -> "RecognitionOptions":
         """Return how to look at the document."""
-        from smarttouch.reading.printed import HowToLook
+        from smarttouch.reading.printed import RecognitionOptions
 
-        return HowToLook(
+        return RecognitionOptions(
             self.pages,
             self.dpi,
             self.page_width_mm,

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from smarttouch.afferent import Afferent
 from smarttouch.delivered.mosaic import Mosaic
 from smarttouch.delivered.perception import DeliveredAnswers
 from smarttouch.delivered.raster import Raster, as_ink
 from smarttouch.documents.page_image import Page
 from smarttouch.files import write_bytes
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.running.step import StepResult
 from smarttouch.sources.frame import Pose
@@ -41,7 +41,7 @@ class FeltDrawing(DeliveredAnswers, ABC):
     Parameters
     ----------
     profile, bank, primaries
-        See `Perception`.
+        See `PerceptThresholds`.
     magnification : float
         Millimeters of the array for one of what it touches.
     """
@@ -55,13 +55,13 @@ class FeltDrawing(DeliveredAnswers, ABC):
         self,
         profile: Profile,
         bank: KernelBank,
-        primaries: tuple[Primary, ...],
+        afferents: tuple[Afferent, ...],
         magnification: float = 1.0,
     ) -> None:
-        super().__init__(profile, bank, primaries)
+        super().__init__(profile, bank, afferents)
         self._position_mm = profile.electrodes.position_mm / magnification
         self._cell_mm = tuple(side / magnification for side in profile.electrodes.cell_mm)
-        self._names = " and ".join(each.name for each in primaries)
+        self._names = " and ".join(each.name for each in afferents)
 
     @abstractmethod
     def under(self) -> Under:
@@ -129,15 +129,15 @@ class PageDrawing(FeltDrawing):
     Parameters
     ----------
     profile, bank, primaries
-        See `Perception`.
+        See `PerceptThresholds`.
     page : Page, optional
         What the finger passed over; put together from the frames if not given.
     """
 
     def __init__(
-        self, profile: Profile, bank: KernelBank, primaries: tuple[Primary, ...], page: Page | None
+        self, profile: Profile, bank: KernelBank, afferents: tuple[Afferent, ...], page: Page | None
     ) -> None:
-        super().__init__(profile, bank, primaries, profile.optics.magnification)
+        super().__init__(profile, bank, afferents, profile.optics.magnification)
         self._page = page
         self._mosaic = Mosaic(profile.optics) if page is None else None
         self._seen = False

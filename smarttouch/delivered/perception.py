@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.afferent import Afferent
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.profile.device import Pulse
 from smarttouch.running.step import StepResult
@@ -15,7 +15,7 @@ from smarttouch.sources.frame import Pose
 Floats = NDArray[np.float32]
 
 
-class Perception:
+class PerceptThresholds:
     """Response of the receptors under the electrodes, by their activating function.
 
     Each delivered slot activates the receptors under all electrodes; how much
@@ -28,17 +28,17 @@ class Perception:
         Thresholds and pulse.
     bank : KernelBank
         Its kernels, for what a full pulse does, and its receptors.
-    primaries : tuple of Primary
+    afferents : tuple of Afferent
         Classes of the response; of several the strongest response counts.
     """
 
-    def __init__(self, profile: Profile, bank: KernelBank, primaries: tuple[Primary, ...]) -> None:
+    def __init__(self, profile: Profile, bank: KernelBank, afferents: tuple[Afferent, ...]) -> None:
         self._pulse = profile.pulse
         full_ua = profile.full_ma * 1000
         self._receptors = []
-        for primary in primaries:
-            receptor = bank.receptor[primary]
-            full = full_ua * (receptor * bank.kernels(primary)).sum(axis=1)
+        for afferent in afferents:
+            receptor = bank.receptor[afferent]
+            full = full_ua * (receptor * bank.kernels(afferent)).sum(axis=1)
             # Masked sites have no kernel: nothing is felt there.
             self._receptors.append((receptor.T, np.where(full > 0, full, np.inf)))
         self._threshold = profile.threshold_ma / profile.full_ma
@@ -72,15 +72,15 @@ class Perception:
         return dict(zip(numbers[starts].tolist(), strongest, strict=True))
 
 
-class DeliveredAnswers(Perception):
+class DeliveredAnswers(PerceptThresholds):
     """Poses of the sequences of a run, and after it the answers to them.
 
     Iterating yields the pose and the answer, (E,) in [0, 1], of each sequence that the board got
     while the finger touched.
     """
 
-    def __init__(self, profile: Profile, bank: KernelBank, primaries: tuple[Primary, ...]) -> None:
-        super().__init__(profile, bank, primaries)
+    def __init__(self, profile: Profile, bank: KernelBank, afferents: tuple[Afferent, ...]) -> None:
+        super().__init__(profile, bank, afferents)
         self.poses: dict[int, Pose] = {}
         self.answer: dict[int, Floats] = {}
         self._silent = np.zeros(len(profile.electrodes), np.float32)

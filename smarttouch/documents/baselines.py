@@ -36,7 +36,7 @@ _WORTH = 0.7
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class Baseline:
     """Row of letters, straightened and measured; all in pixels of the page.
 
     Attributes
@@ -101,7 +101,7 @@ def along(coefficients: Floats, distance: Floats, length: float) -> Floats:
     return np.asarray(polynomial.polyval(inside, coefficients) + slope * (distance - inside))
 
 
-def follow(density: NDArray[np.uint8], row: Spots, slope: float | None = None) -> Course:
+def follow(density: NDArray[np.uint8], row: Spots, slope: float | None = None) -> Baseline:
     """Follow the baseline of a row of letters.
 
     Pieces of the row are shifted up and down until their ink fits that of the
@@ -141,7 +141,7 @@ def follow(density: NDArray[np.uint8], row: Spots, slope: float | None = None) -
     x_height = (base - top) / _STEPS * height
     strokes = _strokes(density, left, right, curve, x_height)
     step = 1 / (base - top)
-    return Course(left, right, curve, x_height, profile, base * step, step, strokes)
+    return Baseline(left, right, curve, x_height, profile, base * step, step, strokes)
 
 
 def _degree(support: float) -> int:

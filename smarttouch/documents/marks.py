@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.polynomial import Polynomial, polynomial
 
-from smarttouch.documents.baselines import Course
+from smarttouch.documents.baselines import Baseline
 from smarttouch.documents.letters import Spots, widest_white
 
 _THINNEST, _SHORTEST, _LONGEST = 0.06, 0.15, 2.5
@@ -30,18 +30,18 @@ _ONE_SIZE = 1.5
 """Largest ratio of their x-heights."""
 
 
-def with_marks(courses: list[Course], spots: Spots) -> list[Course]:
+def with_marks(courses: list[Baseline], spots: Spots) -> list[Baseline]:
     """Extend lines by the marks at their ends, and join those that then meet.
 
     Parameters
     ----------
-    courses : list of Course
+    courses : list of Baseline
         Lines that were found by their letters.
     spots : Spots
         All ink of the page.
     """
     lines = sorted(_lengthened(courses, spots), key=lambda line: line.left)
-    joined: list[Course] = []
+    joined: list[Baseline] = []
     for line in lines:
         before = [k for k, other in enumerate(joined) if _continues(other, line, spots)]
         if before:
@@ -52,7 +52,7 @@ def with_marks(courses: list[Course], spots: Spots) -> list[Course]:
     return [line for line in joined if not any(_belongs(line, other) for other in joined)]
 
 
-def _lengthened(courses: list[Course], spots: Spots) -> list[Course]:
+def _lengthened(courses: list[Baseline], spots: Spots) -> list[Baseline]:
     """Return the lines with the marks beside them; each mark goes to the nearest line."""
     x, y = (spots.left + spots.right) / 2, (spots.top + spots.bottom) / 2
     nearest = np.full(len(x), -1)
@@ -72,7 +72,7 @@ def _lengthened(courses: list[Course], spots: Spots) -> list[Course]:
     return [_reaching(course, spots.of(nearest == k)) for k, course in enumerate(courses)]
 
 
-def _reaching(course: Course, marks: Spots) -> Course:
+def _reaching(course: Baseline, marks: Spots) -> Baseline:
     """Extend a line from mark to mark, on either side."""
     left, right = course.left, course.right
     reach = _REACH * course.x_height
@@ -86,7 +86,7 @@ def _reaching(course: Course, marks: Spots) -> Course:
     return replace(course, left=left, right=right, baseline=np.asarray(moved.coef, np.float64))
 
 
-def _continues(line: Course, other: Course, spots: Spots) -> bool:
+def _continues(line: Baseline, other: Baseline, spots: Spots) -> bool:
     """Return whether another line continues one, directly or by ink between them."""
     size = min(line.x_height, other.x_height)
     if other.left - line.right > _FARTHEST * size or other.right <= line.right:
@@ -103,7 +103,7 @@ def _continues(line: Course, other: Course, spots: Spots) -> bool:
     return white[1] - white[0] < _MEETING * size
 
 
-def _joined(line: Course, other: Course) -> Course:
+def _joined(line: Baseline, other: Baseline) -> Baseline:
     """Return two lines as one."""
     longer = max(line, other, key=lambda each: each.right - each.left)
     x = np.linspace(line.left, other.right, 50)
@@ -113,7 +113,7 @@ def _joined(line: Course, other: Course) -> Course:
     return replace(longer, left=line.left, right=other.right, baseline=baseline)
 
 
-def _belongs(line: Course, other: Course) -> bool:
+def _belongs(line: Baseline, other: Baseline) -> bool:
     """Return whether a line consists of dots and accents of another one."""
     size = other.x_height
     if line is other or (

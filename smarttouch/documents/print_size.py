@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.documents.baselines import Course
+from smarttouch.documents.baselines import Baseline
 
 Floats = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ _CAPITALS = 0.08
 """Ink above its letters below which a line has no ascenders: it is capitals or figures."""
 
 
-def reach_of_print(courses: list[Course]) -> tuple[float, float]:
+def reach_of_print(courses: list[Baseline]) -> tuple[float, float]:
     """Return the reach of ascenders and descenders from the baseline, in x-heights.
 
     Of all lines of a page together: few single ones have enough of either.
@@ -45,7 +45,7 @@ def _end(height: Floats, ink: Floats, middle: tuple[float, float], zone: float) 
     return float(height[outside][0]) if outside.any() else None
 
 
-def shared_x_heights(courses: list[Course], ascent: float) -> Floats:
+def shared_x_heights(courses: list[Baseline], ascent: float) -> Floats:
     """Return the x-height of each line, shared with neighbors of the same print, px.
 
     Lines of capitals and figures seem to have taller letters: they get those

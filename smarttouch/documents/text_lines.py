@@ -6,7 +6,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from smarttouch.documents.baselines import Course, along, follow
+from smarttouch.documents.baselines import Baseline, along, follow
 from smarttouch.documents.ink import Paper, separate_ink
 from smarttouch.documents.letters import (
     Spots,
@@ -121,13 +121,13 @@ def lines_of(paper: Paper, mm_per_pixel: float) -> list[TextLine]:
     return [_line(courses[k], float(x_height[k]), ascent, descent, mm_per_pixel) for k in order]
 
 
-def _courses(density: NDArray[np.uint8], spots: Spots, height: float) -> list[Course]:
+def _courses(density: NDArray[np.uint8], spots: Spots, height: float) -> list[Baseline]:
     """Follow all rows of letters, the long ones first, and return those that are text."""
     letters = spots.of(like_letters(spots, height))
     rows = [letters.of(row) for row in find_rows(letters, spots)]
     rows.sort(key=_length, reverse=True)
-    lines: list[tuple[Course, Spots]] = []
-    guides: list[Course] = []
+    lines: list[tuple[Baseline, Spots]] = []
+    guides: list[Baseline] = []
     for tried, row in enumerate(rows):
         if tried > _HOPELESS + _MISSES * len(lines):
             break
@@ -144,12 +144,12 @@ def _length(row: Spots) -> float:
     return float(row.right.max() - row.left.min()) / row.usual_height
 
 
-def _slope_around(row: Spots, guides: list[Course]) -> float:
+def _slope_around(row: Spots, guides: list[Baseline]) -> float:
     """Return the slope of the line nearest to a short row; level if there is none."""
     x = float(row.left.min() + row.right.max()) / 2
     y = float((row.top + row.bottom).mean()) / 2
 
-    def away(guide: Course) -> float:
+    def away(guide: Baseline) -> float:
         beyond = max(guide.left - x, x - guide.right, 0.0)
         # Another column bends otherwise: lines above and below are more reliable.
         return abs(float(guide.at(np.array(x))) - y) + 2 * beyond
@@ -158,7 +158,7 @@ def _slope_around(row: Spots, guides: list[Course]) -> float:
 
 
 def _line(
-    course: Course, x_height: float, ascent: float, descent: float, mm_per_pixel: float
+    course: Baseline, x_height: float, ascent: float, descent: float, mm_per_pixel: float
 ) -> TextLine:
     scales = mm_per_pixel ** (1.0 - np.arange(len(course.baseline)))
     return TextLine(

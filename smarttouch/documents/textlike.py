@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.documents.baselines import Course
+from smarttouch.documents.baselines import Baseline
 from smarttouch.documents.letters import Spots
 
 _LEAST_X_HEIGHT_PX = 3.5
@@ -47,7 +47,7 @@ _TOUCHING = 1.3
 """Usual width of spots in which letters run together, in x-heights."""
 
 
-def is_text(course: Course, letters: Spots) -> bool:
+def is_text(course: Baseline, letters: Spots) -> bool:
     """Return whether a row of letters that was followed is a line of text."""
     if course.x_height < _LEAST_X_HEIGHT_PX:
         return False
@@ -56,7 +56,7 @@ def is_text(course: Course, letters: Spots) -> bool:
     return _has_profile_of_text(course, covered) and _are_letters(course, letters, covered)
 
 
-def _has_profile_of_text(course: Course, covered: float) -> bool:
+def _has_profile_of_text(course: Baseline, covered: float) -> bool:
     """Return whether ink lies between baseline and top of an x, and little around."""
     zone = course.ink_between(0.05, 0.95)
     between = max(course.least_ink(1.2, 2.1), course.least_ink(-1.1, -0.1))
@@ -70,7 +70,7 @@ def _has_profile_of_text(course: Course, covered: float) -> bool:
     )
 
 
-def _are_letters(course: Course, letters: Spots, covered: float) -> bool:
+def _are_letters(course: Baseline, letters: Spots, covered: float) -> bool:
     """Return whether spots have the strokes and positions of letters."""
     length_px = course.right - course.left
     length = length_px / course.x_height
@@ -109,7 +109,7 @@ def _are_solid(letters: Spots) -> bool:
     return bool(np.median(filled) > _SOLID)
 
 
-def credible(lines: list[tuple[Course, Spots]], ink: int) -> list[Course]:
+def credible(lines: list[tuple[Baseline, Spots]], ink: int) -> list[Baseline]:
     """Return the lines without specks that look like one letter.
 
     One or two letters alone are believed if they are as large as a line of
@@ -117,7 +117,7 @@ def credible(lines: list[tuple[Course, Spots]], ink: int) -> list[Course]:
 
     Parameters
     ----------
-    lines : list of (Course, Spots)
+    lines : list of (Baseline, Spots)
         Rows that look like text, and their letters.
     ink : int, px
         All ink of the page.

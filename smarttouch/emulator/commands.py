@@ -71,7 +71,7 @@ def emulate_board(
     port_only: _PortOnly = False,
 ) -> None:
     """Emulate a board on skin, behind a port whose name is printed, until Ctrl-C."""
-    from smarttouch.boards.emulator.books import Books
+    from smarttouch.boards.emulator.delivery_log import DeliveryLog
     from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
     from smarttouch.boards.emulator.etactilekit_generations import GENERATIONS
     from smarttouch.boards.emulator.finger import Finger
@@ -100,7 +100,7 @@ def emulate_board(
     if books is not None and not books.is_dir():
         message = f"--books {books} is no folder: make it first"
         raise _error(message, "--books", "no folder", books)
-    kept, finger = Books(electrodes, books), Finger(electrodes, event or ())
+    kept, finger = DeliveryLog(electrodes, books), Finger(electrodes, event or ())
     device: Firmware
     if name == "kajimoto61":
         device = Kajimoto61Firmware(kept, finger, volts)
@@ -172,7 +172,7 @@ def emulate_sensor(
     from smarttouch.boards.emulator.events import parse
     from smarttouch.emulator import sensors
     from smarttouch.emulator.server import FAULTS, Orders
-    from smarttouch.errors import SensorError
+    from smarttouch.errors import SourceError
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.sources.sensor_protocol import MOST_PIXELS_A_SIDE
 
@@ -191,7 +191,7 @@ def emulate_sensor(
     if books is not None and (books.is_dir() or not books.absolute().parent.is_dir()):
         message = f"cannot write {books}: give a file in a folder that exists"
         raise _error(message, "file", "unwritable", books)
-    faults = [parse(text, FAULTS, SensorError) for text in event or ()]
+    faults = [parse(text, FAULTS, SourceError) for text in event or ()]
     kinds = {fault.kind for fault in faults}
     chosen = load_profile(profile or DEFAULT_PROFILE)
     device: sensors.SensorFirmware

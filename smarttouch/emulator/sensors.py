@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards.emulator.firmware import Clock, Firmware
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.profile import Profile
 from smarttouch.sources import open_source
 from smarttouch.sources.forces.force import open_recorded
@@ -175,12 +175,12 @@ def look_at_page(url: str, profile: Profile, rows: int, columns: int) -> Look:
 
     Raises
     ------
-    SensorError
+    SourceError
         If there is no such sensor, or it cannot be asked for any time.
     """
     kind = url.partition(":")[0]
     if kind not in ("page", "text"):
-        raise SensorError(
+        raise SourceError(
             f"--sensor {url!r}: an emulated array looks at page:FILE or text:STRING",
             about="--sensor",
             problem="unknown",
@@ -205,7 +205,7 @@ def press(force_n: float, path: Path | None, profile: Profile) -> Callable[[floa
 
     Raises
     ------
-    SensorError
+    SourceError
         If there is no such record.
     """
     if path is None:
@@ -218,6 +218,6 @@ def _number(word: str) -> float:
     try:
         return float(np.nan_to_num(float(word)))
     except ValueError:
-        raise SensorError(
+        raise SourceError(
             f"{word!r} is no number", about="order", problem="malformed", value=word
         ) from None

@@ -25,7 +25,7 @@ from types import FrameType
 
 from smarttouch.boards.emulator.events import Event, parse
 from smarttouch.boards.emulator.firmware import Firmware
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.wire.pty_line import PtyLine
 from smarttouch.wire.tcp_line import TcpLine
 
@@ -208,14 +208,14 @@ class Server:
             with contextlib.suppress(BrokenPipeError):
                 try:
                     if not self._firmware.take_order(line.split()):
-                        self._add(parse(f"{time_s:.6f} {line}", FAULTS, SensorError))
-                except SensorError as error:
+                        self._add(parse(f"{time_s:.6f} {line}", FAULTS, SourceError))
+                except SourceError as error:
                     print(error, file=sys.stderr, flush=True)
         return frozenset() if self._first_host_ns is None else faults_at(self._faults, time_s)
 
     def _add(self, fault: Event) -> None:
         if fault.kind == "unplug" and not self._line.keeps_name:
-            raise SensorError(
+            raise SourceError(
                 "the port's name would change: start it with --event '0 unplug 0'",
                 about="event",
                 problem="impossible",

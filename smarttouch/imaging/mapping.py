@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.errors import ScheduleError
 from smarttouch.imaging.binarize import Binarizer
 from smarttouch.imaging.natural import NaturalDrive
 from smarttouch.imaging.registration import Registration
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
 from smarttouch.sources.frame import Frame
 from smarttouch.tactile_image import TactileImage
@@ -118,11 +118,11 @@ class TactileMapper:
         else:
             inked = self._binarizer.ink(reduced, frame.time_ns, touching)
         ink = self._registration.sample(inked)
-        activation = np.zeros((len(Primary), len(ink)), np.float32)
+        activation = np.zeros((len(Afferent), len(ink)), np.float32)
         self._tone.apply(ink)
         if mode is Mode.NATURAL:
             self._natural.drive(activation, ink, frame.time_ns, touching)
         else:
             self._natural.forget()
-            activation[Primary[mode.name]] = ink
+            activation[Afferent[mode.name]] = ink
         return TactileImage(activation, frame.time_ns, frame.force_n)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.primary import Primary
+from smarttouch.afferent import Afferent
 
 ADAPTATION_S = 0.04
 """Time constant of the adaptation to ink that stays. Ours: longer than between two
@@ -56,7 +56,7 @@ class NaturalDrive:
         """
         if self._time_ns is None or not touching:
             self._slow[:] = 0
-        change, sustained = activation[Primary.RA], activation[Primary.SAI]
+        change, sustained = activation[Afferent.RA], activation[Afferent.SAI]
         np.subtract(ink, self._slow, out=change)
         if self._time_ns is not None and touching:
             elapsed_s = max(0, time_ns - self._time_ns) / 1e9

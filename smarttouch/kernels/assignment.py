@@ -68,7 +68,7 @@ def _best_states(judge: "_Judge", problem: Problem, site: int) -> tuple[NDArray[
                 states = left[int(worths.argmin())]
             return states, 0.0
     kernel = design_kernel(problem, site)
-    bound = max(kernel.worst_other, kernel.own_spill if kernel.own_spill > SPILL + 1e-6 else 0.0)
+    bound = max(kernel.off_target, kernel.spill if kernel.spill > SPILL + 1e-6 else 0.0)
     return states, max(0.0, (reached - bound) / reached)
 
 

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.afferent import Afferent
 from smarttouch.arrays import read_arrays
 from smarttouch.errors import DesignError
 from smarttouch.files import MOST_BANK_BYTES, open_file, require_replaceable
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile, list_profiles
 from smarttouch.resources import data_folder
 
@@ -27,9 +27,13 @@ if TYPE_CHECKING:
 DESIGN_VERSION = 2
 """Version of the design, raised when the same problem would get other kernels."""
 
-_FIELDS = ("weights", "worst_other", "worst_class", "own_spill", "gap", "seconds", "receptor")
+_IN_FILE = {
+    "weights": "weights", "off_target": "worst_other", "worst_class": "worst_class",
+    "spill": "own_spill", "gap": "gap", "seconds": "seconds", "receptor": "receptor",
+}  # fmt: skip
+"""Name of each column in a file."""
 
-Column = dict[Primary, NDArray[Any]]
+Column = dict[Afferent, NDArray[Any]]
 Progress = Callable[[int, int], None]
 
 
@@ -39,31 +43,31 @@ class KernelBank:
 
     Attributes
     ----------
-    weights : dict of Primary to ndarray, (E, E) float64, mA per V/mm²
+    weights : dict of Afferent to ndarray, (E, E) float64, mA per V/mm²
         Row s is the kernel of site s: positive cathodic, activation 1 at its
         target, sum zero. Rows and columns of masked electrodes are zero.
-    worst_other, own_spill : dict of Primary to ndarray, (E,) float64
+    off_target, spill : dict of Afferent to ndarray, (E,) float64
         Selectivity of each kernel, of its target's activation.
-    worst_class : dict of Primary to ndarray, (E,) int8
+    worst_class : dict of Afferent to ndarray, (E,) int8
         Class of the worst other.
-    gap : dict of Primary to ndarray, (E,) float64
+    gap : dict of Afferent to ndarray, (E,) float64
         Largest distance of each kernel from the optimum; 0 is proven.
-    seconds : dict of Primary to ndarray, (E,) float32
+    seconds : dict of Afferent to ndarray, (E,) float32
         Time of each kernel's design.
-    receptor : dict of Primary to ndarray, (E, E) float32, V/mm² per mA
+    receptor : dict of Afferent to ndarray, (E, E) float32, V/mm² per mA
         Activating function at the target under electrode r for unit cathodic
         current at electrode e.
     """
 
     weights: Column
-    worst_other: Column
+    off_target: Column
     worst_class: Column
-    own_spill: Column
+    spill: Column
     gap: Column
     seconds: Column
     receptor: Column
 
-    def kernels(self, primary: Primary) -> NDArray[np.float32]:
+    def kernels(self, afferent: Afferent) -> NDArray[np.float32]:
         """Return the kernels of a mode, each with a peak magnitude of 1, (E, E).
 
         The row of a masked site is zero.
@@ -73,11 +77,11 @@ class KernelBank:
         DesignError
             If the board cannot make that mode.
         """
-        weights = self._made(primary)
+        weights = self._made(afferent)
         peak = np.abs(weights).max(axis=1, keepdims=True)
         return np.asarray(weights / np.where(peak > 0, peak, 1.0), np.float32)
 
-    def kernel(self, primary: Primary, site: int, kind: "Kind") -> "Kernel":
+    def kernel(self, afferent: Afferent, site: int, kind: "Kind") -> "Kernel":
         """Return one kernel with its figures.
 
         Raises
@@ -87,34 +91,34 @@ class KernelBank:
         """
         from smarttouch.kernels.problem import Kernel, masked_site
 
-        weights = self._made(primary)[site]
+        weights = self._made(afferent)[site]
         if not weights.any():
             raise masked_site(site)
         return Kernel(
             weights=weights,
-            worst_other=float(self.worst_other[primary][site]),
-            worst_other_class=Primary(int(self.worst_class[primary][site])),
-            own_spill=float(self.own_spill[primary][site]),
+            off_target=float(self.off_target[afferent][site]),
+            off_target_class=Afferent(int(self.worst_class[afferent][site])),
+            spill=float(self.spill[afferent][site]),
             kind=kind,
-            gap=float(self.gap[primary][site]),
+            gap=float(self.gap[afferent][site]),
         )
 
-    def _made(self, primary: Primary) -> NDArray[np.float64]:
-        if primary not in self.weights:
+    def _made(self, afferent: Afferent) -> NDArray[np.float64]:
+        if afferent not in self.weights:
             offered = ", ".join(
-                f"{each.name} (other classes reach {self.worst_other[each].max():.2g} of the "
-                f"target, its own elsewhere {self.own_spill[each].max():.2g})"
+                f"{each.name} (other classes reach {self.off_target[each].max():.2g} of the "
+                f"target, its own elsewhere {self.spill[each].max():.2g})"
                 for each in sorted(self.weights)
             )
             raise DesignError(
-                f"mode {primary.name} is not possible with this profile's board: "
+                f"mode {afferent.name} is not possible with this profile's board: "
                 f"it offers {offered or 'none'}",
                 about="mode",
                 problem="impossible",
-                value=primary,
+                value=afferent,
                 allowed=tuple(sorted(self.weights)),
             )
-        return self.weights[primary]
+        return self.weights[afferent]
 
 
 def problem_hash(profile: Profile) -> str:
@@ -211,38 +215,38 @@ def design_bank(
     from smarttouch.kernels.switching import designer, possible_modes
 
     modes = possible_modes(profile)
-    columns: dict[str, Column] = {name: {} for name in _FIELDS}
-    for index, primary in enumerate(modes):
+    columns: dict[str, Column] = {name: {} for name in _IN_FILE}
+    for index, afferent in enumerate(modes):
 
         def advance(done: int, total: int, index: int = index) -> None:
             if progress is not None:
                 progress(index * total + done, len(modes) * total)
 
-        problem = Problem(profile, primary)
+        problem = Problem(profile, afferent)
         timed = design_sites(problem, designer(profile), None, advance, keep)
         kernels = [kernel for kernel, _ in timed]
         found: dict[str, tuple[Any, Any]] = {
             "weights": ([kernel.weights for kernel in kernels], np.float64),
-            "worst_other": ([kernel.worst_other for kernel in kernels], np.float64),
-            "worst_class": ([kernel.worst_other_class for kernel in kernels], np.int8),
-            "own_spill": ([kernel.own_spill for kernel in kernels], np.float64),
+            "off_target": ([kernel.off_target for kernel in kernels], np.float64),
+            "worst_class": ([kernel.off_target_class for kernel in kernels], np.int8),
+            "spill": ([kernel.spill for kernel in kernels], np.float64),
             "gap": ([kernel.gap for kernel in kernels], np.float64),
             "seconds": ([seconds for _, seconds in timed], np.float32),
         }
         for name, (values, kind) in found.items():
             made = np.array(values, kind)
-            columns[name][primary] = np.zeros((problem.electrodes, *made.shape[1:]), kind)
-            columns[name][primary][problem.driven] = made
-        columns["receptor"][primary] = np.asarray(problem.target, np.float32)
+            columns[name][afferent] = np.zeros((problem.electrodes, *made.shape[1:]), kind)
+            columns[name][afferent][problem.driven] = made
+        columns["receptor"][afferent] = np.asarray(problem.target, np.float32)
     return KernelBank(**columns)
 
 
 def write_bank(path: Path, profile: Profile, bank: KernelBank) -> None:
     """Write a bank in one atomic step."""
     columns = {
-        f"{name}_{primary.name}": values
-        for name in _FIELDS
-        for primary, values in getattr(bank, name).items()
+        f"{in_file}_{afferent.name}": values
+        for name, in_file in _IN_FILE.items()
+        for afferent, values in getattr(bank, name).items()
     }
     handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".npz")
     try:
@@ -262,11 +266,12 @@ def _read(path: Path, profile: Profile) -> KernelBank | None:
             arrays = read_arrays(file)
         if str(arrays["key"]) != problem_hash(profile):
             return None
-        columns: dict[str, Column] = {name: {} for name in _FIELDS}
+        columns: dict[str, Column] = {name: {} for name in _IN_FILE}
+        named = {in_file: columns[name] for name, in_file in _IN_FILE.items()}
         for name, values in arrays.items():
-            field, _, primary = name.rpartition("_")
-            if field in columns:
-                columns[field][Primary[primary]] = values
+            in_file, _, afferent = name.rpartition("_")
+            if in_file in named:
+                named[in_file][Afferent[afferent]] = values
         return _checked(KernelBank(**columns), len(profile.electrodes))
     except (DesignError, OSError, ValueError, KeyError):
         # It is designed anew: that is slow, not wrong.
@@ -275,7 +280,7 @@ def _read(path: Path, profile: Profile) -> KernelBank | None:
 
 def _checked(bank: KernelBank, electrodes: int) -> KernelBank:
     """Return a bank; ValueError if its arrays do not fit the number of electrodes."""
-    for name in _FIELDS:
+    for name in _IN_FILE:
         column: Column = getattr(bank, name)
         shape = (electrodes,) * (2 if name in ("weights", "receptor") else 1)
         if column.keys() != bank.weights.keys() or not column:
@@ -286,6 +291,6 @@ def _checked(bank: KernelBank, electrodes: int) -> KernelBank:
                 raise ValueError(f"{name} is not of {electrodes} electrodes")
             if not np.isfinite(values).all():
                 raise ValueError(f"{name} has what is no number")
-    if not {int(each) for each in np.unique([*bank.worst_class.values()])} <= {*Primary}:
+    if not {int(each) for each in np.unique([*bank.worst_class.values()])} <= {*Afferent}:
         raise ValueError("a worst class is none")
     return bank

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.files import parse_json, read_bytes
 from smarttouch.kernels.problem import Kernel, Problem
-from smarttouch.primary import Primary
 
 Design = Callable[[Problem, int], Kernel]
 Progress = Callable[[int, int], None]
@@ -111,15 +111,15 @@ def _moved(problem: Problem, site: int, kernel: Kernel, move: np.ndarray) -> Ker
 
 
 def _path(keep: Path, problem: Problem, site: int) -> Path:
-    return keep / f"{problem.primary.name}-{site}.json"
+    return keep / f"{problem.afferent.name}-{site}.json"
 
 
 def _keep(keep: Path, problem: Problem, site: int, kernel: Kernel, seconds: float) -> None:
     fields: dict[str, Any] = {
         "weights": kernel.weights.tolist(),
-        "worst_other": kernel.worst_other,
-        "worst_other_class": kernel.worst_other_class.name,
-        "own_spill": kernel.own_spill,
+        "worst_other": kernel.off_target,
+        "worst_other_class": kernel.off_target_class.name,
+        "own_spill": kernel.spill,
         "node": kernel.node,
         "kind": kernel.kind,
         "gap": kernel.gap,
@@ -139,12 +139,18 @@ def _kept(keep: Path | None, problem: Problem, site: int) -> Timed | None:
         return None
     try:
         fields = parse_json(read_bytes(_path(keep, problem, site), DesignError))
-        seconds = float(fields.pop("seconds"))
-        fields["weights"] = np.array(fields["weights"], np.float64)
-        fields["worst_other_class"] = Primary[fields["worst_other_class"]]
-        kernel = Kernel(**fields)
+        seconds = float(fields["seconds"])
+        kernel = Kernel(
+            weights=np.array(fields["weights"], np.float64),
+            off_target=fields["worst_other"],
+            off_target_class=Afferent[fields["worst_other_class"]],
+            spill=fields["own_spill"],
+            node=fields["node"],
+            kind=fields["kind"],
+            gap=fields["gap"],
+        )
         whole = kernel.weights.shape == (problem.electrodes,) and bool(
-            np.isfinite([*kernel.weights, kernel.worst_other, kernel.own_spill, kernel.gap]).all()
+            np.isfinite([*kernel.weights, kernel.off_target, kernel.spill, kernel.gap]).all()
         )
     except (DesignError, ValueError, KeyError, TypeError, AttributeError, OverflowError):
         return None

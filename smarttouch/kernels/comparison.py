@@ -3,12 +3,12 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.kernels.batch import Design, Timed, design_sites
 from smarttouch.kernels.design import design_kernel
 from smarttouch.kernels.problem import Kernel, Problem
 from smarttouch.kernels.switching import design_one_of_n, design_three_state
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 
 VARIANTS: dict[str, Design] = {
@@ -46,7 +46,7 @@ class Compared:
 
 def compare(
     profile: Profile,
-    primary: Primary,
+    afferent: Afferent,
     sites: Sequence[int],
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Compared]:
@@ -56,13 +56,13 @@ def compare(
     ----------
     profile : Profile
         Array, skin with its spread, electrode impedances.
-    primary : Primary
+    afferent : Afferent
         Class to fire.
     sites : sequence of int
     progress : callable, optional
         Told how many kernels are designed, of how many.
     """
-    nominal, spread = Problem(profile, primary), Problem(profile, primary, spread=True)
+    nominal, spread = Problem(profile, afferent), Problem(profile, afferent, spread=True)
     compared = []
     for index, (variant, design) in enumerate(VARIANTS.items()):
 

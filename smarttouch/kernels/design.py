@@ -15,10 +15,10 @@ be, and a kernel is as good as it is on the worst finger.
 import numpy as np
 from scipy.ndimage import maximum_filter
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
+from smarttouch.kernels.linear_program import Chooser, LinearProgram, Options
 from smarttouch.kernels.problem import Array, Kernel, Problem
-from smarttouch.kernels.programme import Chooser, Options, Programme
-from smarttouch.primary import Primary
 
 SPILL = 0.2
 """Largest own-class activation beyond one pitch, as a part of the target's."""
@@ -42,7 +42,7 @@ def design_kernel(
     answer does not depend on the solver. Where electrodes stand closer than
     afferents lie deep, the bound on spill cannot be met, or only by losing the
     target; the larger of worst other and spill is then made as small as it
-    gets, and `Kernel.own_spill` says what is left. No electrode carries more
+    gets, and `Kernel.spill` says what is left. No electrode carries more
     than a thousand times what alone would fire the target.
 
     Parameters
@@ -71,14 +71,14 @@ def design_kernel(
         ways = [False]
     else:
         # PC can hardly ever be confined: try first what will be needed.
-        ways = [True, False] if problem.primary is Primary.PC else [False, True]
-    programme = rows.programme(ways[0], options)
-    best = programme.most_selective()
+        ways = [True, False] if problem.afferent is Afferent.PC else [False, True]
+    program = rows.program(ways[0], options)
+    best = program.most_selective()
     if spill is not None and (best > spill) != ways[0]:
-        other = rows.programme(ways[1], options)
+        other = rows.program(ways[1], options)
         found = other.most_selective()
         if found < best - _WORTHWHILE:
-            programme, best = other, found
+            program, best = other, found
     if best == np.inf:
         raise DesignError(
             f"no kernel for {problem.describe(site)}: the target cannot be activated; change the "
@@ -88,8 +88,8 @@ def design_kernel(
             value=site,
             electrode=site,
         )
-    if not (programme.unique and rows.within_limits(programme.pattern)) and rows.limit(programme):
-        best = programme.most_selective()
+    if not (program.unique and rows.within_limits(program.pattern)) and rows.limit(program):
+        best = program.most_selective()
         if best == np.inf:
             raise DesignError(
                 f"no kernel for {problem.describe(site)} keeps limits.total_ma and "
@@ -99,7 +99,7 @@ def design_kernel(
                 remedy="limits.total_ma or limits.electrode_ma",
                 electrode=site,
             )
-    weights = rows.orbits @ programme.settled()
+    weights = rows.orbits @ program.settled()
     return problem.judge(weights, site, node)
 
 
@@ -119,7 +119,7 @@ def design_any_node(problem: Problem, site: int, spill: float | None = SPILL) ->
         except DesignError:
             if node == 0:
                 raise
-    return min(kernels, key=lambda kernel: max(kernel.worst_other, kernel.own_spill))
+    return min(kernels, key=lambda kernel: max(kernel.off_target, kernel.spill))
 
 
 class _Assembled:
@@ -149,7 +149,7 @@ class _Assembled:
         self._bound = np.repeat([0.0, spill or 0.0, 1.0], counts)
         self._even_bound = np.repeat([0.0, 0.0, 1.0], counts)
 
-    def programme(self, even: bool, options: Options | None) -> Programme:
+    def program(self, even: bool, options: Options | None) -> LinearProgram:
         slope, bound = (self._even_slope, self._even_bound) if even else (self._slope, self._bound)
         size = self.orbits.sum(axis=0)
         array = self._problem.profile.electrodes
@@ -157,14 +157,14 @@ class _Assembled:
         from_site = array.distance_mm[self._site] @ self.orbits
         from_middle = np.linalg.norm(array.position_mm, axis=1) @ self.orbits
         ties, peaks = (size, from_site, from_middle), _peaks(self._problem)
-        return Programme(self._rows, slope, bound, self._aims, size, ties, peaks, options)
+        return LinearProgram(self._rows, slope, bound, self._aims, size, ties, peaks, options)
 
-    def limit(self, programme: Programme) -> bool:
+    def limit(self, program: LinearProgram) -> bool:
         """Bound the currents by the profile's limits, if any."""
         reference, factors, total = self._limits()
         if np.isinf(total) and np.isinf(factors).all():
             return False
-        programme.limit(reference, factors, None if np.isinf(total) else total)
+        program.limit(reference, factors, None if np.isinf(total) else total)
         return True
 
     def within_limits(self, pattern: Array) -> bool:

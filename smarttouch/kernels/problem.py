@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.kernels.symmetry import symmetries
 from smarttouch.physiology.activation import af_matrix
@@ -24,7 +25,6 @@ from smarttouch.physiology.afferents import (
     tilted,
     variants,
 )
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile, Skin
 
 Array = NDArray[np.float64]
@@ -42,11 +42,11 @@ class Kernel:
     weights : ndarray, (E,) float64, mA per V/mm²
         Current of every electrode, positive cathodic, for an activating
         function of 1 at the target.
-    worst_other : float
+    off_target : float
         Largest activation of any other class, of the target's.
-    worst_other_class : Primary
+    off_target_class : Afferent
         Class of the worst other activation.
-    own_spill : float
+    spill : float
         Largest activation of the own class beyond one pitch, of the target's.
     node : int
         Place of the activated node on its axon; 0 is under the electrode.
@@ -58,9 +58,9 @@ class Kernel:
     """
 
     weights: Array
-    worst_other: float
-    worst_other_class: Primary
-    own_spill: float
+    off_target: float
+    off_target_class: Afferent
+    spill: float
     node: int = 0
     kind: Kind = "weighted"
     gap: float = 0.0
@@ -111,9 +111,9 @@ class Problem:
     ----------
     profile : Profile
         Array, skin and board.
-    primary : Primary
+    afferent : Afferent
         Class to fire.
-    others : collection of Primary, optional
+    others : collection of Afferent, optional
         Classes not to fire; all others if not given (Eq. 10 has one, Eq. 16 two).
     spread : bool
         Whether the kernels are to hold over the profile's ``skin.spread``.
@@ -122,28 +122,28 @@ class Problem:
     def __init__(
         self,
         profile: Profile,
-        primary: Primary,
-        others: Collection[Primary] | None = None,
+        afferent: Afferent,
+        others: Collection[Afferent] | None = None,
         spread: bool = False,
     ) -> None:
-        self.profile, self.primary, self.spread = profile, primary, spread
+        self.profile, self.afferent, self.spread = profile, afferent, spread
         if others is None:
-            others = [each for each in Primary if each is not primary]
-        if primary in others or not others:
+            others = [each for each in Afferent if each is not afferent]
+        if afferent in others or not others:
             raise DesignError(
-                f"{primary.name} must be selected against one or two other classes, not against "
+                f"{afferent.name} must be selected against one or two other classes, not against "
                 f"{', '.join(each.name for each in others) or 'none'}",
                 about="others",
                 problem="conflict" if others else "missing",
                 value=tuple(others),
             )
-        sets = {each: self._might_be(everywhere(profile, each)) for each in Primary}
-        aims = self._might_be(targets(profile, primary))
+        sets = {each: self._might_be(everywhere(profile, each)) for each in Afferent}
+        aims = self._might_be(targets(profile, afferent))
         self.rows = [
             Rows(
                 np.concatenate([self._by_direction(aim, skin) for aim in aims]),
                 np.concatenate([af_matrix(profile, one, skin) for e in others for one in sets[e]]),
-                np.concatenate([af_matrix(profile, one, skin) for one in sets[primary]]),
+                np.concatenate([af_matrix(profile, one, skin) for one in sets[afferent]]),
             )
             for skin in (variants(profile.skin) if spread else [profile.skin])
         ]
@@ -158,7 +158,7 @@ class Problem:
             (one.grid, len(one.direction)) for each in others for one in sets[each]
         ]  # fmt: skip
         self._own_position_mm = np.concatenate(
-            [np.tile(one.position_mm, (len(one.direction), 1)) for one in sets[primary]]
+            [np.tile(one.position_mm, (len(one.direction), 1)) for one in sets[afferent]]
         )
 
     @property
@@ -172,7 +172,7 @@ class Problem:
 
     @cached_property
     def symmetries(self) -> list[NDArray[np.intp]]:
-        return symmetries(self.profile, self.primary)
+        return symmetries(self.profile, self.afferent)
 
     @property
     def driven(self) -> NDArray[np.intp]:
@@ -180,7 +180,7 @@ class Problem:
         return self.profile.driven
 
     def describe(self, site: int) -> str:
-        return f"{self.primary.name} at site {site} of {self.profile.name or 'this profile'}"
+        return f"{self.afferent.name} at site {site} of {self.profile.name or 'this profile'}"
 
     def check_site(self, site: int) -> None:
         """Raise a DesignError unless the array has such a site, and it is not masked."""
@@ -219,12 +219,12 @@ class Problem:
 
     def axon(self, site: int) -> Array:
         """Return the rows of the target's own axon, the node under the electrode first."""
-        sets = along_axon(self.profile, self.primary, site)
+        sets = along_axon(self.profile, self.afferent, site)
         return np.concatenate([af_matrix(self.profile, one) for one in sets])
 
     def axon_mm(self, site: int) -> Array:
         """Return the places of the nodes of the target's own axon, (K, 3) x, y and depth."""
-        sets = along_axon(self.profile, self.primary, site)
+        sets = along_axon(self.profile, self.afferent, site)
         return np.concatenate(
             [np.c_[one.position_mm, np.full(len(one.position_mm), one.depth_mm)] for one in sets]
         )
@@ -277,14 +277,14 @@ class Problem:
         # The last bits of the solver: currents sum to zero.
         if kind == "weighted":
             scaled[self.driven] -= scaled[self.driven].mean()
-        return Kernel(scaled, worst, Primary(whose), spill, node, kind, gap)
+        return Kernel(scaled, worst, Afferent(whose), spill, node, kind, gap)
 
     def _might_be(self, one: Afferents) -> list[Afferents]:
         """Return a set of nodes at every depth and direction of the spread, nominal first."""
         if not self.spread:
             return [one]
         spread = self.profile.skin.spread
-        class_name = one.primary.name.lower()
+        class_name = one.afferent.name.lower()
         depth_spread = getattr(spread, f"{class_name}_depth_mm")
         if one.ending is not None:
             direction = tilted(spread.angle_deg)

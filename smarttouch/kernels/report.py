@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from smarttouch.afferent import Afferent
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.kernels.batch import design_sites
 from smarttouch.kernels.comparison import compare
 from smarttouch.kernels.design import design_any_node, design_kernel
 from smarttouch.kernels.problem import Kernel, Problem
 from smarttouch.kernels.switching import design_three_state, designer, kind_of
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 
 Advance = Callable[[int, int], None]
@@ -25,7 +25,7 @@ DESIGNS = {"robust": design_kernel, "three-state": design_three_state, "any-node
 class SiteKernel:
     """One kernel with what is reported of it; the last two only where kinds are compared."""
 
-    primary: Primary
+    afferent: Afferent
     site: int
     kernel: Kernel
     seconds: float
@@ -53,7 +53,7 @@ class WordTable:
 
 
 def kernels_of_bank(
-    profile: Profile, bank: KernelBank, modes: Sequence[Primary], sites: Sequence[int]
+    profile: Profile, bank: KernelBank, modes: Sequence[Afferent], sites: Sequence[int]
 ) -> list[SiteKernel]:
     """Return kernels as a bank has them."""
     kind = kind_of(profile)
@@ -66,7 +66,7 @@ def kernels_of_bank(
 
 def kernels_designed(
     profile: Profile,
-    modes: Sequence[Primary],
+    modes: Sequence[Afferent],
     sites: Sequence[int],
     how: str | None,
     robust: bool,
@@ -83,7 +83,7 @@ def kernels_designed(
 
 
 def kernels_compared(
-    profile: Profile, modes: Sequence[Primary], sites: Sequence[int], progress: Advance | None
+    profile: Profile, modes: Sequence[Afferent], sites: Sequence[int], progress: Advance | None
 ) -> list[SiteKernel]:
     """Design kernels of all kinds, and find what they do on the worst finger."""
     return [
@@ -105,16 +105,16 @@ def _part(progress: Advance | None, index: int, parts: int) -> Advance:
 
 def middle_kernels(
     profile: Profile, kernels: Sequence[SiteKernel]
-) -> tuple[int, dict[Primary, Kernel]]:
+) -> tuple[int, dict[Afferent, Kernel]]:
     """Return that of the sites which is nearest to the middle, and its kernel of each class."""
     sites = sorted({each.site for each in kernels})
     away_mm = np.linalg.norm(profile.electrodes.position_mm[sites], axis=1)
     site = sites[int(away_mm.argmin())]
-    found: dict[Primary, Kernel] = {}
+    found: dict[Afferent, Kernel] = {}
     for each in kernels:
         if each.site == site:
             # Where kinds are compared, the first one, the weighted, is taken.
-            found.setdefault(each.primary, each.kernel)
+            found.setdefault(each.afferent, each.kernel)
     return site, found
 
 
@@ -131,14 +131,14 @@ def as_json(profile: Profile, kernels: Sequence[SiteKernel]) -> dict[str, Any]:
 def _one_as_json(profile: Profile, of: SiteKernel) -> dict[str, Any]:
     kernel, (x_mm, y_mm) = of.kernel, profile.electrodes.position_mm[of.site]
     table: dict[str, Any] = {
-        "mode": of.primary.name,
+        "mode": of.afferent.name,
         "site": of.site,
         "x_mm": float(x_mm),
         "y_mm": float(y_mm),
         "weights": kernel.weights.tolist(),
-        "worst_other": float(kernel.worst_other),
-        "worst_other_class": kernel.worst_other_class.name,
-        "own_spill": float(kernel.own_spill),
+        "worst_other": float(kernel.off_target),
+        "worst_other_class": kernel.off_target_class.name,
+        "own_spill": float(kernel.spill),
         "sum": float(kernel.weights.sum()),
         "total_current": float(np.abs(kernel.weights).sum()),
         "activated_node": kernel.node,
@@ -151,15 +151,15 @@ def _one_as_json(profile: Profile, of: SiteKernel) -> dict[str, Any]:
         worst = of.worst_finger
         table |= {
             "variant": of.variant,
-            "worst_other_over_spread": worst and float(worst.worst_other),
-            "own_spill_over_spread": worst and float(worst.own_spill),
+            "worst_other_over_spread": worst and float(worst.off_target),
+            "own_spill_over_spread": worst and float(worst.spill),
         }
     return table
 
 
 def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
     """Return one row for each site, with what its kernel of each mode reaches."""
-    modes = sorted({each.primary for each in kernels})
+    modes = sorted({each.afferent for each in kernels})
     heading = ["site", "x mm", "y mm"]
     for mode in modes:
         heading += [f"{mode.name} other", "spill"] if len(modes) > 1 else [
@@ -170,10 +170,10 @@ def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
         x, y = profile.electrodes.position_mm[each.site]
         row = rows.setdefault(each.site, [str(each.site), f"{x:.2f}", f"{y:.2f}"])
         kernel = each.kernel
-        row += [f"{kernel.worst_other:.4f}", f"{kernel.own_spill:.3f}"]
+        row += [f"{kernel.off_target:.4f}", f"{kernel.spill:.3f}"]
         if len(modes) == 1:
             total = abs(kernel.peak_normalized).sum()
-            row.insert(-1, kernel.worst_other_class.name)
+            row.insert(-1, kernel.off_target_class.name)
             row += [f"{total:.2f}", _gap(kernel.gap)]
     names = " and ".join(mode.name for mode in modes)
     return WordTable(
@@ -202,36 +202,36 @@ def weight_table(profile: Profile, of: SiteKernel) -> tuple[WordTable, list[list
         lines.append(sorted(line, key=lambda index: position[index, 0]))
     certain = f"within {kernel.gap:.1%} of the best possible" if kernel.gap else "proven optimal"
     table = WordTable(
-        f"{of.primary.name} kernel ({kernel.kind}) at site {of.site} of {profile.name}, "
+        f"{of.afferent.name} kernel ({kernel.kind}) at site {of.site} of {profile.name}, "
         "positive cathodic",
         [],
         [[f"{weights[index]:+.3f}" for index in line] for line in lines],
-        f"worst other {kernel.worst_other:.4f} ({kernel.worst_other_class.name}), own spill "
-        f"{kernel.own_spill:.3f}, sum {weights.sum():+.1e}, node {kernel.node}; {certain}",
+        f"worst other {kernel.off_target:.4f} ({kernel.off_target_class.name}), own spill "
+        f"{kernel.spill:.3f}, sum {weights.sum():+.1e}, node {kernel.node}; {certain}",
     )
     return table, [[index == of.site for index in line] for line in lines]
 
 
 def comparison_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
     """Return what each kind of kernel reaches, the worst of all its sites."""
-    groups: dict[tuple[Primary, str], list[SiteKernel]] = {}
+    groups: dict[tuple[Afferent, str], list[SiteKernel]] = {}
     for each in kernels:
-        groups.setdefault((each.primary, each.variant), []).append(each)
+        groups.setdefault((each.afferent, each.variant), []).append(each)
     rows = []
     for (mode, variant), group in groups.items():
-        best = [each.kernel.worst_other for each in groups[mode, "weighted"]]
-        losses = [each.kernel.worst_other / b - 1 for each, b in zip(group, best, strict=True)]
+        best = [each.kernel.off_target for each in groups[mode, "weighted"]]
+        losses = [each.kernel.off_target / b - 1 for each, b in zip(group, best, strict=True)]
         worst = [each.worst_finger for each in group if each.worst_finger is not None]
         on_worst = ["does not fire", "–"]
         if len(worst) == len(group):
-            on_worst = [f"{max(each.worst_other for each in worst):.4f}"]
-            on_worst.append(f"{max(each.own_spill for each in worst):.3f}")
+            on_worst = [f"{max(each.off_target for each in worst):.4f}"]
+            on_worst.append(f"{max(each.spill for each in worst):.3f}")
         rows.append(
             [
                 mode.name,
                 variant,
-                f"{max(each.kernel.worst_other for each in group):.4f}",
-                f"{max(each.kernel.own_spill for each in group):.3f}",
+                f"{max(each.kernel.off_target for each in group):.4f}",
+                f"{max(each.kernel.spill for each in group):.3f}",
                 f"{max(losses):+.1%}" if variant != "weighted" else "",
                 *on_worst,
                 _gap(max(each.kernel.gap for each in group)),

@@ -4,27 +4,27 @@ from collections.abc import Callable
 
 import numpy as np
 
+from smarttouch.afferent import Afferent
 from smarttouch.kernels.assignment import best_assignment
 from smarttouch.kernels.design import design_kernel
 from smarttouch.kernels.problem import Kernel, Kind, Problem
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 
 
-def polarity(profile: Profile, primary: Primary) -> str:
+def polarity(profile: Profile, afferent: Afferent) -> str:
     """Return the pole over the target of a mode (Fig. 10).
 
     A cathode over flat axons (SAI, PC), an anode over rising ones (RA), but a
     cathode over those too where their ending can fire.
     """
-    anodic = primary is Primary.RA and profile.skin.ra_ending == "passive"
+    anodic = afferent is Afferent.RA and profile.skin.ra_ending == "passive"
     return "anodic" if anodic else "cathodic"
 
 
-def possible_modes(profile: Profile) -> list[Primary]:
+def possible_modes(profile: Profile) -> list[Afferent]:
     """Return the modes possible on a profile's board."""
     offered = profile.output.polarities if profile.output.kind != "weighted" else ()
-    return [each for each in Primary if not offered or polarity(profile, each) in offered]
+    return [each for each in Afferent if not offered or polarity(profile, each) in offered]
 
 
 def kind_of(profile: Profile) -> Kind:
@@ -67,7 +67,7 @@ def design_one_of_n(problem: Problem, site: int) -> Kernel:
     problem.check_site(site)
     admittance = problem.profile.admittance
     others = problem.driven[problem.driven != site]
-    pole = -1.0 if polarity(problem.profile, problem.primary) == "anodic" else 1.0
+    pole = -1.0 if polarity(problem.profile, problem.afferent) == "anodic" else 1.0
     weights = np.zeros(problem.electrodes)
     weights[others] = -pole * admittance[others] / admittance[others].sum()
     weights[site] = pole

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.afferent import Afferent
 from smarttouch.physiology.afferents import directions, targets
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 
 _SQUARE = [
@@ -23,7 +23,7 @@ _SQUARE = [
 """Symmetries of a square; the further ones of a hexagon do not keep the node lattice."""
 
 
-def symmetries(profile: Profile, primary: Primary) -> list[NDArray[np.intp]]:
+def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
     """Return the permutations of electrodes that leave the design problem unchanged.
 
     Returns
@@ -44,9 +44,9 @@ def symmetries(profile: Profile, primary: Primary) -> list[NDArray[np.intp]]:
         gaps = np.linalg.norm(moved[:, None, :] - array.position_mm[None, :, :], axis=2)
         if gaps.min(axis=1).max() > 1e-6:
             continue
-        aims = targets(profile, primary).direction
+        aims = targets(profile, afferent).direction
         if _keeps(aims, matrix) and all(
-            _keeps(directions(profile.skin, each), matrix) for each in Primary
+            _keeps(directions(profile.skin, each), matrix) for each in Afferent
         ):
             kept.append(np.asarray(gaps.argmin(axis=1), np.intp))
     return [

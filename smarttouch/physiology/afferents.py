@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile, Skin
 
 _MARGIN_PITCHES = {"plane": 2.0}
@@ -20,7 +20,7 @@ class Afferents:
 
     Attributes
     ----------
-    primary : Primary
+    afferent : Afferent
         Class of the afferents.
     position_mm : ndarray, (N, 2) float64, mm
         Places along the skin.
@@ -36,7 +36,7 @@ class Afferents:
         Rows and columns, where the places form a lattice; else (N, 1).
     """
 
-    primary: Primary
+    afferent: Afferent
     position_mm: NDArray[np.float64]
     depth_mm: float
     direction: NDArray[np.float64]
@@ -46,7 +46,7 @@ class Afferents:
     def __post_init__(self) -> None:
         if not self.depth_mm > 0:
             raise DesignError(
-                f"a {self.primary.name} fiber at a depth of {self.depth_mm:g} mm lies outside "
+                f"a {self.afferent.name} fiber at a depth of {self.depth_mm:g} mm lies outside "
                 "the skin: depths are measured below the surface, above 0",
                 about="depth_mm",
                 problem="too small",
@@ -55,14 +55,14 @@ class Afferents:
             )
 
 
-def depth_mm(skin: Skin, primary: Primary) -> float:
+def depth_mm(skin: Skin, afferent: Afferent) -> float:
     """Return the depth at which a class is reached (Section II-D)."""
-    return (skin.ra_depth_mm, skin.sai_depth_mm, skin.pc_depth_mm)[primary]
+    return (skin.ra_depth_mm, skin.sai_depth_mm, skin.pc_depth_mm)[afferent]
 
 
-def directions(skin: Skin, primary: Primary) -> NDArray[np.float64]:
+def directions(skin: Skin, afferent: Afferent) -> NDArray[np.float64]:
     """Return the directions of a class, (D, 3): RA rises, SAI and PC lie flat (Fig. 7)."""
-    if primary is Primary.RA:
+    if afferent is Afferent.RA:
         return np.array([[0.0, 0.0, 1.0]])
     return flat(skin.sai_angles_deg)
 
@@ -79,42 +79,42 @@ def tilted(tilt_deg: float) -> NDArray[np.float64]:
     return np.array([[0, 0, 1], [sin, 0, cos], [-sin, 0, cos], [0, sin, cos], [0, -sin, cos]])
 
 
-def targets(profile: Profile, primary: Primary) -> Afferents:
+def targets(profile: Profile, afferent: Afferent) -> Afferents:
     """Return the node under each electrode that its kernel is to fire."""
     position, skin = profile.electrodes.position_mm, profile.skin
-    direction = directions(skin, primary)[:1]
-    depth = depth_mm(skin, primary)
+    direction = directions(skin, afferent)[:1]
+    depth = depth_mm(skin, afferent)
     return Afferents(
-        primary, position, depth, direction, _ending(skin, primary), (len(position), 1)
+        afferent, position, depth, direction, _ending(skin, afferent), (len(position), 1)
     )
 
 
-def everywhere(profile: Profile, primary: Primary) -> Afferents:
+def everywhere(profile: Profile, afferent: Afferent) -> Afferents:
     """Return the nodes of a class all over the array, in all its directions."""
     spacing = profile.skin.node_spacing_mm
-    if profile.skin.medium == "plane" and primary is Primary.RA:
+    if profile.skin.medium == "plane" and afferent is Afferent.RA:
         # The paper's RA axons stand one pitch apart, however finely nodes lie along SAI and PC.
         spacing = profile.electrodes.pitch_mm
     position, grid = _lattice(profile, spacing)
     skin = profile.skin
     return Afferents(
-        primary,
+        afferent,
         position,
-        depth_mm(skin, primary),
-        directions(skin, primary),
-        _ending(skin, primary),
+        depth_mm(skin, afferent),
+        directions(skin, afferent),
+        _ending(skin, afferent),
         grid,
     )
 
 
-def along_axon(profile: Profile, primary: Primary, site: int) -> tuple[Afferents, ...]:
+def along_axon(profile: Profile, afferent: Afferent, site: int) -> tuple[Afferents, ...]:
     """Return the nodes of the axon under a site, one set for each depth.
 
     The first node of the first set is the one under the electrode. A rising
     axon has its nodes below the ending; a flat one to both sides.
     """
     center = profile.electrodes.position_mm[site]
-    skin, first = profile.skin, targets(profile, primary)
+    skin, first = profile.skin, targets(profile, afferent)
     direction = first.direction[0]
     reach = 2 * profile.electrodes.pitch_mm
     steps = max(1, int(reach / skin.node_spacing_mm))
@@ -128,7 +128,7 @@ def along_axon(profile: Profile, primary: Primary, site: int) -> tuple[Afferents
         sets = [(center[None], first.depth_mm, first.ending)]
         sets += [(center[None], first.depth_mm + each, None) for each in along]
     return tuple(
-        Afferents(primary, position, depth, first.direction, ending, (len(position), 1))
+        Afferents(afferent, position, depth, first.direction, ending, (len(position), 1))
         for position, depth, ending in sets
     )
 
@@ -152,8 +152,8 @@ def variants(skin: Skin) -> Iterator[Skin]:
             yield skin.model_copy(update={"layers": layers})
 
 
-def _ending(skin: Skin, primary: Primary) -> str | None:
-    return skin.ra_ending if primary is Primary.RA else None
+def _ending(skin: Skin, afferent: Afferent) -> str | None:
+    return skin.ra_ending if afferent is Afferent.RA else None
 
 
 def _lattice(profile: Profile, spacing_mm: float) -> tuple[NDArray[np.float64], tuple[int, int]]:

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from smarttouch.primary import Primary
+from smarttouch.afferent import Afferent
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ class _Valley:
         return np.asarray(self.best_db + rise)
 
 
-def _valleys() -> dict[Primary, _Valley]:
+def _valleys() -> dict[Afferent, _Valley]:
     pc_below = _Flank(PC_DB_PER_OCTAVE, 0.5)
     edge_db = float(pc_below.rise_db(np.log2(np.array(PC_BAND_HZ[0] / PC_BEST_HZ))))
     pc = _Valley(
@@ -96,18 +96,18 @@ def _valleys() -> dict[Primary, _Valley]:
     meeting = np.array(MEETING_HZ)
     rise_db = above.rise_db(np.log2(meeting / RA_BEST_HZ))
     ra = _Valley(RA_BEST_HZ, float(pc.threshold_db(meeting) - rise_db), below, above)
-    return {Primary.RA: ra, Primary.PC: pc}
+    return {Afferent.RA: ra, Afferent.PC: pc}
 
 
 _VALLEYS = _valleys()
 
 
-def threshold_um(primary: Primary, frequency_hz: ArrayLike) -> Array:
+def threshold_um(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
     """Return the smallest vibration of the skin to which a class responds.
 
     Parameters
     ----------
-    primary : Primary
+    afferent : Afferent
         Class of the receptors.
     frequency_hz : array_like, Hz
         Of a sinusoid; 0 is a static indentation, which RA and PC never answer.
@@ -125,13 +125,13 @@ def threshold_um(primary: Primary, frequency_hz: ArrayLike) -> Array:
     frequency = np.asarray(frequency_hz, np.float64)
     if np.any(frequency < 0):
         raise ValueError(f"a frequency of {frequency.min():g} Hz: give 0 or more")
-    if primary is Primary.SAI:
+    if afferent is Afferent.SAI:
         return np.asarray(10 ** (SAI_DB / 20) * np.hypot(1, frequency / SAI_CORNER_HZ))
     with np.errstate(divide="ignore", over="ignore"):
-        return np.asarray(10 ** (_VALLEYS[primary].threshold_db(frequency) / 20))
+        return np.asarray(10 ** (_VALLEYS[afferent].threshold_db(frequency) / 20))
 
 
-def sensitivity(primary: Primary, frequency_hz: ArrayLike) -> Array:
+def sensitivity(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
     """Return the sensitivity of a class relative to its best: 1 at 30 Hz (RA), 250 Hz (PC) or rest
     (SAI).
 
@@ -142,10 +142,10 @@ def sensitivity(primary: Primary, frequency_hz: ArrayLike) -> Array:
     ndarray, in [0, 1]
         Lowest threshold over the threshold; shaped as ``frequency_hz``.
     """
-    best = threshold_um(primary, best_hz(primary))
-    return np.asarray(best / threshold_um(primary, frequency_hz))
+    best = threshold_um(afferent, best_hz(afferent))
+    return np.asarray(best / threshold_um(afferent, frequency_hz))
 
 
-def best_hz(primary: Primary) -> float:
+def best_hz(afferent: Afferent) -> float:
     """Return the frequency at which a class has its lowest threshold, Hz."""
-    return 0.0 if primary is Primary.SAI else _VALLEYS[primary].best_hz
+    return 0.0 if afferent is Afferent.SAI else _VALLEYS[afferent].best_hz

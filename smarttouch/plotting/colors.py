@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.afferent import Afferent
 from smarttouch.physiology.receptors import PC_BAND_HZ, RA_BAND_HZ, threshold_um
 from smarttouch.plotting.style import CLASS_COLORS, GREY, new_figure, plain
-from smarttouch.primary import Primary
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
-_BANDS_HZ = {Primary.RA: RA_BAND_HZ, Primary.PC: PC_BAND_HZ}
+_BANDS_HZ = {Afferent.RA: RA_BAND_HZ, Afferent.PC: PC_BAND_HZ}
 _MOST_POINTS = 20_000
 """Largest number of points of a curve."""
 
@@ -48,13 +48,13 @@ def thresholds_figure() -> "Figure":
     frequency_hz = np.geomspace(0.5, 1000, 400)
     figure = new_figure(5.6, 3.6)
     axes = figure.subplots()
-    for primary in (Primary.SAI, Primary.RA, Primary.PC):
-        color = CLASS_COLORS[primary]
-        axes.plot(frequency_hz, threshold_um(primary, frequency_hz), color=color,
-                  label=primary.name)  # fmt: skip
-        if primary in _BANDS_HZ:
-            band = np.array(_BANDS_HZ[primary])
-            axes.plot(band, threshold_um(primary, band), "|", color=color, ms=9, mew=1.5)
+    for afferent in (Afferent.SAI, Afferent.RA, Afferent.PC):
+        color = CLASS_COLORS[afferent]
+        axes.plot(frequency_hz, threshold_um(afferent, frequency_hz), color=color,
+                  label=afferent.name)  # fmt: skip
+        if afferent in _BANDS_HZ:
+            band = np.array(_BANDS_HZ[afferent])
+            axes.plot(band, threshold_um(afferent, band), "|", color=color, ms=9, mew=1.5)
     axes.set(xscale="log", yscale="log", ylim=(0.1, 3000))
     _plain_ticks(axes, (1, 3, 10, 30, 100, 300, 1000))
     axes.set_yticks([0.1, 1, 10, 100, 1000], ["0.1", "1", "10", "100", "1000"])
@@ -68,7 +68,7 @@ def color_figure(
     time_s: Array,
     displacement_um: Array,
     force_n: Array,
-    rows: Mapping[Primary, ClassRow],
+    rows: Mapping[Afferent, ClassRow],
     title: str,
 ) -> "Figure":
     """Draw a trace, the response of each class, and the pulses of each.
@@ -77,7 +77,7 @@ def color_figure(
     ----------
     time_s, displacement_um, force_n : ndarray, (N,)
         The trace.
-    rows : mapping of Primary to ClassRow
+    rows : mapping of Afferent to ClassRow
         One panel each, in this order.
     title : str
         Title of the trace.
@@ -87,8 +87,8 @@ def color_figure(
         1 + len(rows), 1, sharex=True, squeeze=False, height_ratios=[1.3] + [1] * len(rows)
     )[:, 0]
     _draw_trace(panels[0], time_s, displacement_um, force_n, title)
-    for axes, (primary, row) in zip(panels[1:], rows.items(), strict=True):
-        _draw_class(axes, time_s, primary, row)
+    for axes, (afferent, row) in zip(panels[1:], rows.items(), strict=True):
+        _draw_class(axes, time_s, afferent, row)
     panels[-1].set_xlabel("time (s)", fontsize=8)
     panels[-1].set_xlim(time_s[0], time_s[-1])
     return figure
@@ -100,15 +100,15 @@ def _draw_trace(axes: Any, time_s: Array, moved_um: Array, force_n: Array, title
     plain(axes, title, "", "skin (µm)")
     if force_n.any():
         pressed = axes.twinx()
-        pressed.plot(time_s[part], force_n[part], color=CLASS_COLORS[Primary.SAI], lw=1.2)
+        pressed.plot(time_s[part], force_n[part], color=CLASS_COLORS[Afferent.SAI], lw=1.2)
         pressed.set_ylim(0, 1.15 * float(force_n.max()))
         plain(pressed, "", "", "force (N)")
         pressed.spines["right"].set_visible(True)
-        pressed.yaxis.label.set_color(CLASS_COLORS[Primary.SAI])
+        pressed.yaxis.label.set_color(CLASS_COLORS[Afferent.SAI])
 
 
-def _draw_class(axes: Any, time_s: Array, primary: Primary, row: ClassRow) -> None:
-    color, part = CLASS_COLORS[primary], _thinned(time_s)
+def _draw_class(axes: Any, time_s: Array, afferent: Afferent, row: ClassRow) -> None:
+    color, part = CLASS_COLORS[afferent], _thinned(time_s)
     axes.fill_between(time_s[part], row.drive[part], color=color, alpha=0.25, lw=0)
     what = "answers"
     if row.vibrated:
@@ -123,7 +123,7 @@ def _draw_class(axes: Any, time_s: Array, primary: Primary, row: ClassRow) -> No
     axes.text(
         0.005,
         0.97,
-        f"{primary.name} {what}",
+        f"{afferent.name} {what}",
         transform=axes.transAxes,
         va="top",
         fontsize=7.5,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.afferent import Afferent
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.kernels.frames.fields import FieldMap
 from smarttouch.kernels.frames.figures import FrameBounds
@@ -16,9 +17,8 @@ from smarttouch.kernels.frames.operator import FrameOperator
 from smarttouch.kernels.frames.slots import FrameSlot, plan_slots
 from smarttouch.physiology.afferents import depth_mm, everywhere
 from smarttouch.plotting.style import GREY, SIGNED_MAP, new_figure, plain
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
-from smarttouch.stimulation.frames import why_not
+from smarttouch.stimulation.frames import unsupported_reason
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,7 +48,7 @@ MIXED = (
 )
 """R where RA is to fire, S where SAI is."""
 
-_CLASSES = (Primary.RA, Primary.SAI)
+_CLASSES = (Afferent.RA, Afferent.SAI)
 _STEP_MM = 0.25
 _MOST_SHOWN = 3
 _DARK = "#303030"
@@ -69,22 +69,22 @@ class Shared:
     judges: tuple[FrameJudge, ...]
     slots: list[FrameSlot]
 
-    def sites(self, slot: FrameSlot, primary: Primary) -> NDArray[np.intp]:
+    def sites(self, slot: FrameSlot, afferent: Afferent) -> NDArray[np.intp]:
         """Return the electrodes under which a slot is to fire a class."""
-        index = [judge.primary for judge in self.judges].index(primary)
+        index = [judge.afferent for judge in self.judges].index(afferent)
         owner, site = divmod(slot.sites, len(slot.current))
         return np.asarray(site[owner == index])
 
-    def weakest(self, slot: FrameSlot, primary: Primary) -> float:
+    def weakest(self, slot: FrameSlot, afferent: Afferent) -> float:
         """Return the activation of a slot's weakest target of a class, V/mm².
 
         Of any class where the slot has none of that one.
         """
         reached = {
-            judge.primary: judge.target[self.sites(slot, judge.primary)] @ slot.current
+            judge.afferent: judge.target[self.sites(slot, judge.afferent)] @ slot.current
             for judge in self.judges
         }
-        own = reached[primary]
+        own = reached[afferent]
         return float((own if len(own) else np.concatenate(list(reached.values()))).min())
 
 
@@ -94,7 +94,7 @@ def drawable(profile: Profile) -> bool:
     None of the points drawn may be masked.
     """
     array = profile.array
-    if array.layout != "grid" or why_not(profile) is not None:
+    if array.layout != "grid" or unsupported_reason(profile) is not None:
         return False
     used = ~(_marked(LETTER, ".") & _marked(MIXED, "."))
     return (array.rows, array.columns) == (len(LETTER), len(LETTER[0])) and bool(
@@ -104,7 +104,7 @@ def drawable(profile: Profile) -> bool:
 
 def share_letter(profile: Profile, bank: KernelBank) -> Shared:
     """Return the slots of `LETTER` in RA, at full intensity."""
-    return _share(profile, bank, {Primary.RA: _marked(LETTER, "#")})
+    return _share(profile, bank, {Afferent.RA: _marked(LETTER, "#")})
 
 
 def share_mixed(profile: Profile, bank: KernelBank) -> Shared:
@@ -154,25 +154,25 @@ def frame_figure(profile: Profile, bank: KernelBank) -> "Figure":
 class _Lattice:
     """Fields of currents for one class, on nodes dense enough to be drawn."""
 
-    def __init__(self, profile: Profile, primary: Primary) -> None:
+    def __init__(self, profile: Profile, afferent: Afferent) -> None:
         skin = profile.skin.model_copy(update={"node_spacing_mm": _STEP_MM})
         close = profile.model_copy(update={"skin": skin})
-        nodes = everywhere(close, primary)
+        nodes = everywhere(close, afferent)
         self._field, self.grid = FieldMap(close, nodes), nodes.grid
         place = nodes.position_mm.reshape(*nodes.grid, 2)
         self.x_mm, self.y_mm = place[0, :, 0], place[:, 0, 1]
 
-    def af(self, plan: Shared, slot: FrameSlot, primary: Primary) -> Array:
+    def af(self, plan: Shared, slot: FrameSlot, afferent: Afferent) -> Array:
         """Return the AF in the strongest direction, relative to the weakest target, (Y, X)."""
         reached = self._field(slot.current[None]).reshape(-1, *self.grid).max(axis=0)
-        return np.asarray(reached / plan.weakest(slot, primary), np.float64)
+        return np.asarray(reached / plan.weakest(slot, afferent), np.float64)
 
 
 def _marked(picture: Sequence[str], mark: str) -> NDArray[np.bool_]:
     return np.array([each == mark for row in picture for each in row])
 
 
-def _share(profile: Profile, bank: KernelBank, points: dict[Primary, NDArray[np.bool_]]) -> Shared:
+def _share(profile: Profile, bank: KernelBank, points: dict[Afferent, NDArray[np.bool_]]) -> Shared:
     kernels = {each: np.asarray(bank.kernels(each), np.float64) for each in points}
     judges = tuple(
         FrameJudge(profile, each, full_wish(profile, each, own, bank.receptor[each]))
@@ -192,7 +192,7 @@ class _Pen:
     """Draws the electrodes of a profile, and points and fields on them."""
 
     profile: Profile
-    lattices: dict[Primary, _Lattice]
+    lattices: dict[Afferent, _Lattice]
     scale_ma: float
 
     def points(self, axes: Any, names: dict[int, str]) -> None:
@@ -208,9 +208,9 @@ class _Pen:
         discs.set_array(current_ma)
         return discs
 
-    def field(self, axes: Any, primary: Primary, af: Array, sites: NDArray[np.intp]) -> Any:
+    def field(self, axes: Any, afferent: Afferent, af: Array, sites: NDArray[np.intp]) -> Any:
         """Draw the field of a class, and the targets."""
-        x_mm, y_mm = self.lattices[primary].x_mm, self.lattices[primary].y_mm
+        x_mm, y_mm = self.lattices[afferent].x_mm, self.lattices[afferent].y_mm
         drawn = axes.pcolormesh(
             x_mm, y_mm, af, cmap=SIGNED_MAP, vmin=-1, vmax=1, rasterized=True, shading="gouraud"
         )
@@ -218,8 +218,8 @@ class _Pen:
         axes.plot(*self.profile.electrodes.position_mm[sites].T, "+", color="black", ms=6)
         return drawn
 
-    def where(self, primary: Primary) -> str:
-        return f"at {primary.name}, {depth_mm(self.profile.skin, primary):g} mm deep"
+    def where(self, afferent: Afferent) -> str:
+        return f"at {afferent.name}, {depth_mm(self.profile.skin, afferent):g} mm deep"
 
     def _discs(self, axes: Any, **style: Any) -> Any:
         """Draw all electrodes at their true size."""
@@ -239,17 +239,17 @@ class _Pen:
 
 def _draw_letter(panels: Any, pen: _Pen, letter: Shared) -> None:
     """Draw the whole letter in the first column, and a slot in each of the others."""
-    primary, slots = Primary.RA, letter.slots
-    sites = [letter.sites(slot, primary) for slot in slots]
-    af = [pen.lattices[primary].af(letter, slot, primary) for slot in slots]
+    afferent, slots = Afferent.RA, letter.slots
+    sites = [letter.sites(slot, afferent) for slot in slots]
+    af = [pen.lattices[afferent].af(letter, slot, afferent) for slot in slots]
     all_sites = np.concatenate(sites)
     top, below = panels[:, 0]
     pen.points(top, {int(each): str(number) for number, own in enumerate(sites, 1) for each in own})
     many = len(slots)
-    title = f"A letter, {primary.name}: {len(all_sites)} slots point\nby point, {many} shared"
+    title = f"A letter, {afferent.name}: {len(all_sites)} slots point\nby point, {many} shared"
     plain(top, title, "", "y (mm)")
-    pen.field(below, primary, np.max(af, axis=0), all_sites)
-    plain(below, f"all slots together\n{pen.where(primary)}", "", "y (mm)")
+    pen.field(below, afferent, np.max(af, axis=0), all_sites)
+    plain(below, f"all slots together\n{pen.where(afferent)}", "", "y (mm)")
     for index, (top, below) in enumerate(panels[:, 1:].T):
         if index >= many:
             top.set_axis_off()
@@ -258,8 +258,8 @@ def _draw_letter(panels: Any, pen: _Pen, letter: Shared) -> None:
         name = f"slot {index + 1} of {many}"
         pen.currents(top, slots[index].current)
         plain(top, f"{name}\ncurrents")
-        pen.field(below, primary, af[index], sites[index])
-        plain(below, f"{name}\n{pen.where(primary)}", _figures(slots[index]))
+        pen.field(below, afferent, af[index], sites[index])
+        plain(below, f"{name}\n{pen.where(afferent)}", _figures(slots[index]))
 
 
 def _draw_mixed(
@@ -267,7 +267,7 @@ def _draw_mixed(
     pen: _Pen,
     mixed: Shared,
     slot: FrameSlot,
-    alone_ma: dict[Primary, float],
+    alone_ma: dict[Afferent, float],
 ) -> tuple[Any, Any]:
     """Draw a slot of two classes; return the artists with the scales of currents and fields."""
     sites = {each: mixed.sites(slot, each) for each in _CLASSES}
@@ -287,5 +287,5 @@ def _figures(slot: FrameSlot) -> str:
     found, count = slot.figures, len(slot.sites)
     return (
         f"{count} point{'' if count == 1 else 's'}, {found.total_ma:.1f} mA\n"
-        f"worst other {found.worst_other:.2f}, spill {found.worst_spill:.2f}"
+        f"worst other {found.off_target:.2f}, spill {found.spill:.2f}"
     )

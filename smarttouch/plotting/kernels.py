@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from smarttouch.afferent import Afferent
 from smarttouch.kernels.problem import Array, Kernel
 from smarttouch.physiology.activation import field
 from smarttouch.physiology.afferents import depth_mm, directions
 from smarttouch.plotting.paper import draw_weights
 from smarttouch.plotting.style import CLASS_COLORS, GREY, SIGNED_MAP, new_figure, plain
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 
 if TYPE_CHECKING:
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 _POINTS = 121
 
 
-def kernel_figure(profile: Profile, kernels: Mapping[Primary, Kernel], site: int) -> "Figure":
+def kernel_figure(profile: Profile, kernels: Mapping[Afferent, Kernel], site: int) -> "Figure":
     """Draw kernels of one site and the activation they cause, relative to their target's.
 
     Parameters
     ----------
     profile : Profile
         Array and skin.
-    kernels : mapping of Primary to Kernel
+    kernels : mapping of Afferent to Kernel
         One row of panels each.
     site : int
         Site of the kernels.
@@ -37,11 +37,11 @@ def kernel_figure(profile: Profile, kernels: Mapping[Primary, Kernel], site: int
     tall = min(2.4, max(1.4, 1.9 * height / width))
     figure = new_figure(8.6, 0.35 + len(kernels) * (tall + 0.35))
     panels = figure.subplots(len(kernels), 4, squeeze=False, sharex=True, sharey=True)
-    for row, (primary, kernel) in zip(panels, kernels.items(), strict=True):
+    for row, (afferent, kernel) in zip(panels, kernels.items(), strict=True):
         weights_drawn = _draw_array(row[0], profile, kernel.peak_normalized)
-        worst = f"worst other {kernel.worst_other:.2g} ({kernel.worst_other_class.name})"
-        plain(row[0], f"{primary.name} kernel\n{worst}", "", "y (mm)")
-        for axes, shown in zip(row[1:], Primary, strict=True):
+        worst = f"worst other {kernel.off_target:.2g} ({kernel.off_target_class.name})"
+        plain(row[0], f"{afferent.name} kernel\n{worst}", "", "y (mm)")
+        for axes, shown in zip(row[1:], Afferent, strict=True):
             drawn = _draw_activation(axes, profile, kernel, shown)
             plain(axes, f"at {shown.name}, {depth_mm(profile.skin, shown):g} mm deep")
             _outline(axes, profile)
@@ -61,25 +61,25 @@ def kernel_figure(profile: Profile, kernels: Mapping[Primary, Kernel], site: int
     return figure
 
 
-def _line_figure(profile: Profile, kernels: Mapping[Primary, Kernel]) -> "Figure":
+def _line_figure(profile: Profile, kernels: Mapping[Afferent, Kernel]) -> "Figure":
     figure = new_figure(7.5, 0.3 + 2.2 * len(kernels))
     panels = figure.subplots(len(kernels), 2, squeeze=False)
     x = np.linspace(-1, 1, 4 * _POINTS) * _reach_mm(profile)[0]
     places = np.column_stack([x, np.zeros_like(x)])
-    for (left, right), (primary, kernel) in zip(panels, kernels.items(), strict=True):
+    for (left, right), (afferent, kernel) in zip(panels, kernels.items(), strict=True):
         draw_weights(left, profile, kernel.peak_normalized)
-        plain(left, f"{primary.name} kernel", "electrode (mm)", "weight, cathodic up")
-        for shown in Primary:
+        plain(left, f"{afferent.name} kernel", "electrode (mm)", "weight, cathodic up")
+        for shown in Afferent:
             af = _activation(profile, kernel, shown, places)
             right.plot(x, af, color=CLASS_COLORS[shown], label=shown.name)
         right.axhline(0, color=GREY, lw=0.6)
         right.axhline(1, color=GREY, lw=0.6, ls=":")
-        right.set_ylim(-2.2, max(1.4, 1.1 * kernel.worst_other))
-        if primary is next(iter(kernels)):
+        right.set_ylim(-2.2, max(1.4, 1.1 * kernel.off_target))
+        if afferent is next(iter(kernels)):
             right.legend(frameon=False, fontsize=7, ncols=3)
         plain(
             right,
-            f"worst other {kernel.worst_other:.4g} ({kernel.worst_other_class.name})",
+            f"worst other {kernel.off_target:.4g} ({kernel.off_target_class.name})",
             "place (mm)",
             "AF, of the target's",
         )
@@ -91,7 +91,7 @@ def _reach_mm(profile: Profile) -> Array:
     return np.asarray(np.abs(array.position_mm).max(axis=0) + array.pitch_mm)
 
 
-def _activation(profile: Profile, kernel: Kernel, shown: Primary, places: Array) -> Array:
+def _activation(profile: Profile, kernel: Kernel, shown: Afferent, places: Array) -> Array:
     """Return the AF of a kernel at places, in the class's strongest direction."""
     skin = profile.skin
     found, scale = field(profile.electrodes, skin, places, depth_mm(skin, shown))
@@ -99,7 +99,7 @@ def _activation(profile: Profile, kernel: Kernel, shown: Primary, places: Array)
     return np.asarray(scale * np.max(along, axis=0))
 
 
-def _draw_activation(axes: Any, profile: Profile, kernel: Kernel, shown: Primary) -> Any:
+def _draw_activation(axes: Any, profile: Profile, kernel: Kernel, shown: Afferent) -> Any:
     reach = _reach_mm(profile)
     x, y = (np.linspace(-each, each, _POINTS) for each in reach)
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from smarttouch.afferent import Afferent
 from smarttouch.kernels.design import design_kernel
 from smarttouch.kernels.problem import Array, Problem
 from smarttouch.physiology.activation import field
@@ -18,7 +19,6 @@ from smarttouch.plotting.style import (
     new_figure,
     plain,
 )
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 
 if TYPE_CHECKING:
@@ -37,10 +37,10 @@ def figure_5(line: Profile) -> "Figure":
     figure = new_figure(5.0, 3.0)
     axes = figure.subplots()
     highest = float(line_in_plane(np.zeros(1), line.skin.ra_depth_mm).xx[0])
-    for primary in Primary:
-        depth = depth_mm(line.skin, primary)
+    for afferent in Afferent:
+        depth = depth_mm(line.skin, afferent)
         af = line_in_plane(_ACROSS_MM, depth).xx / highest
-        axes.plot(_ACROSS_MM, af, color=CLASS_COLORS[primary], label=f"{depth:g} mm deep")
+        axes.plot(_ACROSS_MM, af, color=CLASS_COLORS[afferent], label=f"{depth:g} mm deep")
     axes.axhline(0, color=GREY, lw=0.6)
     axes.legend(frameon=False, fontsize=8)
     plain(
@@ -55,16 +55,16 @@ def figure_5(line: Profile) -> "Figure":
 def figure_8(line: Profile) -> "Figure":
     """Draw the optimal weights of the three modes on the paper's array."""
     figure = new_figure(7.5, 2.6)
-    for axes, primary in zip(
-        figure.subplots(1, 3, sharey=True), (Primary.SAI, Primary.PC, Primary.RA), strict=True
+    for axes, afferent in zip(
+        figure.subplots(1, 3, sharey=True), (Afferent.SAI, Afferent.PC, Afferent.RA), strict=True
     ):
-        kernel = design_kernel(Problem(line, primary), _CENTER)
+        kernel = design_kernel(Problem(line, afferent), _CENTER)
         draw_weights(axes, line, kernel.peak_normalized)
         plain(
             axes,
-            f"{primary.name} mode: worst other {kernel.worst_other:.3g}",
+            f"{afferent.name} mode: worst other {kernel.off_target:.3g}",
             "electrode (mm)",
-            "weight, cathodic up" if primary is Primary.SAI else "",
+            "weight, cathodic up" if afferent is Afferent.SAI else "",
         )
     return figure
 
@@ -91,10 +91,10 @@ def figure_9(line: Profile) -> "Figure":
                 label="this pattern" if style == "-" else "the cathode alone",
             )
         right.set(xlim=(0, 1.3), ylim=(3.0, 0.8))
-        for primary in (Primary.SAI, Primary.PC):
-            depth = depth_mm(line.skin, primary)
-            right.axhline(depth, color=CLASS_COLORS[primary], lw=0.8)
-            right.text(1.29, depth + 0.03, primary.name, fontsize=7, ha="right", va="top")
+        for afferent in (Afferent.SAI, Afferent.PC):
+            depth = depth_mm(line.skin, afferent)
+            right.axhline(depth, color=CLASS_COLORS[afferent], lw=0.8)
+            right.text(1.29, depth + 0.03, afferent.name, fontsize=7, ha="right", va="top")
         right.legend(frameon=False, fontsize=7, loc="lower right")
         plain(right, "under the middle", "AF, of that at the SAI", "depth (mm)")
     _add_scale(figure, drawn, panels)

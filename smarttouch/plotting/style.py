@@ -4,15 +4,15 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import SmartTouchError
 from smarttouch.files import write_bytes
-from smarttouch.primary import Primary
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CATHODIC, ANODIC = "#d55e00", "#0072b2"
-CLASS_COLORS = {Primary.RA: "#d55e00", Primary.SAI: "#0072b2", Primary.PC: "#009e73"}
+CLASS_COLORS = {Afferent.RA: "#d55e00", Afferent.SAI: "#0072b2", Afferent.PC: "#009e73"}
 """Colors of Okabe and Ito's set (2008)."""
 SIGNED_MAP = "PuOr_r"
 """Color map: orange for cathodic or depolarizing, purple for the other sign."""

@@ -10,7 +10,7 @@ from smarttouch.profile.table import AllUnfitError, UnfitError
 
 _LAYOUTS = ("grid", "hexagon-61", "lines", "free")
 _KINDS = ("constrained-", "function-", "tuple[", "str-enum[")
-_WHOLE_KINDS = ("bool", "int", "float", "str", "Sharing")
+_WHOLE_KINDS = ("bool", "int", "float", "str", "SlotPolicy")
 """Kinds of value that pydantic names between the keys of the file."""
 _NOT_OF_KIND = ("float_type", "tuple_type")
 """Choices that are named for each kind that a value fails to be."""

@@ -182,7 +182,7 @@ class Frames(Table):
     """Whether points may share a slot; if not given, where ``limits.total_ma`` is."""
 
 
-class Perception(Table):
+class PerceptThresholds(Table):
     """Detection threshold of each electrode, and its largest comfortable current."""
 
     threshold_ma: Positive | tuple[Positive, ...]

@@ -17,7 +17,7 @@ from smarttouch.profile.device import (
     Limits,
     Optics,
     Output,
-    Perception,
+    PerceptThresholds,
     Pulse,
 )
 from smarttouch.profile.fit import misfits
@@ -39,7 +39,7 @@ class Profile(Table):
     force: ForceLaw
     pulse: Pulse
     limits: Limits
-    perception: Perception
+    perception: PerceptThresholds
     frames: Frames = Frames()
     calibrated: dict[str, Calibrated] = Field(default_factory=dict)
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import ExperimentError
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.procedures.constant import (
     REPETITIONS,
@@ -42,12 +42,12 @@ _SLOWER = 2.0
 
 
 @dataclass(frozen=True)
-class Wanted:
+class ExperimentOptions:
     """Options of an experiment; None means not given.
 
     Attributes
     ----------
-    primary : Primary
+    afferent : Afferent
     procedure : str
     standards : tuple of float, Hz
     repetitions, trials : int
@@ -60,7 +60,7 @@ class Wanted:
     seed : int
     """
 
-    primary: Primary = Primary.RA
+    afferent: Afferent = Afferent.RA
     procedure: str | None = None
     standards: tuple[float, ...] | None = None
     repetitions: int | None = None
@@ -97,7 +97,7 @@ class Design:
 
 
 @dataclass(frozen=True)
-class Entry:
+class Experiment:
     """One experiment of the catalog.
 
     Attributes
@@ -115,10 +115,10 @@ class Entry:
     about: str
     methods: tuple[str, ...]
     train_s: float
-    make: Callable[[Stimuli, Wanted, str], Design]
+    make: Callable[[Stimuli, ExperimentOptions, str], Design]
 
 
-def design(name: str, profile: Profile, wanted: Wanted) -> Design:
+def design(name: str, profile: Profile, wanted: ExperimentOptions) -> Design:
     """Build an experiment of the catalog.
 
     Raises
@@ -155,27 +155,27 @@ def design(name: str, profile: Profile, wanted: Wanted) -> Design:
             allowed=("height",),
         )
     train_s = entry.train_s if wanted.train_s is None else wanted.train_s
-    return entry.make(Stimuli(profile, wanted.primary, train_s), wanted, method)
+    return entry.make(Stimuli(profile, wanted.afferent, train_s), wanted, method)
 
 
-def _site(stimuli: Stimuli, wanted: Wanted) -> int:
+def _site(stimuli: Stimuli, wanted: ExperimentOptions) -> int:
     return stimuli.middle if wanted.site is None else wanted.site
 
 
-def _rate_hz(stimuli: Stimuli, wanted: Wanted) -> float:
+def _rate_hz(stimuli: Stimuli, wanted: ExperimentOptions) -> float:
     return stimuli.profile.pulse.rate_hz if wanted.rate_hz is None else wanted.rate_hz
 
 
 def _constant(
-    pairs: Sequence[tuple[float, float]], wanted: Wanted, two_intervals: bool, usual: int
+    pairs: Sequence[tuple[float, float]], wanted: ExperimentOptions, two_intervals: bool, usual: int
 ) -> ConstantStimuli:
     repetitions = usual if wanted.repetitions is None else wanted.repetitions
     return ConstantStimuli(pairs, repetitions, two_intervals, wanted.seed)
 
 
-def _frequency(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
+def _frequency(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
     standards = wanted.standards or (
-        PC_STANDARDS_HZ if stimuli.primary is Primary.PC else STANDARDS_HZ
+        PC_STANDARDS_HZ if stimuli.afferent is Afferent.PC else STANDARDS_HZ
     )
     highest_hz = stimuli.profile.limits.rate_hz
     notes = []
@@ -195,7 +195,7 @@ def _frequency(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
     return Design(FrequencyTask(stimuli, _site(stimuli, wanted)), procedure, method, notes=notes)
 
 
-def _detection(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
+def _detection(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
     site = _site(stimuli, wanted)
     threshold_ma, full_ma = (
         float(each[site]) for each in (stimuli.profile.threshold_ma, stimuli.profile.full_ma)
@@ -217,7 +217,7 @@ def _detection(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
     return Design(task, procedure, method, again=False)
 
 
-def _discomfort(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
+def _discomfort(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
     slowest_s = _SLOWER * stimuli.profile.limits.ramp_s
     if stimuli.train_s < slowest_s:
         raise ExperimentError(
@@ -232,7 +232,7 @@ def _discomfort(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
     return Design(task, Repeats(wanted.repetitions or 5), method, again=False)
 
 
-def _two_point(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
+def _two_point(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
     apart_mm = list(stimuli.pairs())
     if not apart_mm:
         raise ExperimentError(
@@ -247,7 +247,7 @@ def _two_point(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
     return Design(TwoPointTask(stimuli, _rate_hz(stimuli, wanted)), procedure, method)
 
 
-def _localization(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
+def _localization(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
     site = _site(stimuli, wanted)
     beside = stimuli.beside(site)
     far_mm = sorted({abs(each) for each in beside if -each in beside})[:_FARTHEST]
@@ -263,7 +263,7 @@ def _localization(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
     return Design(task, _constant(pairs, wanted, False, REPETITIONS), method)
 
 
-def _letters(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
+def _letters(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
     from smarttouch.psychophysics.letters import draw_letter, parse_letters
 
     letters = parse_letters(wanted.letters)
@@ -275,13 +275,13 @@ def _letters(stimuli: Stimuli, wanted: Wanted, method: str) -> Design:
 
 
 CATALOG = {
-    "frequency": Entry("which of two trains is faster (paper, III-C)", ADAPTIVE, 1.0, _frequency),
-    "detection": Entry("is it felt: threshold current, mA", ADAPTIVE, 0.5, _detection),
-    "discomfort": Entry("when is a rising current enough, mA", (LIMITS,), 10.0, _discomfort),
-    "two-point": Entry("which of two had two points: distance, mm", (CONSTANT,), 0.5, _two_point),
-    "localization": Entry(
+    "frequency": Experiment("which of two trains is faster (paper, III-C)", ADAPTIVE, 1.0, _frequency),
+    "detection": Experiment("is it felt: threshold current, mA", ADAPTIVE, 0.5, _detection),
+    "discomfort": Experiment("when is a rising current enough, mA", (LIMITS,), 10.0, _discomfort),
+    "two-point": Experiment("which of two had two points: distance, mm", (CONSTANT,), 0.5, _two_point),
+    "localization": Experiment(
         "was the second point left or right: distance, mm", (CONSTANT,), 0.5, _localization
     ),
-    "letters": Entry("which letter was drawn", (CONSTANT,), 1.0, _letters),
+    "letters": Experiment("which letter was drawn", (CONSTANT,), 1.0, _letters),
 }  # fmt: skip
 """All experiments by name."""

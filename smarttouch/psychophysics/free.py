@@ -13,11 +13,11 @@ from typing import Protocol
 
 import numpy as np
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.closing import Closing
 from smarttouch.errors import ExperimentError
 from smarttouch.events import Note
 from smarttouch.files import unwritable
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.stimuli import Stimuli, require_site
 from smarttouch.running.controls import Controls, ControlState
@@ -158,11 +158,11 @@ class FreeSource(StimulusSource, Listener):
     ----------
     profile : Profile
         As `up_to_the_ceiling` returns it.
-    offered : tuple of Primary
+    offered : tuple of Afferent
         The classes that its kernels reach.
     log : FreeLog
         Told of every change.
-    primary : Primary
+    afferent : Afferent
     site : int or None
         To begin with; the middle if None.
     rate_hz : float, Hz
@@ -178,9 +178,9 @@ class FreeSource(StimulusSource, Listener):
     def __init__(
         self,
         profile: Profile,
-        offered: tuple[Primary, ...],
+        offered: tuple[Afferent, ...],
         log: FreeLog,
-        primary: Primary = Primary.RA,
+        afferent: Afferent = Afferent.RA,
         site: int | None = None,
         rate_hz: float = 50.0,
         press_n: float | None = None,
@@ -194,21 +194,21 @@ class FreeSource(StimulusSource, Listener):
                 value=rate_hz,
                 allowed=(SLOWEST_HZ, fastest_hz),
             )
-        if primary not in offered:
+        if afferent not in offered:
             raise ExperimentError(
-                f"--mode {primary.name} is not possible with {profile.name}: choose "
+                f"--mode {afferent.name} is not possible with {profile.name}: choose "
                 + " or ".join(each.name for each in offered),
                 about="--mode",
                 problem="impossible",
-                value=primary.name,
+                value=afferent.name,
                 allowed=tuple(each.name for each in offered),
             )
         require_site(site, profile)
         self.knows_force = press_n is not None
-        self.primary, self.rate_hz = primary, rate_hz
+        self.afferent, self.rate_hz = afferent, rate_hz
         self._profile, self._offered, self._log = profile, offered, log
         self._sites = profile.driven.tolist()
-        self.site: int = Stimuli(profile, primary, 1.0).middle if site is None else site
+        self.site: int = Stimuli(profile, afferent, 1.0).middle if site is None else site
         self._press_n = float("nan") if press_n is None else press_n
         self._fastest_hz = fastest_hz
         self._full_ma = profile.full_ma
@@ -243,8 +243,8 @@ class FreeSource(StimulusSource, Listener):
         while self._asked:
             self._asked.popleft()()
         level, self._from_zero = (0.0 if self._from_zero else 1.0), False
-        activation = np.zeros((len(Primary), len(self._profile.electrodes)), np.float32)
-        activation[self.primary, self.site] = 1
+        activation = np.zeros((len(Afferent), len(self._profile.electrodes)), np.float32)
+        activation[self.afferent, self.site] = 1
         self.frames += 1
         period_us, number = round(1e6 / self.rate_hz), self.frames - 1
         return Stimulus(activation, time_ns, self._press_n, period_us, level, number=number)
@@ -258,7 +258,7 @@ class FreeSource(StimulusSource, Listener):
             self._level = result.step.level
             self._changed("amplitude", round(self.amplitude_ma, 3))
         self.title = (
-            f"{self.primary.name}, site {self.site}, {self.rate_hz:g} Hz, "
+            f"{self.afferent.name}, site {self.site}, {self.rate_hz:g} Hz, "
             f"{self.amplitude_ma:.2f} mA asked for, {self._current_ma:.2f} mA flow"
         )
 
@@ -272,17 +272,17 @@ class FreeSource(StimulusSource, Listener):
         self._changed("site", self.site)
 
     def _next_mode(self) -> None:
-        place = self._offered.index(self.primary)
-        self.primary = self._offered[(place + 1) % len(self._offered)]
+        place = self._offered.index(self.afferent)
+        self.afferent = self._offered[(place + 1) % len(self._offered)]
         self._from_zero = True
-        self._changed("mode", self.primary.name)
+        self._changed("mode", self.afferent.name)
 
     def _changed(self, what: str, value: object) -> None:
         self.emit(Note(self._now_ns, f"{what} {value}"))
         self._log.write(
             (
                 round(self._now_ns / 1e9, 6), what, value, round(self.amplitude_ma, 3),
-                self._current_ma, self.rate_hz, self.primary.name, self.site,
+                self._current_ma, self.rate_hz, self.afferent.name, self.site,
                 round(self._force_n, 3),
             )
         )  # fmt: skip

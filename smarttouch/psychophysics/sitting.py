@@ -12,16 +12,16 @@ from smarttouch.clock import MonotonicClock
 from smarttouch.errors import SmartTouchError
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.catalog import Design
-from smarttouch.psychophysics.course import Course
 from smarttouch.psychophysics.rows import About, RowFile
 from smarttouch.psychophysics.session import Session
 from smarttouch.psychophysics.source import ExperimentSource
 from smarttouch.psychophysics.subject import Subject, make_observer
 from smarttouch.psychophysics.summary import summarize
+from smarttouch.psychophysics.timing import TrialTiming
 
 
 @dataclass(frozen=True)
-class Sitting:
+class ExperimentSession:
     """One run of an experiment.
 
     Attributes
@@ -29,7 +29,7 @@ class Sitting:
     made : Design
     session : Session
     profile : Profile
-    course : Course
+    course : TrialTiming
     path : Path
         File of the answers.
     """
@@ -37,7 +37,7 @@ class Sitting:
     made: Design
     session: Session
     profile: Profile
-    course: Course
+    course: TrialTiming
     path: Path
 
     def sensor(self, pressing_n: float | None, *, in_real_time: bool) -> ExperimentSource:
@@ -68,13 +68,19 @@ class Sitting:
 
 @contextlib.contextmanager
 def open_sitting(
-    made: Design, profile: Profile, course: Course, about: About, path: Path, *, overwrite: bool
-) -> Iterator[Sitting]:
+    made: Design,
+    profile: Profile,
+    course: TrialTiming,
+    about: About,
+    path: Path,
+    *,
+    overwrite: bool,
+) -> Iterator[ExperimentSession]:
     """Open the file of an experiment's answers for a block, and go on where it ends."""
     with RowFile(path, about, overwrite) as file:
         begun = datetime.now().astimezone().isoformat(timespec="seconds")
         session = Session(made.task, made.procedure, file, begun)
-        yield Sitting(made, session, profile, course, path)
+        yield ExperimentSession(made, session, profile, course, path)
 
 
 def parse_standards(text: str | None) -> tuple[float, ...] | None:

@@ -7,13 +7,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.afferent import Afferent
 from smarttouch.clock import Clock
 from smarttouch.errors import ExperimentError
 from smarttouch.events import TrialEvent
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
-from smarttouch.psychophysics.course import Course
 from smarttouch.psychophysics.stimuli import Train
+from smarttouch.psychophysics.timing import TrialTiming
 from smarttouch.psychophysics.trial import Answer, Trial, Trials
 from smarttouch.running.listener import Listener
 from smarttouch.running.step import StepResult
@@ -49,7 +49,7 @@ class ExperimentSource(StimulusSource, Listener):
         Trials to present.
     profile : Profile
         Array, force and limits.
-    course : Course
+    course : TrialTiming
         Timing of a trial.
     press_n : float, N, optional
         Finger force, where there is no force sensor; no other source is used then.
@@ -73,7 +73,7 @@ class ExperimentSource(StimulusSource, Listener):
         self,
         trials: Trials,
         profile: Profile,
-        course: Course,
+        course: TrialTiming,
         press_n: float | None = None,
         clock: Clock | None = None,
     ) -> None:
@@ -93,7 +93,7 @@ class ExperimentSource(StimulusSource, Listener):
         self._finger = ""
         self._steady = self._lost = False
         self._level, self._current_ma = 0.0, 0.0
-        self._silence = np.zeros((len(Primary), len(profile.electrodes)), np.float32)
+        self._silence = np.zeros((len(Afferent), len(profile.electrodes)), np.float32)
         self._silent_us = max(SILENT_US, self._least_us)
         self._stimuli = self._present_all()
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import ExperimentError
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 
 FEWEST_PULSES = 2
@@ -22,7 +22,7 @@ class Train:
     Attributes
     ----------
     activation : ndarray, (3, E) float32, in [0, 1]
-        One row for each `Primary`; all zero is a blank of the same length.
+        One row for each `Afferent`; all zero is a blank of the same length.
     period_us : int, µs
         From pulse to pulse.
     pulses : int
@@ -59,7 +59,7 @@ class Stimuli:
     ----------
     profile : Profile
         Array, limits and currents.
-    primary : Primary
+    afferent : Afferent
         Class that the trains drive.
     train_s : float, s
         Length of a train.
@@ -70,7 +70,7 @@ class Stimuli:
         If trains cannot be that long.
     """
 
-    def __init__(self, profile: Profile, primary: Primary, train_s: float) -> None:
+    def __init__(self, profile: Profile, afferent: Afferent, train_s: float) -> None:
         if not 0 < train_s <= LONGEST_S:
             raise ExperimentError(
                 f"--train-s {train_s:g} must be above 0 and at most {LONGEST_S:g} s",
@@ -78,7 +78,7 @@ class Stimuli:
                 value=train_s,
                 allowed=(0, LONGEST_S),
             )
-        self.profile, self.primary, self.train_s = profile, primary, train_s
+        self.profile, self.afferent, self.train_s = profile, afferent, train_s
 
     def train(self, where: Sequence[int] | NDArray[np.float32], rate_hz: float) -> Train:
         """Return a train on some sites, or with an activation of each, (E,).
@@ -107,11 +107,11 @@ class Stimuli:
                 value=pulses,
                 allowed=FEWEST_PULSES,
             )
-        activation = np.zeros((len(Primary), len(self.profile.electrodes)), np.float32)
+        activation = np.zeros((len(Afferent), len(self.profile.electrodes)), np.float32)
         if isinstance(where, np.ndarray):
-            activation[self.primary] = where
+            activation[self.afferent] = where
         else:
-            activation[self.primary, list(where)] = 1
+            activation[self.afferent, list(where)] = 1
         return Train(activation, round(1e6 / rate_hz), pulses)
 
     @property

@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 from joblib import Parallel, delayed
 
+from smarttouch.afferent import Mode
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.delivered.line import LinePicture
 from smarttouch.delivered.perception import DeliveredAnswers
 from smarttouch.imaging.mapping import Tone
 from smarttouch.imaging.registration import Registration
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.primary import Mode
 from smarttouch.profile import Profile
 from smarttouch.reading.cursor import Motion, SweepingCursor
 from smarttouch.reading.feed import LineFeed
@@ -23,7 +23,7 @@ from smarttouch.reading.window import pixel_of, press_n
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.runner import Runner
-from smarttouch.stimulation.frames import NO_SHARING, Sharing
+from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Reading:
         Tone curve from ink to activation.
     motion : Motion
     mode : Mode
-    sharing : Sharing
+    sharing : SlotPolicy
         Classes whose points share slots.
     """
 
@@ -48,7 +48,7 @@ class Reading:
     tone: Tone
     motion: Motion
     mode: Mode = Mode.RA
-    sharing: Sharing = NO_SHARING
+    sharing: SlotPolicy = NO_SHARING
 
 
 def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
@@ -67,7 +67,7 @@ def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
     cursor = SweepingCursor(feed, reading.motion, press_n(profile))
     sensor = ReadingSource("a line", profile, feed, cursor)
     feed.wait_for_end()
-    answers = DeliveredAnswers(profile, reading.bank, reading.mode.primaries)
+    answers = DeliveredAnswers(profile, reading.bank, reading.mode.afferents)
     config = RunConfig(mode=reading.mode, tone=reading.tone, scan=reading.sharing)
     with Display("simulated:", profile) as display:
         Runner(

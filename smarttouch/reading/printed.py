@@ -24,7 +24,7 @@ Note = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class HowToLook:
+class RecognitionOptions:
     """Options of a document.
 
     Attributes
@@ -52,7 +52,7 @@ class HowToLook:
     scale_matters: bool = False
 
 
-def document_pages(path: Path, how: HowToLook, note: Note) -> Iterator[tuple[int, Page]]:
+def document_pages(path: Path, how: RecognitionOptions, note: Note) -> Iterator[tuple[int, Page]]:
     """Yield numbers and pages of a document, one in memory at a time.
 
     Their size is reported only where it matters: every line is made as
@@ -76,7 +76,7 @@ def document_pages(path: Path, how: HowToLook, note: Note) -> Iterator[tuple[int
             yield index + 1, page
 
 
-def upright_page(number: int, page: Page, how: HowToLook, note: Note) -> PreparedPage:
+def upright_page(number: int, page: Page, how: RecognitionOptions, note: Note) -> PreparedPage:
     """Return a page straight and upright, ink on white paper, its lines in reading order."""
     prepared = prepare_page(page, how.light_on_dark)
     notes = list(prepared.notes)
@@ -130,7 +130,7 @@ class EmptyPages:
 
 
 def prepared_pages(
-    pages: Iterator[tuple[int, Page]], how: HowToLook, note: Note
+    pages: Iterator[tuple[int, Page]], how: RecognitionOptions, note: Note
 ) -> Iterator[PreparedPage]:
     """Yield the pages that carry text, see `upright_page`.
 
@@ -149,7 +149,7 @@ def prepared_pages(
 
 
 def recognized_lines(
-    prepared: PreparedPage, how: HowToLook, note: Note
+    prepared: PreparedPage, how: RecognitionOptions, note: Note
 ) -> Iterator[tuple[int, str]]:
     """Yield numbers and texts of the lines of a page; the first of them early.
 
@@ -177,7 +177,7 @@ def recognized_lines(
         )
 
 
-def recognized_text(prepared: PreparedPage, how: HowToLook, note: Note) -> str:
+def recognized_text(prepared: PreparedPage, how: RecognitionOptions, note: Note) -> str:
     """Return the text of a page, a line for each paragraph; words that lines divide are joined."""
     middles = [(line.top_mm + line.bottom_mm) / 2 for line in prepared.lines]
     steps = np.diff(middles)
@@ -199,7 +199,7 @@ def _joined(before: str, after: str) -> str:
     return (before[:-1] if after[:1].islower() else before) + after
 
 
-def _turn_deg(prepared: PreparedPage, how: HowToLook) -> int:
+def _turn_deg(prepared: PreparedPage, how: RecognitionOptions) -> int:
     """Return the clockwise rotation of a page in degrees, if Tesseract is installed."""
     try:
         return upright(prepared.cleaned, how.languages) if prepared.lines else 0

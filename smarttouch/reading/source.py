@@ -9,7 +9,7 @@ from smarttouch.braille.files import read_text
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.prepare import PreparedPage
 from smarttouch.documents.printed_text import prepare_text
-from smarttouch.reading.printed import HowToLook, Note, document_pages, prepared_pages
+from smarttouch.reading.printed import Note, RecognitionOptions, document_pages, prepared_pages
 
 _TEXT = "text:"
 _TEXT_FILES = (".txt",)
@@ -26,14 +26,14 @@ class Source:
     ----------
     name : str
         A file, or ``text:`` and words.
-    how : HowToLook
+    how : RecognitionOptions
         Options of the document.
     note : callable
         Told what a user should know, a sentence each.
     """
 
     name: str
-    how: HowToLook = field(default_factory=HowToLook)
+    how: RecognitionOptions = field(default_factory=RecognitionOptions)
     note: Note = lambda _words: None
 
     @property

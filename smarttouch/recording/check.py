@@ -17,7 +17,7 @@ from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulator import Regulator
 from smarttouch.running.step import Measured
 from smarttouch.stimulation.adaptation import Adaptation
-from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.ledger import ChargeBalance
 from smarttouch.stimulation.recharge import RechargeRules
 from smarttouch.stimulation.sequence import ScanSequence
 
@@ -202,7 +202,7 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
             )
         adaptation = Adaptation(profile, run.hold, run.compliance_v, run.timing)
     if run.balance:
-        ledger = ChargeLedger(len(profile.electrodes))
+        ledger = ChargeBalance(len(profile.electrodes))
         if run.recharge:
             recharge = RechargeRules.of(profile, run.timing)
     return pipeline, Regulator(adaptation, ledger, recharge)

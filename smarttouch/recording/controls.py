@@ -3,8 +3,8 @@
 import bisect
 from dataclasses import replace
 
+from smarttouch.afferent import Mode
 from smarttouch.errors import RecordingError
-from smarttouch.primary import Mode
 from smarttouch.recording.chunks import parse_message
 from smarttouch.recording.reader import Recording
 from smarttouch.running.controls import Controls, ControlState

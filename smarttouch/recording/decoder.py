@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.primary import Mode, Primary
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.recording.chunks import parse_message
 from smarttouch.recording.encoder import Message, remember
 from smarttouch.recording.schemas import LAST
 from smarttouch.running.step import Measured, Step, StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.sources.stimulus import Input, Stimulus
-from smarttouch.stimulation.sequence import Proof, ScanSequence
+from smarttouch.stimulation.sequence import ScanSequence, SelectivityReport
 from smarttouch.tactile_image import TactileImage
 
 _IMPOSSIBLE = (
@@ -188,7 +188,7 @@ def _recharge_of(message: Message, electrodes: int) -> NDArray[np.int16] | None:
     return current_ua.astype(np.int16).reshape(electrodes)
 
 
-def _proof_of(message: Message, slots: int) -> Proof | None:
+def _proof_of(message: Message, slots: int) -> SelectivityReport | None:
     if message.get("points") is None:
         return None
     points = np.array(message["points"], np.uint16)
@@ -198,7 +198,7 @@ def _proof_of(message: Message, slots: int) -> Proof | None:
     )
     if not points.shape == other.shape == spill.shape == (slots,):
         raise ValueError(f"not the proof of {slots} slots")
-    return Proof(points, other, spill)
+    return SelectivityReport(points, other, spill)
 
 
 def _asked(message: Message) -> tuple[int, float]:
@@ -210,8 +210,8 @@ def _asked(message: Message) -> tuple[int, float]:
 
 
 def _activation_of(message: Message, electrodes: int) -> NDArray[np.float32]:
-    activation = np.zeros((len(Primary), electrodes), np.float32)
-    for each in Primary:
+    activation = np.zeros((len(Afferent), electrodes), np.float32)
+    for each in Afferent:
         row = np.asarray(message[each.name], np.float64)
         if row.shape == (0,):
             continue

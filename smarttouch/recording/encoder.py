@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.primary import Primary
+from smarttouch.afferent import Afferent
 from smarttouch.recording.schemas import INFO, LAST
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.stimulus import Input, Stimulus
-from smarttouch.stimulation.sequence import Proof
+from smarttouch.stimulation.sequence import SelectivityReport
 
 REMEMBERED = 512
 """Sequences kept for later measurements: a second or more."""
@@ -137,10 +137,10 @@ def _tactile(step: Step) -> Message:
     if imaged:
         rounded = np.round(rounded, _DIGITS)
     # A stimulus cannot be computed again: it is kept to the bit, and as short as it is.
-    driven = step.mode.primaries if imaged else ()
+    driven = step.mode.afferents if imaged else ()
     return {
         each.name: rounded[each].tolist() if each in driven or rounded[each].any() else []
-        for each in Primary
+        for each in Afferent
     }
 
 
@@ -172,7 +172,7 @@ def _sequence(result: StepResult) -> Message:
     }
 
 
-def _proof(proof: Proof | None) -> Message:
+def _proof(proof: SelectivityReport | None) -> Message:
     if proof is None:
         return dict.fromkeys(("points", "worst_other", "worst_spill"))
     largest = float(np.finfo(np.float32).max)
@@ -181,7 +181,7 @@ def _proof(proof: Proof | None) -> Message:
         **{
             key: [None if math.isnan(each) else min(each, largest) for each in values.tolist()]
             for key, values in (
-                ("worst_other", proof.worst_other), ("worst_spill", proof.worst_spill),
+                ("worst_other", proof.off_target), ("worst_spill", proof.spill),
             )
         },
     }  # fmt: skip

@@ -4,10 +4,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.errors import RecordingError
 from smarttouch.imaging.mapping import Tone
-from smarttouch.primary import Mode, Primary
-from smarttouch.stimulation.frames import Sharing
+from smarttouch.stimulation.frames import SlotPolicy
 from smarttouch.stimulation.timing import ScanTiming
 
 _Share = Annotated[float, Field(ge=0, le=1)]
@@ -76,9 +76,11 @@ class RunSettings(BaseModel):
         return None if self.toned is None else Tone(**self.toned.model_dump())
 
     @property
-    def sharing(self) -> Sharing:
+    def sharing(self) -> SlotPolicy:
         """Classes whose points shared slots."""
-        return Sharing(tuple(Primary[each] for each in self.shared.primaries), self.shared.planned)
+        return SlotPolicy(
+            tuple(Afferent[each] for each in self.shared.primaries), self.shared.planned
+        )
 
 
 def read_settings(table: dict[str, Any]) -> RunSettings:

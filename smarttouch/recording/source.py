@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.profile import Profile
 from smarttouch.recording.decoder import RecordedStep
 from smarttouch.recording.reader import Recording
@@ -16,13 +16,13 @@ def open_recording(rest: str, profile: Profile, *, unpaced: bool = False) -> "Re
 
     Raises
     ------
-    SensorError
+    SourceError
         If no file is named.
     RecordingError
         If there is no such recording.
     """
     if not rest:
-        raise SensorError(
+        raise SourceError(
             "recording: needs a file: give recording:FILE.mcap",
             about="file",
             problem="missing",
@@ -55,7 +55,7 @@ class RecordingSource(Source):
         self._now: RecordedStep | None = None
         self._seen = True
         if self._ahead is None:
-            raise SensorError(
+            raise SourceError(
                 f"{recording.path} holds no steps: nothing can be played from it",
                 about="file",
                 problem="empty",

@@ -3,11 +3,11 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.errors import SmartTouchError
 from smarttouch.imaging.mapping import Tone
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
-from smarttouch.stimulation.frames import NO_SHARING, Sharing, why_not
+from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy, unsupported_reason
 
 SCANS = ("auto", "points", "frame")
 HOLDS = ("charge", "energy")
@@ -21,7 +21,7 @@ class RunConfig:
     ----------
     mode : Mode or str
         Which afferents are driven: RA, SAI, PC or natural.
-    scan : {"auto", "points", "frame"} or Sharing
+    scan : {"auto", "points", "frame"} or SlotPolicy
         One point in each slot, as many as leave one another alone, or so where that needs no
         search: RA, on boards that give every electrode its own current.
     rate_hz : float, optional
@@ -61,7 +61,7 @@ class RunConfig:
     """
 
     mode: Mode | str = Mode.RA
-    scan: str | Sharing = "auto"
+    scan: str | SlotPolicy = "auto"
     rate_hz: float | None = None
     seconds: float | None = None
     intensity: float | None = None
@@ -78,7 +78,7 @@ class RunConfig:
     def __post_init__(self) -> None:
         modes = tuple(each.value for each in Mode)
         object.__setattr__(self, "mode", Mode(_one_of("mode", str(self.mode), modes)))
-        if not isinstance(self.scan, Sharing):
+        if not isinstance(self.scan, SlotPolicy):
             _one_of("scan", self.scan, SCANS)
         if self.hold is not None:
             _one_of("hold", self.hold, HOLDS)
@@ -99,7 +99,7 @@ class RunConfig:
                 allowed=0,
             )
 
-    def sharing(self, profile: Profile) -> Sharing:
+    def sharing(self, profile: Profile) -> SlotPolicy:
         """Return the classes whose points share slots, and how.
 
         By itself RA, by kernels that are proved for all frames and only added up: those
@@ -107,15 +107,15 @@ class RunConfig:
         there is between two pulses. None where voltage is held, point by point, or the board
         cannot.
         """
-        if isinstance(self.scan, Sharing):
-            sharing = NO_SHARING if why_not(profile) else self.scan
+        if isinstance(self.scan, SlotPolicy):
+            sharing = NO_SHARING if unsupported_reason(profile) else self.scan
         elif self.scan == "frame":
-            sharing = Sharing(tuple(Primary), planned=True)
-        elif self.scan == "points" or self.hold or why_not(profile) is not None:
+            sharing = SlotPolicy(tuple(Afferent), planned=True)
+        elif self.scan == "points" or self.hold or unsupported_reason(profile) is not None:
             sharing = NO_SHARING
         else:
-            sharing = Sharing((Primary.RA,), planned=False)
-        if self.hold is not None and sharing.primaries:
+            sharing = SlotPolicy((Afferent.RA,), planned=False)
+        if self.hold is not None and sharing.afferents:
             raise SmartTouchError(
                 "hold learns from the voltage of each point, and several share a slot: choose "
                 "the scan points",
@@ -137,7 +137,7 @@ class RunConfig:
             "softness": self.softness,
             "tone": None if self.tone is None else asdict(self.tone),
             "sharing": {
-                "primaries": [each.name for each in sharing.primaries],
+                "primaries": [each.name for each in sharing.afferents],
                 "planned": sharing.planned,
             },
             "hold": self.hold,

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from smarttouch.primary import Mode
+from smarttouch.afferent import Mode
 
 STEP = 0.05
 """Of one press of a key, in parts of the strongest."""

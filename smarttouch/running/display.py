@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from smarttouch.boards.board import Board, make_board, require_gate, usual_profile
+from smarttouch.boards.board import Board, default_profile, make_board, require_gate
 from smarttouch.closing import Closing
 from smarttouch.errors import SmartTouchError
 from smarttouch.profile import Profile, load_profile
@@ -135,6 +135,6 @@ def open_display(
     """
     if not isinstance(profile, Profile):
         profile = load_profile(
-            profile or (usual_profile(url) if isinstance(url, str) else url.usual_profile)
+            profile or (default_profile(url) if isinstance(url, str) else url.default_profile)
         )
     return Display(url, profile, vibrators_url, **options)

@@ -105,7 +105,7 @@ def run_loop(
     source.emit = emit = emit_to(listeners)
     inputs = Inputs(source, force, board, pipeline, controls, statistics, emit)
     loop = _Loop(inputs, regulator or Regulator(), stop, listeners, clock or board.clock)
-    with contextlib.nullcontext(Pace()) if board.waits_for_nothing else paced() as pace:
+    with contextlib.nullcontext(Pace()) if board.simulated_time else paced() as pace:
         statistics.real_time = pace.real_time
         for note in pace.notes if board.on_a_finger else ():
             emit(Note(0, note))

@@ -4,17 +4,17 @@ import contextlib
 
 import numpy as np
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.errors import SmartTouchError
 from smarttouch.imaging.mapping import TactileMapper
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.step import Step
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.sources.stimulus import Input, Stimulus
 from smarttouch.stimulation.intensity import SoftStart, force_gate
-from smarttouch.stimulation.schedule import PointScan
+from smarttouch.stimulation.schedule import ScanScheduler
 from smarttouch.stimulation.timing import ScanTiming
 
 
@@ -51,7 +51,7 @@ class Pipeline:
         self._mapper = TactileMapper(profile, config.light_on_dark, config.tone)
         self._soft_start = SoftStart(profile.limits.ramp_s)
         self._restarted = True
-        self._scans: dict[Mode, PointScan] = {}
+        self._scans: dict[Mode, ScanScheduler] = {}
         self.change_mode(Mode(config.mode))
 
     def change_mode(self, mode: Mode) -> None:
@@ -83,17 +83,17 @@ class Pipeline:
                 modes.append(mode)
         return tuple(modes)
 
-    def _scan(self, mode: Mode) -> PointScan:
+    def _scan(self, mode: Mode) -> ScanScheduler:
         if mode not in self._scans:
             bank, config, vibrated = self._bank, self._config, self._vibrated
-            classes, vibrated = mode.primaries, vibrated and mode is Mode.COLOR
+            classes, vibrated = mode.afferents, vibrated and mode is Mode.COLOR
             if mode is Mode.COLOR:
-                made = {*bank.weights, *((Primary.PC,) if vibrated else ())}
+                made = {*bank.weights, *((Afferent.PC,) if vibrated else ())}
                 classes = tuple(each for each in classes if each in made)
             # A rate asked for in one mode is not for the two of natural mode.
             natural = mode is Mode.NATURAL and bool(self._scans)
             softness = config.softness
-            self._scans[mode] = PointScan(
+            self._scans[mode] = ScanScheduler(
                 self._profile,
                 bank,
                 classes,
@@ -147,8 +147,8 @@ class Pipeline:
         profile, force_n = self._profile, self._profile.force.full_n
         image = np.full((profile.optics.sensor_rows, profile.optics.sensor_columns), 230, np.uint8)
         image[::2, : profile.optics.sensor_columns // 2] = 20
-        active = np.ones((len(Primary), len(profile.electrodes)), np.float32)
-        active[[each for each in Primary if each not in self._bank.weights]] = 0
+        active = np.ones((len(Afferent), len(profile.electrodes)), np.float32)
+        active[[each for each in Afferent if each not in self._bank.weights]] = 0
         for time_ns in (0, 10**9):
             twin.process(
                 Stimulus(active, time_ns, force_n, 20_000)

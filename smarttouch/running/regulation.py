@@ -8,7 +8,7 @@ from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.regulator import Regulator
 from smarttouch.stimulation.adaptation import Adaptation, Hold
-from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.ledger import ChargeBalance
 from smarttouch.stimulation.recharge import RechargeRules
 
 
@@ -92,5 +92,5 @@ def make_regulator(
                 "This board makes no recharge phase: to balance, whole scans are reversed, and "
                 "those drive the other class, SAI where RA is meant and RA where SAI is."
             )
-        ledger = ChargeLedger(can.electrodes)
+        ledger = ChargeBalance(can.electrodes)
     return Regulator(adaptation, ledger, recharge)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from smarttouch.boards.board import Board
 from smarttouch.running.step import Step
 from smarttouch.stimulation.adaptation import Adaptation
-from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.ledger import ChargeBalance
 from smarttouch.stimulation.recharge import RechargeRules, add_recharge
 from smarttouch.stimulation.sequence import ScanSequence
 
@@ -21,14 +21,14 @@ class Regulator:
     ----------
     adaptation : Adaptation, optional
         Holds charge or energy against drifting impedance.
-    ledger : ChargeLedger, optional
+    ledger : ChargeBalance, optional
         Net charge of every electrode, which sequences bring to zero.
     recharge : RechargeRules, optional
         By a recharge phase within these; by the polarity of whole scans if not given.
     """
 
     adaptation: Adaptation | None = None
-    ledger: ChargeLedger | None = None
+    ledger: ChargeBalance | None = None
     recharge: RechargeRules | None = None
     _scans: int = 0
     _reversed: int = 0
@@ -48,7 +48,7 @@ class Regulator:
             step = replace(step, sequence=self._balanced(step.sequence, self.ledger))
         return step
 
-    def _balanced(self, sequence: ScanSequence, ledger: ChargeLedger) -> ScanSequence:
+    def _balanced(self, sequence: ScanSequence, ledger: ChargeBalance) -> ScanSequence:
         if self.recharge is None:
             balanced = ledger.balancing(sequence)
             self._reversed += balanced is not sequence

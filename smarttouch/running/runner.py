@@ -6,12 +6,12 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict
 from typing import Any
 
+from smarttouch.afferent import Mode
 from smarttouch.boards.board import Board, BoardReport
 from smarttouch.clock import Clock, SimulatedClock
-from smarttouch.errors import BoardStoppedError, SensorError, SmartTouchError
+from smarttouch.errors import BoardStoppedError, SmartTouchError, SourceError
 from smarttouch.events import Advice, Note, RunFailed
 from smarttouch.kernels.bank import KernelBank, load_bank
-from smarttouch.primary import Mode
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2
 from smarttouch.realtime import Pace
@@ -182,7 +182,7 @@ class Runner:
                 controls=context.controls,
                 force=self._force,
                 regulator=regulator,
-                clock=self._clock or (SimulatedClock() if board.waits_for_nothing else None),
+                clock=self._clock or (SimulatedClock() if board.simulated_time else None),
             )
             board.stop()
             report = board.report()
@@ -259,7 +259,7 @@ class Runner:
     def _require_force(self) -> None:
         source, board = self.source, self.display.board
         if not (source.knows_force or self._force is not None or board.capabilities.force):
-            raise SensorError(
+            raise SourceError(
                 f"no force of the finger is known: {source.title} and the board tell none, so "
                 "there would be no current: give a source of force, for example hx711:PORT, or "
                 "fixed:0.5 (N)",

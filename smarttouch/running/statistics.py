@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from smarttouch.sources.stimulus import Input
-from smarttouch.stimulation.sequence import Proof
+from smarttouch.stimulation.sequence import SelectivityReport
 
 _PER_E = 100
 """Bins for each factor of e: a figure is true to half a percent."""
@@ -74,9 +74,9 @@ class RunStatistics:
     blind: int = 0
     """Sequences without current because the force or the image was not known."""
     active: float = 0.0
-    worst_other: float = 0.0
+    off_target: float = 0.0
     """Largest of all proofs: what points that share slots did to other classes."""
-    worst_spill: float = 0.0
+    spill: float = 0.0
     """And to their own class elsewhere."""
     seconds: float = 0.0
     scan_us: int = 0
@@ -111,12 +111,12 @@ class RunStatistics:
         self.felt += given.number != self._last_felt
         self._last_felt = given.number
 
-    def weigh(self, proof: Proof | None) -> None:
+    def weigh(self, proof: SelectivityReport | None) -> None:
         """Keep the worst of what points that share slots do."""
         if proof is not None and proof.shared is not None:
             other, spill = proof.shared
-            self.worst_other = max(self.worst_other, other)
-            self.worst_spill = max(self.worst_spill, spill)
+            self.off_target = max(self.off_target, other)
+            self.spill = max(self.spill, spill)
 
     @property
     def work_share(self) -> float:

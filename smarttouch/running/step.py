@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.primary import Mode
+from smarttouch.afferent import Mode
 from smarttouch.sources.stimulus import Input
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.tactile_image import TactileImage

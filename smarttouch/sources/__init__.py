@@ -3,7 +3,7 @@
 import inspect
 from typing import Any
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.profile import Profile
 from smarttouch.registry import find_opener, given_options
 from smarttouch.sources.source import Source
@@ -29,7 +29,7 @@ def open_source(
 
     Raises
     ------
-    SensorError
+    SourceError
         If there is no such kind, it does not take an option, or cannot be opened.
 
     Examples
@@ -39,12 +39,12 @@ def open_source(
     ...     source.read(0).image.shape
     (64, 64)
     """
-    opener, rest = find_opener("smarttouch.sources", url, SensorError, Source, ("rest", "profile"))
-    rest, told = read_options(opener, rest, SensorError, but=("light_on_dark",))
-    given = given_options(opener, url, options, SensorError)
+    opener, rest = find_opener("smarttouch.sources", url, SourceError, Source, ("rest", "profile"))
+    rest, told = read_options(opener, rest, SourceError, but=("light_on_dark",))
+    given = given_options(opener, url, options, SourceError)
     twice = sorted(given.keys() & told.keys())
     if twice:
-        raise SensorError(
+        raise SourceError(
             f"{twice[0]} is given in {url!r} and beside it: leave one out",
             about=twice[0],
             problem="conflict",

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import SensorError, SourceLostError
+from smarttouch.errors import SourceError, SourceLostError
 from smarttouch.profile import Profile
 from smarttouch.sources.capture import ImageDevice, LiveSource, Shot
 
@@ -52,7 +52,7 @@ def open_camera(
 
     Raises
     ------
-    SensorError
+    SourceError
         If there is no such camera, or an option is invalid.
     """
     return LiveSource(CameraDevice(rest, size, exposure, fps), profile)
@@ -110,21 +110,21 @@ class CameraDevice(ImageDevice):
         self._device = _device(rest)
         self.title = f"camera {self._device}"
         if size is not None and not (min(size) >= 2 and size[0] * size[1] <= _MOST_PIXELS):
-            raise SensorError(
+            raise SourceError(
                 f"a size of {size[0]} x {size[1]} is no size of an image: give two numbers of "
                 "pixels, for example 640 x 480",
                 about="--size",
                 value=size,
             )
         if fps is not None and not 0 < fps <= 1000:
-            raise SensorError(
+            raise SourceError(
                 f"{fps:g} images a second cannot be: give above 0, at most 1000",
                 about="--fps",
                 value=fps,
                 allowed=1000,
             )
         if exposure is not None and not abs(exposure) < 1e9:
-            raise SensorError(
+            raise SourceError(
                 f"an exposure of {exposure:g} cannot be: give one the camera knows",
                 about="--exposure",
                 value=exposure,
@@ -148,7 +148,7 @@ class CameraDevice(ImageDevice):
                 opened = False
         if not opened:
             self.close()
-            raise SensorError(
+            raise SourceError(
                 f"cannot open {self.title}: check that it is plugged in, that its number is right "
                 "and that no other program uses it",
                 about="camera",
@@ -232,14 +232,14 @@ def to_grey(image: NDArray[Any]) -> NDArray[np.uint8]:
 
     Raises
     ------
-    SensorError
+    SourceError
         If it is no image.
     """
     if image.dtype == np.uint16:
         image = (image >> 8).astype(np.uint8)
     channels = 1 if image.ndim == 2 else image.shape[-1]
     if image.dtype != np.uint8 or image.ndim not in (2, 3) or channels not in (1, 3, 4):
-        raise SensorError(
+        raise SourceError(
             f"images of {image.shape} {image.dtype} are not known: give grey or color",
             about="image",
             problem="malformed",
@@ -258,7 +258,7 @@ def _device(rest: str) -> int | str:
             return int(number)
     elif number.startswith("/"):
         return number
-    raise SensorError(
+    raise SourceError(
         f"camera:{rest} is no camera: give its number, as in camera:0, or its device, as in "
         "camera:/dev/video2",
         about="camera",

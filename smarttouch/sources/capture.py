@@ -11,11 +11,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import SensorError, SourceLostError
+from smarttouch.errors import SourceError, SourceLostError
 from smarttouch.profile import Profile
 from smarttouch.sources.frame import Frame, Pose
-from smarttouch.sources.intake import Intake
-from smarttouch.sources.notes import Episodes, StandingNotes
+from smarttouch.sources.intake import FramePreprocessor
+from smarttouch.sources.notes import DeviceWarnings, OutageTracker
 from smarttouch.sources.source import OpticalSource
 
 STALE_S = 0.5
@@ -76,7 +76,7 @@ class ImageDevice(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Open the source, or reopen it after a loss; raise SensorError if that fails."""
+        """Open the source, or reopen it after a loss; raise SourceError if that fails."""
 
     @abstractmethod
     def grab(self, timeout_s: float) -> Shot | None:
@@ -123,7 +123,7 @@ class LiveSource(OpticalSource):
 
     Raises
     ------
-    SensorError
+    SourceError
         If the device cannot be opened.
     """
 
@@ -140,7 +140,7 @@ class LiveSource(OpticalSource):
         self._device = device
         self._replug_s = replug_s
         self._now_ns = now_ns
-        self._intake = Intake(profile)
+        self._intake = FramePreprocessor(profile)
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         self._changed = threading.Condition()
@@ -149,11 +149,11 @@ class LiveSource(OpticalSource):
         self._unread = False
         self._over = False
         self._closed = False
-        self._failure: SensorError | None = None
+        self._failure: SourceError | None = None
         self._told = False
         self._is_open = True
         self._lost_ns: int | None = None
-        self._gone = Episodes(StandingNotes(self.notes), f"{device.title} was gone")
+        self._gone = OutageTracker(DeviceWarnings(self.notes), f"{device.title} was gone")
         try:
             device.open()
         except BaseException:
@@ -167,7 +167,7 @@ class LiveSource(OpticalSource):
 
         Raises
         ------
-        SensorError
+        SourceError
             If no first image came in time, the device is lost, or it failed.
         """
         with self._changed:
@@ -230,7 +230,7 @@ class LiveSource(OpticalSource):
             self._miss(end.missed)
             if str(end):
                 self.notes.append(str(end))
-        except SensorError as error:
+        except SourceError as error:
             self._fail(error)
         except Exception as error:
             failure = self._error("failed", f"{self.title} failed: {type(error).__name__}: {error}")
@@ -251,7 +251,7 @@ class LiveSource(OpticalSource):
                 self._device.open()
                 self._is_open = True
             shot = self._device.grab(GRAB_S)
-        except SensorError as error:
+        except SourceError as error:
             if self._is_open and not isinstance(error, SourceLostError):
                 raise
             self._device.close()
@@ -295,10 +295,10 @@ class LiveSource(OpticalSource):
                 self.frames += images
                 self.dropped_frames += images
 
-    def _error(self, problem: str, message: str, most: float | None = None) -> SensorError:
-        return SensorError(message, about="source", problem=problem, value=self.title, allowed=most)
+    def _error(self, problem: str, message: str, most: float | None = None) -> SourceError:
+        return SourceError(message, about="source", problem=problem, value=self.title, allowed=most)
 
-    def _fail(self, failure: SensorError) -> None:
+    def _fail(self, failure: SourceError) -> None:
         with self._changed:
             if self._closed:
                 self.notes.append(str(failure))

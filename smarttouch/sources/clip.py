@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.files import MOST_DOCUMENT_BYTES, open_file, require_file
 from smarttouch.sources.camera import QUIET_OPENCV, to_grey
 
@@ -51,7 +51,7 @@ class Clip(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Open the clip; raise SensorError if that fails."""
+        """Open the clip; raise SourceError if that fails."""
 
     @abstractmethod
     def next(self) -> NDArray[np.uint8] | None:
@@ -155,7 +155,7 @@ class ImageFolder(Clip):
             sizes = [_size(file) for file in self._files]
         for file, (width, height) in zip(self._files, sizes, strict=True):
             if (width, height) != sizes[0]:
-                raise SensorError(
+                raise SourceError(
                     f"{file} has {width} x {height} pixels, {self._files[0].name} has "
                     f"{sizes[0][0]} x {sizes[0][1]}: all images of a folder must be of one size",
                     about="file",
@@ -182,20 +182,20 @@ class ImageFolder(Clip):
 
 def _require_file(path: Path) -> None:
     if path.is_dir():
-        raise SensorError(
+        raise SourceError(
             f"{path} is a folder: give a video file, or frames:{path}",
             about="file",
             problem="folder",
             value=path,
             remedy=f"frames:{path}",
         )
-    require_file(path, SensorError, MOST_DOCUMENT_BYTES)
+    require_file(path, SourceError, MOST_DOCUMENT_BYTES)
 
 
 def _images(folder: Path) -> list[Path]:
     """Return the images of a folder, 2.png before 10.png."""
     if folder.is_file():
-        raise SensorError(
+        raise SourceError(
             f"{folder} is a file: give a folder of images, or video:{folder}",
             about="folder",
             problem="file",
@@ -219,8 +219,8 @@ def _images(folder: Path) -> list[Path]:
     return sorted(files, key=_natural)
 
 
-def _wrong(about: str, problem: str, path: Path, message: str) -> SensorError:
-    return SensorError(message, about=about, problem=problem, value=path)
+def _wrong(about: str, problem: str, path: Path, message: str) -> SourceError:
+    return SourceError(message, about=about, problem=problem, value=path)
 
 
 def _natural(file: Path) -> list[tuple[int, int, str]]:
@@ -235,7 +235,7 @@ def _natural(file: Path) -> list[tuple[int, int, str]]:
 def _reading(file: Path) -> Iterator[Image.Image]:
     try:
         with (
-            open_file(file, SensorError, MOST_DOCUMENT_BYTES) as opened,
+            open_file(file, SourceError, MOST_DOCUMENT_BYTES) as opened,
             Image.open(opened) as image,
         ):
             yield image

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.arrays import read_arrays
-from smarttouch.errors import CalibrationError, SensorError
+from smarttouch.errors import CalibrationError, SourceError
 from smarttouch.files import MOST_BANK_BYTES, open_file, write_bytes
 
 DEAD_SHARE = 0.25
@@ -38,7 +38,7 @@ class FlatField:
 
     Raises
     ------
-    SensorError
+    SourceError
         If the two do not go together, or are no numbers.
     """
 
@@ -86,7 +86,7 @@ class FlatField:
 
         Raises
         ------
-        SensorError
+        SourceError
             If the image has another shape than what was calibrated.
         """
         if image.shape != self.gain.shape:
@@ -178,10 +178,10 @@ class FlatField:
 
         Raises
         ------
-        SensorError
+        SourceError
             If that cannot be.
         """
-        write_bytes(Path(path), self.to_bytes(), SensorError)
+        write_bytes(Path(path), self.to_bytes(), SourceError)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -189,7 +189,7 @@ class FlatField:
 
         Raises
         ------
-        SensorError
+        SourceError
             If there is none, or it is not one.
         """
         if not Path(path).exists():
@@ -197,7 +197,7 @@ class FlatField:
                 f"no flat field {path}: put it beside the profile, or remove optics.flat_field"
             )
             raise _no_field("missing", Path(path), message)
-        with open_file(Path(path), SensorError, MOST_BANK_BYTES) as file:
+        with open_file(Path(path), SourceError, MOST_BANK_BYTES) as file:
             try:
                 stored = read_arrays(file)
                 dark, gain = (np.asarray(stored[name], np.float32) for name in ("dark", "gain"))
@@ -211,9 +211,9 @@ class FlatField:
         return cls(dark, gain)
 
 
-def _no_field(problem: str, value: object, message: str, allowed: object = None) -> SensorError:
+def _no_field(problem: str, value: object, message: str, allowed: object = None) -> SourceError:
     key = "optics.flat_field"
-    return SensorError(
+    return SourceError(
         message, about=key, problem=problem, value=value, allowed=allowed, remedy=key
     )
 

@@ -11,7 +11,7 @@ from smarttouch.sources.frame import Pose
 from smarttouch.sources.motion import MotionTracker
 
 
-class Intake:
+class FramePreprocessor:
     """Corrects images by the flat field, and sums the motion between them to a pose.
 
     Parameters
@@ -21,7 +21,7 @@ class Intake:
 
     Raises
     ------
-    SensorError, CalibrationError
+    SourceError, CalibrationError
         If the profile's flat field cannot be read.
     """
 

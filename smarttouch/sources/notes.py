@@ -1,7 +1,7 @@
 """Device warnings: one sentence for each cause, however often it occurs."""
 
 
-class StandingNotes:
+class DeviceWarnings:
     """Warnings that are updated instead of being repeated.
 
     Parameters
@@ -23,19 +23,19 @@ class StandingNotes:
             self._places[cause] = len(self._notes) - 1
 
 
-class Episodes:
+class OutageTracker:
     """Outages of one kind: their number and total duration.
 
     Parameters
     ----------
-    notes : StandingNotes
+    notes : DeviceWarnings
     words : str
         Description of the outage, as in "the load cell was silent".
     remedy : str
         Remedy; none if empty.
     """
 
-    def __init__(self, notes: StandingNotes, words: str, remedy: str = "") -> None:
+    def __init__(self, notes: DeviceWarnings, words: str, remedy: str = "") -> None:
         self._notes = notes
         self._words = words
         self._remedy = f": {remedy}" if remedy else ""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.text_lines import TextLine, find_lines
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.profile import Profile
 from smarttouch.sources.frame import Pose
 from smarttouch.tables import read_csv
@@ -67,7 +67,7 @@ class ReadingPath:
         light_on_dark: bool = False,
     ) -> None:
         if not SLOWEST_MM_S <= speed_mm_s <= FASTEST_MM_S:
-            raise SensorError(
+            raise SourceError(
                 f"--speed {speed_mm_s:g} must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g} mm/s",
                 about="--speed",
                 value=speed_mm_s,
@@ -116,12 +116,12 @@ class RecordedPath:
 
     Raises
     ------
-    SensorError
+    SourceError
         If the file is missing or wrong, with the line number.
     """
 
     def __init__(self, path: Path) -> None:
-        self._table = read_csv(path, SensorError).numbers(_COLUMNS)
+        self._table = read_csv(path, SourceError).numbers(_COLUMNS)
         self._start_s = float(self._table[0, 0])
         self.duration_s = float(self._table[-1, 0]) - self._start_s
 

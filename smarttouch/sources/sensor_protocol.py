@@ -41,7 +41,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.wire.framing import Deframer, Packet, frame_packet
 
 VERSION = 1
@@ -116,11 +116,11 @@ def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
 
     Raises
     ------
-    SensorError
+    SourceError
         If it is larger or empty, or of another kind.
     """
     if image.ndim != 2 or image.dtype != np.uint8:
-        raise SensorError(
+        raise SourceError(
             f"a frame on the wire is grey, one byte a pixel, not {image.dtype} of {image.shape}",
             about="frame",
             problem="malformed",
@@ -128,7 +128,7 @@ def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
         )
     rows, columns = image.shape
     if not (1 <= rows <= MOST_PIXELS_A_SIDE and 1 <= columns <= MOST_PIXELS_A_SIDE):
-        raise SensorError(
+        raise SourceError(
             f"a frame on the wire has 1 to {MOST_PIXELS_A_SIDE} rows and columns, "
             f"not {rows} x {columns}",
             about="frame",
@@ -145,12 +145,12 @@ def encode_force(number: int, time_us: int, reading: int | None) -> bytes:
 
     Raises
     ------
-    SensorError
+    SourceError
         If no signed 32 bits can hold it.
     """
     value = NO_READING if reading is None else reading
     if not NO_READING <= value < 2**31:
-        raise SensorError(
+        raise SourceError(
             f"reading {value} does not fit 32 bits: scale it down",
             about="reading",
             problem="too large",

@@ -8,11 +8,11 @@ of several frames in it the newest is taken and the others are counted.
 import contextlib
 import time
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.profile import Profile
 from smarttouch.sources.capture import ImageDevice, LiveSource, Shot
 from smarttouch.sources.line import read_what_came
-from smarttouch.sources.notes import StandingNotes
+from smarttouch.sources.notes import DeviceWarnings
 from smarttouch.sources.sensor_protocol import ArrayFrame, Info, MessageStream, gap
 from smarttouch.wire.port import LINE_ERRORS, Port, open_port
 
@@ -38,17 +38,17 @@ def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -
 
     Raises
     ------
-    SensorError
+    SourceError
         If there is no such port, or it cannot be opened.
     """
     if not rest:
-        raise SensorError(
+        raise SourceError(
             "serial-array: names no port: give one, as in serial-array:/dev/ttyACM0",
             about="port",
             problem="missing",
         )
     if baud is not None and baud < 1:
-        raise SensorError(
+        raise SourceError(
             f"--baud {baud} is no speed of a line: give bits a second, as in 115200",
             about="--baud",
             value=baud,
@@ -89,11 +89,11 @@ class SerialArrayDevice(ImageDevice):
         self._before: int | None = None
         self._heard = 0
         self._listening_since_ns: int | None = None
-        self._said = StandingNotes(self.notes)
+        self._said = DeviceWarnings(self.notes)
 
     def open(self) -> None:
         """Open the port. Earlier bytes are discarded at the first `grab`."""
-        self._port = open_port(self._name, self._baud, _WAIT_S, SensorError)
+        self._port = open_port(self._name, self._baud, _WAIT_S, SourceError)
         self._listening_since_ns = None
 
     def grab(self, timeout_s: float) -> Shot | None:
@@ -164,7 +164,7 @@ class SerialArrayDevice(ImageDevice):
         assert self._listening_since_ns is not None
         listened_s = (time.perf_counter_ns() - self._listening_since_ns) / 1e9
         if self._heard and not self.frames and listened_s > _UNREADABLE_S:
-            raise SensorError(
+            raise SourceError(
                 f"what comes from {self._name} is no frames: check its speed (--baud, now "
                 f"{self._baud}) and that the device sends the format of "
                 "smarttouch/sources/sensor_protocol.py",

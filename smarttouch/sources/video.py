@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.profile import Profile
 from smarttouch.sources.capture import STALE_S, ImageDevice, LiveSource, Shot, SourceEndedError
 from smarttouch.sources.clip import FASTEST_HZ, USUAL_HZ, Clip, ImageFolder, VideoFile
 from smarttouch.sources.frame import Frame
-from smarttouch.sources.intake import Intake
+from smarttouch.sources.intake import FramePreprocessor
 from smarttouch.sources.source import OpticalSource
 
 HOPELESS_NS = 250_000_000
@@ -34,7 +34,7 @@ def open_video(rest: str, profile: Profile, *, unpaced: bool = False) -> Optical
 
     Raises
     ------
-    SensorError
+    SourceError
         If there is no such video.
     """
     return _open(VideoFile(Path(rest)), profile, unpaced)
@@ -58,12 +58,12 @@ def open_frames(
 
     Raises
     ------
-    SensorError
+    SourceError
         If there is no such folder, or an image in it does not fit.
     """
     rate_hz = USUAL_HZ if fps is None else fps
     if not 0 < rate_hz <= FASTEST_HZ:
-        raise SensorError(
+        raise SourceError(
             f"{rate_hz:g} images a second cannot be: give above 0, at most {FASTEST_HZ:g}",
             about="--fps",
             value=rate_hz,
@@ -166,7 +166,7 @@ class UnpacedClip(OpticalSource):
 
     def __init__(self, clip: Clip, profile: Profile) -> None:
         super().__init__(clip.title)
-        self._intake = Intake(profile)
+        self._intake = FramePreprocessor(profile)
         self._clip = clip
         self.notes = clip.notes
         clip.open()
@@ -176,7 +176,7 @@ class UnpacedClip(OpticalSource):
 
         Raises
         ------
-        SensorError
+        SourceError
             If the image is damaged.
         """
         image = self._clip.next()

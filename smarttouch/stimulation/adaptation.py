@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import ScheduleError
 from smarttouch.profile import Profile
-from smarttouch.stimulation.sequence import ScanSequence, whole_ua
+from smarttouch.stimulation.sequence import ScanSequence, round_charge_balanced
 from smarttouch.stimulation.timing import ScanTiming
 
 NEAR = 0.92
@@ -149,7 +149,7 @@ class Adaptation:
         if not len(changed):
             return sequence
         current_ua, width_us = sequence.current_ua.copy(), sequence.width_us.copy()
-        current_ua[changed] = whole_ua(
+        current_ua[changed] = round_charge_balanced(
             current_ua[changed].astype(np.float64) * factor[changed, None]
         )
         if self._hold == "charge":

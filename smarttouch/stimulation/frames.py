@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.kernels.frames.bound import proved_sets
@@ -17,32 +18,31 @@ from smarttouch.kernels.frames.judge import FrameJudge, full_wish
 from smarttouch.kernels.frames.mixed import MixedJudge
 from smarttouch.kernels.frames.operator import AIM, FrameOperator
 from smarttouch.kernels.frames.slots import plan_slots
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA
 from smarttouch.stimulation.kernel_sums import Found, KernelSums
 from smarttouch.stimulation.points import Slots, constant_us, felt_at
-from smarttouch.stimulation.sequence import Proof, whole_ua
+from smarttouch.stimulation.sequence import SelectivityReport, round_charge_balanced
 
 Array = NDArray[np.float64]
 
 
-class Sharing(NamedTuple):
+class SlotPolicy(NamedTuple):
     """Policy of sharing slots between points.
 
     Attributes
     ----------
-    primaries : tuple of Primary
+    afferents : tuple of Afferent
     planned : bool
         Whether each frame's currents are found anew, for as few slots as can be, which takes
         milliseconds; else kernels are added up of which no subset breaks a bound.
     """
 
-    primaries: tuple[Primary, ...] = ()
+    afferents: tuple[Afferent, ...] = ()
     planned: bool = True
 
 
-NO_SHARING = Sharing()
+NO_SHARING = SlotPolicy()
 
 REMEMBERED = 256
 """Number of cached frame plans: a finger that rests, or comes back, needs no new plan."""
@@ -53,7 +53,7 @@ intensity. Nothing is felt below, and what breaks a bound there is shown point b
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class SlotAllocation:
     """Slots at full intensity: N found for the frame, then those of M points alone.
 
     Attributes
@@ -93,10 +93,10 @@ class FrameSlots:
         Skin, pulse, limits, bounds and thresholds.
     bank : KernelBank
         Kernels of single points.
-    primaries : tuple of Primary
+    afferents : tuple of Afferent
         Classes to use; points of several may share slots, too.
     planned : bool
-        See `Sharing`. Points of a class of which nothing is proved are shown one by one.
+        See `SlotPolicy`. Points of a class of which nothing is proved are shown one by one.
 
     Raises
     ------
@@ -109,10 +109,10 @@ class FrameSlots:
         self,
         profile: Profile,
         bank: KernelBank,
-        primaries: tuple[Primary, ...],
+        afferents: tuple[Afferent, ...],
         planned: bool = True,
     ) -> None:
-        if (why := why_not(profile)) is not None:
+        if (why := unsupported_reason(profile)) is not None:
             key, reason = why
             raise ScheduleError(
                 f"a whole frame cannot be shown at once: {reason}: choose points",
@@ -121,10 +121,10 @@ class FrameSlots:
             )
         # Matrices are small: with other work on the machine, a second thread costs a hundredfold.
         self._blas = ThreadpoolController()
-        kernels = [np.asarray(bank.kernels(each), np.float64) for each in primaries]
+        kernels = [np.asarray(bank.kernels(each), np.float64) for each in afferents]
         judges = [
             FrameJudge(profile, each, full_wish(profile, each, own, bank.receptor[each]))
-            for each, own in zip(primaries, kernels, strict=True)
+            for each, own in zip(afferents, kernels, strict=True)
         ]
         judge: SlotJudge = judges[0] if len(judges) == 1 else MixedJudge(judges)
         self._judge = judge
@@ -135,7 +135,7 @@ class FrameSlots:
         full_ma = np.minimum(profile.full_ma, judge.full_ma)
         self._points_ma = np.concatenate([own * full_ma[:, None] for own in kernels])
         self._driven = np.isin(np.arange(len(full_ma)), profile.driven)
-        each = np.flatnonzero(np.tile(self._driven, len(primaries)))
+        each = np.flatnonzero(np.tile(self._driven, len(afferents)))
         self._points_do = np.full((2, len(self._points_ma)), np.nan)
         self._points_do[:, each] = _selectivity(
             judge, self._points_ma[each], np.eye(len(self._points_ma))[each]
@@ -148,10 +148,10 @@ class FrameSlots:
         self._limit_ma = profile.limits.total_ma or CEILING_TOTAL_MA
         # Less what rounding hardly ever adds; where it does, a slot is shown point by point.
         self._planned_ma = self._limit_ma - 0.002 * np.sqrt(len(full_ma))
-        self._felt_at = [felt_at(profile, each) for each in primaries]
+        self._felt_at = [felt_at(profile, each) for each in afferents]
         self._faintest = profile.threshold_ma / profile.full_ma
         self._widths_us = constant_us(len(self._points_ma), profile.pulse.width_us)
-        self._plans: OrderedDict[bytes, Plan] = OrderedDict()
+        self._plans: OrderedDict[bytes, SlotAllocation] = OrderedDict()
         self._sums = None
         if not planned:
             self._sums = KernelSums(
@@ -188,36 +188,38 @@ class FrameSlots:
                 current_ua, proof, _ = self._finished(plan, intensity)
         return Slots(plan.site, current_ua, self._widths_us[: len(plan.site)], proof)
 
-    def _finished(self, plan: Plan, intensity: float) -> tuple[NDArray[np.int16], Proof, bool]:
+    def _finished(
+        self, plan: SlotAllocation, intensity: float
+    ) -> tuple[NDArray[np.int16], SelectivityReport, bool]:
         """Return the currents as sent, their effects, and whether all bounds are certainly kept.
 
         The effects of single points are those of their kernels, as designed.
         """
-        current_ua = whole_ua(1000 * intensity * plan.current_ma)
+        current_ua = round_charge_balanced(1000 * intensity * plan.current_ma)
         found, do = plan.found, plan.do.copy()
         if self._sums is not None and intensity >= self._sums.certain_from:
             do[:, : len(found.owner)] = self._sums.figures(intensity)[:, found.owner]
             # All that rounding can add is half a µA for each electrode.
             most_ua = 1000 * intensity * found.most_ma + len(self._driven) / 2
-            return current_ua, Proof(plan.points, *do), most_ua < 1000 * self._limit_ma
+            return current_ua, SelectivityReport(plan.points, *do), most_ua < 1000 * self._limit_ma
         shared = np.flatnonzero(plan.points > 1)
         with self._blas.limit(limits=1, user_api="blas"):
             do[:, shared] = _selectivity(
                 self._judge, current_ua[shared] / 1000, found.level[shared]
             )
-        return current_ua, Proof(plan.points, *do), False
+        return current_ua, SelectivityReport(plan.points, *do), False
 
-    def _broken(self, current_ua: NDArray[np.int16], proof: Proof) -> NDArray[np.bool_]:
+    def _broken(self, current_ua: NDArray[np.int16], proof: SelectivityReport) -> NDArray[np.bool_]:
         """Return which slots of several points break a bound or the limit of total current."""
         # In balance: what flows in is half of all that flows.
         total_ua = np.abs(current_ua).sum(axis=1, dtype=np.int64)
-        broken = np.asarray(proof.worst_other > self._bounds.other)
-        broken |= proof.worst_spill > self._bounds.spill
+        broken = np.asarray(proof.off_target > self._bounds.other)
+        broken |= proof.spill > self._bounds.spill
         broken |= total_ua > 2000 * self._limit_ma
         broken &= proof.points > 1
         return broken
 
-    def _planned(self, activation: NDArray[np.float32]) -> Plan:
+    def _planned(self, activation: NDArray[np.float32]) -> SlotAllocation:
         key = activation.tobytes()
         if key not in self._plans:
             self._plans[key] = self._plan(activation)
@@ -226,7 +228,7 @@ class FrameSlots:
         self._plans.move_to_end(key)
         return self._plans[key]
 
-    def _plan(self, activation: NDArray[np.float32]) -> Plan:
+    def _plan(self, activation: NDArray[np.float32]) -> SlotAllocation:
         asked = activation
         if any(felt is not None for felt in self._felt_at):
             asked = np.array(
@@ -257,11 +259,11 @@ class FrameSlots:
         currents_ma = np.zeros((len(slots), self._points_ma.shape[1]))
         for row, current_ma, slot in zip(levels, currents_ma, slots, strict=True):
             row[slot.sites], current_ma[:] = level[slot.sites], slot.current
-        do = [[each.figures.worst_other, each.figures.worst_spill] for each in slots]
+        do = [[each.figures.off_target, each.figures.spill] for each in slots]
         points = np.array([len(each.sites) for each in slots], np.intp)
         return Found(levels, currents_ma, points, np.array(do, np.float32).reshape(-1, 2).T)
 
-    def _one_by_one(self, plan: Plan, broken: NDArray[np.bool_]) -> Plan:
+    def _one_by_one(self, plan: SlotAllocation, broken: NDArray[np.bool_]) -> SlotAllocation:
         """Return a plan in which the points of some slots have slots of their own."""
         broken = broken[: len(plan.found.level)]
         level = plan.found.level[broken].sum(axis=0)
@@ -272,7 +274,7 @@ class FrameSlots:
             np.concatenate([plan.alone_level, level[added]]),
         )
 
-    def _completed(self, found: Found, alone: NDArray[np.intp], level: Array) -> Plan:
+    def _completed(self, found: Found, alone: NDArray[np.intp], level: Array) -> SlotAllocation:
         """Return a plan with an additional slot for each of some points, by its own kernel."""
         count = len(found.level)
         points = np.ones(count + len(alone), np.uint16)
@@ -280,9 +282,9 @@ class FrameSlots:
         strongest = found.level.argmax(axis=1)
         if not len(alone):
             site = (strongest % len(self._driven)).astype(np.uint16)
-            return Plan(found, alone, level, found.current_ma, found.do, points, site)
+            return SlotAllocation(found, alone, level, found.current_ma, found.do, points, site)
         strongest = np.concatenate([strongest, alone])
-        return Plan(
+        return SlotAllocation(
             found,
             alone,
             level,
@@ -297,11 +299,11 @@ class FrameSlots:
 def _selectivity(judge: SlotJudge, current_ma: Array, level: Array) -> Array:
     """Return worst other and worst spill of many slots, (2, S)."""
     figures = judge_all(judge, current_ma, level)
-    found = [(each.worst_other, each.worst_spill) for each in figures]
+    found = [(each.off_target, each.spill) for each in figures]
     return np.array(found, np.float64).reshape(len(found), 2).T
 
 
-def why_not(profile: Profile) -> tuple[str, str] | None:
+def unsupported_reason(profile: Profile) -> tuple[str, str] | None:
     """Return why a profile's board can show points only one by one; None if it can do more.
 
     Returns

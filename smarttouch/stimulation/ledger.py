@@ -10,7 +10,7 @@ from smarttouch.stimulation.sequence import ScanSequence
 _LOWEST = np.iinfo(np.int16).min
 
 
-class ChargeLedger:
+class ChargeBalance:
     """Sum of the charge of all sequences, electrode by electrode.
 
     It counts current times width of all that sources drive, recharge phases included.

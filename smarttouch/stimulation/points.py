@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA
-from smarttouch.stimulation.sequence import Proof, whole_ua
+from smarttouch.stimulation.sequence import SelectivityReport, round_charge_balanced
 from smarttouch.stimulation.sums import rows_of_block
 from smarttouch.stimulation.timing import ScanTiming
 
@@ -28,14 +28,14 @@ class Slots(NamedTuple):
     site : ndarray, (S,) uint16
     current_ua : ndarray, (S, E) int16, µA
     width_us : ndarray, (S,) uint16, µs
-    proof : Proof, optional
+    proof : SelectivityReport, optional
         Selectivity of shared slots.
     """
 
     site: NDArray[np.uint16]
     current_ua: NDArray[np.int16]
     width_us: NDArray[np.uint16]
-    proof: Proof | None = None
+    proof: SelectivityReport | None = None
 
 
 class PointSlots:
@@ -47,7 +47,7 @@ class PointSlots:
         Pulse, limits and thresholds.
     bank : KernelBank
         Kernels of the profile's array.
-    primary : Primary
+    afferent : Afferent
         Class to use.
     timing : ScanTiming
         Whether the order of slots is the board's.
@@ -59,9 +59,9 @@ class PointSlots:
     """
 
     def __init__(
-        self, profile: Profile, bank: KernelBank, primary: Primary, timing: ScanTiming
+        self, profile: Profile, bank: KernelBank, afferent: Afferent, timing: ScanTiming
     ) -> None:
-        weights = np.asarray(bank.kernels(primary), np.float32)
+        weights = np.asarray(bank.kernels(afferent), np.float32)
         masked = list(profile.output.masked)
         if weights[:, masked].any():
             raise ScheduleError(
@@ -92,7 +92,7 @@ class PointSlots:
         self._ones = np.ones(count, np.float32)
         self._row_starts = count * np.arange(count)
         self._widths_all_us = constant_us(count, profile.pulse.width_us)
-        self._felt_at = felt_at(profile, primary)
+        self._felt_at = felt_at(profile, afferent)
         self._pulse = profile.pulse
         self._by_width = profile.pulse.carrier == "width"
         self._in_index_order = timing.in_index_order
@@ -197,7 +197,7 @@ class PointSlots:
         # A little below the limit, which is whole: what is carried cannot lift it above.
         peak_ua = np.abs(exact_ua).max(axis=1)
         exact_ua *= np.minimum(1, (self._most_ua[site] - 1e-3) / peak_ua)[:, None]
-        return whole_ua(exact_ua)
+        return round_charge_balanced(exact_ua)
 
     def _widths_us(self, level: NDArray[np.float32]) -> NDArray[np.uint16]:
         """Return the width at which the full current equals a part of it over a whole pulse, µs.
@@ -210,14 +210,14 @@ class PointSlots:
         return np.asarray(np.floor(width + 1e-3), np.uint16)
 
 
-def felt_at(profile: Profile, primary: Primary) -> NDArray[np.intp] | None:
+def felt_at(profile: Profile, afferent: Afferent) -> NDArray[np.intp] | None:
     """Return the electrode at which each electrode's point is felt, E if at none of them.
 
     Parameters
     ----------
     profile : Profile
         Its ``perception.pc_shift_mm`` and the like (paper, Section III-B.4).
-    primary : Primary
+    afferent : Afferent
         Class of the stimulated axons.
 
     Returns
@@ -226,7 +226,7 @@ def felt_at(profile: Profile, primary: Primary) -> NDArray[np.intp] | None:
         None where every point is felt where it is.
     """
     felt = profile.perception
-    shift_mm = (felt.ra_shift_mm, felt.sai_shift_mm, felt.pc_shift_mm)[primary]
+    shift_mm = (felt.ra_shift_mm, felt.sai_shift_mm, felt.pc_shift_mm)[afferent]
     if not any(shift_mm):
         return None
     place_mm = profile.electrodes.position_mm

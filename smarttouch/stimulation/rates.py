@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from smarttouch.primary import Primary
+from smarttouch.afferent import Afferent
 
 SLOWEST = 0.2
 """Part of the full rate at the lightest touch of something hard: 10 of 50 Hz, the slowest pulses of
@@ -33,38 +33,40 @@ class PulseRates:
 
     Parameters
     ----------
-    rates_hz : mapping of Primary to float, Hz
+    rates_hz : mapping of Afferent to float, Hz
         Full rate of each.
     merge_us : int, µs
         Classes that are due closer together than this pulse in one sequence:
         the shortest period of a sequence.
     """
 
-    def __init__(self, rates_hz: Mapping[Primary, float], merge_us: int) -> None:
+    def __init__(self, rates_hz: Mapping[Afferent, float], merge_us: int) -> None:
         self._rates_hz = dict(rates_hz)
         self._merge_us = merge_us
-        self._last_ns: dict[Primary, float] = {}
+        self._last_ns: dict[Afferent, float] = {}
 
-    def due(self, time_ns: int, shares: Mapping[Primary, float]) -> tuple[tuple[Primary, ...], int]:
+    def due(
+        self, time_ns: int, shares: Mapping[Afferent, float]
+    ) -> tuple[tuple[Afferent, ...], int]:
         """Return the classes that pulse now, and the time until the next is due, µs.
 
         Parameters
         ----------
         time_ns : int
             Now.
-        shares : mapping of Primary to float
+        shares : mapping of Afferent to float
             Of each full rate, see `rate_share`.
         """
         now, merge_ns = [], 1000 * self._merge_us
         next_ns = []
-        for primary, rate_hz in self._rates_hz.items():
-            interval_ns = 1e9 / (rate_hz * shares[primary])
-            due_ns = self._last_ns.get(primary, -float("inf")) + interval_ns
+        for afferent, rate_hz in self._rates_hz.items():
+            interval_ns = 1e9 / (rate_hz * shares[afferent])
+            due_ns = self._last_ns.get(afferent, -float("inf")) + interval_ns
             if due_ns - time_ns < merge_ns:
-                now.append(primary)
+                now.append(afferent)
                 if time_ns - due_ns > _ON_TIME * interval_ns:
                     due_ns = time_ns
-                self._last_ns[primary] = due_ns
+                self._last_ns[afferent] = due_ns
                 due_ns += interval_ns
             next_ns.append(due_ns)
         return tuple(now), max(self._merge_us, round((min(next_ns) - time_ns) / 1000))

@@ -5,26 +5,26 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.stimulation.exposure import BURST_US, Load, shortest_period_us
-from smarttouch.stimulation.frames import NO_SHARING, FrameSlots, Sharing
+from smarttouch.stimulation.frames import NO_SHARING, FrameSlots, SlotPolicy
 from smarttouch.stimulation.limits import SafetyLimits
 from smarttouch.stimulation.points import PointSlots, Slots, constant_us
 from smarttouch.stimulation.rates import PulseRates, rate_share
-from smarttouch.stimulation.sequence import Proof, ScanSequence
+from smarttouch.stimulation.sequence import ScanSequence, SelectivityReport
 from smarttouch.stimulation.sums import SlotAdder, common_us
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.tactile_image import TactileImage
 
 _SLOWEST_HZ = 0.1
-_BOTH = (Primary.RA, Primary.SAI)
+_BOTH = (Afferent.RA, Afferent.SAI)
 """Classes of opposite polarity: if both are due, points of one are the return of the other's."""
 
 
-class PointScan:
+class ScanScheduler:
     """Scheduler of one slot for each active point (paper, Section IV-A, Fig. 19), or fewer.
 
     Parameters
@@ -33,7 +33,7 @@ class PointScan:
         Pulse, limits and thresholds.
     bank : KernelBank
         Kernels of the profile's array.
-    primaries : tuple of Primary
+    afferents : tuple of Afferent
         Classes to use; each of several has its own pulse rate.
     rate_hz : float, Hz, optional
         Sequences a second asked for, with one primary; with several, the
@@ -44,7 +44,7 @@ class PointScan:
         Softness, which reduces the effect of force on the rate of SAI pulses.
     vibrated : bool
         Whether mechanical vibrators do what PC is to feel, and no current.
-    sharing : Sharing
+    sharing : SlotPolicy
         Classes whose points share a slot where their currents leave one another alone.
 
     Attributes
@@ -63,22 +63,22 @@ class PointScan:
         self,
         profile: Profile,
         bank: KernelBank,
-        primaries: tuple[Primary, ...],
+        afferents: tuple[Afferent, ...],
         rate_hz: float | None = None,
         timing: ScanTiming | None = None,
         softness: float = 1.0,
         vibrated: bool = False,
-        sharing: Sharing = NO_SHARING,
+        sharing: SlotPolicy = NO_SHARING,
     ) -> None:
         timing = ScanTiming() if timing is None else timing
         timing.check(profile)
         pulse, limits = profile.pulse, profile.limits
-        rates_hz = {primaries[0]: pulse.rate_hz if rate_hz is None else rate_hz}
-        if Primary.PC in primaries and len(primaries) > 1:
+        rates_hz = {afferents[0]: pulse.rate_hz if rate_hz is None else rate_hz}
+        if Afferent.PC in afferents and len(afferents) > 1:
             # All three never pulse by themselves.
             rates_hz = {}
-        elif len(primaries) > 1:
-            rates_hz = {Primary.RA: pulse.ra_rate_hz, Primary.SAI: pulse.sai_rate_hz}
+        elif len(afferents) > 1:
+            rates_hz = {Afferent.RA: pulse.ra_rate_hz, Afferent.SAI: pulse.sai_rate_hz}
             if rate_hz is not None:
                 raise ScheduleError(
                     f"one rate of {rate_hz:g} Hz is not for several classes at once: set "
@@ -108,15 +108,15 @@ class PointScan:
                     allowed=(_SLOWEST_HZ, limits.rate_hz),
                 )
         self._vibrated = vibrated
-        driven = [each for each in primaries if not (vibrated and each is Primary.PC)]
+        driven = [each for each in afferents if not (vibrated and each is Afferent.PC)]
         self._driven = tuple(driven)
         self._points = {
             each: PointSlots(profile, bank, each, timing)
             for each in driven
-            if each not in sharing.primaries
+            if each not in sharing.afferents
         }
-        shared: list[tuple[Primary, ...]] = [
-            (each,) for each in driven if each in sharing.primaries
+        shared: list[tuple[Afferent, ...]] = [
+            (each,) for each in driven if each in sharing.afferents
         ]
         if sharing.planned and {(each,) for each in _BOTH} <= set(shared):
             shared.append(_BOTH)
@@ -128,10 +128,10 @@ class PointScan:
         self._softness = softness
         self._least_us = math.ceil(1e6 / limits.rate_hz)
         self._rates = PulseRates(rates_hz, self._least_us)
-        self._one_rate_hz = rates_hz[primaries[0]] if len(primaries) == 1 else None
+        self._one_rate_hz = rates_hz[afferents[0]] if len(afferents) == 1 else None
         self._discharge_us = pulse.discharge_us
         # At most one slot for each point of each class.
-        most = len(profile.electrodes) * len(primaries)
+        most = len(profile.electrodes) * len(afferents)
         self._discharges_us = constant_us(most, pulse.discharge_us)
         self._duty = limits.duty
         self._timing = timing
@@ -191,17 +191,17 @@ class PointScan:
             period_us=period_us,
             intensity=float(intensity),
             time_ns=image.time_ns,
-            vibration=image.activation[Primary.PC] * np.float32(intensity)
+            vibration=image.activation[Afferent.PC] * np.float32(intensity)
             if self._vibrated
             else None,
             proof=proof,
         )
 
     def _parts(
-        self, classes: tuple[Primary, ...], image: TactileImage, intensity: float
+        self, classes: tuple[Afferent, ...], image: TactileImage, intensity: float
     ) -> list[Slots]:
         """Return the slots of each class, or of two together."""
-        groups: list[tuple[Primary, ...]] = [(each,) for each in classes]
+        groups: list[tuple[Afferent, ...]] = [(each,) for each in classes]
         if _BOTH in self._frames and set(_BOTH) <= set(classes):
             groups = [_BOTH, *(each for each in groups if each[0] not in _BOTH)]
         return [
@@ -211,7 +211,7 @@ class PointScan:
             for group in groups
         ]
 
-    def _active(self, activation: NDArray[np.float32], period_us: int) -> tuple[Primary, ...]:
+    def _active(self, activation: NDArray[np.float32], period_us: int) -> tuple[Afferent, ...]:
         """Return the classes that an image with its own period lets pulse."""
         if period_us < self._least_us:
             raise ScheduleError(
@@ -226,25 +226,25 @@ class PointScan:
         driven = []
         for each in np.flatnonzero(activation.any(axis=1)).tolist():
             if each in self._driven:
-                driven.append(Primary(each))
-            elif not (self._vibrated and each == Primary.PC):
-                offered = ", ".join(primary.name for primary in self._driven) or "none"
+                driven.append(Afferent(each))
+            elif not (self._vibrated and each == Afferent.PC):
+                offered = ", ".join(afferent.name for afferent in self._driven) or "none"
                 raise ScheduleError(
-                    f"{Primary(each).name} was asked for and cannot be driven here: choose of "
+                    f"{Afferent(each).name} was asked for and cannot be driven here: choose of "
                     f"{offered}",
                     about="mode",
                     problem="impossible",
-                    value=Primary(each).name,
-                    allowed=tuple(primary.name for primary in self._driven),
+                    value=Afferent(each).name,
+                    allowed=tuple(afferent.name for afferent in self._driven),
                 )
         return tuple(driven)
 
-    def _due(self, time_ns: int, pressure: float) -> tuple[tuple[Primary, ...], int]:
+    def _due(self, time_ns: int, pressure: float) -> tuple[tuple[Afferent, ...], int]:
         """Return the classes that pulse now, and the time until the next is due, µs."""
         share = rate_share(pressure, self._softness)
         if self._one_rate_hz is None:
-            return self._rates.due(time_ns, {Primary.RA: 1.0, Primary.SAI: share})
-        slowed_hz = self._one_rate_hz * (share if self._first is Primary.SAI else 1.0)
+            return self._rates.due(time_ns, {Afferent.RA: 1.0, Afferent.SAI: share})
+        slowed_hz = self._one_rate_hz * (share if self._first is Afferent.SAI else 1.0)
         return (self._first,), self._timing.possible_period_us(1e6 / slowed_hz)
 
     def _shortest_of_all(self) -> float:
@@ -307,10 +307,10 @@ def _joined(parts: list[Slots]) -> Slots:
     width_us = np.concatenate([each.width_us for each in parts])
     proof = None
     if any(each.proof is not None for each in parts):
-        proofs = [each.proof or Proof.of_nothing(len(each.site)) for each in parts]
-        proof = Proof(
+        proofs = [each.proof or SelectivityReport.of_nothing(len(each.site)) for each in parts]
+        proof = SelectivityReport(
             np.concatenate([each.points for each in proofs]),
-            np.concatenate([each.worst_other for each in proofs]),
-            np.concatenate([each.worst_spill for each in proofs]),
+            np.concatenate([each.off_target for each in proofs]),
+            np.concatenate([each.spill for each in proofs]),
         )
     return Slots(site, current_ua, width_us, proof)

@@ -12,7 +12,7 @@ _INT16, _UINT16, _FLOAT32 = (np.dtype(each) for each in (np.int16, np.uint16, np
 
 
 @dataclass(frozen=True, eq=False)
-class Proof:
+class SelectivityReport:
     """Selectivity of each slot: side effects of its finished currents.
 
     Of several points computed from the currents as they are sent, after all rounding, or,
@@ -24,15 +24,15 @@ class Proof:
     ----------
     points : ndarray, (S,) uint16
         Number of points of each slot; 0 for slots without proof.
-    worst_other : ndarray, (S,) float32
+    off_target : ndarray, (S,) float32
         Largest activation of any other class; NaN where nothing is proved.
-    worst_spill : ndarray, (S,) float32
+    spill : ndarray, (S,) float32
         Largest activation of the own class more than a pitch from every target.
     """
 
     points: NDArray[np.uint16]
-    worst_other: NDArray[np.float32]
-    worst_spill: NDArray[np.float32]
+    off_target: NDArray[np.float32]
+    spill: NDArray[np.float32]
 
     @property
     def shared(self) -> tuple[float, float] | None:
@@ -40,10 +40,10 @@ class Proof:
         several = self.points > 1
         if not several.any():
             return None
-        return float(self.worst_other[several].max()), float(self.worst_spill[several].max())
+        return float(self.off_target[several].max()), float(self.spill[several].max())
 
     @classmethod
-    def of_nothing(cls, slots: int) -> "Proof":
+    def of_nothing(cls, slots: int) -> "SelectivityReport":
         unknown = np.full(slots, np.nan, np.float32)
         return cls(np.zeros(slots, np.uint16), unknown, unknown)
 
@@ -78,7 +78,7 @@ class ScanSequence:
     vibration : ndarray, (E,) float32, in [0, 1], optional
         Amplitude of mechanical vibration of the skin under each site for the whole
         period; none if not given.
-    proof : Proof, optional
+    proof : SelectivityReport, optional
         Selectivity of shared slots.
     recharge_ua : ndarray, (E,) int16, µA, optional
         Current of every electrode in the recharge phase, **positive cathodic**, sum zero;
@@ -95,7 +95,7 @@ class ScanSequence:
     intensity: float
     time_ns: int
     vibration: NDArray[np.float32] | None = None
-    proof: Proof | None = None
+    proof: SelectivityReport | None = None
     recharge_ua: NDArray[np.int16] | None = None
     recharge_us: int = 0
 
@@ -193,7 +193,7 @@ def _real(name: str, value: object) -> float:
         raise SafetyError(f"{name} is beyond all numbers, must be one", limit=name) from None
 
 
-def whole_ua(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
+def round_charge_balanced(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
     """Return currents in whole µA that sum to zero in every slot, like the given ones.
 
     The rounding error is carried on from electrode to electrode, so that none is

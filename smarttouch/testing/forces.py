@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile
 from smarttouch.registry import fault_of
 from smarttouch.sources.forces.force import ForceSource
@@ -74,7 +74,7 @@ class ForceContract:
         assert math.isnan(force_n) or force_n >= 0
 
     def test_one_that_is_not_there_is_an_error_with_a_sentence(self, profile: Profile) -> None:
-        with pytest.raises(SensorError) as error:
+        with pytest.raises(SourceError) as error:
             self.make_impossible(profile)
         assert str(error.value)
         assert "\n" not in str(error.value)

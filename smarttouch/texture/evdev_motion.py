@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from smarttouch.documents.page_image import INCH_MM
-from smarttouch.errors import SensorError, SourceLostError
+from smarttouch.errors import SourceError, SourceLostError
 from smarttouch.texture.motion import Motion
 
 if TYPE_CHECKING:
@@ -27,11 +27,11 @@ def open_it(rest: str, *, cpi: float = USUAL_CPI, grab: bool = False) -> "EvdevM
 
     Raises
     ------
-    SensorError
+    SourceError
         If there is none, it may not be read, or the extra is missing.
     """
     if not 10 <= cpi <= 100_000:
-        raise SensorError(
+        raise SourceError(
             f"--cpi {cpi:g} is no resolution of a mouse: give counts per inch",
             about="--cpi",
             value=cpi,
@@ -54,7 +54,7 @@ class EvdevMotion(Motion):
 
     Raises
     ------
-    SensorError
+    SourceError
         If somebody else has grabbed it.
     """
 
@@ -136,8 +136,8 @@ class EvdevMotion(Motion):
             self.notes.append(words)
 
 
-def _wrong(problem: str, path: str, message: str, remedy: str = "") -> SensorError:
-    return SensorError(message, about="mouse", problem=problem, value=path, remedy=remedy)
+def _wrong(problem: str, path: str, message: str, remedy: str = "") -> SourceError:
+    return SourceError(message, about="mouse", problem=problem, value=path, remedy=remedy)
 
 
 def _open(path: str) -> "InputDevice[str]":
@@ -187,7 +187,7 @@ def _evdev() -> ModuleType:
     try:
         return importlib.import_module("evdev")
     except ImportError:
-        raise SensorError(
+        raise SourceError(
             "evdev: needs the extra mouse, on Linux: pip install 'smarttouch[mouse]'",
             about="evdev",
             problem="missing",

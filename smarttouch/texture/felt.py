@@ -4,10 +4,10 @@ from functools import partial
 
 import numpy as np
 
+from smarttouch.afferent import Afferent
 from smarttouch.delivered.drawing import FeltDrawing, Under
 from smarttouch.errors import SmartTouchError
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.running.step import StepResult
 from smarttouch.texture.texture import Texture
@@ -19,7 +19,7 @@ class TextureDrawing(FeltDrawing):
     Parameters
     ----------
     profile, bank, primaries
-        See `Perception`.
+        See `PerceptThresholds`.
     texture : Texture
         What lay under the hand.
     """
@@ -27,9 +27,9 @@ class TextureDrawing(FeltDrawing):
     strongest, longest_px = True, 3000
 
     def __init__(
-        self, profile: Profile, bank: KernelBank, primaries: tuple[Primary, ...], texture: Texture
+        self, profile: Profile, bank: KernelBank, afferents: tuple[Afferent, ...], texture: Texture
     ) -> None:
-        super().__init__(profile, bank, primaries)
+        super().__init__(profile, bank, afferents)
         self._texture = texture
         self._least, self._most = np.full(2, np.inf), np.full(2, -np.inf)
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import PageError
-from smarttouch.texture.texture import COARSEST_PITCH_MM, FINEST_PITCH_MM, Passed, Texture
+from smarttouch.texture.texture import COARSEST_PITCH_MM, FINEST_PITCH_MM, RidgeCrossing, Texture
 
 _LEVELS = 256
 _WAVE = np.asarray(
@@ -88,10 +88,10 @@ class GratingFeeler:
         """Place the middle of the array."""
         self._before = np.floor(self._own + (x_mm * self._per_x + y_mm * self._per_y))
 
-    def move(self, x_mm: float, y_mm: float) -> Passed:
+    def move(self, x_mm: float, y_mm: float) -> RidgeCrossing:
         """Move the middle of the array; the order of ridges on the way does not matter."""
         before = self._before
         self.place(x_mm, y_mm)
         ridges = np.abs(self._before - before)
         height = np.minimum(ridges, 1).astype(np.float32)
-        return Passed(height, int(ridges.sum() - height.sum()))
+        return RidgeCrossing(height, int(ridges.sum() - height.sum()))

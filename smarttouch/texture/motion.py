@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from importlib import import_module
 from typing import Any
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.registry import given_options, known_names, unknown
 from smarttouch.sources.device import Device
 
@@ -70,14 +70,14 @@ def open_motion(url: str, **options: Any) -> Motion:
 
     Raises
     ------
-    SensorError
+    SourceError
         If there is no such kind, it does not take an option, or cannot be opened.
     """
     kind, colon, rest = url.partition(":")
     sources = known_names("smarttouch.sources")
     if not colon or kind not in {*_OPENERS, *sources}:
-        raise unknown("motion", url, (*_OPENERS, *sources), SensorError)
+        raise unknown("motion", url, (*_OPENERS, *sources), SourceError)
     opener = import_module(_OPENERS.get(kind, _ANY_SOURCE)).open_it
-    given = given_options(opener, url, options, SensorError)
+    given = given_options(opener, url, options, SourceError)
     motion: Motion = opener(rest if kind in _OPENERS else url, **given)
     return motion

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.tables import read_csv
 from smarttouch.texture.motion import Motion
 
@@ -17,7 +17,7 @@ def open_it(rest: str) -> "PathMotion":
     """Open ``path:CSV``."""
     if not rest:
         message = "path: names no file: give one, as in path:way.csv"
-        raise SensorError(message, about="file", problem="missing")
+        raise SourceError(message, about="file", problem="missing")
     return PathMotion(Path(rest))
 
 
@@ -32,7 +32,7 @@ class PathMotion(Motion):
 
     Raises
     ------
-    SensorError
+    SourceError
         If the file is missing or wrong, with the line number.
     """
 
@@ -40,7 +40,7 @@ class PathMotion(Motion):
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"the way of {path.name}")
-        read = read_csv(path, SensorError)
+        read = read_csv(path, SourceError)
         self.knows_force = "force_n" in read.head
         table = read.numbers((*_NEEDED, "force_n") if self.knows_force else _NEEDED)
         table[:, 0] -= table[0, 0]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from smarttouch.errors import PageError
 from smarttouch.texture.grain import dominant_pitch_mm
 from smarttouch.texture.relief_file import Heights
-from smarttouch.texture.texture import COARSEST_PITCH_MM, FINEST_PITCH_MM, Feeler, Texture
+from smarttouch.texture.texture import COARSEST_PITCH_MM, FINEST_PITCH_MM, Texture, TextureSampler
 
 USUAL_GRAIN_MM = 2.0
 """Default grain, where no pitch dominates: that of the paper's electrodes."""
@@ -107,7 +107,7 @@ class Relief(Texture):
         self.depth = self._measure_depth()
         self._surface = np.asarray(np.rint(255 * (1 - self.height)), np.uint8)
 
-    def feeler(self, position_mm: NDArray[np.float64]) -> Feeler:
+    def feeler(self, position_mm: NDArray[np.float64]) -> TextureSampler:
         """Return a sampler of electrodes over it."""
         from smarttouch.texture.relief_feeler import ReliefFeeler
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.texture.relief import Relief
-from smarttouch.texture.texture import Passed
+from smarttouch.texture.texture import RidgeCrossing
 
 _STROKE = 0.15
 """Depth of the thinnest stroke that is felt along itself, in grains."""
@@ -51,7 +51,7 @@ class ReliefFeeler:
         self._within_mm = 0.0 if relief.woven else relief.grain_mm / 2 - float(self._ground_mm)
         """Distance of an electrode over this ground at its first pulse."""
         self._all = np.arange(len(position_mm))
-        self._nothing = Passed(np.zeros(len(position_mm), np.float32), 0)
+        self._nothing = RidgeCrossing(np.zeros(len(position_mm), np.float32), 0)
         self._nothing.height.flags.writeable = False
         self.place(0.0, 0.0)
 
@@ -67,7 +67,7 @@ class ReliefFeeler:
         self._entered = self._pulsed.copy()
         """Place of the array when each electrode came onto high ground."""
 
-    def move(self, x_mm: float, y_mm: float) -> Passed:
+    def move(self, x_mm: float, y_mm: float) -> RidgeCrossing:
         """Move the middle of the array; motion shorter than a sample is kept for later."""
         by = complex(x_mm, y_mm) - self._place
         samples = int(abs(by) / self._step_mm)
@@ -94,7 +94,7 @@ class ReliefFeeler:
         depth: NDArray[np.float32],
         step_mm: float,
         on_map: tuple[NDArray[np.float32], NDArray[np.float32]],
-    ) -> Passed:
+    ) -> RidgeCrossing:
         lowest = np.minimum.accumulate(np.minimum(depth, self._lowest), axis=0)
         found, last, merged = self._crests(depth, lowest, step_mm)
         inside = self._inside(places, depth) & ~found
@@ -112,7 +112,7 @@ class ReliefFeeler:
         row = np.where(found, last, len(places) - 1)
         x, y = (each[row, self._all][None] for each in on_map)
         height = self._sample(self._relief.height, x, y)[0]
-        return Passed(np.asarray(height * felt, np.float32), merged)
+        return RidgeCrossing(np.asarray(height * felt, np.float32), merged)
 
     def _crests(
         self,

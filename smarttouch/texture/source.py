@@ -6,19 +6,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import SensorError
+from smarttouch.afferent import Afferent, Mode
+from smarttouch.errors import SourceError
 from smarttouch.events import Note
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
 from smarttouch.reading.window import pixel_of
 from smarttouch.sources.frame import Pose
-from smarttouch.sources.notes import StandingNotes
+from smarttouch.sources.notes import DeviceWarnings
 from smarttouch.sources.source import StimulusSource
 from smarttouch.sources.stimulus import Stimulus
+from smarttouch.texture.deadband import Deadband
 from smarttouch.texture.felt import TextureDrawing
 from smarttouch.texture.motion import Motion, open_motion
-from smarttouch.texture.steady import Steady
 from smarttouch.texture.sweep_motion import strokes_over
 from smarttouch.texture.texture import Texture
 
@@ -91,7 +91,7 @@ class MouseSource(StimulusSource):
 
     Raises
     ------
-    SensorError
+    SourceError
         If a rate or the scale is impossible, or the mode is not one class.
     """
 
@@ -109,13 +109,13 @@ class MouseSource(StimulusSource):
         press_n: float | None = None,
     ) -> None:
         super().__init__(f"{texture.title} under {motion.title}")
-        if len(mode.primaries) != 1:
+        if len(mode.afferents) != 1:
             message = f"--mode {mode} is more than one class: choose RA, SAI or PC"
-            allowed = tuple(each.name for each in Primary)
-            raise SensorError(message, about="--mode", value=mode, allowed=allowed)
+            allowed = tuple(each.name for each in Afferent)
+            raise SourceError(message, about="--mode", value=mode, allowed=allowed)
         if not 0 < scale < math.inf:
             message = f"--scale {scale:g} must be above 0"
-            raise SensorError(message, about="--scale", value=scale, allowed=0)
+            raise SourceError(message, about="--scale", value=scale, allowed=0)
         self.fastest_hz = _possible_hz(rate_hz, fastest_hz, profile.limits.rate_hz)
         self.duration_s = motion.duration_s
         self.knows_force = motion.knows_force or press_n is not None
@@ -124,17 +124,17 @@ class MouseSource(StimulusSource):
         """Ridges that passed under an electrode in the same frame as another."""
         self._electrodes = len(profile.electrodes)
         self._limit = PulseLimit(self._electrodes, self.fastest_hz)
-        self._primary: Primary = mode.primaries[0]
+        self._afferent: Afferent = mode.afferents[0]
         self._period_us = round(1e6 / rate_hz)
         self._scale, self._press_n = scale, press_n
-        self._steady = Steady(motion.resolution_mm)
+        self._steady = Deadband(motion.resolution_mm)
         self._feeler = texture.feeler(profile.electrodes.position_mm)
         self._pixel_mm = pixel_of(profile)
         self._shape = (profile.optics.sensor_rows, profile.optics.sensor_columns)
         self._origin: tuple[float, float] | None = None
         self._place = (math.nan, math.nan)
         self._image = np.full(self._shape, 255, np.uint8)
-        self._said = StandingNotes(self.notes)
+        self._said = DeviceWarnings(self.notes)
         self._told = False
 
     def read(self, time_ns: int) -> Stimulus | None:
@@ -147,9 +147,9 @@ class MouseSource(StimulusSource):
             self._origin = self.motion.origin_mm or self.texture.middle_mm
         x, y = self._steady.follow(*moved)
         place = (self._origin[0] + self._scale * x, self._origin[1] + self._scale * y)
-        activation = np.zeros((len(Primary), self._electrodes), np.float32)
+        activation = np.zeros((len(Afferent), self._electrodes), np.float32)
         if place != self._place:
-            activation[self._primary] = self._feel(place, time_ns)
+            activation[self._afferent] = self._feel(place, time_ns)
             self._look(place)
         force_n = self.motion.force_n if self.motion.knows_force else self._press_n
         return Stimulus(
@@ -164,7 +164,7 @@ class MouseSource(StimulusSource):
 
     def drawing(self, profile: Profile, bank: KernelBank) -> TextureDrawing:
         """Return what draws the pulses of a run: the mouse's are too few to be averaged."""
-        return TextureDrawing(profile, bank, (self._primary,), self.texture)
+        return TextureDrawing(profile, bank, (self._afferent,), self.texture)
 
     def close(self) -> None:
         """Close the motion, and add a note on omitted pulses."""
@@ -218,7 +218,7 @@ class MouseSource(StimulusSource):
 def _possible_hz(rate_hz: float, fastest_hz: float | None, most_hz: float) -> float:
     """Return the highest pulse rate, or raise if the rates are incompatible."""
     if not SLOWEST_RATE_HZ <= rate_hz <= most_hz:
-        raise SensorError(
+        raise SourceError(
             f"--rate {rate_hz:g} is not possible: give {SLOWEST_RATE_HZ:g} to {most_hz:g} frames a "
             "second, the limit of the profile",
             about="--rate",
@@ -228,7 +228,7 @@ def _possible_hz(rate_hz: float, fastest_hz: float | None, most_hz: float) -> fl
     if fastest_hz is None:
         return min(FASTEST_HZ, rate_hz / 2)
     if not 0 < fastest_hz <= rate_hz / 2:
-        raise SensorError(
+        raise SourceError(
             f"--fastest {fastest_hz:g} is not possible with {rate_hz:g} frames a second: give at "
             f"most half of them, {rate_hz / 2:g}, or raise --rate",
             about="--fastest",

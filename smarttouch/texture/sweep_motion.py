@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.texture.motion import Motion
 
 USUAL_MM_S = 40.0
@@ -37,11 +37,11 @@ def open_it(
 
     Raises
     ------
-    SensorError
+    SourceError
         If the rounds are no number.
     """
     if rest and not (rest.isdecimal() and 0 < int(rest) <= _MOST_ROUNDS):
-        raise SensorError(
+        raise SourceError(
             f"sweep:{rest} is no number of rounds: give 1 to {_MOST_ROUNDS}, as in sweep:3",
             about="rounds",
             value=rest,
@@ -94,7 +94,7 @@ class SweepMotion(Motion):
         seed: int | None = None,
     ) -> None:
         if not SLOWEST_MM_S <= speed_mm_s <= FASTEST_MM_S:
-            raise SensorError(
+            raise SourceError(
                 f"--speed {speed_mm_s:g} must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g} mm/s",
                 about="--speed",
                 value=speed_mm_s,
@@ -103,7 +103,7 @@ class SweepMotion(Motion):
         super().__init__(f"a virtual hand at {speed_mm_s:g} mm/s")
         points = _round_trip(span_mm, lane_mm)
         if rounds * len(points) > _MOST_STROKES:
-            raise SensorError(
+            raise SourceError(
                 f"{rounds} rounds of {len(points) // 2} lanes are more strokes than "
                 f"{_MOST_STROKES}: ask for fewer",
                 about="strokes",

@@ -10,7 +10,7 @@ FINEST_PITCH_MM = 0.1
 COARSEST_PITCH_MM = 200.0
 
 
-class Passed(NamedTuple):
+class RidgeCrossing(NamedTuple):
     """Ridges that passed under the electrodes since the last call."""
 
     height: NDArray[np.float32]
@@ -19,13 +19,13 @@ class Passed(NamedTuple):
     """Number of ridges that passed together with another one of the same electrode."""
 
 
-class Feeler(Protocol):
+class TextureSampler(Protocol):
     """Sampler of electrodes over a texture, which stores their last place."""
 
     def place(self, x_mm: float, y_mm: float) -> None:
         """Place the middle of the array; no ridge counts as passed."""
 
-    def move(self, x_mm: float, y_mm: float) -> Passed:
+    def move(self, x_mm: float, y_mm: float) -> RidgeCrossing:
         """Move the middle of the array in a straight line."""
 
 
@@ -55,7 +55,7 @@ class Texture(ABC):
         self.notes: list[str] = []
 
     @abstractmethod
-    def feeler(self, position_mm: NDArray[np.float64]) -> Feeler:
+    def feeler(self, position_mm: NDArray[np.float64]) -> TextureSampler:
         """Return a sampler of electrodes over it.
 
         Parameters

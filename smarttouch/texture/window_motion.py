@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.texture.motion import Motion
 from smarttouch.texture.texture import Texture
 
@@ -38,12 +38,12 @@ def open_it(rest: str, *, texture: Texture | None = None) -> "WindowMotion":
 
     Raises
     ------
-    SensorError
+    SourceError
         If there is no display, or Python has no Tk.
     """
     if rest:
         message = f"window: takes nothing after the colon, not {rest!r}"
-        raise SensorError(message, about="motion", problem="malformed", value=f"window:{rest}")
+        raise SourceError(message, about="motion", problem="malformed", value=f"window:{rest}")
     return WindowMotion(texture)
 
 
@@ -87,7 +87,7 @@ class WindowMotion(Motion):
         self._texture = texture
         self._open = True
         self._closing = threading.Event()
-        self._started: queue.SimpleQueue[Pointer | SensorError] = queue.SimpleQueue()
+        self._started: queue.SimpleQueue[Pointer | SourceError] = queue.SimpleQueue()
         # Tk belongs to one thread from its first call to its last.
         self._thread = threading.Thread(target=self._show, name="window", daemon=True)
         self._thread.start()
@@ -97,8 +97,8 @@ class WindowMotion(Motion):
             self._open = False
             self._closing.set()
             message = "window: the display does not answer: try again"
-            raise SensorError(message, about="display", problem="mute") from None
-        if isinstance(started, SensorError):
+            raise SourceError(message, about="display", problem="mute") from None
+        if isinstance(started, SourceError):
             self.close()
             raise started
         self._pointer = started
@@ -139,7 +139,7 @@ class WindowMotion(Motion):
             del shown
         except tkinter.TclError as error:
             message = f"window: the display failed: {error}"
-            self._started.put(SensorError(message, about="display", problem="failed"))
+            self._started.put(SourceError(message, about="display", problem="failed"))
         self._open = False
         # Tcl ends the program if another thread collects what is left of the window.
         self._closing.wait()
@@ -190,8 +190,8 @@ def fit(
     return (wide, high), mm_per_px
 
 
-def _missing(what: str, message: str) -> SensorError:
-    return SensorError(message, about=what, problem="missing", remedy="evdev:")
+def _missing(what: str, message: str) -> SourceError:
+    return SourceError(message, about=what, problem="missing", remedy="evdev:")
 
 
 def _png(image: NDArray[np.uint8]) -> bytes:

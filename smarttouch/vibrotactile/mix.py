@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile
 from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stimulation.timing import ScanTiming
@@ -49,11 +49,11 @@ class Mixture:
         When all is over.
     least_us : int, µs
         The shortest sequence that carries pulses of all classes.
-    ideal_us : dict of Primary to ndarray, (K,) int64, µs
+    ideal_us : dict of Afferent to ndarray, (K,) int64, µs
         When each pulse of a class should be.
-    carried : dict of Primary to ndarray, (K,)
+    carried : dict of Afferent to ndarray, (K,)
         Which stimulus carries it.
-    left_out : tuple of Primary
+    left_out : tuple of Afferent
         Classes that answer, but the board cannot drive.
     vibrated : bool
         Whether the row of PC is for vibrators, held until the next stimulus.
@@ -65,9 +65,9 @@ class Mixture:
     electrodes: int
     end_us: int
     least_us: int
-    ideal_us: dict[Primary, Times]
-    carried: dict[Primary, NDArray[np.intp]]
-    left_out: tuple[Primary, ...]
+    ideal_us: dict[Afferent, Times]
+    carried: dict[Afferent, NDArray[np.intp]]
+    left_out: tuple[Afferent, ...]
     vibrated: bool
 
     @property
@@ -88,17 +88,17 @@ class Mixture:
 
     def at_sites(self, drive: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the activation of each class's drive, (3,), at all sites, (3, E)."""
-        activation = np.zeros((len(Primary), self.electrodes), np.float32)
+        activation = np.zeros((len(Afferent), self.electrodes), np.float32)
         activation[:, self.sites] = drive[:, None]
         return activation
 
-    def error_us(self, primary: Primary) -> Times:
+    def error_us(self, afferent: Afferent) -> Times:
         """Return the delay of each pulse of a class, (K,) µs."""
-        return self.time_us[self.carried[primary]] - self.ideal_us[primary]
+        return self.time_us[self.carried[afferent]] - self.ideal_us[afferent]
 
-    def pulses(self, primary: Primary) -> int:
+    def pulses(self, afferent: Afferent) -> int:
         """Return the number of pulses of a class at each site."""
-        return len(self.ideal_us.get(primary, ()))
+        return len(self.ideal_us.get(afferent, ()))
 
 
 def mix_colors(
@@ -141,7 +141,7 @@ def mix_colors(
     >>> from smarttouch.vibrotactile.mix import mix_colors
     >>> from smarttouch.vibrotactile.spec import open_trace
     >>> from smarttouch.kernels.bank import load_bank
-    >>> from smarttouch.primary import Primary
+    >>> from smarttouch.afferent import Primary
     >>> from smarttouch.profile import load_profile
     >>> profile = load_profile("electric-mouse")
     >>> trace = open_trace("tone:30Hz,8um+press:0.45N", seconds=1.0)
@@ -156,7 +156,7 @@ def mix_colors(
 
 
 def mix(
-    answers: Mapping[Primary, Answer],
+    answers: Mapping[Afferent, Answer],
     duration_s: float,
     profile: Profile,
     bank: KernelBank,
@@ -169,11 +169,11 @@ def mix(
     timing = ScanTiming() if timing is None else timing
     places = disc(profile) if sites is None else chosen(profile, sites)
     pulsing, left_out = _drivable(answers, profile, bank, places, vibrated)
-    shaking = vibrated and Primary.PC in pulsing
-    electrical = [each for each in pulsing if not (shaking and each is Primary.PC)]
+    shaking = vibrated and Afferent.PC in pulsing
+    electrical = [each for each in pulsing if not (shaking and each is Afferent.PC)]
     least_us = shortest_us(profile, len(places) * max(1, len(electrical)), timing)
-    apart_us = dict.fromkeys(Primary, least_us)
-    apart_us[Primary.PC] = max(least_us, math.ceil(1e6 / pc_rate_hz))
+    apart_us = dict.fromkeys(Afferent, least_us)
+    apart_us[Afferent.PC] = max(least_us, math.ceil(1e6 / pc_rate_hz))
     ideal = {
         each: thinned(np.rint(answers[each].spike_s * 1e6).astype(np.int64), apart_us[each])
         for each in electrical
@@ -194,11 +194,11 @@ def mix(
         trains.append(np.arange(0, round(duration_s * 1e6), step_us))
     time_us, given = merged(trains, least_us)
     carried = dict(zip(ideal, given, strict=False))
-    drive = np.zeros((len(time_us), len(Primary)), np.float32)
+    drive = np.zeros((len(time_us), len(Afferent)), np.float32)
     for each, which in carried.items():
         drive[which, each] = _drive_at(answers[each], ideal[each], duration_s)
     if shaking:
-        drive[:, Primary.PC] = _drive_at(answers[Primary.PC], time_us, duration_s)
+        drive[:, Afferent.PC] = _drive_at(answers[Afferent.PC], time_us, duration_s)
     over_us = int(time_us[-1]) + least_us if len(time_us) else 0
     return Mixture(
         time_us,
@@ -215,20 +215,20 @@ def mix(
 
 
 def _drivable(
-    answers: Mapping[Primary, Answer],
+    answers: Mapping[Afferent, Answer],
     profile: Profile,
     bank: KernelBank,
     places: NDArray[np.intp],
     vibrated: bool,
-) -> tuple[list[Primary], tuple[Primary, ...]]:
+) -> tuple[list[Afferent], tuple[Afferent, ...]]:
     """Return the classes that respond and can be driven, and those that cannot."""
     made = [
         each
-        for each in Primary
-        if (vibrated and each is Primary.PC)
+        for each in Afferent
+        if (vibrated and each is Afferent.PC)
         or (each in bank.weights and len(stimulated(profile, each, places)))
     ]
-    answering = [each for each in Primary if len(answers[each].spike_s)]
+    answering = [each for each in Afferent if len(answers[each].spike_s)]
     left_out = tuple(each for each in answering if each not in made)
     if left_out and len(left_out) == len(answering):
         raise ScheduleError(

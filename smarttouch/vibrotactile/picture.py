@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from smarttouch.afferent import Afferent
 from smarttouch.plotting.colors import ClassRow, color_figure
 from smarttouch.plotting.style import save
-from smarttouch.primary import Primary
 from smarttouch.vibrotactile.mix import Mixture
 from smarttouch.vibrotactile.split import Answer
 from smarttouch.vibrotactile.trace import Trace
@@ -16,20 +16,20 @@ from smarttouch.vibrotactile.trace import Trace
 def draw(
     path: Path,
     trace: Trace,
-    answers: Mapping[Primary, Answer],
+    answers: Mapping[Afferent, Answer],
     mixture: Mixture | None = None,
 ) -> None:
     """Write a picture of a vibration, what each class answers, and the pulses if there are any."""
     rows = {}
-    for primary, answer in answers.items():
+    for afferent, answer in answers.items():
         which = np.empty(0, np.intp)
-        shaken = mixture is not None and mixture.vibrated and primary is Primary.PC
+        shaken = mixture is not None and mixture.vibrated and afferent is Afferent.PC
         if mixture is not None:
             everything = np.arange(len(mixture.time_us))
-            which = everything if shaken else mixture.carried.get(primary, which)
-            pulse_s, drive = mixture.time_us[which] / 1e6, mixture.drive[which, primary]
+            which = everything if shaken else mixture.carried.get(afferent, which)
+            pulse_s, drive = mixture.time_us[which] / 1e6, mixture.drive[which, afferent]
         else:
             pulse_s = drive = np.empty(0)
-        rows[primary] = ClassRow(answer.drive, pulse_s, drive.astype(np.float64), shaken)
+        rows[afferent] = ClassRow(answer.drive, pulse_s, drive.astype(np.float64), shaken)
     figure = color_figure(trace.time_s, trace.displacement_um, trace.force_n, rows, trace.title)
     save(figure, path)

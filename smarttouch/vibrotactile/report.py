@@ -5,9 +5,9 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from smarttouch.primary import Primary
+from smarttouch.afferent import Afferent
+from smarttouch.vibrotactile.crosstalk import PacinianCrosstalk
 from smarttouch.vibrotactile.mix import Mixture
-from smarttouch.vibrotactile.price import PacinianPrice
 from smarttouch.vibrotactile.source import ColorSource
 from smarttouch.vibrotactile.split import Answer, shares
 
@@ -33,24 +33,24 @@ class SentOut:
     off_max_us: float
 
 
-def answered(answers: Mapping[Primary, Answer]) -> dict[Primary, Answered]:
+def answered(answers: Mapping[Afferent, Answer]) -> dict[Afferent, Answered]:
     """Return the response of each class."""
     part = shares(answers)
     return {
-        primary: Answered(each.mean_drive, each.peak_drive, each.mean_rate_hz, part[primary])
-        for primary, each in answers.items()
+        afferent: Answered(each.mean_drive, each.peak_drive, each.mean_rate_hz, part[afferent])
+        for afferent, each in answers.items()
     }
 
 
-def sent_out(mixture: Mixture, source: ColorSource) -> dict[Primary, SentOut]:
+def sent_out(mixture: Mixture, source: ColorSource) -> dict[Afferent, SentOut]:
     """Return the output to each class that had pulses."""
     rows = {}
-    for primary, ideal_us in mixture.ideal_us.items():
-        off_us = np.abs(source.error_us(primary))
+    for afferent, ideal_us in mixture.ideal_us.items():
+        off_us = np.abs(source.error_us(afferent))
         median, most = (np.median(off_us), off_us.max()) if len(off_us) else (0.0, 0.0)
         lasts_s = float(np.ptp(ideal_us)) / 1e6
-        rows[primary] = SentOut(
-            source.sent(primary),
+        rows[afferent] = SentOut(
+            source.sent(afferent),
             len(ideal_us),
             (len(ideal_us) - 1) / lasts_s if lasts_s else 0.0,
             float(median),
@@ -59,36 +59,36 @@ def sent_out(mixture: Mixture, source: ColorSource) -> dict[Primary, SentOut]:
     return rows
 
 
-def answer_rows(answers: Mapping[Primary, Answer]) -> list[tuple[str, ...]]:
+def answer_rows(answers: Mapping[Afferent, Answer]) -> list[tuple[str, ...]]:
     """Return rows of class, mean and peak drive, rate and share, in words."""
     return [
         (
-            primary.name,
+            afferent.name,
             f"{row.mean_drive:.2f}",
             f"{row.peak_drive:.2f}",
             _fires_at(row),
             f"{row.share:.0%}",
         )
-        for primary, row in answered(answers).items()
+        for afferent, row in answered(answers).items()
     ]
 
 
 def mixture_rows(
-    answers: Mapping[Primary, Answer], mixture: Mixture, source: ColorSource
+    answers: Mapping[Afferent, Answer], mixture: Mixture, source: ColorSource
 ) -> list[tuple[str, ...]]:
     """Return rows of class, drive, share and rate, and of pulses, their rate and lateness."""
     sent = sent_out(mixture, source)
     rows = []
-    for primary, row in answered(answers).items():
+    for afferent, row in answered(answers).items():
         cells = ["–", "–", "–"]
-        if primary in sent:
-            out = sent[primary]
+        if afferent in sent:
+            out = sent[afferent]
             off = f"{out.off_p50_us / 1000:.2f} / {out.off_max_us / 1000:.2f}"
             cells = [f"{out.pulses}", f"{out.rate_hz:.1f} Hz", off]
         elif mixture.vibrated and row.share:
             cells[0] = "vibrated"
         drive, share = f"{row.mean_drive:.2f}", f"{row.share:.0%}"
-        rows.append((primary.name, drive, share, _fires_at(row), *cells))
+        rows.append((afferent.name, drive, share, _fires_at(row), *cells))
     return rows
 
 
@@ -96,36 +96,36 @@ def _fires_at(row: Answered) -> str:
     return f"{row.rate_hz:.1f} Hz" if row.rate_hz else "–"
 
 
-def notes(mixture: Mixture, answers: Mapping[Primary, Answer]) -> list[str]:
+def notes(mixture: Mixture, answers: Mapping[Afferent, Answer]) -> list[str]:
     """Return warnings about a mixture, a sentence each."""
     said = []
     if mixture.left_out:
         names = " and ".join(each.name for each in mixture.left_out)
         said.append(f"{names} would answer too, and this board cannot drive it here: left out")
-    for primary, ideal_us in mixture.ideal_us.items():
-        spikes = len(answers[primary].spike_s)
-        if primary is not Primary.PC and len(ideal_us) < 0.9 * spikes:
+    for afferent, ideal_us in mixture.ideal_us.items():
+        spikes = len(answers[afferent].spike_s)
+        if afferent is not Afferent.PC and len(ideal_us) < 0.9 * spikes:
             said.append(
-                f"{primary.name} gets {len(ideal_us)} of {spikes} pulses: a sequence for "
+                f"{afferent.name} gets {len(ideal_us)} of {spikes} pulses: a sequence for "
                 f"{len(mixture.sites)} sites takes {mixture.least_us / 1000:.1f} ms, choose fewer"
             )
     return said
 
 
 def as_figures(
-    answers: Mapping[Primary, Answer],
+    answers: Mapping[Afferent, Answer],
     mixture: Mixture | None = None,
     source: ColorSource | None = None,
-    price: PacinianPrice | None = None,
+    price: PacinianCrosstalk | None = None,
 ) -> dict[str, object]:
     """Return the whole report for a JSON file."""
     classes: dict[str, dict[str, object]] = {
-        primary.name: {"answered": asdict(each)} for primary, each in answered(answers).items()
+        afferent.name: {"answered": asdict(each)} for afferent, each in answered(answers).items()
     }
     figures: dict[str, object] = {"classes": classes}
     if mixture is not None and source is not None:
-        for primary, row in sent_out(mixture, source).items():
-            classes[primary.name]["sent"] = asdict(row)
+        for afferent, row in sent_out(mixture, source).items():
+            classes[afferent.name]["sent"] = asdict(row)
         figures |= {
             "sites": mixture.sites.tolist(),
             "vibrated": mixture.vibrated,

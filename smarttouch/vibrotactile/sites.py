@@ -6,8 +6,8 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import ScheduleError, SmartTouchError
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.stimulation.points import felt_at
 
@@ -30,13 +30,13 @@ def disc(profile: Profile, radius_mm: float | None = None) -> NDArray[np.intp]:
     return np.asarray(profile.driven[away_mm <= max(radius, away_mm.min()) + 1e-9])
 
 
-def stimulated(profile: Profile, primary: Primary, sites: NDArray[np.intp]) -> NDArray[np.intp]:
+def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the electrodes whose stimulation of a class is felt at sites, (S',).
 
     Others than those where the profile knows that the class is felt elsewhere (paper,
     Section III-B.4), and fewer where the array ends.
     """
-    felt = felt_at(profile, primary)
+    felt = felt_at(profile, afferent)
     if felt is None:
         return sites
     there = np.flatnonzero(np.isin(felt, sites))

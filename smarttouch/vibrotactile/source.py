@@ -6,7 +6,7 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.primary import Primary
+from smarttouch.afferent import Afferent
 from smarttouch.profile import Profile
 from smarttouch.running.listener import Listener
 from smarttouch.running.step import StepResult
@@ -47,7 +47,7 @@ class ColorSource(StimulusSource, Listener):
         self._mixture, self._force_n = mixture, force_n
         self._next = 0
         self._given_us = np.full(len(mixture.time_us), -1, np.int64)
-        self._count = Counter[Primary]()
+        self._count = Counter[Afferent]()
 
     def read(self, time_ns: int) -> Stimulus | None:
         """Return the stimulus that is due; None after the last one."""
@@ -62,7 +62,7 @@ class ColorSource(StimulusSource, Listener):
         drive = mixture.drive[first : self._next].max(axis=0, initial=0.0)
         if mixture.vibrated and first == self._next > 0:
             # Vibrators go on with their last amplitudes.
-            drive[Primary.PC] = mixture.drive[first - 1, Primary.PC]
+            drive[Afferent.PC] = mixture.drive[first - 1, Afferent.PC]
         more = self._next < len(mixture.time_us)
         wait_us = int(mixture.time_us[self._next] if more else mixture.end_us) - now_us
         parts = max(1, min(-(-wait_us // LONGEST_US), wait_us // mixture.least_us))
@@ -74,14 +74,14 @@ class ColorSource(StimulusSource, Listener):
         """Count the pulses sent in a step."""
         if result.number is not None and result.step.sequence.intensity > 0:
             active = np.flatnonzero(result.step.tactile.activation.any(axis=1))
-            self._count.update(Primary(each) for each in active.tolist())
+            self._count.update(Afferent(each) for each in active.tolist())
 
-    def sent(self, primary: Primary) -> int:
+    def sent(self, afferent: Afferent) -> int:
         """Return the number of pulses of a class sent to each site so far."""
-        return self._count[primary]
+        return self._count[afferent]
 
-    def error_us(self, primary: Primary) -> Times:
+    def error_us(self, afferent: Afferent) -> Times:
         """Return the delay of each requested pulse of a class, (K,) µs."""
         mixture = self._mixture
-        given_us: NDArray[np.int64] = self._given_us[mixture.carried[primary]]
-        return (given_us - mixture.ideal_us[primary])[given_us >= 0]
+        given_us: NDArray[np.int64] = self._given_us[mixture.carried[afferent]]
+        return (given_us - mixture.ideal_us[afferent])[given_us >= 0]

@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import ifft, irfft, next_fast_len, rfft
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import ScheduleError
 from smarttouch.physiology.receptors import sensitivity, threshold_um
-from smarttouch.primary import Primary
 from smarttouch.stimulation.rates import SLOWEST
 from smarttouch.vibrotactile.trace import Array, Trace
 
@@ -53,7 +53,7 @@ class Answer:
 
     Attributes
     ----------
-    primary : Primary
+    afferent : Afferent
     drive : ndarray, (N,) float64, in [0, 1]
         Drive at each sample of the trace: 0 at threshold and below.
     rate_hz : ndarray, (N,) float64, Hz
@@ -62,7 +62,7 @@ class Answer:
         When.
     """
 
-    primary: Primary
+    afferent: Afferent
     drive: Array
     rate_hz: Array
     spike_s: Array
@@ -87,7 +87,7 @@ def split(
     span_db: float = SPAN_DB,
     sai_full_n: float = SAI_FULL_N,
     sai_rate_hz: float = SAI_RATE_HZ,
-) -> dict[Primary, Answer]:
+) -> dict[Afferent, Answer]:
     """Return the response of each class.
 
     Parameters
@@ -116,23 +116,24 @@ def split(
             remedy="force.full_n",
         )
     return {
-        Primary.RA: _vibration(trace, Primary.RA, span_db),
-        Primary.SAI: _pressure(trace, sai_full_n, sai_rate_hz),
-        Primary.PC: _vibration(trace, Primary.PC, span_db),
+        Afferent.RA: _vibration(trace, Afferent.RA, span_db),
+        Afferent.SAI: _pressure(trace, sai_full_n, sai_rate_hz),
+        Afferent.PC: _vibration(trace, Afferent.PC, span_db),
     }
 
 
-def shares(answers: Mapping[Primary, Answer]) -> dict[Primary, float]:
+def shares(answers: Mapping[Afferent, Answer]) -> dict[Afferent, float]:
     """Return each class's part of the mean drive of all; zeros if nothing is felt."""
     total = sum(each.mean_drive for each in answers.values())
     return {
-        primary: each.mean_drive / total if total > 0 else 0.0 for primary, each in answers.items()
+        afferent: each.mean_drive / total if total > 0 else 0.0
+        for afferent, each in answers.items()
     }
 
 
-def _vibration(trace: Trace, primary: Primary, span_db: float) -> Answer:
+def _vibration(trace: Trace, afferent: Afferent, span_db: float) -> Answer:
     padded, first, frequency_hz = _padded(trace.displacement_um, trace.sample_hz)
-    gain = 1 / threshold_um(primary, frequency_hz)
+    gain = 1 / threshold_um(afferent, frequency_hz)
     half = np.zeros(len(padded), np.complex128)
     half[: len(gain)] = 2 * rfft(padded) * gain
     turning = ifft(half)[first : first + len(trace.force_n)]
@@ -140,25 +141,25 @@ def _vibration(trace: Trace, primary: Primary, span_db: float) -> Answer:
     with np.errstate(divide="ignore"):
         drive = np.clip(20 * np.log10(level) / span_db, 0, 1)
     spike_s = _upward(turning, drive > 0, round(_GAP_S * trace.sample_hz)) / trace.sample_hz
-    return Answer(primary, drive, _rate_hz(spike_s, trace, drive), spike_s)
+    return Answer(afferent, drive, _rate_hz(spike_s, trace, drive), spike_s)
 
 
 def _pressure(trace: Trace, full_n: float, rate_hz: float) -> Answer:
     drives = []
     rows = (
         (trace.force_n, SAI_FORCE_N, full_n),
-        (trace.displacement_um, float(threshold_um(Primary.SAI, 0)), SAI_FULL_UM),
+        (trace.displacement_um, float(threshold_um(Afferent.SAI, 0)), SAI_FULL_UM),
     )
     for row, faintest, full in rows:
         padded, first, frequency_hz = _padded(row, trace.sample_hz)
-        slow = irfft(rfft(padded) * sensitivity(Primary.SAI, frequency_hz), len(padded))
+        slow = irfft(rfft(padded) * sensitivity(Afferent.SAI, frequency_hz), len(padded))
         drives.append((slow[first : first + len(row)] - faintest) / (full - faintest))
     drive = np.clip(np.maximum(*drives), 0, 1)
     firing_hz = np.where(drive > 0, rate_hz * np.maximum(SLOWEST, drive), 0.0)
     due = np.cumsum(firing_hz) / trace.sample_hz
     # A first spike as soon as it is touched.
     spike = np.flatnonzero(np.diff(np.ceil(due), prepend=0.0) > 0)
-    return Answer(Primary.SAI, drive, firing_hz, spike / trace.sample_hz)
+    return Answer(Afferent.SAI, drive, firing_hz, spike / trace.sample_hz)
 
 
 def _padded(row: Array, sample_hz: float) -> tuple[Array, int, Array]:

@@ -6,10 +6,10 @@ A table: run with ``--benchmark-only -n0``.
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.clock import SimulatedClock
 from smarttouch.kernels.problem import Problem
-from smarttouch.primary import Mode, Primary
 from smarttouch.running.config import RunConfig
 from smarttouch.running.listener import as_listeners
 from smarttouch.running.loop import run_loop
@@ -17,8 +17,8 @@ from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulator import Regulator
 from smarttouch.running.statistics import RunStatistics
 from smarttouch.sources import open_source
-from smarttouch.stimulation.frames import NO_SHARING, Sharing
-from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy
+from smarttouch.stimulation.ledger import ChargeBalance
 from smarttouch.stimulation.recharge import RechargeRules
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.timing import ScanTiming
@@ -26,14 +26,14 @@ from smarttouch.stopping import StopRequest
 
 TEXT = "text:the quick brown fox"
 WAYS = ("without", "reversing", "recharging")
-SHARED = Sharing((Primary.RA,), planned=False)
+SHARED = SlotPolicy((Afferent.RA,), planned=False)
 
 
 def regulator_of(way, profile):
     if way == "without":
         return Regulator()
     rules = RechargeRules.of(profile, ScanTiming()) if way == "recharging" else None
-    return Regulator(ledger=ChargeLedger(len(profile.electrodes)), recharge=rules)
+    return Regulator(ledger=ChargeBalance(len(profile.electrodes)), recharge=rules)
 
 
 def answer_of_phase(sequence, profile, bank):
@@ -43,8 +43,8 @@ def answer_of_phase(sequence, profile, bank):
         1 + pulse.chronaxie_us / sequence.recharge_us
     )
     found = []
-    for primary, receptor in bank.receptor.items():
-        full = 1000 * profile.full_ma * (receptor * bank.kernels(primary)).sum(axis=1)
+    for afferent, receptor in bank.receptor.items():
+        full = 1000 * profile.full_ma * (receptor * bank.kernels(afferent)).sum(axis=1)
         found.append((receptor @ sequence.recharge_ua) / full)
     threshold = profile.threshold_ma / profile.full_ma
     return float(strength * np.max(np.stack(found) / threshold))
@@ -53,7 +53,7 @@ def answer_of_phase(sequence, profile, bank):
 @pytest.mark.parametrize("scan", ["points", "shared"])
 @pytest.mark.parametrize("mode", [Mode.RA, Mode.SAI])
 def test_letters(row, quick, profile, bank, mode, scan):
-    rows = Problem(profile, mode.primaries[0]).rows[0]
+    rows = Problem(profile, mode.afferents[0]).rows[0]
     for way in WAYS:
         regulator, tally, answers = regulator_of(way, profile), RunStatistics(), [0.0]
 

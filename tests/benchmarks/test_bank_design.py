@@ -5,10 +5,10 @@ import time
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.kernels.batch import design_sites
 from smarttouch.kernels.design import design_kernel
 from smarttouch.kernels.problem import Problem
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
 
@@ -27,10 +27,10 @@ def designed(profile, sites=None):
     """Build the rows of every mode and design its sites; return kernels and seconds."""
     start = time.perf_counter()
     kernels = {
-        primary: [
-            kernel for kernel, _ in design_sites(Problem(profile, primary), design_kernel, sites)
+        afferent: [
+            kernel for kernel, _ in design_sites(Problem(profile, afferent), design_kernel, sites)
         ]
-        for primary in Primary
+        for afferent in Afferent
     }
     return kernels, time.perf_counter() - start
 
@@ -47,14 +47,14 @@ def test_whole_bank_against_linprog(row, quick, square, whole_programme, changed
         profile = changed(profile, {"limits.total_ma": 10.0})
     designed(square(2))
     (kernels, ours), theirs, sites, apart = designed(profile), 0.0, 0, 0.0
-    for primary in Primary:
+    for afferent in Afferent:
         start = time.perf_counter()
-        problem = Problem(profile, primary)
+        problem = Problem(profile, afferent)
         optima = {site: whole_programme(problem, site) for site in distinct(problem)}
         theirs += time.perf_counter() - start
         for site, optimum in optima.items():
-            kernel = kernels[primary][site]
-            mine = max(kernel.worst_other, kernel.own_spill if kernel.own_spill > 0.2001 else 0)
+            kernel = kernels[afferent][site]
+            mine = max(kernel.off_target, kernel.spill if kernel.spill > 0.2001 else 0)
             apart = max(apart, abs(mine - optimum))
         sites += len(optima)
     again = min(designed(profile)[1] for _ in range(3))
@@ -78,7 +78,7 @@ def test_growth(row, quick, square):
     for side in (4, 5) if quick else (4, 6, 8, 12, 16):
         profile = square(side)
         _, seconds = designed(profile)
-        count = sum(len(distinct(Problem(profile, primary))) for primary in Primary)
+        count = sum(len(distinct(Problem(profile, afferent))) for afferent in Afferent)
         assert count
         cells = {"array": f"{side} × {side}", "distinct sites": count, "s": f"{seconds:.2f}"}
         row("Whole banks of larger arrays", cells)
@@ -89,9 +89,9 @@ def test_chosen_sites_of_a_large_array(row, quick, square):
     side = 6 if quick else 32
     profile = square(side)
     chosen = {"corner": 0, "middle": side // 2 * (side + 1), "edge": side // 2}
-    for primary in (Primary.RA, Primary.SAI):
+    for afferent in (Afferent.RA, Afferent.SAI):
         start = time.perf_counter()
-        problem = Problem(profile, primary)
+        problem = Problem(profile, afferent)
         rows = time.perf_counter() - start
         for name, site in chosen.items():
             start = time.perf_counter()
@@ -99,13 +99,13 @@ def test_chosen_sites_of_a_large_array(row, quick, square):
             row(
                 f"Single sites of {side} × {side}",
                 {
-                    "class": primary.name,
+                    "class": afferent.name,
                     "site": name,
                     "s": f"{time.perf_counter() - start:.1f}",
                     "rows": len(problem.rows[0].other),
                     "rows built in, s": f"{rows:.1f}",
-                    "worst other": f"{kernel.worst_other:.4f}",
-                    "spill": f"{kernel.own_spill:.3f}",
+                    "worst other": f"{kernel.off_target:.4f}",
+                    "spill": f"{kernel.spill:.3f}",
                 },
             )
             assert np.abs(kernel.weights.sum()) < 1e-9

@@ -15,7 +15,7 @@ import time
 import numpy as np
 import pytest
 
-from smarttouch.primary import Primary
+from smarttouch.afferent import Afferent
 from smarttouch.vibrotactile.mix import mix_colors
 from smarttouch.vibrotactile.source import ColorSource
 from smarttouch.vibrotactile.spec import open_trace
@@ -32,7 +32,7 @@ def seconds(quick):
 
 def mixtures():
     for count in (1, 2, 3):
-        for classes in itertools.combinations(Primary, count):
+        for classes in itertools.combinations(Afferent, count):
             yield "+".join(ALONE[each][0] for each in classes)
 
 
@@ -41,14 +41,14 @@ def test_what_comes_back(profile, bank, row, quick, seconds):
     for spec in specs[-1:] if quick else specs:
         got, sensor = feel(spec, profile, bank, seconds=seconds)
         answers = split(open_trace(spec, seconds), sai_full_n=profile.force.full_n)
-        for primary, found in got.items():
-            answer = answers[primary]
-            off_ms = np.abs(sensor.error_us(primary)) / 1000
+        for afferent, found in got.items():
+            answer = answers[afferent]
+            off_ms = np.abs(sensor.error_us(afferent)) / 1000
             row(
                 "Colors split, mixed and delivered",
                 {
                     "felt": spec,
-                    "class": primary.name,
+                    "class": afferent.name,
                     "answered, Hz": f"{answer.mean_rate_hz:.1f}",
                     "drive": f"{answer.mean_drive:.2f}",
                     "delivered, Hz": f"{found.rate_hz:.1f}",
@@ -56,7 +56,7 @@ def test_what_comes_back(profile, bank, row, quick, seconds):
                     "off by, ms, p50 / max": f"{np.median(off_ms):.2f} / {off_ms.max():.2f}",
                 },
             )
-        spread = {each: answers[each].peak_drive for each in Primary if each not in got}
+        spread = {each: answers[each].peak_drive for each in Afferent if each not in got}
         assert max(spread.values(), default=0) < 0.01
 
 
@@ -66,7 +66,7 @@ def test_who_answers_where(row, quick):
         cells = {"Hz": hz}
         for um in (3, 10, 100):
             answers = split(open_trace(f"tone:{hz}Hz,{um}um", 1.0))
-            for each in Primary:
+            for each in Afferent:
                 cells[f"{um} µm: {each.name}"] = f"{np.median(answers[each].drive):.2f}"
         row("Who answers where", cells)
 

@@ -20,24 +20,24 @@ import pytest
 from skimage.filters import threshold_sauvola
 from skimage.transform import resize
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_sequence import encode_sequence
 from smarttouch.boards.link_session import HostSession
 from smarttouch.physiology.activation import af_matrix
 from smarttouch.physiology.afferents import targets
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.frame import Frame, Pose
-from smarttouch.stimulation.frames import NO_SHARING, Sharing
+from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 
 FULL_NS = 10**9
 SCANS = {
     "points": NO_SHARING,
-    "auto": Sharing((Primary.RA,), planned=False),
-    "frame": Sharing((Primary.RA,), planned=True),
+    "auto": SlotPolicy((Afferent.RA,), planned=False),
+    "frame": SlotPolicy((Afferent.RA,), planned=True),
 }
 
 
@@ -186,7 +186,7 @@ def test_scans(benchmark, make_bank, quick, side, frames, capsys):
     if quick:
         frames = 12 if side < 32 else 3
     profile, weights = grid_profile(side), balanced_weights(side)
-    bank = make_bank(weights, af_matrix(profile, targets(profile, Primary.RA)))
+    bank = make_bank(weights, af_matrix(profile, targets(profile, Afferent.RA)))
     images = strokes(64, 64, frames)
     plain = Plain(side, images)
     scans = {

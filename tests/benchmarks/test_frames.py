@@ -8,12 +8,12 @@ import time
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.kernels.frames.bound import color_classes
 from smarttouch.kernels.frames.figures import FrameBounds
 from smarttouch.kernels.frames.operator import FrameOperator, Weights, keeps
 from smarttouch.kernels.frames.slots import likely_slots, plan_slots
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.frames import FrameSlots
 
@@ -22,7 +22,7 @@ from ..reference.spread import Worst, spread_judges, uneven_levels, with_gain_er
 from .frame_sets import LETTERS, drawn, judge_of, scattered
 
 FREE_MA = 50.0
-SHOWN = [Primary.RA, Primary.SAI]
+SHOWN = [Afferent.RA, Afferent.SAI]
 
 
 def counted(quick):
@@ -35,15 +35,15 @@ def median_and_95(found):
 
 
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize("primary", SHOWN)
-def test_gap_to_the_optimum(row, quick, profile, bank, primary):
-    judge = judge_of(profile, primary)
+@pytest.mark.parametrize("afferent", SHOWN)
+def test_gap_to_the_optimum(row, quick, profile, bank, afferent):
+    judge = judge_of(profile, afferent)
     ways = {
         "active only": FrameOperator(judge),
         "against others": FrameOperator(judge, Weights(1.0, 1.0, 0.01)),
         "least current": FrameOperator(judge, Weights(0.0, 0.0, 1.0)),
     }
-    kernels = bank.kernels(primary) * profile.full_ma[:, None]
+    kernels = bank.kernels(afferent) * profile.full_ma[:, None]
     sets = {"letters": [drawn(each) for each in ("AT" if quick else LETTERS)]}
     for points, count in counted(quick):
         sets[f"{points} random"] = [scattered(points, 64, seed) for seed in range(count)]
@@ -73,17 +73,17 @@ def test_gap_to_the_optimum(row, quick, profile, bank, primary):
                     (judge.judge(current, level), best.optimum, spent.get(way, 0.0))
                 )
         for way, each in found.items():
-            other = np.array([figures.worst_other for figures, _, _ in each])
+            other = np.array([figures.off_target for figures, _, _ in each])
             gap = other / [optimum for _, optimum, _ in each]
             row(
                 "Currents of frames, beside the optimum of each",
                 {
-                    "class": primary.name,
+                    "class": afferent.name,
                     "frames": name,
                     "way": way,
                     "other (worst)": f"{other.mean():.3f} ({other.max():.3f})",
                     "of the optimum (95 %)": median_and_95(gap),
-                    "spill": f"{max(figures.worst_spill for figures, _, _ in each):.2f}",
+                    "spill": f"{max(figures.spill for figures, _, _ in each):.2f}",
                     "total, mA": f"{np.mean([figures.total_ma for figures, _, _ in each]):.1f}",
                     "ms": f"{1e3 * np.median([spent for _, _, spent in each]):.2f}",
                 },
@@ -91,10 +91,10 @@ def test_gap_to_the_optimum(row, quick, profile, bank, primary):
 
 
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize("primary", SHOWN)
-def test_gap_within_limits(row, quick, profile, primary):
+@pytest.mark.parametrize("afferent", SHOWN)
+def test_gap_within_limits(row, quick, profile, afferent):
     """How near the operator comes to the joint optimum if that is what it is asked to keep."""
-    judge = judge_of(profile, primary)
+    judge = judge_of(profile, afferent)
     operator, limits = FrameOperator(judge), FrameBounds()
     for points, count in counted(quick):
         gaps, slow, fast, none = [], [], [], 0
@@ -122,7 +122,7 @@ def test_gap_within_limits(row, quick, profile, primary):
         row(
             "How near the optimum the operator can be kept",
             {
-                "class": primary.name,
+                "class": afferent.name,
                 "random points": points,
                 "frames (impossible)": f"{count} ({none})",
                 "of the optimum (95 %)": median_and_95(gaps),
@@ -134,9 +134,9 @@ def test_gap_within_limits(row, quick, profile, primary):
 
 
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("primary", SHOWN)
+@pytest.mark.parametrize("afferent", SHOWN)
 @pytest.mark.parametrize("name", ["electric-mouse", "optacon-24x6", "16x16", "32x32"])
-def test_slots_per_frame(row, quick, changed, name, primary):
+def test_slots_per_frame(row, quick, changed, name, afferent):
     if name[0].isdigit():
         if quick:
             name = "8x8"
@@ -146,7 +146,7 @@ def test_slots_per_frame(row, quick, changed, name, primary):
     else:
         profile = load_profile(name)
         rows, columns = profile.array.rows, profile.array.columns
-    judge, sites = judge_of(profile, primary), rows * columns
+    judge, sites = judge_of(profile, afferent), rows * columns
     start = time.perf_counter()
     operator = FrameOperator(judge)
     setup = time.perf_counter() - start
@@ -171,15 +171,15 @@ def test_slots_per_frame(row, quick, changed, name, primary):
                 "Slots of a frame",
                 {
                     "array": name,
-                    "class": primary.name,
+                    "class": afferent.name,
                     "within": f"{total_ma:g} mA ± {uneven:.0%}",
                     "frames": kind,
                     "slots": f"{np.mean([len(each) for _, each in plans]):.1f}",
                     "current alone asks": f"{np.mean(begin):.1f}",
                     "points a slot (least)": f"{np.mean(ratio):.1f} ({min(ratio):.1f})",
                     "single points break a bound": sum(not each.kept for each in slots),
-                    "other": f"{max(each.figures.worst_other for each in slots):.2f}",
-                    "spill": f"{max(each.figures.worst_spill for each in slots):.2f}",
+                    "other": f"{max(each.figures.off_target for each in slots):.2f}",
+                    "spill": f"{max(each.figures.spill for each in slots):.2f}",
                     "ms": f"{1e3 * spent:.0f}",
                     "set up, s": f"{setup:.1f}",
                 },
@@ -187,9 +187,9 @@ def test_slots_per_frame(row, quick, changed, name, primary):
 
 
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize("primary", SHOWN)
-def test_what_a_spread_leaves(row, quick, profile, primary):
-    operator = FrameOperator(judge_of(profile, primary))
+@pytest.mark.parametrize("afferent", SHOWN)
+def test_what_a_spread_leaves(row, quick, profile, afferent):
+    operator = FrameOperator(judge_of(profile, afferent))
     frames = {
         "slots of 10 mA": (FrameBounds(), 10.0),
         "slots of 10 mA, bounds of .20": (FrameBounds(0.2, 0.2), 10.0),
@@ -228,29 +228,29 @@ def test_what_a_spread_leaves(row, quick, profile, primary):
             row(
                 "A letter T where the finger is not as designed for",
                 {
-                    "class": primary.name,
+                    "class": afferent.name,
                     "in": f"{len(slots)} {name}",
                     "finger": case,
-                    "other": f"{worst.worst_other:.2f}",
-                    "spill": f"{worst.worst_spill:.2f}",
+                    "other": f"{worst.off_target:.2f}",
+                    "spill": f"{worst.spill:.2f}",
                     "targets": f"{worst.weakest:.2f} to {worst.strongest:.2f}",
                 },
             )
 
 
-@pytest.mark.parametrize("primary", SHOWN)
-def test_what_color_classes_cannot_break(row, quick, profile, primary):
-    operator = FrameOperator(judge_of(profile, primary))
+@pytest.mark.parametrize("afferent", SHOWN)
+def test_what_color_classes_cannot_break(row, quick, profile, afferent):
+    operator = FrameOperator(judge_of(profile, afferent))
     for step in (4,) if quick else (1, 2, 3, 4):
         classes = color_classes(operator, step)
         row(
             "Points some rows and columns apart",
             {
-                "class": primary.name,
+                "class": afferent.name,
                 "every": step,
                 "slots": len(classes),
-                "other": f"{max(each.worst_other for each in classes):.2f}",
-                "spill": f"{max(each.worst_spill for each in classes):.2f}",
+                "other": f"{max(each.off_target for each in classes):.2f}",
+                "spill": f"{max(each.spill for each in classes):.2f}",
                 "total, mA": f"{max(each.total_ma for each in classes):.1f}",
                 "electrode, mA": f"{max(each.electrode_ma.max() for each in classes):.2f}",
             },
@@ -259,7 +259,7 @@ def test_what_color_classes_cannot_break(row, quick, profile, primary):
 
 def test_mixed_frames(row, quick, profile, bank):
     """Points of RA and SAI, at different sites: slots of each class by itself, and of both."""
-    both = (Primary.RA, Primary.SAI)
+    both = (Afferent.RA, Afferent.SAI)
     mixed = FrameSlots(profile, bank, both)
     apart = [FrameSlots(profile, bank, (each,)) for each in both]
     count = 2 if quick else 40
@@ -276,7 +276,7 @@ def test_mixed_frames(row, quick, profile, bank):
             found = mixed.slots(rows, 1.0)
             spent.append(time.perf_counter() - start)
             together += len(found.site)
-            worst.append((found.proof.worst_other.max(), found.proof.worst_spill.max()))
+            worst.append((found.proof.off_target.max(), found.proof.spill.max()))
         row(
             "RA and SAI in one frame",
             {

@@ -17,15 +17,15 @@ import pytest
 from PIL import Image
 from skimage import data
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.kernels.bank import load_bank
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import Profile, load_profile
 from smarttouch.reading.deliver import Reading
 from smarttouch.reading.legibility import legibility_of_shapes
 from smarttouch.reading.shapes import Shapes, Style
 from smarttouch.reading.source import Source
 from smarttouch.reading.window import profile_for_reading
-from smarttouch.stimulation.frames import Sharing
+from smarttouch.stimulation.frames import SlotPolicy
 
 from ..documents.printed import degrade, print_page
 
@@ -85,7 +85,7 @@ def test_legibility(rows, tmp_path, row, quick):
     profile = array_of(rows)
     bank = load_bank(profile)
 
-    ways = [(style, ()) for style in Style] + [(Style.GRADED, (Primary.RA,))]
+    ways = [(style, ()) for style in Style] + [(Style.GRADED, (Afferent.RA,))]
     text = TEXT[:1] if quick else TEXT
     for name in ["12 pt, noise"] if quick else PAGES:
         path, truth = page_file(tmp_path, name, text)
@@ -93,7 +93,7 @@ def test_legibility(rows, tmp_path, row, quick):
         for style, shared in ways:
             shapes = Shapes(style)
             motion = shapes.motion(profile)
-            reading = Reading(profile, bank, shapes.tone, motion, Mode.RA, Sharing(shared))
+            reading = Reading(profile, bank, shapes.tone, motion, Mode.RA, SlotPolicy(shared))
             found = legibility_of_shapes(Source(str(path)), reading, shapes, truth)
             name_of_way = f"{style}{', shared slots' * bool(shared)}"
             cells[name_of_way] = f"{found.character_error_rate:.3f}"

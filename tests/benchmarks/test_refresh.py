@@ -8,18 +8,18 @@ import time
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.imaging.mapping import TactileMapper
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.kernels.frames.figures import FrameBounds
 from smarttouch.kernels.frames.operator import FrameOperator
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.resources import data_folder
 from smarttouch.sources import open_source
-from smarttouch.stimulation.frames import Sharing
+from smarttouch.stimulation.frames import SlotPolicy
 from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stimulation.schedule import PointScan
+from smarttouch.stimulation.schedule import ScanScheduler
 from smarttouch.tactile_image import TactileImage
 
 from .frame_sets import LETTERS, drawn, judge_of, scattered
@@ -27,19 +27,19 @@ from .frame_sets import LETTERS, drawn, judge_of, scattered
 DENSITIES = (0.05, 0.10, 0.20, 0.40, 0.60)
 
 
-def bank_by_operator(profile, primary):
+def bank_by_operator(profile, afferent):
     """Return kernels of single points for arrays whose linear programmes would take hours."""
-    judge = judge_of(profile, primary)
+    judge = judge_of(profile, afferent)
     operator, count = FrameOperator(judge), len(profile.electrodes)
     weights, other, spill = np.zeros((count, count)), np.zeros(count), np.zeros(count)
     for site, level in enumerate(np.eye(count)):
         current, figures = operator.bounded(level, FrameBounds())
         weights[site] = current / (judge.target[site] @ current)
-        other[site], spill[site] = figures.worst_other, figures.worst_spill
+        other[site], spill[site] = figures.off_target, figures.spill
     nothing = np.zeros(count)
     return KernelBank(
-        *({primary: each} for each in (weights, other, nothing, spill, nothing, nothing)),
-        receptor={primary: judge.target},
+        *({afferent: each} for each in (weights, other, nothing, spill, nothing, nothing)),
+        receptor={afferent: judge.target},
     )
 
 
@@ -51,19 +51,21 @@ def swept_page(profile, count):
             frame = sensor.read(time_ns)
             if frame is None:
                 break
-            found.append(mapper.map(frame, Mode.RA).activation[Primary.RA].copy())
+            found.append(mapper.map(frame, Mode.RA).activation[Afferent.RA].copy())
     found = [each for each in found if np.count_nonzero(each) > 1]
     return [found[index] for index in np.linspace(0, len(found) - 1, count).astype(int)]
 
 
-def delivered(profile, bank, primary, frames, activations):
+def delivered(profile, bank, afferent, frames, activations):
     """Return the board's slots, its own time in µs, proofs and the host's seconds a frame."""
-    scan = PointScan(profile, bank, (primary,), profile.limits.rate_hz, sharing=Sharing(frames))
+    scan = ScanScheduler(
+        profile, bank, (afferent,), profile.limits.rate_hz, sharing=SlotPolicy(frames)
+    )
     proofs, spent, period_us = [], 0.0, 0
     with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
         for index, activation in enumerate(activations):
             rows = np.zeros((3, len(activation)), np.float32)
-            rows[primary] = activation
+            rows[afferent] = activation
             # Seconds between them: the soft start is over before the first counts.
             image = TactileImage(rows, (index + 1) * 10**9, 1.0)
             if not index:
@@ -83,9 +85,9 @@ def delivered(profile, bank, primary, frames, activations):
 
 
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
+@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
 @pytest.mark.parametrize("name", ["electric-mouse", "16x16", "optacon-24x6", "32x32"])
-def test_refresh_against_point_scan(row, quick, changed, name, primary):
+def test_refresh_against_point_scan(row, quick, changed, name, afferent):
     if name[0].isdigit():
         large = name == "32x32"
         if quick:
@@ -96,7 +98,7 @@ def test_refresh_against_point_scan(row, quick, changed, name, primary):
         keys |= {"optics.sensor_rows": 8 * rows, "optics.sensor_columns": 8 * columns}
         keys["optics.magnification"] = 0.4 * rows
         profile = changed(load_profile("electric-mouse"), keys)
-        bank = bank_by_operator(profile, primary) if large else load_bank(profile)
+        bank = bank_by_operator(profile, afferent) if large else load_bank(profile)
     else:
         profile = load_profile(name)
         rows, columns = profile.array.rows, profile.array.columns
@@ -112,8 +114,8 @@ def test_refresh_against_point_scan(row, quick, changed, name, primary):
     for kind, levels in sets.items():
         activations = [level.astype(np.float32) for level in levels]
         found = {
-            way: delivered(profile, bank, primary, frames, activations)
-            for way, frames in (("points", ()), ("frames", (primary,)))
+            way: delivered(profile, bank, afferent, frames, activations)
+            for way, frames in (("points", ()), ("frames", (afferent,)))
         }
         count = len(activations)
         (slots, busy_us, period_us, _, host_s), (few, short_us, least_us, proofs, spent_s) = (
@@ -127,13 +129,13 @@ def test_refresh_against_point_scan(row, quick, changed, name, primary):
         ]
         other, spill = (max(worst) for worst in zip(*shared, strict=True)) if shared else (0, 0)
         lonely = sum(
-            int(((proof.points == 1) & (proof.worst_other > 0.3)).sum()) for proof in proofs
+            int(((proof.points == 1) & (proof.off_target > 0.3)).sum()) for proof in proofs
         )
         assert few <= slots
         row(
             "Refresh of `frame` against `points`",
             {
-                "array": f"{name}, {primary.name}",
+                "array": f"{name}, {afferent.name}",
                 "frames": f"{kind} ({count})",
                 "points in slots": f"{slots / count:.1f} → {few / count:.1f}",
                 "Hz": f"{1e6 * count / busy_us:.0f} → {1e6 * count / short_us:.0f}",

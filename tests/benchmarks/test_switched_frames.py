@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.kernels.assignment import pole_shares
 from smarttouch.kernels.bank import load_bank
 from smarttouch.kernels.frames.figures import FrameBounds
 from smarttouch.kernels.frames.judge import FrameJudge, full_wish
 from smarttouch.kernels.frames.operator import FrameOperator, keeps
 from smarttouch.kernels.frames.slots import plan_slots
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
 from ..reference.switched import SwitchedSearch, plan_switched_slots
@@ -31,10 +31,10 @@ BOARDS = {
     "smarttouch-4x4": ("smarttouch-4x4", {}),
 }
 CASES = [
-    (name, primary)
+    (name, afferent)
     for name in BOARDS
-    for primary in (Primary.RA, Primary.SAI)
-    if "against" not in name or primary is Primary.RA
+    for afferent in (Afferent.RA, Afferent.SAI)
+    if "against" not in name or afferent is Afferent.RA
 ]
 FREE_MA = 1e3
 PAIRS = 40
@@ -52,19 +52,19 @@ class Case:
 
 @pytest.fixture(params=CASES, ids=lambda each: f"{each[0]} {each[1].name}".replace(" ", "-"))
 def case(request, changed, quick):
-    name, primary = request.param
-    if quick and (name == "kajimoto-61 three-state" or primary is Primary.SAI):
+    name, afferent = request.param
+    if quick and (name == "kajimoto-61 three-state" or afferent is Afferent.SAI):
         pytest.skip("the other boards in RA are every path")
     board, keys = BOARDS[name]
     profile = changed(load_profile(board), keys)
     bank = load_bank(profile)
-    kernels = np.asarray(bank.kernels(primary), np.float64)
-    wish = full_wish(profile, primary, kernels, bank.receptor[primary])
-    judges = [FrameJudge(profile, primary, wish)]
+    kernels = np.asarray(bank.kernels(afferent), np.float64)
+    wish = full_wish(profile, afferent, kernels, bank.receptor[afferent])
+    judges = [FrameJudge(profile, afferent, wish)]
     for seed in range(SPREADS):
         kohm = np.random.default_rng(seed).uniform(0.7, 1.3, len(profile.electrodes))
         mine = changed(profile, {"output.impedance_kohm": kohm.tolist()})
-        judges.append(FrameJudge(mine, primary, wish, others=judges[0].others))
+        judges.append(FrameJudge(mine, afferent, wish, others=judges[0].others))
     return Case(judges[0], judges[1:], kernels * profile.full_ma[:, None])
 
 
@@ -92,8 +92,8 @@ def drawn_on(letter, electrodes):
 
 def worst(figures):
     return (
-        f"other {max(each.worst_other for each in figures):.2f}, "
-        f"spill {max(each.worst_spill for each in figures):.2f}, targets "
+        f"other {max(each.off_target for each in figures):.2f}, "
+        f"spill {max(each.spill for each in figures):.2f}, targets "
         f"{min(each.weakest for each in figures):.2f} to "
         f"{max(each.strongest for each in figures):.2f}, source "
         f"{np.mean([each.total_ma for each in figures]):.1f} (most "
@@ -180,7 +180,7 @@ def test_slots_per_frame(row, quick, request, changed, case):
             scattered(points, count, seed) for seed in range(1 if quick else 3)
         ]
     free = changed(profile, {"output.kind": "weighted"})
-    weighted = FrameOperator(FrameJudge(free, case.equal.primary, case.equal.wish_af))
+    weighted = FrameOperator(FrameJudge(free, case.equal.afferent, case.equal.wish_af))
     for (total_ma, uneven), (kind, levels) in itertools.product(
         ((10.0, 0.05), (50.0, 0.05), (50.0, 0.15))[: 1 if quick else 3], sets.items()
     ):

@@ -2,7 +2,7 @@
 
 import time
 
-from smarttouch.boards.emulator.books import STATE_FILE, read_state
+from smarttouch.boards.emulator.delivery_log import STATE_FILE, read_state
 
 HANGS_S = 60.0
 """Only what never comes takes that long."""

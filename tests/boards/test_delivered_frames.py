@@ -3,30 +3,30 @@
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.kernels.problem import Problem
-from smarttouch.primary import Primary
-from smarttouch.stimulation.frames import Sharing
+from smarttouch.stimulation.frames import SlotPolicy
 from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stimulation.schedule import PointScan
+from smarttouch.stimulation.schedule import ScanScheduler
 from smarttouch.tactile_image import TactileImage
 
 
-@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
-def test_delivered_currents_do_what_was_planned(profile, bank, primary):
+@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
+def test_delivered_currents_do_what_was_planned(profile, bank, afferent):
     rng = np.random.default_rng(8)
-    scan = PointScan(profile, bank, (primary,), sharing=Sharing((primary,)))
+    scan = ScanScheduler(profile, bank, (afferent,), sharing=SlotPolicy((afferent,)))
     sent = {}
     with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
         for step in range(60):
             activation = np.zeros((3, 64), np.float32)
             sites = rng.choice(64, rng.integers(2, 30), replace=False)
-            activation[primary, sites] = rng.random(len(sites), np.float32)
+            activation[afferent, sites] = rng.random(len(sites), np.float32)
             # From zero to full in a second.
             intensity = min(step / 50, 1.0)
             image = TactileImage(activation, step * 20_000_000, 1.0)
             sequence = scan.schedule(image, intensity)
-            sent[board.send(sequence)] = sequence, activation[primary], intensity
+            sent[board.send(sequence)] = sequence, activation[afferent], intensity
         board.drain()
         numbers, width_us, current_ua = board.take_pulses()
         report = board.report()
@@ -36,8 +36,8 @@ def test_delivered_currents_do_what_was_planned(profile, bank, primary):
     assert not current_ua.sum(axis=1, dtype=int).any()
     assert np.abs(current_ua).max() <= 1000 * limits.current_ma
     assert np.abs(current_ua.astype(int)).sum(axis=1).max() <= 2 * 1000 * limits.total_ma
-    rows = Problem(profile, primary).rows[0]
-    alone_af = profile.full_ma * (rows.target[0] * bank.kernels(primary)).sum(axis=1)
+    rows = Problem(profile, afferent).rows[0]
+    alone_af = profile.full_ma * (rows.target[0] * bank.kernels(afferent)).sum(axis=1)
     faintest = profile.threshold_ma / profile.full_ma
     shared = 0
     for number, (sequence, activation, intensity) in sent.items():

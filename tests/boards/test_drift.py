@@ -11,7 +11,7 @@ from collections import deque
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.books import Books, read_slots
+from smarttouch.boards.emulator.delivery_log import DeliveryLog, read_slots
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.skin import COMPLIANCE_V
@@ -35,7 +35,7 @@ class ToldLink:
     """A link board that measures, one thread with its host: a sequence takes the time it says."""
 
     def __init__(self, limits, kind, folder, events):
-        self.books = Books(limits.electrodes, folder)
+        self.books = DeliveryLog(limits.electrodes, folder)
         finger = Finger(limits.electrodes, events)
         self._firmware = LinkFirmware(limits.electrodes, kind, self.books, finger)
         self._gate, self._kind = SafetyGate(limits), kind

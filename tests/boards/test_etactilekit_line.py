@@ -7,12 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.boards import etactilekit_line
-from smarttouch.boards.books import HostBooks
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
 from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.etactilekit import ETactileKitBoard
+from smarttouch.boards.host_statistics import HostStatistics
 from smarttouch.errors import BoardError
 from smarttouch.stimulation.safety import SafetyLimits
 from tests.boards.told import ToldClock, ToldPort
@@ -39,7 +39,7 @@ class Meeting:
         self.clock = ToldClock(late_us=0)
         patch.setattr(etactilekit_line.time, "sleep", self.clock.sleep)
         patch.setattr(etactilekit_line.time, "monotonic", self.clock.monotonic)
-        self.books = Books(8)
+        self.books = DeliveryLog(8)
         self.board = board or ETactileKitFirmware(self.books, firmware=firmware)
         self.port = ToldPort(self.board, self.clock)
         patch.setattr(etactilekit_line, "open_port", lambda _: self.port)
@@ -47,7 +47,7 @@ class Meeting:
         self.driver = ETactileKitBoard("told" + option, LIMITS)
         self.driver._clock, self.driver._pause = self.clock, self.clock.sleep
         self.driver._serial = self.port
-        self.driver._books = HostBooks(8)
+        self.driver._books = HostStatistics(8)
 
     def leave(self, text):
         self.clock.time_ns += 5_000_000
@@ -133,7 +133,7 @@ def test_no_probe_ever_makes_a_board_pulse(firmware, noise, half, losses):
 
 @pytest.mark.parametrize("other", ["kajimoto61", "link", "silent"])
 def test_another_board_gets_nothing_that_it_could_obey(meet, other):
-    books = Books(61 if other == "kajimoto61" else 8)
+    books = DeliveryLog(61 if other == "kajimoto61" else 8)
     board = {
         "kajimoto61": lambda: Kajimoto61Firmware(books),
         "link": lambda: LinkFirmware(8, "one-against-all", books),

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
 from smarttouch.boards.etactilekit_wire import HeightCodec, ModeCodec, Settings, settings_of
 from smarttouch.boards.probe import one_each
@@ -158,7 +158,7 @@ def test_a_lost_byte_never_brings_more_current_than_was_asked_for(codec, firmwar
     ]
     which = data.draw(st.integers(0, 3))
     where = data.draw(st.integers(0, len(messages[which]) - 1))
-    books = Books(4)
+    books = DeliveryLog(4)
     board = ETactileKitFirmware(books, firmware=firmware)
     board.feed(b"\xfc\x04", 1_000_000)
     now_ns = 2_000_000

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from smarttouch.boards.emulator.books import read_state
+from smarttouch.boards.emulator.delivery_log import read_state
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.link import LinkBoard
 from smarttouch.boards.link_protocol import Kind

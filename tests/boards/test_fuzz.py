@@ -11,7 +11,7 @@ import pytest
 
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.discovery import parse_answer
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
@@ -88,7 +88,7 @@ def test_events():
 
 
 def firmware(name):
-    books = Books({"kajimoto61": 61}.get(name, 4))
+    books = DeliveryLog({"kajimoto61": 61}.get(name, 4))
     if name == "link":
         # Always the same challenge, so that each BEGIN after a silence opens a session.
         return LinkFirmware(4, "weighted", books, session=BoardSession(lambda: HALF))

@@ -70,7 +70,7 @@ class Vibrated(test_contract.Contract):
         with make_board() as board:
             assert board.capabilities == replace(self.board.capabilities, vibrates=True)
             assert board.timing is self.board.timing
-            assert board.waits_for_nothing is self.board.waits_for_nothing
+            assert board.simulated_time is self.board.simulated_time
             for name in ("acknowledged", "refused", "replaced", "force_n", "lifted"):
                 value = object()
                 setattr(self.board, name, value)

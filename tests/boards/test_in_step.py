@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from smarttouch.boards.board import make_board
-from smarttouch.boards.emulator.books import read_slots
+from smarttouch.boards.emulator.delivery_log import read_slots
 from smarttouch.boards.probe import one_each
 from smarttouch.stimulation.safety import SafetyLimits
 from tests.boards.told import MS, ToldKit

@@ -12,7 +12,7 @@ from collections import deque
 
 import pytest
 
-from smarttouch.boards.emulator.books import read_state
+from smarttouch.boards.emulator.delivery_log import read_state
 from smarttouch.errors import BoardError, BoardRestartedError
 from tests.boards.fresh import HANGS_S
 

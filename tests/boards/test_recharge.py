@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smarttouch.boards.board import make_board
-from smarttouch.boards.emulator.books import read_recharges, read_slots, read_state
+from smarttouch.boards.emulator.delivery_log import read_recharges, read_slots, read_state
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.recharge import RechargeRules, add_recharge

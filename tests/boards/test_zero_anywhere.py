@@ -2,7 +2,7 @@
 
 import pytest
 
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
 from smarttouch.boards.etactilekit_wire import HeightCodec, ModeCodec, Settings
 
@@ -27,7 +27,7 @@ class Kit:
 
     def drives_after(self, *parts):
         """Return whether it pulses on after bytes that come a scan apart."""
-        books = Books(OUTPUTS)
+        books = DeliveryLog(OUTPUTS)
         board = ETactileKitFirmware(books, firmware=self.firmware)
         now_ns = 0
         for part in parts:

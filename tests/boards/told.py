@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from smarttouch.boards import etactilekit_line
-from smarttouch.boards.books import HostBooks
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
 from smarttouch.boards.etactilekit import ETactileKitBoard
+from smarttouch.boards.host_statistics import HostStatistics
 from smarttouch.boards.streamed import Job
 
 US, MS = 1000, 1_000_000
@@ -105,7 +105,7 @@ class ToldPort:
 
 
 @dataclass
-class ScanBooks(Books):
+class ScanBooks(DeliveryLog):
     """Books that keep what each scan did: the height in counts of each electrode it pulsed."""
 
     scans: dict = field(default_factory=dict)
@@ -137,7 +137,7 @@ class ToldKit:
         self.driver = ETactileKitBoard(f"told?firmware={firmware}", limits)
         self.driver._clock, self.driver._pause = self.clock, self.clock.sleep
         self.driver._serial = self.port
-        self.driver._books = HostBooks(limits.electrodes)
+        self.driver._books = HostStatistics(limits.electrodes)
         self.driver._greet()
 
     late_ns = 0

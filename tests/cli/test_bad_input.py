@@ -18,7 +18,7 @@ from smarttouch.errors import (
     ProfileError,
     RecordingError,
     ScheduleError,
-    SensorError,
+    SourceError,
 )
 from smarttouch.profile import load_profile
 from smarttouch.profile.load import profile_path
@@ -78,7 +78,7 @@ def no_place(name):
         ("live --sensor text:", says(PageError, "text:")),
         (
             "live --sensor radio:5",
-            says(SensorError, about="source", problem="unknown", value="radio:5"),
+            says(SourceError, about="source", problem="unknown", value="radio:5"),
         ),
         ("live --profile nobody", says(ProfileError, "'nobody'", "electric-mouse")),
         (
@@ -110,8 +110,8 @@ def no_place(name):
         ("live --rate 1000", says(ScheduleError, " 1000 Hz", "200 Hz")),
         ("live --rate nan", says(ScheduleError, " nan Hz", "200 Hz")),
         ("live --seconds -1", says(about="seconds", value=-1, allowed=0)),
-        ("live --speed 0", says(SensorError, "--speed 0 ", "0.1", "500 mm/s")),
-        ("live --path missing.csv", no_file(SensorError, "missing.csv")),
+        ("live --speed 0", says(SourceError, "--speed 0 ", "0.1", "500 mm/s")),
+        ("live --path missing.csv", no_file(SourceError, "missing.csv")),
         ("live --record taken.mcap", says(RecordingError, "taken.mcap")),
         ("live --felt nowhere/felt.png", no_place("nowhere/felt.png")),
         ("live --json .", no_place(".")),

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.books import read_recharges, read_state
+from smarttouch.boards.emulator.delivery_log import read_recharges, read_state
 from smarttouch.errors import BoardError
 
 from .conftest import refused, says

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from smarttouch.boards.emulator.books import STATE_FILE, read_slots, read_state
+from smarttouch.boards.emulator.delivery_log import STATE_FILE, read_slots, read_state
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_session import HostSession
 from smarttouch.errors import BoardError

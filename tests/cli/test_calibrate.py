@@ -13,13 +13,13 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from smarttouch.boards.emulator.books import read_state
+from smarttouch.boards.emulator.delivery_log import read_state
 from smarttouch.calibrate.progress import Progress
 from smarttouch.calibrate.simulated import SimulatedPatch
 from smarttouch.calibrate.target import target_for
 from smarttouch.calibrate.view import View
 from smarttouch.cli.calibrate import calibrate
-from smarttouch.errors import BoardError, CalibrationError, ProfileError, SensorError
+from smarttouch.errors import BoardError, CalibrationError, ProfileError, SourceError
 from smarttouch.profile import load_profile
 from smarttouch.sources.flat_field import FlatField
 
@@ -266,9 +266,9 @@ def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
         (["optics", "--dark", "frames:none"], wrong("--white", about="--source")),
         (
             ["optics", "--sensor", "nothing:", "--yes"],
-            says(SensorError, about="source", problem="unknown", value="nothing:"),
+            says(SourceError, about="source", problem="unknown", value="nothing:"),
         ),
-        (["optics", "--sensor", "frames:none", "--yes"], says(SensorError, " none:")),
+        (["optics", "--sensor", "frames:none", "--yes"], says(SourceError, " none:")),
         (["registration"], wrong(about="--source", problem="missing", remedy="--simulate")),
         (
             ["registration", "--center", "left"],

@@ -11,7 +11,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from smarttouch.cli.color import color
-from smarttouch.errors import ScheduleError, SensorError, SmartTouchError
+from smarttouch.errors import ScheduleError, SmartTouchError, SourceError
 from smarttouch.recording.check import assert_replays
 
 from ..raising import raises
@@ -152,7 +152,7 @@ def test_without_force_there_is_no_current(run_color):
 
 def test_a_finger_on_the_board_needs_a_word_on_force(run_color, monkeypatch):
     monkeypatch.setattr("smarttouch.boards.emulator.simulated.SimulatedBoard.on_a_finger", True)
-    with raises(SensorError, about="force", problem="missing", remedy="--force"):
+    with raises(SourceError, about="force", problem="missing", remedy="--force"):
         run_color("tone:30Hz,9um", "--intensity", "1", "--board", "simulated:")
 
 

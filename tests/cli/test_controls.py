@@ -10,7 +10,7 @@ import time
 import pytest
 from PIL import Image
 
-from smarttouch.errors import ScheduleError, SensorError
+from smarttouch.errors import ScheduleError, SourceError
 from smarttouch.recording.reader import Recording
 
 from .conftest import refused, says
@@ -103,7 +103,7 @@ def test_nobody_knows_the_force(program_here, tmp_path):
 
     Image.new("L", (64, 64), 255).save(tmp_path / "frames" / "1.png")
     done = program_here("live", "--sensor", "frames:frames", "--board", "memory:")
-    says(SensorError, about="force", problem="missing", remedy="--force")(refused(done))
+    says(SourceError, about="force", problem="missing", remedy="--force")(refused(done))
 
 
 @pytest.mark.parametrize(
@@ -121,12 +121,12 @@ def test_nobody_knows_the_force(program_here, tmp_path):
         (("--intensity", "1.2"), says(about="intensity", value=1.2, allowed=(0, 1))),
         (("--softness", "nan"), says(about="softness", value=math.isnan, allowed=(0, 1))),
         (("--size", "640"), says(about="--size", problem="malformed", value="640")),
-        (("--exposure", "3"), says(SensorError, "page:", " exposure:", "dpi")),
+        (("--exposure", "3"), says(SourceError, "page:", " exposure:", "dpi")),
         (
             ("--mode", "natural", "--rate", "50"),
             says(ScheduleError, " 50 Hz", "pulse.ra_rate_hz", "pulse.sai_rate_hz"),
         ),
-        (("--force", "cell:"), says(SensorError, about="force", problem="unknown", value="cell:")),
+        (("--force", "cell:"), says(SourceError, about="force", problem="unknown", value="cell:")),
     ],
 )
 def test_what_cannot_be_asked_for(program_here, arguments, wrong):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError, ProfileError, SmartTouchError
-from smarttouch.primary import Primary
 
 from .conftest import refused, says
 
@@ -54,7 +54,7 @@ def test_all_modes_of_all_sites(designed):
     printed, table = designed("--profile=line-7")
     assert "3.0396" in printed
     named = [(kernel["mode"], kernel["site"]) for kernel in table["kernels"]]
-    assert named == [(mode.name, site) for mode in Primary for site in range(7)]
+    assert named == [(mode.name, site) for mode in Afferent for site in range(7)]
 
 
 def test_all_sites_of_the_default_are_confined(designed):

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from smarttouch.afferent import Mode
 from smarttouch.cli.blind_screen import BlindScreen
 from smarttouch.errors import ExperimentError
 from smarttouch.events import FingerLifted, TrialEvent
 from smarttouch.files import open_alone
-from smarttouch.primary import Mode
 from smarttouch.psychophysics.rows import read_rows
 from smarttouch.recording.reader import Recording
 from smarttouch.running.controls import Controls, ControlState

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from smarttouch import cli
-from smarttouch.boards.emulator.books import read_state
+from smarttouch.boards.emulator.delivery_log import read_state
 from smarttouch.running.pipeline import Pipeline
 
 pytestmark = pytest.mark.realtime

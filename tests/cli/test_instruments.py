@@ -8,14 +8,14 @@ import pytest
 from PIL import Image
 from scipy.io import wavfile
 
-from smarttouch.primary import Mode, Primary
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.recording.check import check_recording
 from smarttouch.recording.reader import Recording
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.step import StepResult
 from smarttouch.sources.stimulus import Stimulus
-from smarttouch.stimulation.frames import Sharing
+from smarttouch.stimulation.frames import SlotPolicy
 
 from ..test_markers import FakeLsl
 
@@ -74,9 +74,9 @@ def test_markers_are_told_of_a_run(program_here, monkeypatch):
 
 
 def test_the_screen_shows_every_point_of_a_slot(profile, bank):
-    pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan=Sharing((Primary.RA,))))
+    pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan=SlotPolicy((Afferent.RA,))))
     activation = np.zeros((3, 64), np.float32)
-    activation[Primary.RA, [9, 11, 13, 27, 29]] = 1
+    activation[Afferent.RA, [9, 11, 13, 27, 29]] = 1
     for time_ns in (0, 10**9, 2 * 10**9):
         step = pipeline.process(Stimulus(activation, time_ns, 0.9, 20_000))
     assert 0 < step.sequence.slots < 5

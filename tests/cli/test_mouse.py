@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.errors import PageError, SensorError
+from smarttouch.errors import PageError, SourceError
 
 from ..texture.touched import object_file
 from .conftest import refused, says
@@ -89,17 +89,17 @@ def test_what_was_felt_replays_to_the_bit(program_here, tmp_path):
             says(PageError, about="file", problem="missing", value=Path("none.png")),
         ),
         (["--texture", "grating:x"], says(PageError, "'grating:x'", "grating:4mm,30deg")),
-        (["--motion", "wheel:"], says(SensorError, "'wheel:'", "evdev:", "sweep:", "window:")),
+        (["--motion", "wheel:"], says(SourceError, "'wheel:'", "evdev:", "sweep:", "window:")),
         (
             ["--motion", "evdev:/dev/null"],
-            says(SensorError, "/dev/null" if find_spec("evdev") else "smarttouch[mouse]"),
+            says(SourceError, "/dev/null" if find_spec("evdev") else "smarttouch[mouse]"),
         ),
-        (["--motion", "sweep:", "--cpi", "400"], says(SensorError, "sweep:", " cpi:", "span_mm")),
-        (["--speed", "0"], says(SensorError, "--speed 0 ", " 1000 mm/s")),
-        (["--rate", "300"], says(SensorError, "--rate 300 ", " 10 to 200 ")),
-        (["--fastest", "80"], says(SensorError, "--fastest 80 ", " 50,", "--rate")),
-        (["--scale", "-1"], says(SensorError, "--scale -1 ")),
-        (["--mode", "natural"], says(SensorError, "--mode natural ", "RA, SAI")),
+        (["--motion", "sweep:", "--cpi", "400"], says(SourceError, "sweep:", " cpi:", "span_mm")),
+        (["--speed", "0"], says(SourceError, "--speed 0 ", " 1000 mm/s")),
+        (["--rate", "300"], says(SourceError, "--rate 300 ", " 10 to 200 ")),
+        (["--fastest", "80"], says(SourceError, "--fastest 80 ", " 50,", "--rate")),
+        (["--scale", "-1"], says(SourceError, "--scale -1 ")),
+        (["--mode", "natural"], says(SourceError, "--mode natural ", "RA, SAI")),
         (["--mode", "XY"], says(about="--mode", problem="unknown", value="XY")),
         (["--seconds", "0"], says(about="seconds", value=0, allowed=0)),
         (

@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.cli.screen import _ArrayLayout, _beside, _given
-from smarttouch.primary import Primary
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.step import StepResult
 from smarttouch.sources.stimulus import Stimulus
-from smarttouch.stimulation.frames import NO_SHARING, Sharing
+from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy
 
 
-@pytest.fixture(params=[NO_SHARING, Sharing((Primary.RA,), planned=False)])
+@pytest.fixture(params=[NO_SHARING, SlotPolicy((Afferent.RA,), planned=False)])
 def sent(request, make_frame, profile, bank):
     image = np.full((64, 64), 255, np.uint8)
     image[20:44, 20:44] = 0
@@ -49,7 +49,7 @@ def test_what_shared_slots_do_is_told(sent):
 
 def test_where_there_is_no_image_the_activation_is_drawn(profile, bank):
     activation = np.zeros((3, 64), np.float32)
-    activation[Primary.RA, [9, 27]] = 1, 0.5
+    activation[Afferent.RA, [9, 27]] = 1, 0.5
     pipeline = Pipeline(profile, bank, RunConfig())
     step = pipeline.process(Stimulus(activation, 0, 1.0, 20_000))
     shown = str(_given(StepResult(step, 1, 0.0), _ArrayLayout(profile)))

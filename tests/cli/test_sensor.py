@@ -14,7 +14,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from smarttouch.cli.sensor import sensor
-from smarttouch.errors import ProfileError, SensorError
+from smarttouch.errors import ProfileError, SourceError
 
 from .conftest import says
 
@@ -56,11 +56,11 @@ def test_a_force_is_shown(run, tmp_path):
     [
         (
             ["show", "nothing:"],
-            says(SensorError, about="source", problem="unknown", value="nothing:"),
+            says(SourceError, about="source", problem="unknown", value="nothing:"),
         ),
         (
             ["show", "text:x", "--force"],
-            says(SensorError, about="force", problem="unknown", value="text:x"),
+            says(SourceError, about="force", problem="unknown", value="text:x"),
         ),
         (
             ["show", "text:x", "--seconds", "0"],
@@ -74,7 +74,7 @@ def test_a_force_is_shown(run, tmp_path):
             ["show", "text:x", "--save", "no/where.png"],
             says(about="file", problem="unwritable", value=Path("no/where.png")),
         ),
-        (["show", "text:x", "--baud", "9600"], says(SensorError, "text:", " baud:", "seed")),
+        (["show", "text:x", "--baud", "9600"], says(SourceError, "text:", " baud:", "seed")),
         (
             ["show", "text:x", "--size", "9"],
             says(about="--size", problem="malformed", value="9"),
@@ -84,10 +84,10 @@ def test_a_force_is_shown(run, tmp_path):
             says(about="--force", problem="conflict"),
         ),
         (["show", "text:x", "--profile", "none"], says(ProfileError, "'none'")),
-        (["show", "serial-array:/dev/nowhere"], says(SensorError, "/dev/nowhere")),
+        (["show", "serial-array:/dev/nowhere"], says(SourceError, "/dev/nowhere")),
         (
             ["show", "hx711:/dev/nowhere", "--force"],
-            says(SensorError, "electric-mouse", "force.curve", "0.00980665"),
+            says(SourceError, "electric-mouse", "force.curve", "0.00980665"),
         ),
         (
             ["emulate", "mouse"],

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from smarttouch.boards.emulator.books import read_state
+from smarttouch.boards.emulator.delivery_log import read_state
 from smarttouch.wire.pty_line import PtyLine
 
 from .conftest import PROGRAM

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.delivered.drawing import PageDrawing
 from smarttouch.documents.page_image import Page
 from smarttouch.errors import SmartTouchError
-from smarttouch.primary import Mode, Primary
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.sources.stimulus import Stimulus
@@ -26,7 +26,7 @@ def drawing(profile, make_bank):
     """An array whose receptors answer only to anodic current of their own electrode."""
     own = -np.eye(64, dtype=np.float32)
     return PageDrawing(
-        profile, make_bank(own, own), (Primary.RA,), Page(np.full((200, 300), 255, np.uint8), 0.1)
+        profile, make_bank(own, own), (Afferent.RA,), Page(np.full((200, 300), 255, np.uint8), 0.1)
     )
 
 
@@ -124,7 +124,7 @@ def test_off_the_page_is_left_out(drawing):
 def test_where_nothing_was_seen_the_touch_is_drawn_alone(profile, make_bank, tmp_path):
     own, sheets = -np.eye(64, dtype=np.float32), []
     for image in (None, np.zeros((2, 2), np.uint8)):
-        drawing = PageDrawing(profile, make_bank(own, own), (Primary.RA,), None)
+        drawing = PageDrawing(profile, make_bank(own, own), (Afferent.RA,), None)
         result = at(1, 12.0, 9.0)
         stimulus = Stimulus(
             np.zeros((3, 64), np.float32), 1, 1.0, 20_000, pose=Pose(12, 9), image=image

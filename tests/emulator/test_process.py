@@ -14,7 +14,7 @@ import time
 import pytest
 import serial
 
-from smarttouch.boards.emulator.books import read_slots, read_state
+from smarttouch.boards.emulator.delivery_log import read_slots, read_state
 from smarttouch.emulator.__main__ import main
 from smarttouch.sources import open_source
 from smarttouch.sources.forces.force import open_force

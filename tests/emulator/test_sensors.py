@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smarttouch.emulator.sensors import LoadCell, SensorArray, look_at_page, look_at_pattern, press
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.sources.forces.readings import TextReadings
 from smarttouch.sources.sensor_protocol import ArrayFrame, CellReading, Info, MessageStream
 
@@ -48,7 +48,7 @@ def test_an_array_reads_a_page_again_and_again(profile):
     assert look(0.0).shape == look(1000.0).shape == (16, 24)
     assert max(np.ptp(look(time_s)) for time_s in np.arange(0, 3, 0.02)) > 100
     allowed = ("page", "text")
-    with raises(SensorError, about="--sensor", value="camera:0", allowed=allowed):
+    with raises(SourceError, about="--sensor", value="camera:0", allowed=allowed):
         look_at_page("camera:0", profile, 16, 16)
 
 

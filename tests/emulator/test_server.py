@@ -9,7 +9,7 @@ from smarttouch.boards.emulator.firmware import Firmware
 from smarttouch.emulator import sensors
 from smarttouch.emulator.sensors import LoadCell, SensorArray, SensorFirmware, press
 from smarttouch.emulator.server import FAULTS, Server, faults_at
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.sources.forces.readings import TextReadings
 from smarttouch.sources.sensor_protocol import MessageStream
 from smarttouch.wire.pty_line import PtyLine
@@ -55,7 +55,7 @@ class Counter(SensorFirmware):
 
 
 def parse_fault(text):
-    return parse(text, FAULTS, SensorError)
+    return parse(text, FAULTS, SourceError)
 
 
 def make_server(device=None, line=None, faults=(), count=None, orders=()):
@@ -170,16 +170,16 @@ def test_events(text, fault):
     ],
 )
 def test_what_is_no_event(text, problem):
-    with raises(SensorError, about="event", problem=problem, value=text):
+    with raises(SourceError, about="event", problem=problem, value=text):
         parse_fault(text)
 
 
 def test_orders_that_cannot_be():
     cell = LoadCell(press(0.0, None, None))
-    with raises(SensorError, about="order", problem="malformed", value="x"):
+    with raises(SourceError, about="order", problem="malformed", value="x"):
         cell.take_order(["force", "x"])
     server, _ = make_server()
-    with raises(SensorError, about="event", problem="impossible", value="unplug"):
+    with raises(SourceError, about="event", problem="impossible", value="unplug"):
         server._add(Event(0, "unplug"))
 
 

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.imaging.mapping import TactileMapper, Tone
-from smarttouch.primary import Mode, Primary
 from smarttouch.reading.window import profile_for_reading
 from smarttouch.sources.frame import Frame, Pose
 
 
 def mapped(profile, image, tone=None):
     mapper = TactileMapper(profile, tone=tone)
-    return mapper.map(Frame(image, 0, Pose(0, 0), 1.0), Mode.RA).activation[Primary.RA]
+    return mapper.map(Frame(image, 0, Pose(0, 0), 1.0), Mode.RA).activation[Afferent.RA]
 
 
 @pytest.fixture

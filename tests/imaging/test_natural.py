@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.imaging.natural import FAINTEST_CHANGE, LEAVING, NaturalDrive
-from smarttouch.primary import Primary
 
 
 def follow(drive, images, touching=True, start_ns=0):
@@ -17,8 +17,8 @@ def follow(drive, images, touching=True, start_ns=0):
         rows.append(activation)
     rows = np.stack(rows)
     assert ((rows >= 0) & (rows <= 1)).all()
-    assert not rows[:, Primary.PC].any()
-    return rows[:, Primary.RA], rows[:, Primary.SAI]
+    assert not rows[:, Afferent.PC].any()
+    return rows[:, Afferent.RA], rows[:, Afferent.SAI]
 
 
 def test_a_step_is_a_change_and_then_stays():

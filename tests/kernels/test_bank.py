@@ -10,6 +10,7 @@ import zipfile
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.kernels import bank as banks
 from smarttouch.kernels.bank import (
@@ -23,7 +24,6 @@ from smarttouch.kernels.bank import (
 from smarttouch.kernels.batch import design_sites
 from smarttouch.kernels.design import design_kernel
 from smarttouch.kernels.problem import Problem
-from smarttouch.primary import Primary
 from smarttouch.profile import list_profiles, load_profile
 
 from ..raising import raises
@@ -52,17 +52,17 @@ def test_shipped_banks_answer_their_profiles(name, cache, no_design):
     profile = load_profile(name)
     bank = load_bank(profile)
     count = len(profile.electrodes)
-    for primary, weights in bank.weights.items():
-        assert weights.shape == bank.receptor[primary].shape == (count, count)
+    for afferent, weights in bank.weights.items():
+        assert weights.shape == bank.receptor[afferent].shape == (count, count)
         assert np.abs(weights.sum(axis=1)).max() < 1e-9
-        assert (weights * bank.receptor[primary]).sum(axis=1) == pytest.approx(
+        assert (weights * bank.receptor[afferent]).sum(axis=1) == pytest.approx(
             np.ones(count), rel=1e-4
         )
-        assert np.abs(bank.kernels(primary)).max(axis=1) == pytest.approx(np.ones(count))
+        assert np.abs(bank.kernels(afferent)).max(axis=1) == pytest.approx(np.ones(count))
         own = np.diag(weights)
-        if primary is Primary.RA:
+        if afferent is Afferent.RA:
             assert np.all(own < 0)
-        elif primary is Primary.SAI:
+        elif afferent is Afferent.SAI:
             assert np.all(own > 0)
     assert not cache.exists()
 
@@ -70,24 +70,26 @@ def test_shipped_banks_answer_their_profiles(name, cache, no_design):
 @pytest.mark.parametrize("name", ["electric-mouse", "line-7", "line-8"])
 def test_weighted_kernels_are_confined(name):
     bank = load_bank(load_profile(name))
-    for primary in (Primary.RA, Primary.SAI):
-        assert bank.own_spill[primary].max() <= 0.2 + 1e-5
+    for afferent in (Afferent.RA, Afferent.SAI):
+        assert bank.spill[afferent].max() <= 0.2 + 1e-5
 
 
 def test_total_current_is_limited_in_every_kernel():
     for name in ("electric-mouse", "optacon-24x6"):
         profile = load_profile(name)
-        for primary in Primary:
-            source = np.abs(load_bank(profile).kernels(primary)).sum(axis=1) / 2 * 2.4
+        for afferent in Afferent:
+            source = np.abs(load_bank(profile).kernels(afferent)).sum(axis=1) / 2 * 2.4
             assert source.max() < profile.limits.total_ma
 
 
-@pytest.mark.parametrize(("primary", "site"), [(Primary.RA, 0), (Primary.SAI, 27), (Primary.PC, 9)])
-def test_shipped_kernels_can_be_reproduced(profile, bank, primary, site):
-    kernel = design_kernel(Problem(profile, primary), site)
+@pytest.mark.parametrize(
+    ("afferent", "site"), [(Afferent.RA, 0), (Afferent.SAI, 27), (Afferent.PC, 9)]
+)
+def test_shipped_kernels_can_be_reproduced(profile, bank, afferent, site):
+    kernel = design_kernel(Problem(profile, afferent), site)
     strongest = np.abs(kernel.weights).max()
-    assert bank.weights[primary][site] == pytest.approx(kernel.weights, abs=1e-6 * strongest)
-    assert bank.worst_other[primary][site] == pytest.approx(kernel.worst_other, abs=1e-6)
+    assert bank.weights[afferent][site] == pytest.approx(kernel.weights, abs=1e-6 * strongest)
+    assert bank.off_target[afferent][site] == pytest.approx(kernel.off_target, abs=1e-6)
 
 
 def test_three_states_share_one_source():
@@ -100,12 +102,12 @@ def test_three_states_share_one_source():
 
 def test_one_against_all_offers_its_polarity_only():
     bank = load_bank(load_profile("kajimoto-61"))
-    row = bank.kernels(Primary.RA)[30]
+    row = bank.kernels(Afferent.RA)[30]
     assert row[30] == -1
     assert np.delete(row, 30) == pytest.approx(np.full(60, 1 / 60))
-    only_ra = {"problem": "impossible", "value": Primary.SAI, "allowed": (Primary.RA,)}
+    only_ra = {"problem": "impossible", "value": Afferent.SAI, "allowed": (Afferent.RA,)}
     with raises(DesignError, about="mode", **only_ra) as caught:
-        bank.kernels(Primary.SAI)
+        bank.kernels(Afferent.SAI)
     assert "RA (" in str(caught.value), "with what it reaches elsewhere"
 
 
@@ -125,8 +127,8 @@ def test_a_profile_of_one_s_own_is_designed_once(cache, mine, monkeypatch):
     assert told[-1][0] == told[-1][1] > 0
     monkeypatch.setattr(banks, "design_bank", None)
     again = load_bank(mine)
-    for primary in first.weights:
-        assert np.array_equal(first.weights[primary], again.weights[primary])
+    for afferent in first.weights:
+        assert np.array_equal(first.weights[afferent], again.weights[afferent])
 
 
 def test_an_interrupted_bank_goes_on_where_it_was(tmp_path, mine):
@@ -146,8 +148,8 @@ def test_an_interrupted_bank_goes_on_where_it_was(tmp_path, mine):
     assert told[0][0] > 2
     assert list(tmp_path.iterdir()) == [path]
     whole = load_bank(mine)
-    for primary in whole.weights:
-        assert bank.weights[primary] == pytest.approx(whole.weights[primary])
+    for afferent in whole.weights:
+        assert bank.weights[afferent] == pytest.approx(whole.weights[afferent])
 
 
 @pytest.mark.parametrize("junk", [b"", b"PK\x03\x04 not really", b"\0" * 100])
@@ -155,7 +157,7 @@ def test_a_broken_cache_is_designed_anew(cache, mine, junk):
     cache.mkdir()
     path = cache / f"{problem_hash(mine)}.npz"
     path.write_bytes(junk)
-    assert Primary.RA in load_bank(mine).weights
+    assert Afferent.RA in load_bank(mine).weights
     assert path.stat().st_size > 500
 
 
@@ -167,7 +169,7 @@ def test_a_bank_of_another_problem_is_not_taken(tmp_path, mine):
 def test_an_unwritable_cache_is_no_error(tmp_path, mine, monkeypatch):
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setattr("platformdirs.user_cache_path", lambda _: tmp_path / "file" / "cache")
-    assert Primary.RA in load_bank(mine).weights
+    assert Afferent.RA in load_bank(mine).weights
 
 
 def test_optics_and_force_do_not_matter_to_kernels(profile):
@@ -195,33 +197,33 @@ def test_a_bank_around_masked_electrodes(name, keys, changed):
     masked = [1, 5]
     mine = changed(load_profile(name), keys | {"output.masked": masked})
     bank, count = design_bank(mine), len(mine.electrodes)
-    for primary, weights in bank.weights.items():
-        assert weights.shape == bank.receptor[primary].shape == (count, count)
+    for afferent, weights in bank.weights.items():
+        assert weights.shape == bank.receptor[afferent].shape == (count, count)
         assert not weights[masked].any()
         assert not weights[:, masked].any()
         assert np.abs(weights.sum(axis=1)).max() < 1e-9
-        assert np.abs(bank.kernels(primary)).max(axis=1)[mine.driven] == pytest.approx(1)
-        assert not bank.kernels(primary)[masked].any()
-        fired = (weights * bank.receptor[primary]).sum(axis=1)
+        assert np.abs(bank.kernels(afferent)).max(axis=1)[mine.driven] == pytest.approx(1)
+        assert not bank.kernels(afferent)[masked].any()
+        fired = (weights * bank.receptor[afferent]).sum(axis=1)
         assert fired[mine.driven] == pytest.approx(1, rel=1e-4)
         none = {"problem": "masked", "value": 5, "remedy": "output.masked", "electrode": 5}
         with raises(DesignError, about="site", **none):
-            bank.kernel(primary, 5, "weighted")
-        assert bank.kernel(primary, 2, "weighted").worst_other > 0
+            bank.kernel(afferent, 5, "weighted")
+        assert bank.kernel(afferent, 2, "weighted").off_target > 0
 
 
 def test_kernels_around_one_electrode_stay_selective(profile, bank, changed):
     """What is left makes up for it: RA loses a sixth at its neighbors, SAI next to nothing."""
     masked, near = changed(profile, {"output.masked": [27]}), [18, 19, 20, 26, 28, 34, 35, 36]
-    for primary, loss in ((Primary.RA, 1.17), (Primary.SAI, 1.01)):
+    for afferent, loss in ((Afferent.RA, 1.17), (Afferent.SAI, 1.01)):
         kernels = [
-            kernel for kernel, _ in design_sites(Problem(masked, primary), design_kernel, near)
+            kernel for kernel, _ in design_sites(Problem(masked, afferent), design_kernel, near)
         ]
-        other = np.array([kernel.worst_other for kernel in kernels])
-        ratio = other / bank.worst_other[primary][near]
+        other = np.array([kernel.off_target for kernel in kernels])
+        ratio = other / bank.off_target[afferent][near]
         assert ratio.max() <= loss
         assert ratio.min() >= 1 - 1e-6, "fewer electrodes cannot do better"
-        assert max(kernel.own_spill for kernel in kernels) <= 0.2 + 1e-5
+        assert max(kernel.spill for kernel in kernels) <= 0.2 + 1e-5
 
 
 def test_shipped_banks_lie_where_the_package_looks():
@@ -268,9 +270,9 @@ def test_no_mutant_of_a_bank_is_more_than_no_bank(tmp_path):
         found = banks._read(path, profile)
         if found is not None:
             taken += 1
-            for primary in Primary:
-                assert found.kernels(primary).shape == (7, 7)
-                assert found.kernel(primary, 3, "weighted").weights.any()
+            for afferent in Afferent:
+                assert found.kernels(afferent).shape == (7, 7)
+                assert found.kernel(afferent, 3, "weighted").weights.any()
             assert whole.weights.keys() == found.weights.keys()
     assert taken < MUTANTS / 3
 
@@ -297,7 +299,7 @@ def test_a_bank_that_cannot_be_kept_is_used_all_the_same(cache, mine, monkeypatc
         raise OSError(28, os.strerror(28))
 
     monkeypatch.setattr(banks, "write_bank", full)
-    assert Primary.RA in load_bank(mine).weights
+    assert Afferent.RA in load_bank(mine).weights
     path = cache / "mine.npz"
     with raises(DesignError, about="file", problem="unwritable", value=path) as caught:
         make_bank(path, mine)

@@ -5,27 +5,27 @@ import json
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.kernels.batch import design_sites
 from smarttouch.kernels.design import design_kernel
 from smarttouch.kernels.problem import Problem
 from smarttouch.kernels.switching import design_three_state
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
 
 @pytest.fixture(scope="module")
 def problem():
-    return Problem(load_profile("smarttouch-4x4"), Primary.SAI)
+    return Problem(load_profile("smarttouch-4x4"), Afferent.SAI)
 
 
-@pytest.mark.parametrize("primary", list(Primary))
-def test_symmetry_gives_what_solving_each_site_gives(primary):
+@pytest.mark.parametrize("afferent", list(Afferent))
+def test_symmetry_gives_what_solving_each_site_gives(afferent):
     """RA alone may also be turned by a quarter, where there and back are not the same."""
-    problem = Problem(load_profile("smarttouch-4x4"), primary)
+    problem = Problem(load_profile("smarttouch-4x4"), afferent)
     assert problem.representative(15)[0] == 0
     for site, (kernel, _) in enumerate(design_sites(problem, design_kernel)):
         direct = design_kernel(problem, site)
-        assert kernel.worst_other == pytest.approx(direct.worst_other, abs=1e-8)
+        assert kernel.off_target == pytest.approx(direct.off_target, abs=1e-8)
         strongest = np.abs(direct.weights).max()
         assert kernel.weights == pytest.approx(direct.weights, abs=1e-4 * strongest)
         assert problem.target[site] @ kernel.weights == pytest.approx(1)
@@ -36,7 +36,7 @@ def test_measured_impedances_hold_at_every_site(changed):
     impedance = [1.0, 3.0, 0.5, 2.0, 1.0, 0.7]
     keys = {"array.rows": 2, "array.columns": 3, "output.impedance_kohm": impedance}
     profile = changed(load_profile("smarttouch-4x4"), keys)
-    for kernel, _ in design_sites(Problem(profile, Primary.RA), design_three_state):
+    for kernel, _ in design_sites(Problem(profile, Afferent.RA), design_three_state):
         for pole in (kernel.weights > 0, kernel.weights < 0):
             share = kernel.weights[pole] / profile.admittance[pole]
             assert share == pytest.approx(share[0])
@@ -83,7 +83,7 @@ def test_an_interrupted_design_goes_on_where_it_was(problem, tmp_path):
     assert told[-1] == (4, 4)
     for kernel, (fresh, _) in zip(kernels, design_sites(problem, design_kernel), strict=True):
         assert np.array_equal(kernel[0].weights, fresh.weights)
-        assert kernel[0].worst_other_class is fresh.worst_other_class
+        assert kernel[0].off_target_class is fresh.off_target_class
 
 
 @pytest.mark.parametrize("junk", ["", "{", "[]", "{}", json.dumps({"weights": [1.0]})])

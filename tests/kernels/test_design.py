@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.kernels.design import design_any_node, design_kernel
 from smarttouch.kernels.problem import Problem
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
 from ..raising import raises
@@ -32,18 +32,18 @@ def three_by_three(changed):
 
 @pytest.mark.parametrize("spill", [None, 0.2])
 @pytest.mark.parametrize(
-    ("primary", "spacing", "worst", "weights"),
+    ("afferent", "spacing", "worst", "weights"),
     [
-        (Primary.SAI, 1.0, 0.3025, [-0.191, -0.164, -0.145, 1]),
-        (Primary.SAI, 0.25, 0.3025, [-0.191, -0.164, -0.145, 1]),
-        (Primary.RA, 1.0, 0.1072, [0.168, 0.123, 0.209, -1]),
-        (Primary.RA, 0.25, 0.1173, [0.183, 0.139, 0.179, -1]),
+        (Afferent.SAI, 1.0, 0.3025, [-0.191, -0.164, -0.145, 1]),
+        (Afferent.SAI, 0.25, 0.3025, [-0.191, -0.164, -0.145, 1]),
+        (Afferent.RA, 1.0, 0.1072, [0.168, 0.123, 0.209, -1]),
+        (Afferent.RA, 0.25, 0.1173, [0.183, 0.139, 0.179, -1]),
     ],
 )
-def test_figure_8(line, changed, primary, spacing, worst, weights, spill):
-    problem = Problem(changed(line, {SPACING: spacing}), primary)
+def test_figure_8(line, changed, afferent, spacing, worst, weights, spill):
+    problem = Problem(changed(line, {SPACING: spacing}), afferent)
     kernel = design_kernel(problem, 3, spill)
-    assert kernel.worst_other == pytest.approx(worst, abs=5e-5)
+    assert kernel.off_target == pytest.approx(worst, abs=5e-5)
     assert kernel.peak_normalized == pytest.approx(weights + weights[-2::-1], abs=6e-4)
     assert abs(kernel.weights.sum()) < 1e-9
     assert problem.target[3] @ kernel.weights == pytest.approx(1, abs=1e-9)
@@ -51,11 +51,11 @@ def test_figure_8(line, changed, primary, spacing, worst, weights, spill):
 
 
 def test_pc_cannot_be_selected_and_is_symmetric(line):
-    problem = Problem(line, Primary.PC)
+    problem = Problem(line, Afferent.PC)
     kernel = design_kernel(problem, 3)
-    assert kernel.worst_other == pytest.approx(3.04, abs=5e-4)
+    assert kernel.off_target == pytest.approx(3.04, abs=5e-4)
     assert kernel.weights == pytest.approx(kernel.weights[::-1], abs=1e-9)
-    assert kernel.worst_other_class is Primary.RA, "SAI is pressed alike: the first is named"
+    assert kernel.off_target_class is Afferent.RA, "SAI is pressed alike: the first is named"
     assert (problem.axon(3) @ kernel.weights).max() == pytest.approx(1, abs=1e-6), "Eq. 11"
 
 
@@ -69,113 +69,114 @@ METHODS = [
 
 
 @pytest.mark.parametrize("options", METHODS, ids=str)
-@pytest.mark.parametrize("primary", list(Primary))
-def test_no_method_of_the_solver_gives_another_kernel(line, primary, options):
-    problem = Problem(line, primary)
+@pytest.mark.parametrize("afferent", list(Afferent))
+def test_no_method_of_the_solver_gives_another_kernel(line, afferent, options):
+    problem = Problem(line, afferent)
     usual, other = design_kernel(problem, 3), design_kernel(problem, 3, options=options)
-    assert other.worst_other == pytest.approx(usual.worst_other, abs=1e-8)
+    assert other.off_target == pytest.approx(usual.off_target, abs=1e-8)
     assert other.weights == pytest.approx(usual.weights, rel=1e-6)
 
 
 @pytest.mark.parametrize("options", METHODS, ids=str)
 def test_a_kernel_that_could_be_mirrored_is_not(profile, options):
     """PC within 10 mA has equal kernels on either side of its site: the inner one is taken."""
-    problem = Problem(profile, Primary.PC)
+    problem = Problem(profile, Afferent.PC)
     usual, other = design_kernel(problem, 27), design_kernel(problem, 27, options=options)
     assert other.weights == pytest.approx(usual.weights, abs=1e-6 * np.abs(usual.weights).max())
 
 
 @pytest.mark.parametrize("method", ["highs", "highs-ds", "highs-ipm"])
 @pytest.mark.parametrize("site", [0, 2, 3])
-@pytest.mark.parametrize("primary", list(Primary))
-def test_linprog_finds_the_same_optimum(line, whole_programme, primary, site, method):
-    problem = Problem(line, primary)
+@pytest.mark.parametrize("afferent", list(Afferent))
+def test_linprog_finds_the_same_optimum(line, whole_programme, afferent, site, method):
+    problem = Problem(line, afferent)
     kernel = design_kernel(problem, site)
-    best = max(kernel.worst_other, kernel.own_spill if kernel.own_spill > 0.2001 else 0)
+    best = max(kernel.off_target, kernel.spill if kernel.spill > 0.2001 else 0)
     shuffled = np.random.default_rng(site).permutation
     found = whole_programme(problem, site, method=method, order=shuffled)
     assert best == pytest.approx(found, rel=1e-6)
 
 
 @settings(max_examples=10, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.sampled_from(list(Primary)))
-def test_shuffled_rows_give_the_same_kernel(seed, primary):
-    problem = Problem(load_profile("line-7"), primary)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(list(Afferent)))
+def test_shuffled_rows_give_the_same_kernel(seed, afferent):
+    problem = Problem(load_profile("line-7"), afferent)
     usual = design_kernel(problem, 3)
     rows = problem.rows[0]
     order = np.random.default_rng(seed).permutation(len(rows.other))
     rows.other[:] = rows.other[order]
     problem.other_class = problem.other_class[order]
     shuffled = design_kernel(problem, 3)
-    assert shuffled.worst_other == pytest.approx(usual.worst_other, abs=1e-6)
-    assert shuffled.worst_other_class is usual.worst_other_class
+    assert shuffled.off_target == pytest.approx(usual.off_target, abs=1e-6)
+    assert shuffled.off_target_class is usual.off_target_class
     assert shuffled.weights == pytest.approx(usual.weights, rel=1e-4)
 
 
 @pytest.mark.parametrize("site", [0, 1, 4])
-@pytest.mark.parametrize("primary", list(Primary))
-def test_row_generation_misses_no_row(three_by_three, whole_programme, primary, site):
-    problem = Problem(three_by_three, primary)
+@pytest.mark.parametrize("afferent", list(Afferent))
+def test_row_generation_misses_no_row(three_by_three, whole_programme, afferent, site):
+    problem = Problem(three_by_three, afferent)
     kernel = design_kernel(problem, site)
-    best = max(kernel.worst_other, kernel.own_spill if kernel.own_spill > 0.2001 else 0)
+    best = max(kernel.off_target, kernel.spill if kernel.spill > 0.2001 else 0)
     assert best == pytest.approx(whole_programme(problem, site), rel=1e-6)
 
 
 def test_two_nerves_are_easier_than_three(line):
     """Eq. 10 against Eq. 16."""
-    three = design_kernel(Problem(line, Primary.SAI), 3)
+    three = design_kernel(Problem(line, Afferent.SAI), 3)
     two = [
-        design_kernel(Problem(line, Primary.SAI, [other]), 3) for other in (Primary.RA, Primary.PC)
+        design_kernel(Problem(line, Afferent.SAI, [other]), 3)
+        for other in (Afferent.RA, Afferent.PC)
     ]
-    assert all(each.worst_other <= three.worst_other + 1e-9 for each in two)
-    assert min(each.worst_other for each in two) < 0.9 * three.worst_other
-    assert [each.worst_other_class for each in two] == [Primary.RA, Primary.PC]
+    assert all(each.off_target <= three.off_target + 1e-9 for each in two)
+    assert min(each.off_target for each in two) < 0.9 * three.off_target
+    assert [each.off_target_class for each in two] == [Afferent.RA, Afferent.PC]
 
 
-@pytest.mark.parametrize("primary", list(Primary))
-def test_brute_force_over_the_node(line, changed, primary):
+@pytest.mark.parametrize("afferent", list(Afferent))
+def test_brute_force_over_the_node(line, changed, afferent):
     """The node under the electrode is the best for RA and SAI; PC near an edge has a better one."""
-    problem = Problem(changed(line, {SPACING: 0.25}), primary)
+    problem = Problem(changed(line, {SPACING: 0.25}), afferent)
     for site in (0, 2, 3):
         under, anywhere = design_kernel(problem, site), design_any_node(problem, site)
-        assert anywhere.worst_other <= under.worst_other + 1e-9
+        assert anywhere.off_target <= under.off_target + 1e-9
         fired = problem.axon(site) @ anywhere.weights
         assert fired[anywhere.node] == pytest.approx(1)
         assert fired.max() <= 1 + 1e-6
     at_the_edge = design_any_node(problem, 0)
-    assert (at_the_edge.node != 0) == (primary is Primary.PC)
+    assert (at_the_edge.node != 0) == (afferent is Afferent.PC)
 
 
 def test_confined_kernels_do_not_spill(profile, changed):
     problem = Problem(
-        changed(profile, {"limits.total_ma": None, "frames.share": False}), Primary.RA
+        changed(profile, {"limits.total_ma": None, "frames.share": False}), Afferent.RA
     )
     free, confined = (design_kernel(problem, 27, spill) for spill in (None, 0.2))
-    assert free.own_spill > 0.5
-    assert confined.own_spill <= 0.2 + 1e-6
-    assert confined.worst_other <= 1.02 * free.worst_other
+    assert free.spill > 0.5
+    assert confined.spill <= 0.2 + 1e-6
+    assert confined.off_target <= 1.02 * free.off_target
     assert np.abs(confined.weights).sum() < np.abs(free.weights).sum()
 
 
 def test_total_current_is_limited(profile, changed, whole_programme):
-    limited = Problem(changed(profile, {"limits.total_ma": 5.0}), Primary.RA)
+    limited = Problem(changed(profile, {"limits.total_ma": 5.0}), Afferent.RA)
     kernel = design_kernel(limited, 0)
     source_ma = np.abs(kernel.weights).sum() / 2 / abs(kernel.weights[0]) * 2.4
     assert 4.9 < source_ma <= 5.0
-    assert kernel.worst_other == pytest.approx(whole_programme(limited, 0), rel=1e-6)
+    assert kernel.off_target == pytest.approx(whole_programme(limited, 0), rel=1e-6)
 
 
 def test_currents_of_single_electrodes_are_limited(line, changed):
-    free = design_kernel(Problem(line, Primary.RA), 3).peak_normalized
+    free = design_kernel(Problem(line, Afferent.RA), 3).peak_normalized
     lowered = [1.0] * 7
     lowered[2] = 0.1
     threshold = [0.4, 0.4, 0.03, 0.4, 0.4, 0.4, 0.4]
     mine = changed(line, {"limits.electrode_ma": lowered, "perception.threshold_ma": threshold})
-    kernel = design_kernel(Problem(mine, Primary.RA), 3)
+    kernel = design_kernel(Problem(mine, Afferent.RA), 3)
     carried = kernel.weights / abs(kernel.weights[3]) * 1.0
     assert abs(free[2]) > 0.1
     assert abs(carried[2]) <= 0.1
-    assert kernel.worst_other > 0.1072
+    assert kernel.off_target > 0.1072
 
 
 def test_limits_that_no_kernel_keeps(line, changed):
@@ -183,48 +184,48 @@ def test_limits_that_no_kernel_keeps(line, changed):
     threshold = [0.001] * 3 + [0.4] + [0.001] * 3
     mine = changed(line, {"limits.electrode_ma": lowered, "perception.threshold_ma": threshold})
     with raises(DesignError, about="limits", problem="too small", electrode=3) as caught:
-        design_kernel(Problem(mine, Primary.RA), 3)
+        design_kernel(Problem(mine, Afferent.RA), 3)
     assert "limits.electrode_ma" in caught.value.remedy
 
 
 def test_an_active_ending_turns_ra_to_the_cathode(line, changed):
     active = changed(line, {"skin.ra_ending": "active"})
-    kernel = design_kernel(Problem(active, Primary.RA), 3)
+    kernel = design_kernel(Problem(active, Afferent.RA), 3)
     assert kernel.peak_normalized[3] > 0
 
 
 @pytest.mark.parametrize("site", [-1, 7, 1000])
 def test_site_out_of_range(line, site):
     with raises(DesignError, about="site", problem="unknown", value=site, allowed=(0, 6)):
-        design_kernel(Problem(line, Primary.RA), site)
+        design_kernel(Problem(line, Afferent.RA), site)
 
 
-@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
-def test_robust_kernels_are_the_best_on_the_worst_finger(line, primary):
-    nominal, robust = Problem(line, primary), Problem(line, primary, spread=True)
+@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
+def test_robust_kernels_are_the_best_on_the_worst_finger(line, afferent):
+    nominal, robust = Problem(line, afferent), Problem(line, afferent, spread=True)
     plain = design_kernel(nominal, 3)
     careful = design_kernel(robust, 3)
     on_the_worst = robust.judge(plain.weights, 3)
-    assert careful.worst_other < 0.99 * on_the_worst.worst_other
-    assert nominal.judge(careful.weights, 3).worst_other >= plain.worst_other - 1e-9
+    assert careful.off_target < 0.99 * on_the_worst.off_target
+    assert nominal.judge(careful.weights, 3).off_target >= plain.off_target - 1e-9
 
 
 def test_a_spread_of_nothing_changes_nothing(line, changed):
     certain = {f"skin.spread.{name}_depth_mm": 0.0 for name in ("ra", "sai", "pc")}
     certain |= {"skin.spread.angle_deg": 0.0, "skin.spread.conductivity_factor": 1.0}
     mine = changed(line, certain)
-    plain = design_kernel(Problem(mine, Primary.SAI), 3)
-    robust = design_kernel(Problem(mine, Primary.SAI, spread=True), 3)
-    assert robust.worst_other == pytest.approx(plain.worst_other, abs=1e-7)
+    plain = design_kernel(Problem(mine, Afferent.SAI), 3)
+    robust = design_kernel(Problem(mine, Afferent.SAI, spread=True), 3)
+    assert robust.off_target == pytest.approx(plain.off_target, abs=1e-7)
     assert robust.weights == pytest.approx(plain.weights, rel=1e-4)
 
 
-@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
-def test_around_a_masked_electrode_it_is_the_best_of_what_is_left(line, changed, primary):
+@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
+def test_around_a_masked_electrode_it_is_the_best_of_what_is_left(line, changed, afferent):
     """Written apart: the same programme with that electrode's column taken out of the rows."""
     from scipy.optimize import linprog
 
-    problem = Problem(changed(line, {"output.masked": [2]}), primary)
+    problem = Problem(changed(line, {"output.masked": [2]}), afferent)
     kernel = design_kernel(problem, 3, spill=None)
     left, rows = [0, 1, 3, 4, 5, 6], problem.rows[0]
     scale = np.abs(rows.target[0, 3]).max()
@@ -240,5 +241,5 @@ def test_around_a_masked_electrode_it_is_the_best_of_what_is_left(line, changed,
     )
     assert kernel.weights[2] == 0
     assert abs(kernel.weights.sum()) < 1e-12
-    assert kernel.worst_other == pytest.approx(answer.fun, rel=1e-6)
+    assert kernel.off_target == pytest.approx(answer.fun, rel=1e-6)
     assert design_any_node(problem, 3).weights[2] == 0

@@ -3,26 +3,26 @@
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.kernels.problem import Problem
 from smarttouch.physiology.activation import af_matrix
 from smarttouch.physiology.afferents import everywhere
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
 from ..raising import raises
 
 
 def test_distinct_sites(profile):
-    ra, sai = Problem(profile, Primary.RA), Problem(profile, Primary.SAI)
+    ra, sai = Problem(profile, Afferent.RA), Problem(profile, Afferent.SAI)
     assert len({ra.representative(site)[0] for site in range(64)}) == 10
     assert len({sai.representative(site)[0] for site in range(64)}) == 16
 
 
 @pytest.mark.parametrize("name", ["electric-mouse", "kajimoto-61", "line-7"])
-@pytest.mark.parametrize("primary", list(Primary))
-def test_symmetries_leave_the_targets_and_the_rows_alone(name, primary):
-    problem = Problem(load_profile(name), primary)
+@pytest.mark.parametrize("afferent", list(Afferent))
+def test_symmetries_leave_the_targets_and_the_rows_alone(name, afferent):
+    problem = Problem(load_profile(name), afferent)
     assert np.array_equal(problem.symmetries[0], np.arange(problem.electrodes))
     for move in problem.symmetries:
         moved = problem.target[np.ix_(move, move)]
@@ -34,7 +34,7 @@ def test_symmetries_leave_the_targets_and_the_rows_alone(name, primary):
 
 def test_a_free_array_has_no_symmetry_but_none(profile, changed):
     array = {"layout": "free", "positions_mm": [[0, 0], [2, 0], [1, 1.7], [3.1, 2.4]]}
-    problem = Problem(changed(profile, {"array": array}), Primary.RA)
+    problem = Problem(changed(profile, {"array": array}), Afferent.RA)
     assert len(problem.symmetries) == 1
 
 
@@ -49,22 +49,22 @@ def test_a_free_array_has_no_symmetry_but_none(profile, changed):
 )
 def test_an_electrode_of_its_own_kind_has_no_mirror_image(changed, keys):
     profile = load_profile("smarttouch-4x4")
-    assert len(Problem(profile, Primary.RA).symmetries) == 8
+    assert len(Problem(profile, Afferent.RA).symmetries) == 8
     mine = changed(profile, keys)
-    for move in Problem(mine, Primary.RA).symmetries:
+    for move in Problem(mine, Afferent.RA).symmetries:
         assert np.array_equal(mine.admittance[move], mine.admittance)
         assert np.array_equal(mine.threshold_ma[move], mine.threshold_ma)
-    assert len(Problem(mine, Primary.RA).symmetries) < 8
+    assert len(Problem(mine, Afferent.RA).symmetries) < 8
 
 
 def test_masked_electrodes_have_no_mirror_image(profile, changed):
     mine = changed(profile, {"output.masked": [27]})
-    assert len(Problem(mine, Primary.RA).symmetries) == 2, "the diagonal through it is left"
+    assert len(Problem(mine, Afferent.RA).symmetries) == 2, "the diagonal through it is left"
 
 
 def test_thresholds_alone_do_not_change_kernels(changed):
     mine = changed(load_profile("smarttouch-4x4"), {"perception.threshold_ma": [1.2] * 15 + [1.1]})
-    assert len(Problem(mine, Primary.RA).symmetries) == 8
+    assert len(Problem(mine, Afferent.RA).symmetries) == 8
 
 
 def test_a_rectangle_does_not_turn(profile, changed):
@@ -74,24 +74,24 @@ def test_a_rectangle_does_not_turn(profile, changed):
         "shape": "rectangle",
         "size_mm": [0.5, 1.5],
     }
-    upright = Problem(changed(profile, {"array": array}), Primary.RA)
-    square = Problem(changed(profile, {"array": array | {"size_mm": [1.0, 1.0]}}), Primary.RA)
+    upright = Problem(changed(profile, {"array": array}), Afferent.RA)
+    square = Problem(changed(profile, {"array": array | {"size_mm": [1.0, 1.0]}}), Afferent.RA)
     assert len(upright.symmetries) == 4
     assert len(square.symmetries) == 8
 
 
 def test_judging_says_what_weights_do(profile):
-    problem = Problem(profile, Primary.SAI)
+    problem = Problem(profile, Afferent.SAI)
     weights = np.zeros(64)
     weights[27], weights[0] = 1.0, -1.0
     kernel = problem.judge(weights, 27, kind="three-state")
     assert problem.target[27] @ kernel.weights == pytest.approx(1)
     af = {
         each: (af_matrix(profile, everywhere(profile, each)) @ kernel.weights).max()
-        for each in Primary
+        for each in Afferent
     }
-    assert kernel.worst_other == pytest.approx(max(af[Primary.RA], af[Primary.PC]))
-    assert af[kernel.worst_other_class] == pytest.approx(kernel.worst_other)
+    assert kernel.off_target == pytest.approx(max(af[Afferent.RA], af[Afferent.PC]))
+    assert af[kernel.off_target_class] == pytest.approx(kernel.off_target)
     assert kernel.peak_normalized[27] == 1
     below = {"value": lambda reached: reached < 0, "allowed": 0, "electrode": 27}
     with raises(DesignError, about="pattern", **below) as caught:
@@ -101,20 +101,22 @@ def test_judging_says_what_weights_do(profile):
 
 
 def test_no_last_bit_chooses_between_classes_pressed_alike(profile):
-    problem = Problem(profile, Primary.PC)
+    problem = Problem(profile, Afferent.PC)
     weights = np.zeros(64)
     weights[27], weights[0] = 1.0, -1.0
-    ra, sai = (np.flatnonzero(problem.other_class == each)[0] for each in (Primary.RA, Primary.SAI))
+    ra, sai = (
+        np.flatnonzero(problem.other_class == each)[0] for each in (Afferent.RA, Afferent.SAI)
+    )
     rows = problem.rows[0].other
     rows[sai] = 10 * rows[(rows @ weights).argmax()]
     rows[ra] = rows[sai] * (1 - 1e-12)
-    assert problem.judge(weights, 27).worst_other_class is Primary.RA
+    assert problem.judge(weights, 27).off_target_class is Afferent.RA
     rows[ra] = rows[sai] * (1 - 1e-3)
-    assert problem.judge(weights, 27).worst_other_class is Primary.SAI
+    assert problem.judge(weights, 27).off_target_class is Afferent.SAI
 
 
 def test_a_spread_has_rows_for_every_depth_and_direction(profile):
-    nominal, spread = Problem(profile, Primary.RA), Problem(profile, Primary.RA, spread=True)
+    nominal, spread = Problem(profile, Afferent.RA), Problem(profile, Afferent.RA, spread=True)
     # RA at 3 depths leaning 5 ways; SAI and PC at 3 depths with each direction turned 3 ways.
     assert spread.rows[0].target.shape[0] == 15
     assert len(spread.rows[0].other) == 9 * len(nominal.rows[0].other)
@@ -136,11 +138,11 @@ def test_a_spread_of_layers_has_rows_for_every_conductivity(profile, changed):
             "skin.conductivity_s_per_m": None,
         },
     )
-    assert len(Problem(mine, Primary.RA, spread=True).rows) == 5
+    assert len(Problem(mine, Afferent.RA, spread=True).rows) == 5
 
 
-@pytest.mark.parametrize("others", [[], [Primary.RA], [Primary.RA, Primary.PC]])
+@pytest.mark.parametrize("others", [[], [Afferent.RA], [Afferent.RA, Afferent.PC]])
 def test_a_class_cannot_be_selected_against_itself(profile, others):
     problem = "conflict" if others else "missing"
     with raises(DesignError, about="others", problem=problem, value=tuple(others)):
-        Problem(profile, Primary.RA, others)
+        Problem(profile, Afferent.RA, others)

@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.kernels import assignment
 from smarttouch.kernels.design import design_kernel
@@ -15,7 +16,6 @@ from smarttouch.kernels.switching import (
     polarity,
     possible_modes,
 )
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
 from ..raising import raises
@@ -49,10 +49,8 @@ def by_trying_all(problem, site):
             kernel = problem.judge(shares, site, kind="three-state")
         except DesignError:
             continue
-        spills = kernel.own_spill > 0.2
-        best = min(
-            best, max(kernel.worst_other, kernel.own_spill) if spills else kernel.worst_other
-        )
+        spills = kernel.spill > 0.2
+        best = min(best, max(kernel.off_target, kernel.spill) if spills else kernel.off_target)
     return best
 
 
@@ -61,29 +59,29 @@ IMPEDANCES = [1.0, [1.0, 3.0, 0.5, 2.0, 1.0, 0.7]]
 
 @pytest.mark.parametrize("impedance_kohm", IMPEDANCES, ids=["equal", "measured"])
 @pytest.mark.parametrize("site", [0, 1])
-@pytest.mark.parametrize("primary", list(Primary))
-def test_no_assignment_is_better(small, primary, site, impedance_kohm):
-    problem = Problem(small(impedance_kohm), primary)
+@pytest.mark.parametrize("afferent", list(Afferent))
+def test_no_assignment_is_better(small, afferent, site, impedance_kohm):
+    problem = Problem(small(impedance_kohm), afferent)
     kernel = design_three_state(problem, site)
     assert kernel.gap == 0
     assert kernel.kind == "three-state"
-    objective = max(kernel.worst_other, kernel.own_spill if kernel.own_spill > 0.2 else 0)
+    objective = max(kernel.off_target, kernel.spill if kernel.spill > 0.2 else 0)
     assert objective == pytest.approx(by_trying_all(problem, site), rel=1e-9)
-    assert objective >= design_kernel(problem, site).worst_other - 1e-9
+    assert objective >= design_kernel(problem, site).off_target - 1e-9
 
 
-@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
-def test_no_assignment_is_better_on_the_worst_finger(small, primary):
-    nominal, spread = (Problem(small(), primary, spread=each) for each in (False, True))
+@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
+def test_no_assignment_is_better_on_the_worst_finger(small, afferent):
+    nominal, spread = (Problem(small(), afferent, spread=each) for each in (False, True))
     kernel = design_three_state(spread, 1)
     assert kernel.gap == 0
-    assert kernel.worst_other == pytest.approx(by_trying_all(spread, 1), rel=1e-9)
-    assert nominal.judge(kernel.weights, 1, kind="three-state").worst_other < kernel.worst_other
+    assert kernel.off_target == pytest.approx(by_trying_all(spread, 1), rel=1e-9)
+    assert nominal.judge(kernel.weights, 1, kind="three-state").off_target < kernel.off_target
 
 
 def test_a_source_divides_by_admittance(small):
     profile = small(IMPEDANCES[1])
-    kernel = design_three_state(Problem(profile, Primary.SAI), 1)
+    kernel = design_three_state(Problem(profile, Afferent.SAI), 1)
     for pole in (kernel.weights > 0, kernel.weights < 0):
         share = kernel.weights[pole] / profile.admittance[pole]
         assert share == pytest.approx(share[0])
@@ -91,24 +89,24 @@ def test_a_source_divides_by_admittance(small):
 
 
 def test_where_a_proof_is_too_much_the_gap_is_stated(small, monkeypatch):
-    problem = Problem(small(), Primary.RA)
+    problem = Problem(small(), Afferent.RA)
     proven = design_three_state(problem, 0)
     monkeypatch.setattr(assignment, "EXACT", 5)
     found = design_three_state(problem, 0)
-    assert found.worst_other >= proven.worst_other - 1e-12
-    weighted = design_kernel(problem, 0).worst_other
-    assert found.gap == pytest.approx((found.worst_other - weighted) / found.worst_other)
-    assert found.worst_other * (1 - found.gap) <= proven.worst_other
+    assert found.off_target >= proven.off_target - 1e-12
+    weighted = design_kernel(problem, 0).off_target
+    assert found.gap == pytest.approx((found.off_target - weighted) / found.off_target)
+    assert found.off_target * (1 - found.gap) <= proven.off_target
 
 
 def test_a_proof_is_given_up_not_awaited(small, monkeypatch):
     monkeypatch.setattr(assignment, "_BRANCHES", 3)
-    assert design_three_state(Problem(small(), Primary.RA), 0).gap > 0
+    assert design_three_state(Problem(small(), Afferent.RA), 0).gap > 0
 
 
 def test_the_proof_holds_where_the_search_was_led_astray(small, monkeypatch):
     """Branch and bound must find the best from a bad start, not only confirm a good one."""
-    problem = Problem(small(), Primary.SAI)
+    problem = Problem(small(), Afferent.SAI)
     expected = design_three_state(problem, 1)
     bad = np.array([0, 1, 0, 0, 0, -1], np.int8)
 
@@ -117,41 +115,41 @@ def test_the_proof_holds_where_the_search_was_led_astray(small, monkeypatch):
 
     monkeypatch.setattr(assignment, "_local_search", search)
     found = design_three_state(problem, 1)
-    assert found.worst_other == pytest.approx(expected.worst_other, rel=1e-9)
+    assert found.off_target == pytest.approx(expected.off_target, rel=1e-9)
 
 
 def test_switched_currents_keep_the_limits(small):
-    free = design_three_state(Problem(small(), Primary.RA), 1)
+    free = design_three_state(Problem(small(), Afferent.RA), 1)
     carrying = int(np.argmax(free.weights))
     lowered = [2.4] * 6
     lowered[carrying] = 0.2
     threshold = [1.2] * 6
     threshold[carrying] = 0.1
     mine = small(**{"limits.electrode_ma": lowered, "perception.threshold_ma": threshold})
-    kept = design_three_state(Problem(mine, Primary.RA), 1)
+    kept = design_three_state(Problem(mine, Afferent.RA), 1)
     assert abs(kept.peak_normalized[carrying]) * 2.4 <= 0.2
-    assert kept.worst_other > free.worst_other
+    assert kept.off_target > free.off_target
 
 
 def test_one_of_n_is_one_against_all_others(small):
-    problem = Problem(small(), Primary.RA)
+    problem = Problem(small(), Afferent.RA)
     kernel = design_one_of_n(problem, 4)
     assert kernel.peak_normalized == pytest.approx([0.2, 0.2, 0.2, 0.2, -1, 0.2])
-    assert design_one_of_n(Problem(small(), Primary.SAI), 4).peak_normalized[4] == 1
+    assert design_one_of_n(Problem(small(), Afferent.SAI), 4).peak_normalized[4] == 1
 
 
-@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
-def test_no_assignment_around_a_masked_electrode_is_better(small, primary):
-    problem = Problem(small(IMPEDANCES[1], **{"output.masked": [2]}), primary)
+@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
+def test_no_assignment_around_a_masked_electrode_is_better(small, afferent):
+    problem = Problem(small(IMPEDANCES[1], **{"output.masked": [2]}), afferent)
     kernel = design_three_state(problem, 1)
     assert kernel.gap == 0
     assert kernel.weights[2] == 0
-    objective = max(kernel.worst_other, kernel.own_spill if kernel.own_spill > 0.2 else 0)
+    objective = max(kernel.off_target, kernel.spill if kernel.spill > 0.2 else 0)
     assert objective == pytest.approx(by_trying_all(problem, 1), rel=1e-9)
 
 
 def test_one_of_n_counts_on_no_masked_electrode(small):
-    problem = Problem(small(**{"output.masked": [0]}), Primary.RA)
+    problem = Problem(small(**{"output.masked": [0]}), Afferent.RA)
     assert design_one_of_n(problem, 4).peak_normalized == pytest.approx(
         [0, 0.25, 0.25, 0.25, -1, 0.25]
     )
@@ -161,20 +159,20 @@ def test_one_of_n_counts_on_no_masked_electrode(small):
 def test_a_masked_site_has_no_kernel(small, design):
     masked = {"problem": "masked", "value": 2, "remedy": "output.masked", "electrode": 2}
     with raises(DesignError, about="site", **masked):
-        design(Problem(small(**{"output.masked": [2]}), Primary.RA), 2)
+        design(Problem(small(**{"output.masked": [2]}), Afferent.RA), 2)
 
 
 @pytest.mark.parametrize("site", [-1, 6])
 def test_site_out_of_range(small, site):
     for design in (design_one_of_n, design_three_state):
         with raises(DesignError, about="site", problem="unknown", value=site, allowed=(0, 5)):
-            design(Problem(small(), Primary.RA), site)
+            design(Problem(small(), Afferent.RA), site)
 
 
 def test_polarity_follows_the_ending(changed):
     profile = load_profile("kajimoto-61")
-    assert polarity(profile, Primary.RA) == "anodic"
-    assert possible_modes(profile) == [Primary.RA]
+    assert polarity(profile, Afferent.RA) == "anodic"
+    assert possible_modes(profile) == [Afferent.RA]
     active = changed(profile, {"skin.ra_ending": "active"})
-    assert polarity(active, Primary.RA) == "cathodic"
+    assert polarity(active, Afferent.RA) == "cathodic"
     assert possible_modes(active) == []

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.physiology.activation import af_matrix, field
 from smarttouch.physiology.afferents import everywhere, targets
-from smarttouch.primary import Primary
 from smarttouch.profile import list_profiles, load_profile
 
 from ..raising import raises
@@ -21,26 +21,26 @@ LAYERS = [
 
 
 @pytest.mark.parametrize("name", list_profiles())
-@pytest.mark.parametrize("primary", list(Primary))
-def test_shape_and_sign_at_the_target(name, primary):
+@pytest.mark.parametrize("afferent", list(Afferent))
+def test_shape_and_sign_at_the_target(name, afferent):
     profile = load_profile(name)
-    matrix = af_matrix(profile, targets(profile, primary))
+    matrix = af_matrix(profile, targets(profile, afferent))
     count = len(profile.electrodes)
     assert matrix.shape == (count, count)
     own = np.diag(matrix)
-    assert np.all(own < 0) if primary is Primary.RA else np.all(own > 0)
+    assert np.all(own < 0) if afferent is Afferent.RA else np.all(own > 0)
 
 
 def test_superposition_is_linear_in_conductivity(profile, changed):
     half = changed(profile, {"skin.conductivity_s_per_m": 0.215})
-    nodes = targets(profile, Primary.SAI)
+    nodes = targets(profile, Afferent.SAI)
     assert af_matrix(half, nodes) == pytest.approx(2 * af_matrix(profile, nodes))
 
 
 def test_the_paper_s_own_matrix():
     """Eq. 3, 5 and 9 by hand: the SAI target under the middle of seven lines."""
     profile = load_profile("line-7")
-    row = af_matrix(profile, targets(profile, Primary.SAI))[3]
+    row = af_matrix(profile, targets(profile, Afferent.SAI))[3]
     x = np.arange(-3, 4)
     expected = (0.81 - x**2) / (0.81 + x**2) ** 2 / (2 * np.pi * 0.43 * 10)
     assert row == pytest.approx(expected)
@@ -48,7 +48,7 @@ def test_the_paper_s_own_matrix():
 
 def test_an_infinite_medium_has_half_the_field(profile, changed):
     infinite = changed(profile, {"skin.medium": "infinite"})
-    nodes = everywhere(profile, Primary.PC)
+    nodes = everywhere(profile, Afferent.PC)
     assert af_matrix(infinite, nodes) == pytest.approx(af_matrix(profile, nodes) / 2)
 
 
@@ -65,7 +65,7 @@ def test_every_shape_on_every_medium_it_goes_with(profile, changed):
         array = free | {"shape": shape, "size_mm": size}
         for medium in ({}, {"skin.medium": "infinite"}, layered):
             mine = changed(profile, {"array": array, **medium})
-            nodes = targets(mine, Primary.SAI)
+            nodes = targets(mine, Afferent.SAI)
             if shape == "rectangle" and medium is layered:
                 allowed = ("half-space",)
                 with raises(DesignError, about="skin.medium", value="layered", allowed=allowed):
@@ -80,23 +80,23 @@ def test_layers_of_one_conductivity_are_the_half_space(profile, changed):
         profile,
         {"skin.medium": "layered", "skin.layers": same, "skin.conductivity_s_per_m": None},
     )
-    for primary in Primary:
-        nodes = everywhere(profile, primary)
+    for afferent in Afferent:
+        nodes = everywhere(profile, afferent)
         one, other = af_matrix(profile, nodes), af_matrix(layered, nodes)
         np.testing.assert_allclose(other, one, rtol=1e-4, atol=1e-6 * np.abs(one).max())
 
 
 def test_an_active_ending_answers_the_cathode(profile, changed):
     active = changed(profile, {"skin.ra_ending": "active"})
-    nodes = targets(active, Primary.RA)
+    nodes = targets(active, Afferent.RA)
     assert nodes.ending == "active"
     assert np.all(np.diag(af_matrix(active, nodes)) > 0)
-    assert np.all(np.diag(af_matrix(profile, targets(profile, Primary.RA))) < 0)
+    assert np.all(np.diag(af_matrix(profile, targets(profile, Afferent.RA))) < 0)
 
 
 def test_an_active_ending_is_mcneal_s_end_node(profile, changed):
     active = changed(profile, {"skin.ra_ending": "active"})
-    nodes, step = targets(active, Primary.RA), active.skin.internode_mm
+    nodes, step = targets(active, Afferent.RA), active.skin.internode_mm
     potentials = [
         field(active.electrodes, active.skin, nodes.position_mm, 0.7 + down) for down in (0, step)
     ]
@@ -108,7 +108,7 @@ def test_an_active_ending_is_mcneal_s_end_node(profile, changed):
 def test_depth_selection_of_figure_9():
     """Anodes around a cathode: the AF is gone in the deep. Cathodes around it: it reaches there."""
     profile = load_profile("line-7")
-    flat = targets(profile, Primary.SAI)
+    flat = targets(profile, Afferent.SAI)
     shallow, deep = (af_matrix(profile, replace(flat, depth_mm=each))[3] for each in (0.7, 2.0))
     alone, narrow, broad = (
         np.array([0, 0, beside, 1, beside, 0, 0]) for beside in (0.0, -0.5, 1.0)
@@ -121,7 +121,7 @@ def test_depth_selection_of_figure_9():
 def test_orientation_selection_of_figure_10():
     """The same place, the other polarity: flat axons against rising ones (Laplace's equation)."""
     profile = load_profile("line-7")
-    depth = replace(targets(profile, Primary.SAI), depth_mm=0.8)
+    depth = replace(targets(profile, Afferent.SAI), depth_mm=0.8)
     flat = af_matrix(profile, depth)
     rising = af_matrix(profile, replace(depth, direction=np.array([[0.0, 0.0, 1.0]])))
     assert rising == pytest.approx(-flat)

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.physiology import afferents
 from smarttouch.physiology.afferents import along_axon, everywhere, targets, variants
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
 from ..raising import raises
 
 
 def test_paper_nodes_run_from_minus_five_to_five():
-    sai = everywhere(load_profile("line-7"), Primary.SAI)
+    sai = everywhere(load_profile("line-7"), Afferent.SAI)
     assert sai.position_mm[:, 0] == pytest.approx(np.arange(-5, 6))
     assert not sai.position_mm[:, 1].any()
     assert sai.grid == (1, 11)
@@ -21,12 +21,12 @@ def test_paper_nodes_run_from_minus_five_to_five():
 
 def test_paper_ra_axons_stand_a_pitch_apart_however_fine_the_nodes(changed):
     fine = changed(load_profile("line-7"), {"skin.node_spacing_mm": 0.25})
-    assert len(everywhere(fine, Primary.SAI).position_mm) == 41
-    assert len(everywhere(fine, Primary.RA).position_mm) == 11
+    assert len(everywhere(fine, Afferent.SAI).position_mm) == 41
+    assert len(everywhere(fine, Afferent.RA).position_mm) == 11
 
 
 def test_nodes_lie_in_every_direction_and_beyond_the_edge(profile):
-    sai = everywhere(profile, Primary.SAI)
+    sai = everywhere(profile, Afferent.SAI)
     assert np.degrees(np.arctan2(sai.direction[:, 1], sai.direction[:, 0])) == pytest.approx(
         [0, 45, 90, 135]
     )
@@ -35,16 +35,16 @@ def test_nodes_lie_in_every_direction_and_beyond_the_edge(profile):
 
 
 def test_only_rising_axons_end_here(profile):
-    assert everywhere(profile, Primary.RA).ending == "passive"
-    assert everywhere(profile, Primary.SAI).ending is None
+    assert everywhere(profile, Afferent.RA).ending == "passive"
+    assert everywhere(profile, Afferent.SAI).ending is None
 
 
-@pytest.mark.parametrize("primary", list(Primary))
-def test_an_axon_starts_under_its_electrode(profile, primary):
-    sets = along_axon(profile, primary, 27)
+@pytest.mark.parametrize("afferent", list(Afferent))
+def test_an_axon_starts_under_its_electrode(profile, afferent):
+    sets = along_axon(profile, afferent, 27)
     assert sets[0].position_mm[0] == pytest.approx(profile.electrodes.position_mm[27])
-    assert sets[0].depth_mm == afferents.depth_mm(profile.skin, primary)
-    if primary is Primary.RA:
+    assert sets[0].depth_mm == afferents.depth_mm(profile.skin, afferent)
+    if afferent is Afferent.RA:
         assert [each.ending for each in sets] == ["passive"] + [None] * (len(sets) - 1)
         assert [each.depth_mm for each in sets[:3]] == pytest.approx([0.7, 1.2, 1.7])
     else:
@@ -53,12 +53,12 @@ def test_an_axon_starts_under_its_electrode(profile, primary):
 
 
 def test_a_fiber_outside_the_skin_is_refused(profile):
-    inside = targets(profile, Primary.RA)
+    inside = targets(profile, Afferent.RA)
     for depth_mm in (0.0, -0.7, float("nan")):
         depth = {"value": lambda given, depth_mm=depth_mm: given is depth_mm, "allowed": 0}
         with raises(DesignError, about="depth_mm", **depth):
             afferents.Afferents(
-                Primary.RA, inside.position_mm, depth_mm, inside.direction, None, inside.grid
+                Afferent.RA, inside.position_mm, depth_mm, inside.direction, None, inside.grid
             )
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.plotting.colors import ClassRow, color_figure, thresholds_figure
 from smarttouch.plotting.style import CLASS_COLORS
-from smarttouch.primary import Primary
 
 from ..said import numbers_in
 
@@ -25,8 +25,8 @@ def test_a_panel_for_the_trace_and_one_for_each_class(pressed):
     time_s = np.arange(50_000) / 4000
     pulse_s, drive = np.array([0.1, 0.2]), np.array([0.5, 0.7])
     rows = {
-        Primary.RA: ClassRow(np.full(50_000, 0.5), pulse_s, drive),
-        Primary.PC: ClassRow(np.zeros(50_000), pulse_s, drive, vibrated=True),
+        Afferent.RA: ClassRow(np.full(50_000, 0.5), pulse_s, drive),
+        Afferent.PC: ClassRow(np.zeros(50_000), pulse_s, drive, vibrated=True),
     }
     figure = color_figure(time_s, np.sin(time_s), np.full(50_000, 0.4 * pressed), rows, "a trace")
     figure.canvas.draw()
@@ -41,4 +41,4 @@ def test_a_panel_for_the_trace_and_one_for_each_class(pressed):
         text = axes.texts[0].get_text()
         assert text.startswith(name)
         assert numbers_in(text) == numbers, "pulses; none where vibrators shake"
-    assert pc.lines[0].get_color() == CLASS_COLORS[Primary.PC]
+    assert pc.lines[0].get_color() == CLASS_COLORS[Afferent.PC]

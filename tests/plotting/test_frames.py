@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
+from smarttouch.afferent import Afferent
 from smarttouch.physiology.activation import af_matrix
 from smarttouch.physiology.afferents import everywhere
 from smarttouch.plotting.frames import (
@@ -15,13 +16,12 @@ from smarttouch.plotting.frames import (
     share_mixed,
 )
 from smarttouch.plotting.style import save
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.frames import FrameSlots
 
 from ..said import numbers_in
 
-RA, SAI = Primary.RA, Primary.SAI
+RA, SAI = Afferent.RA, Afferent.SAI
 
 
 def marked(picture, mark):
@@ -47,10 +47,10 @@ def panels(figure):
 def rows(profile):
     """AF rows of all nodes by which plans are judged, (D, Y, X, E), and where these are."""
     made = {}
-    for primary in (RA, SAI):
-        nodes = everywhere(profile, primary)
+    for afferent in (RA, SAI):
+        nodes = everywhere(profile, afferent)
         af = af_matrix(profile, nodes).reshape(-1, *nodes.grid, 64)
-        made[primary] = af, nodes.position_mm.reshape(*nodes.grid, 2)
+        made[afferent] = af, nodes.position_mm.reshape(*nodes.grid, 2)
     return made
 
 
@@ -94,7 +94,7 @@ def figures_of(slot):
     found = slot.figures
     return (
         f"{len(slot.sites)} points, {found.total_ma:.1f} mA\n"
-        f"worst other {found.worst_other:.2f}, spill {found.worst_spill:.2f}"
+        f"worst other {found.off_target:.2f}, spill {found.spill:.2f}"
     )
 
 
@@ -129,7 +129,7 @@ def test_each_slot_is_drawn_as_planned(plans, panels, profile, rows):
         assert drawn == pytest.approx(expected, abs=2e-3)
         # Far from targets the class gets what is written beneath.
         away = np.linalg.norm(where_mm[:, :, None] - place[slot.sites], axis=3).min(axis=2)
-        assert drawn[away > 2 + 1e-6].max() == pytest.approx(slot.figures.worst_spill, abs=2e-3)
+        assert drawn[away > 2 + 1e-6].max() == pytest.approx(slot.figures.spill, abs=2e-3)
         assert sites_marked(below, profile) == slot.sites.tolist()
         assert below.get_xlabel() == figures_of(slot)
         strongest = np.maximum(strongest, expected)
@@ -150,7 +150,7 @@ def test_two_classes_in_one_slot(plans, panels, profile, rows, bank):
         site: each.name for each in (RA, SAI) for site in wanted[each]
     }
     for axes, judge in zip(panels[2, 2:], mixed.judges, strict=True):
-        each = judge.primary
+        each = judge.afferent
         assert sites_marked(axes, profile) == wanted[each].tolist()
         af, where_mm = rows[each]
         weakest = (judge.target[wanted[each]] @ current).min()

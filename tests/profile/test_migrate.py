@@ -8,7 +8,7 @@ from smarttouch.errors import ProfileError
 from smarttouch.profile import list_profiles, load_profile
 from smarttouch.profile.load import profile_path, read_table
 from smarttouch.profile.migrate import migrate
-from smarttouch.stimulation.frames import why_not
+from smarttouch.stimulation.frames import unsupported_reason
 from smarttouch.stimulation.safety import SafetyLimits
 
 from ..raising import raises
@@ -44,7 +44,7 @@ def test_what_changes_counted_before(name, tmp_path):
     before, after = load_profile(old), load_profile(name)
     assert SafetyLimits.of(before) == SafetyLimits.of(after)
     assert before.design_total_ma == after.design_total_ma
-    assert (why_not(before) is None) == (why_not(after) is None)
+    assert (unsupported_reason(before) is None) == (unsupported_reason(after) is None)
 
 
 def test_a_total_above_the_ceiling_is_lowered_and_told(tmp_path):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smarttouch.psychophysics.fitting.answers import usual_model
-from smarttouch.psychophysics.fitting.fit import How
+from smarttouch.psychophysics.fitting.fit import BootstrapOptions
 from smarttouch.psychophysics.fitting.psychometric import Model
 from smarttouch.psychophysics.fitting.verdict import judge
 from smarttouch.psychophysics.procedures.constant import ConstantStimuli, ratio_pairs
@@ -92,7 +92,7 @@ def recover(task, name, subjects, covering=0, samples=1000, seed=0):
         estimate = None if name == "constant" else procedure.estimate()
         if estimate is not None:
             own.append(np.log(estimate.threshold / subject.threshold))
-        found = judge(answers, usual_model([answers]), How(samples))
+        found = judge(answers, usual_model([answers]), BootstrapOptions(samples))
         if found.verdict is not None:
             continue
         fitted.append(np.log(found.fit.threshold / subject.threshold))

@@ -4,14 +4,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from smarttouch.afferent import Mode
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.clock import SimulatedClock
-from smarttouch.primary import Mode
-from smarttouch.psychophysics.course import Course
 from smarttouch.psychophysics.rows import About, RowFile
 from smarttouch.psychophysics.session import Session
 from smarttouch.psychophysics.source import ExperimentSource
 from smarttouch.psychophysics.subject import Subject
+from smarttouch.psychophysics.timing import TrialTiming
 from smarttouch.reading.window import press_n
 from smarttouch.running.config import RunConfig
 from smarttouch.running.controls import Controls, ControlState
@@ -74,7 +74,7 @@ def sit(
     about = About(experiment, made.method, "p1", "s1", seed)
     with RowFile(path, about, overwrite) as file:
         session = Session(made.task, made.procedure, file, DATE)
-        source = ExperimentSource(session, profile, course or Course(), press_n(profile))
+        source = ExperimentSource(session, profile, course or TrialTiming(), press_n(profile))
         pipeline = Pipeline(profile, bank, RunConfig(mode=mode, scan="points"))
         controls = controls or Controls(ControlState(mode))
         with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:

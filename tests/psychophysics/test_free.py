@@ -6,11 +6,11 @@ import re
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.clock import SimulatedClock
 from smarttouch.errors import ExperimentError
 from smarttouch.kernels.bank import load_bank
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.psychophysics.free import FreeLog, FreeSource, HandControls, up_to_the_ceiling
 from smarttouch.running.config import RunConfig
@@ -24,7 +24,7 @@ from smarttouch.stopping import StopRequest
 
 from ..raising import raises
 
-ALL = tuple(Primary)
+ALL = tuple(Afferent)
 
 
 @pytest.fixture(scope="module")
@@ -105,12 +105,12 @@ def test_the_amplitude_follows_the_hand_in_milliamperes(play):
 def test_a_mode_begins_at_zero(play):
     steps, rows, report, _ = play(4, {1: 0.5, 2: "m"})
     rows_used = [np.flatnonzero(step.input.activation.any(axis=1)).item() for step in steps]
-    turn = rows_used.index(int(Primary.SAI))
+    turn = rows_used.index(int(Afferent.SAI))
     assert steps[turn].sequence.slots == 0
     assert steps[turn].sequence.intensity == 0
     assert steps[turn + 1].sequence.intensity <= 0.05
     assert steps[-1].sequence.intensity == 0.5
-    kernels = load_bank(load_profile("line-8")).kernels(Primary.SAI)
+    kernels = load_bank(load_profile("line-8")).kernels(Afferent.SAI)
     assert steps[-1].sequence.current_ua[0] == pytest.approx(1000 * kernels[3], abs=5)
     assert ("mode", "SAI") in [(row["what"], row["value"]) for row in rows]
     assert report.violations == 0
@@ -182,10 +182,10 @@ def test_rows_are_on_disk_at_once(line, tmp_path):
     ("options", "attributes"),
     [
         ({"rate_hz": 5.0}, {"about": "--rate", "value": 5, "allowed": (10, 200)}),
-        ({"primary": Primary.PC}, {"about": "--mode", "value": "PC", "allowed": ("RA",)}),
+        ({"afferent": Afferent.PC}, {"about": "--mode", "value": "PC", "allowed": ("RA",)}),
         ({"site": 8}, {"about": "--site", "value": 8, "allowed": tuple(range(8))}),
     ],
 )
 def test_what_cannot_be_asked_for(line, tmp_path, options, attributes):
     with FreeLog(tmp_path / "free.csv") as log, raises(ExperimentError, **attributes):
-        FreeSource(line, (Primary.RA,), log, **options)
+        FreeSource(line, (Afferent.RA,), log, **options)

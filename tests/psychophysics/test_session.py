@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from smarttouch.errors import ExperimentError
 from smarttouch.profile import load_profile
-from smarttouch.psychophysics.catalog import Wanted, design
+from smarttouch.psychophysics.catalog import ExperimentOptions, design
 from smarttouch.psychophysics.rows import About, RowFile, read_rows
 from smarttouch.psychophysics.session import Session
 from smarttouch.psychophysics.trial import Answer
@@ -15,7 +15,7 @@ from smarttouch.psychophysics.trial import Answer
 from ..raising import raises
 from .sitting import DATE, Perfect, sit
 
-SHORT = Wanted(repetitions=1, standards=(30.0,), train_s=0.15)
+SHORT = ExperimentOptions(repetitions=1, standards=(30.0,), train_s=0.15)
 MOUSE = load_profile("electric-mouse")
 METHODS = ("constant", "staircase", "questplus")
 
@@ -26,7 +26,9 @@ def shown(rows):
 
 def respond(path, answers, method="constant", most=1000, seed=0):
     """Answer trials, as many as there are answers for; return whether it is over."""
-    wanted = Wanted(procedure=method, standards=(30.0, 60.0), repetitions=1, trials=8, seed=seed)
+    wanted = ExperimentOptions(
+        procedure=method, standards=(30.0, 60.0), repetitions=1, trials=8, seed=seed
+    )
     made = design("frequency", MOUSE, wanted)
     with RowFile(path, About("f", made.method, "p", "s", seed)) as file:
         session = Session(made.task, made.procedure, file, DATE)
@@ -113,7 +115,7 @@ def test_rows_say_what_was_shown_and_answered(profile, bank, tmp_path):
 def test_another_experiment_s_answers_are_not_gone_on_with(tmp_path):
     path = tmp_path / "rows.csv"
     respond(path, ["1"], seed=3)
-    made = design("frequency", MOUSE, Wanted(standards=(45.0,), seed=3))
+    made = design("frequency", MOUSE, ExperimentOptions(standards=(45.0,), seed=3))
     file = RowFile(path, About("f", "constant", "p", "s", 3))
     with file, raises(ExperimentError, about="trial", problem="conflict", value=1):
         Session(made.task, made.procedure, file, DATE)
@@ -122,7 +124,7 @@ def test_another_experiment_s_answers_are_not_gone_on_with(tmp_path):
 def test_more_answers_than_trials_are_another_experiment_s(tmp_path):
     path = tmp_path / "rows.csv"
     respond(path, ["1"])
-    one = Wanted(standards=(30.0, 60.0), repetitions=1)
+    one = ExperimentOptions(standards=(30.0, 60.0), repetitions=1)
     made = design("frequency", MOUSE, one)
     for _ in range(3):
         made.procedure.next()
@@ -133,14 +135,14 @@ def test_more_answers_than_trials_are_another_experiment_s(tmp_path):
 
 
 def test_a_level_that_rose_is_kept_as_it_was_reached(tmp_path, profile):
-    made = design("discomfort", profile, Wanted(repetitions=2))
+    made = design("discomfort", profile, ExperimentOptions(repetitions=2))
     path = tmp_path / "rows.csv"
     for expected in (1, 2):
-        made = design("discomfort", profile, Wanted(repetitions=2))
+        made = design("discomfort", profile, ExperimentOptions(repetitions=2))
         with RowFile(path, About("d", "limits", "p", "s", 0)) as file:
             session = Session(made.task, made.procedure, file, DATE)
             assert session.done == expected - 1
             session.record(session.next(), Answer("y", None, 4.0, 1.0, reached=1.5 + expected))
     assert [(row.comparison, row.success) for row in read_rows(path)] == [(2.5, True), (3.5, True)]
-    assert np.isnan(made.task.trial(design("discomfort", profile, Wanted()).procedure.next())
-                    .condition.comparison)  # fmt: skip
+    rising = design("discomfort", profile, ExperimentOptions())
+    assert np.isnan(made.task.trial(rising.procedure.next()).condition.comparison)

@@ -5,25 +5,25 @@ import re
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Mode
 from smarttouch.errors import ExperimentError
-from smarttouch.primary import Mode
-from smarttouch.psychophysics.catalog import Wanted, design
-from smarttouch.psychophysics.course import Course
+from smarttouch.psychophysics.catalog import ExperimentOptions, design
 from smarttouch.psychophysics.observers.observer import SilentObserver
 from smarttouch.psychophysics.rows import read_rows
 from smarttouch.psychophysics.source import AGAIN, ExperimentSource
+from smarttouch.psychophysics.timing import TrialTiming
 from smarttouch.running.controls import Controls, ControlState
 
 from ..raising import raises
 from .sitting import Perfect, sit
 
-FEW = Wanted(repetitions=1, standards=(30.0,), train_s=0.15)
+FEW = ExperimentOptions(repetitions=1, standards=(30.0,), train_s=0.15)
 
 
 def test_trains_have_the_asked_frequency_to_the_microsecond(profile, bank, tmp_path):
     """Two standards, ten comparisons each; times and pulses by the board's account."""
     observer = Perfect()
-    wanted = Wanted(repetitions=1, standards=(20.0, 60.0), train_s=0.27)
+    wanted = ExperimentOptions(repetitions=1, standards=(20.0, 60.0), train_s=0.27)
     made = design("frequency", profile, wanted)
     sat = sit(made, profile, bank, tmp_path / "rows.csv", observer)
     rows = read_rows(tmp_path / "rows.csv")
@@ -52,7 +52,7 @@ def test_between_the_intervals_there_is_silence_as_long_as_asked(profile, bank, 
         bank,
         tmp_path / "rows.csv",
         Perfect(),
-        course=Course(gap_s=0.333),
+        course=TrialTiming(gap_s=0.333),
         watch=lambda sent, source, _: steps.append((source.playing, sent.step.sequence)),
     )
     at = {}
@@ -136,7 +136,7 @@ def test_currents_that_count_wait_for_full_intensity(profile, bank, tmp_path):
 
     before = []
     observer = Perfect()
-    made = design("detection", profile, Wanted(repetitions=1, train_s=0.1))
+    made = design("detection", profile, ExperimentOptions(repetitions=1, train_s=0.1))
     sit(
         made, profile, bank, tmp_path / "rows.csv", observer, watch=watch,
         controls=Controls(ControlState(Mode.RA, 0.5)),
@@ -158,7 +158,7 @@ def test_where_currents_count_no_key_changes_one_unnoticed(profile, bank, tmp_pa
         elif source.playing is None and source.spoiled:
             controls.change_level(1)
 
-    made = design("detection", profile, Wanted(repetitions=1, train_s=0.1))
+    made = design("detection", profile, ExperimentOptions(repetitions=1, train_s=0.1))
     sat = sit(
         made, profile, bank, tmp_path / "rows.csv", Perfect(), watch=watch,
         controls=Controls(ControlState(Mode.RA)),
@@ -171,7 +171,7 @@ def test_a_trial_that_cannot_begin_is_not_waited_for_where_nobody_is(profile, ba
     with raises(ExperimentError, about="trial", problem="late", value=3, remedy="--intensity"):
         sit(
             design("frequency", profile, FEW), profile, bank, tmp_path / "rows.csv", Perfect(),
-            controls=Controls(ControlState(Mode.RA, 0.0)), course=Course(patience_s=3),
+            controls=Controls(ControlState(Mode.RA, 0.0)), course=TrialTiming(patience_s=3),
         )  # fmt: skip
 
 
@@ -179,7 +179,7 @@ def test_nobody_answers(profile, bank, tmp_path):
     """Every trial comes again once, at the end."""
     sat = sit(
         design("frequency", profile, FEW), profile, bank, tmp_path / "rows.csv", SilentObserver(),
-        course=Course(answer_s=0.2),
+        course=TrialTiming(answer_s=0.2),
     )  # fmt: skip
     rows = read_rows(tmp_path / "rows.csv")
     assert len(rows) == 20
@@ -195,7 +195,7 @@ class OneTrial:
     title, done, total = "try", 0, 1
 
     def __init__(self, profile, name="frequency", train_s=0.1):
-        made = design(name, profile, Wanted(train_s=train_s))
+        made = design(name, profile, ExperimentOptions(train_s=train_s))
         self.trial = made.task.trial(made.procedure.next())
         self.answers = []
 
@@ -236,7 +236,7 @@ def loop(profile, bank):
     from smarttouch.running.pipeline import Pipeline
 
     trials = OneTrial(profile)
-    source = ExperimentSource(trials, profile, Course(answer_s=5.0), press_n=1.0)
+    source = ExperimentSource(trials, profile, TrialTiming(answer_s=5.0), press_n=1.0)
     return Loop(source, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points"))), trials
 
 
@@ -280,7 +280,7 @@ def test_an_experiment_may_forbid_to_feel_again(profile, bank):
     from smarttouch.running.pipeline import Pipeline
 
     trials = OneTrial(profile)
-    source = ExperimentSource(trials, profile, Course(again=False), press_n=1.0)
+    source = ExperimentSource(trials, profile, TrialTiming(again=False), press_n=1.0)
     loop = Loop(source, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points")))
     loop.until(lambda: source.asking)
     source.keys["r"]()
@@ -302,7 +302,7 @@ def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(profile, bank):
             return self.ns
 
     trials, clock = OneTrial(profile), Clock()
-    source = ExperimentSource(trials, profile, Course(), press_n=1.0, clock=clock)
+    source = ExperimentSource(trials, profile, TrialTiming(), press_n=1.0, clock=clock)
     loop = Loop(source, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points")))
     loop.until(lambda: source.asking)
     clock.ns += 7_000_000
@@ -317,7 +317,7 @@ def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, bank)
     from smarttouch.running.pipeline import Pipeline
 
     trials = OneTrial(profile, "discomfort", 2.0)
-    source = ExperimentSource(trials, profile, Course(), press_n=1.0)
+    source = ExperimentSource(trials, profile, TrialTiming(), press_n=1.0)
     loop = Loop(source, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points")))
     loop.until(lambda: source.playing)
     for _ in range(20):
@@ -333,7 +333,7 @@ def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, bank)
 
 
 def test_a_current_that_is_never_enough_stops_at_the_ceiling(profile, bank, tmp_path):
-    made = design("discomfort", profile, Wanted(repetitions=2, train_s=1.0))
+    made = design("discomfort", profile, ExperimentOptions(repetitions=2, train_s=1.0))
     sat = sit(made, profile, bank, tmp_path / "rows.csv", SilentObserver(), experiment="d")
     rows = read_rows(tmp_path / "rows.csv")
     full_ma = profile.full_ma[27]
@@ -357,7 +357,7 @@ def test_courses_that_cannot_be(arguments):
     ((name, value),) = arguments.items()
     value = pytest.approx(value, nan_ok=True)
     with raises(ExperimentError, about=f"--{name.replace('_', '-')}", value=value):
-        Course(**arguments)
+        TrialTiming(**arguments)
 
 
 def test_a_board_that_cannot_keep_a_frequency_is_noted(profile, changed, tmp_path):
@@ -365,9 +365,9 @@ def test_a_board_that_cannot_keep_a_frequency_is_noted(profile, changed, tmp_pat
     from smarttouch.kernels.bank import load_bank
 
     slow = changed(profile, {"pulse.discharge_us": 5000})
-    made = design("letters", slow, Wanted(letters="EF", repetitions=1, train_s=0.1))
+    made = design("letters", slow, ExperimentOptions(letters="EF", repetitions=1, train_s=0.1))
     sat = sit(made, slow, load_bank(slow), tmp_path / "rows.csv", Perfect(), experiment="l",
-              course=Course(answer_s=0.1))  # fmt: skip
+              course=TrialTiming(answer_s=0.1))  # fmt: skip
     (note,) = sat.source.notes
     asked_hz, sent_hz = map(float, re.findall(r"([\d.]+) Hz", note))
     assert asked_hz == 50

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import ExperimentError
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 from smarttouch.psychophysics.stimuli import Stimuli
 
@@ -15,10 +15,10 @@ from ..raising import raises
 
 @pytest.fixture(scope="module")
 def stimuli(profile):
-    return Stimuli(profile, Primary.PC, 0.5)
+    return Stimuli(profile, Afferent.PC, 0.5)
 
 
-HALF_A_SECOND = Stimuli(load_profile("electric-mouse"), Primary.RA, 0.5)
+HALF_A_SECOND = Stimuli(load_profile("electric-mouse"), Afferent.RA, 0.5)
 
 
 @given(st.floats(4, 200))
@@ -27,8 +27,8 @@ def test_a_train_is_as_fast_and_as_long_as_asked(rate_hz):
     assert abs(train.period_us - 1e6 / rate_hz) <= 0.5
     assert abs(train.pulses * train.period_us - 500_000) <= train.period_us
     assert train.pulses >= 2
-    assert [*np.flatnonzero(train.activation[Primary.RA])] == [3]
-    assert not train.activation[[Primary.SAI, Primary.PC]].any()
+    assert [*np.flatnonzero(train.activation[Afferent.RA])] == [3]
+    assert not train.activation[[Afferent.SAI, Afferent.PC]].any()
 
 
 def test_a_blank_is_as_long_as_its_train(stimuli):
@@ -36,7 +36,7 @@ def test_a_blank_is_as_long_as_its_train(stimuli):
     blank = train.blank()
     assert not blank.activation.any()
     assert (blank.pulses, blank.period_us, blank.level) == (15, 33_333, 1.0)
-    assert train.activation[Primary.PC].sum() == 2
+    assert train.activation[Afferent.PC].sum() == 2
 
 
 def test_a_rising_train_reaches_its_level_at_its_last_pulse(stimuli):
@@ -70,14 +70,14 @@ def test_lengths_that_cannot_be(profile, train_s):
         value=pytest.approx(train_s, nan_ok=True),
         allowed=(0, 60),
     ):
-        Stimuli(profile, Primary.RA, train_s)
+        Stimuli(profile, Afferent.RA, train_s)
 
 
 def test_the_middle_is_driven(profile, changed):
-    middle = Stimuli(profile, Primary.RA, 1).middle
+    middle = Stimuli(profile, Afferent.RA, 1).middle
     assert np.hypot(*profile.electrodes.position_mm[middle]) < 1.5
     without = changed(profile, {"output.masked": (middle,)})
-    other = Stimuli(without, Primary.RA, 1).middle
+    other = Stimuli(without, Afferent.RA, 1).middle
     assert other != middle
     assert np.hypot(*profile.electrodes.position_mm[other]) < 1.5
 

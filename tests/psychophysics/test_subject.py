@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.errors import ExperimentError
-from smarttouch.psychophysics.catalog import Wanted, design
+from smarttouch.psychophysics.catalog import ExperimentOptions, design
 from smarttouch.psychophysics.observers.observer import RandomObserver, SameObserver, SilentObserver
 from smarttouch.psychophysics.rows import read_rows
 from smarttouch.psychophysics.subject import Subject, TwoLooks, interval_of, make_observer
@@ -50,10 +50,10 @@ def test_an_interval_of_silence_is_empty():
 def test_letters_are_felt_where_they_were_drawn(profile, bank, tmp_path):
     """All slots of a scan, and in none but the asked sites is the kernel's strongest."""
     observer = Perfect()
-    made = design("letters", profile, Wanted(letters="LT", repetitions=1, train_s=0.1))
-    from smarttouch.psychophysics.course import Course
+    made = design("letters", profile, ExperimentOptions(letters="LT", repetitions=1, train_s=0.1))
+    from smarttouch.psychophysics.timing import TrialTiming
 
-    sit(made, profile, bank, tmp_path / "rows.csv", observer, course=Course(answer_s=0.2))
+    sit(made, profile, bank, tmp_path / "rows.csv", observer, course=TrialTiming(answer_s=0.2))
     rows = read_rows(tmp_path / "rows.csv")
     kernels = bank.kernels(0)
     for row, (task, (felt,)) in zip(rows, observer.felt, strict=True):
@@ -97,7 +97,7 @@ def test_two_looks_make_a_choice():
 
 @pytest.mark.parametrize("name", ["detection", "two-point", "localization", "discomfort"])
 def test_the_model_sits_every_experiment(profile, bank, tmp_path, name):
-    wanted = Wanted(repetitions=2, train_s=1.0 if name == "discomfort" else 0.1)
+    wanted = ExperimentOptions(repetitions=2, train_s=1.0 if name == "discomfort" else 0.1)
     made = design(name, profile, wanted)
     observer = make_observer("model", profile, 1)
     sat = sit(made, profile, bank, tmp_path / "rows.csv", observer, experiment=name)
@@ -110,7 +110,9 @@ def test_the_model_sits_every_experiment(profile, bank, tmp_path, name):
 
 
 def test_the_model_finds_detection_in_two_intervals(profile, bank, tmp_path):
-    made = design("detection", profile, Wanted(repetitions=3, train_s=0.1, two_intervals=True))
+    made = design(
+        "detection", profile, ExperimentOptions(repetitions=3, train_s=0.1, two_intervals=True)
+    )
     sit(made, profile, bank, tmp_path / "rows.csv", make_observer("model", profile, 1))
     rows = sorted(read_rows(tmp_path / "rows.csv"), key=lambda row: row.comparison)
     assert sum(row.success for row in rows[-6:]) >= 5

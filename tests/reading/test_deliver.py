@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.delivered.line import PIXELS_PER_PITCH, LinePicture
 from smarttouch.errors import SafetyError
 from smarttouch.imaging.mapping import Tone
-from smarttouch.primary import Primary
 from smarttouch.reading.cursor import Motion
 from smarttouch.reading.deliver import Reading, deliver_line, deliver_lines, ideal_picture
 from smarttouch.reading.shapes import Shapes, Style
 from smarttouch.reading.window import usual_speed
-from smarttouch.stimulation.frames import Sharing
+from smarttouch.stimulation.frames import SlotPolicy
 
 GRADED = Tone(0.0, 1.0, prepared=True)
 
@@ -40,7 +40,7 @@ def test_a_bar_is_felt_where_it_is(way, make_line):
 def test_many_points_in_a_slot_are_felt_as_they_are_one_by_one(way, make_line):
     line = make_line(20.0, (6.0, 9.0))
     by_points = deliver_line(line, way).values()
-    at_once = deliver_line(line, replace(way, sharing=Sharing((Primary.RA,)))).values()
+    at_once = deliver_line(line, replace(way, sharing=SlotPolicy((Afferent.RA,)))).values()
     # Plans may fall short of the fullest activation by 4 %, which is 8 % above the threshold.
     assert np.abs(at_once - by_points).max() < 0.12
     assert not np.array_equal(at_once, by_points)

@@ -12,7 +12,7 @@ from smarttouch.reading import printed
 from smarttouch.reading.error_rate import character_error_rate
 from smarttouch.reading.ocr import RecognizedLine
 from smarttouch.reading.printed import (
-    HowToLook,
+    RecognitionOptions,
     document_pages,
     recognized_lines,
     recognized_text,
@@ -52,7 +52,7 @@ def tesseract(monkeypatch):
 
 def test_paragraphs_are_put_together_and_divided_words_joined(tesseract, notes):
     tesseract(TEXT)
-    text = recognized_text(prepare_text(TEXT), HowToLook(), notes.append)
+    text = recognized_text(prepare_text(TEXT), RecognitionOptions(), notes.append)
     assert text == "Some words that are divided by a line, and more of them\nanother paragraph"
     assert notes == []
 
@@ -68,12 +68,12 @@ def test_paragraphs_are_put_together_and_divided_words_joined(tesseract, notes):
 )
 def test_hyphens_at_the_end_of_a_line(tesseract, notes, lines, text):
     tesseract(lines)
-    assert recognized_text(prepare_text(lines), HowToLook(), notes.append) == text
+    assert recognized_text(prepare_text(lines), RecognitionOptions(), notes.append) == text
 
 
 def test_the_first_line_is_not_waited_for(tesseract, notes):
     stands = tesseract("\n".join(f"line {number}" for number in range(40)))
-    lines = recognized_lines(prepare_text("x\n" * 40), HowToLook(), notes.append)
+    lines = recognized_lines(prepare_text("x\n" * 40), RecognitionOptions(), notes.append)
     assert next(lines) == (0, "line 0")
     assert stands.pieces == [1]
     assert [text for _, text in lines] == [f"line {number}" for number in range(1, 40)]
@@ -82,7 +82,9 @@ def test_the_first_line_is_not_waited_for(tesseract, notes):
 
 def test_what_is_hardly_recognized_is_told_of(tesseract, notes):
     tesseract("scrawl", confidence=0.3)
-    assert list(recognized_lines(prepare_text("x"), HowToLook(), notes.append)) == [(0, "scrawl")]
+    assert list(recognized_lines(prepare_text("x"), RecognitionOptions(), notes.append)) == [
+        (0, "scrawl")
+    ]
     assert len(notes) == 1
     assert "30%" in notes[0]
     assert "--language" in notes[0]
@@ -98,7 +100,7 @@ def test_a_page_is_turned_as_it_should_be(monkeypatch, notes, turn_deg):
         return turn_deg
 
     monkeypatch.setattr(printed, "upright", upright)
-    prepared = upright_page(3, page, HowToLook(languages="deu"), notes.append)
+    prepared = upright_page(3, page, RecognitionOptions(languages="deu"), notes.append)
     assert seen == ["deu"]
     if turn_deg:
         assert any(note.startswith("page 3:") and f" {turn_deg}°" in note for note in notes)
@@ -111,7 +113,11 @@ def test_a_page_is_turned_as_it_should_be(monkeypatch, notes, turn_deg):
 @pytest.mark.parametrize("matters", [False, True])
 def test_a_guessed_size_is_told_of_where_it_matters(tmp_path, notes, matters):
     Image.fromarray(print_text("words").grey).save(tmp_path / "page.png")
-    list(document_pages(tmp_path / "page.png", HowToLook(scale_matters=matters), notes.append))
+    list(
+        document_pages(
+            tmp_path / "page.png", RecognitionOptions(scale_matters=matters), notes.append
+        )
+    )
     assert [("210 mm" in note) for note in notes] == [True] * matters
 
 
@@ -120,7 +126,9 @@ def test_without_tesseract_a_page_stays_as_it_is(monkeypatch, notes):
         raise ReadingError("Tesseract is not here")
 
     monkeypatch.setattr(printed, "upright", missing)
-    prepared = upright_page(1, print_text("Some words\non a page"), HowToLook(), notes.append)
+    prepared = upright_page(
+        1, print_text("Some words\non a page"), RecognitionOptions(), notes.append
+    )
     assert len(prepared.lines) == 2
     assert notes == []
 
@@ -131,9 +139,9 @@ def test_without_tesseract_a_page_stays_as_it_is(monkeypatch, notes):
 def test_an_upside_down_page_is_read(tmp_path, notes):
     grey = print_text("A page is a quiet place.\nRest one finger on a line").grey
     Image.fromarray(np.ascontiguousarray(grey[::-1, ::-1])).save(tmp_path / "page.png")
-    ((number, page),) = document_pages(tmp_path / "page.png", HowToLook(), notes.append)
-    prepared = upright_page(number, page, HowToLook(), notes.append)
-    text = recognized_text(prepared, HowToLook(), notes.append)
+    ((number, page),) = document_pages(tmp_path / "page.png", RecognitionOptions(), notes.append)
+    prepared = upright_page(number, page, RecognitionOptions(), notes.append)
+    text = recognized_text(prepared, RecognitionOptions(), notes.append)
     truth = "A page is a quiet place. Rest one finger on a line"
     assert character_error_rate(truth, text) < 0.05
     assert any("180°" in note for note in notes)

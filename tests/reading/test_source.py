@@ -9,7 +9,7 @@ from smarttouch.documents.printed_text import print_text
 from smarttouch.errors import ReadingError, SmartTouchError
 from smarttouch.profile import load_profile
 from smarttouch.reading.braille import Braille, Presentation
-from smarttouch.reading.printed import EmptyPages, HowToLook
+from smarttouch.reading.printed import EmptyPages, RecognitionOptions
 from smarttouch.reading.shapes import Shapes, Style, thin
 from smarttouch.reading.source import Source
 from smarttouch.reading.window import profile_for_reading
@@ -36,7 +36,7 @@ def source_of(tmp_path, notes):
             ]
             images[0].save(tmp_path / name, save_all=True, append_images=images[1:])
             name = str(tmp_path / name)
-        return Source(name, HowToLook(**how), notes.append)
+        return Source(name, RecognitionOptions(**how), notes.append)
 
     return make
 

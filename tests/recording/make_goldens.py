@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from smarttouch import __version__
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.boards.kajimoto61 import Kajimoto61Board
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.clock import SimulatedClock
 from smarttouch.errors import LineLostError
 from smarttouch.kernels.bank import load_bank
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.recording import recorder as recorder_module
 from smarttouch.recording.recorder import RecordingWriter, about_run
@@ -35,8 +35,8 @@ from smarttouch.sources.frame import Frame
 from smarttouch.sources.source import Source
 from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stimulation.adaptation import Adaptation
-from smarttouch.stimulation.frames import NO_SHARING, Sharing
-from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy
+from smarttouch.stimulation.ledger import ChargeBalance
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.stopping import StopRequest
@@ -67,7 +67,7 @@ class Golden:
     wishes: tuple[tuple[float, ControlState], ...] = ()
     lost_at: int | None = None
     asks: bool = False
-    sharing: Sharing = NO_SHARING
+    sharing: SlotPolicy = NO_SHARING
 
 
 GOLDENS = (
@@ -93,12 +93,12 @@ GOLDENS = (
     # As --scan auto: kernels of RA are added up, those of SAI stand alone behind them.
     Golden(
         "shared", "electric-mouse", Mode.NATURAL, "t", 0.9, wishes=((0.7, ControlState(Mode.RA)),),
-        sharing=Sharing((Primary.RA,), planned=False),
+        sharing=SlotPolicy((Afferent.RA,), planned=False),
     ),
     # As --scan frame: each frame's currents are found anew, for both classes together.
     Golden(
         "frame", "electric-mouse", Mode.NATURAL, "h", 0.9, wishes=((0.7, ControlState(Mode.SAI)),),
-        sharing=Sharing(tuple(Primary), planned=True),
+        sharing=SlotPolicy(tuple(Afferent), planned=True),
     ),
 )  # fmt: skip
 
@@ -132,7 +132,7 @@ class Held(Source):
     def _asked(self, time_ns):
         """Return all three classes here and there, each time for another while."""
         random = np.random.default_rng(time_ns)
-        activation = random.random((len(Primary), 64), np.float32)
+        activation = random.random((len(Afferent), 64), np.float32)
         activation[random.random(activation.shape) > 0.04] = 0
         return activation, int(random.integers(20_000, 40_000))
 
@@ -196,7 +196,7 @@ def make(golden, path):
     }
     if golden.sharing != NO_SHARING:
         settings["sharing"] = {
-            "primaries": [each.name for each in golden.sharing.primaries],
+            "primaries": [each.name for each in golden.sharing.afferents],
             "planned": golden.sharing.planned,
         }
     about = about_run(profile, settings, STARTED_UNIX_NS)
@@ -215,7 +215,7 @@ def make(golden, path):
     )
     regulator = Regulator(
         Adaptation(profile, golden.hold, 100.0, golden.timing) if golden.hold else None,
-        ChargeLedger(len(profile.electrodes)) if golden.balance else None,
+        ChargeBalance(len(profile.electrodes)) if golden.balance else None,
     )
     board = Board(golden, profile)
     recorder = RecordingWriter(path, about, STARTED_UNIX_NS)

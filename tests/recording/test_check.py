@@ -10,20 +10,20 @@ from importlib.metadata import entry_points
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Mode
 from smarttouch.errors import RecordingError
 from smarttouch.kernels.bank import load_bank
-from smarttouch.primary import Mode
 from smarttouch.recording.check import KEPT, assert_replays, check_recording
 from smarttouch.recording.reader import Recording
 
 from ..raising import raises
 
 
-def with_weight(bank, primary, site, electrode, by):
+def with_weight(bank, afferent, site, electrode, by):
     """Return a bank with one weight changed by a part of its kernel's peak."""
-    weights = bank.weights[primary].copy()
+    weights = bank.weights[afferent].copy()
     weights[site, electrode] += by * np.abs(weights[site]).max()
-    return replace(bank, weights={**bank.weights, primary: weights})
+    return replace(bank, weights={**bank.weights, afferent: weights})
 
 
 def strongest_slot(path):
@@ -76,11 +76,11 @@ def test_one_weight_changed_by_a_thousandth_is_told_with_its_place(goldens):
         recorded, slot = strongest_slot(path)
         step = recorded.step
         site = int(step.sequence.site[slot])
-        primary = step.mode.primaries[-1]
+        afferent = step.mode.afferents[-1]
         profile = Recording(path).profile
         bank = load_bank(profile)
-        electrode = int(np.argsort(np.abs(bank.weights[primary][site]))[-2])
-        report = check_recording(path, bank=with_weight(bank, primary, site, electrode, 1e-3))
+        electrode = int(np.argsort(np.abs(bank.weights[afferent][site]))[-2])
+        report = check_recording(path, bank=with_weight(bank, afferent, site, electrode, 1e-3))
         assert not report.exact, path
         assert report.left_out == ""
         # A whole µA at 2 mA; what has to sum to zero may move another electrode too.

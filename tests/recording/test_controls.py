@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from smarttouch.afferent import Mode
 from smarttouch.errors import RecordingError
-from smarttouch.primary import Mode
 from smarttouch.recording.controls import RecordedControls
 from smarttouch.recording.reader import Recording
 from smarttouch.running.controls import ControlState

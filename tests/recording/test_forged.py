@@ -8,8 +8,8 @@ from collections import Counter
 
 import pytest
 
+from smarttouch.afferent import Mode
 from smarttouch.errors import RecordingError, SmartTouchError
-from smarttouch.primary import Mode
 from smarttouch.recording.account import describe
 from smarttouch.recording.check import check_recording
 from smarttouch.recording.controls import RecordedControls

@@ -12,7 +12,7 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulator import Regulator
 from smarttouch.running.step import StepResult
-from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.ledger import ChargeBalance
 from smarttouch.stimulation.recharge import RechargeRules
 from smarttouch.stimulation.timing import ScanTiming
 
@@ -21,7 +21,7 @@ from smarttouch.stimulation.timing import ScanTiming
 def balanced(profile, bank, make_steps):
     """The usual steps, with charge balanced by recharge phases."""
     pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
-    regulator = Regulator(None, ChargeLedger(64), RechargeRules.of(profile, ScanTiming()))
+    regulator = Regulator(None, ChargeBalance(64), RechargeRules.of(profile, ScanTiming()))
     made = []
     for sent in make_steps(40):
         step = pipeline.process(sent.step.input)

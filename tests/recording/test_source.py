@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.errors import RecordingError, SensorError
+from smarttouch.errors import RecordingError, SourceError
 from smarttouch.recording.source import open_recording
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
@@ -83,9 +83,9 @@ def test_a_cut_one_is_played_as_far_as_it_goes(tmp_path, recording, profile):
 
 
 def test_what_cannot_be_played(tmp_path, record, profile):
-    with raises(SensorError, about="file", problem="missing", remedy="recording:FILE.mcap"):
+    with raises(SourceError, about="file", problem="missing", remedy="recording:FILE.mcap"):
         open_recording("", profile)
     with raises(RecordingError, about="file", problem="missing", value=tmp_path / "none.mcap"):
         open_recording(str(tmp_path / "none.mcap"), profile)
-    with raises(SensorError, about="file", problem="empty", value=tmp_path / "run.mcap"):
+    with raises(SourceError, about="file", problem="empty", value=tmp_path / "run.mcap"):
         open_recording(str(record(tmp_path / "run.mcap", [])), profile)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from smarttouch.primary import Mode, Primary
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.recording.decoder import StepDecoder
 from smarttouch.recording.encoder import StepEncoder
 from smarttouch.recording.schemas import LAST, SCHEMAS
@@ -19,8 +19,8 @@ from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.sources.stimulus import Stimulus
-from smarttouch.stimulation.frames import Sharing
-from smarttouch.stimulation.sequence import Proof, ScanSequence
+from smarttouch.stimulation.frames import SlotPolicy
+from smarttouch.stimulation.sequence import ScanSequence, SelectivityReport
 from smarttouch.tactile_image import TactileImage
 
 numbers = st.floats(allow_infinity=False)
@@ -54,7 +54,9 @@ def sequences(draw, time_ns, electrodes):
 def proofs(slots):
     ratio = st.floats(0, width=32, allow_infinity=False) | st.just(math.nan)
     ratios = arrays.arrays(np.float32, slots, elements=ratio)
-    return st.builds(Proof, arrays.arrays(np.uint16, slots, elements=whole_us), ratios, ratios)
+    return st.builds(
+        SelectivityReport, arrays.arrays(np.uint16, slots, elements=whole_us), ratios, ratios
+    )
 
 
 @st.composite
@@ -146,7 +148,7 @@ def test_a_step_comes_back_to_the_bit(steps):
 
 
 def test_a_proof_of_other_slots_breaks_the_step(make_frame, profile, bank):
-    pipeline = Pipeline(profile, bank, RunConfig(scan=Sharing((Primary.RA,))))
+    pipeline = Pipeline(profile, bank, RunConfig(scan=SlotPolicy((Afferent.RA,))))
     image = np.full((64, 64), 255, np.uint8)
     image[20:44, 20:44] = 0
     pipeline.process(make_frame(image, 10**9))
@@ -167,10 +169,10 @@ def test_an_endless_ratio_is_the_largest_there_is(steps):
         sent.step.sequence,
         **{key: np.ones(1, np.uint16) for key in ("width_us", "discharge_us", "site")},
         current_ua=np.zeros((1, 64), np.int16),
-        proof=Proof(np.ones(1, np.uint16), endless, endless),
+        proof=SelectivityReport(np.ones(1, np.uint16), endless, endless),
     )
     [found] = through([replace(sent, step=replace(sent.step, sequence=sequence))])
-    assert found.sent.step.sequence.proof.worst_other[0] == np.finfo(np.float32).max
+    assert found.sent.step.sequence.proof.off_target[0] == np.finfo(np.float32).max
 
 
 def test_an_image_is_written_once(steps):

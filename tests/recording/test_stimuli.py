@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smarttouch.primary import Mode, Primary
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.recording.account import describe
 from smarttouch.recording.check import check_recording
 from smarttouch.recording.decoder import StepDecoder
@@ -118,7 +118,7 @@ def test_an_export_names_no_image(run, tmp_path):
 def touched(profile, bank):
     """Return a step of a stimulus with an image."""
     activation, image = np.zeros((3, 64), np.float32), np.full((4, 4), 9, np.uint8)
-    activation[Primary.RA, 5] = 0.25
+    activation[Afferent.RA, 5] = 0.25
     stimulus = Stimulus(activation, 0, 1.0, 20_000, image=image)
     return Pipeline(profile, bank, RunConfig(mode=Mode.RA)).process(stimulus)
 

@@ -6,7 +6,7 @@ Minimize t over currents w such that, with r the smallest wish::
     wish (1 − uneven) ≤ target rows · w ≤ wish (1 + uneven)
     Σw = 0,   |w| ≤ limit of each electrode,   Σ|w| / 2 ≤ total
 
-Rows are added as they are broken (as in `programme`), read from the field maps,
+Rows are added as they are broken (as in `program`), read from the field maps,
 so that not all of them need to be kept. Every electrode has two unknowns, what
 it carries as a cathode and as an anode: totals are then linear.
 """

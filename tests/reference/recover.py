@@ -15,7 +15,7 @@ class Recovered:
 
     Attributes
     ----------
-    primary : ndarray, (N,) int8
+    afferent : ndarray, (N,) int8
         Class whose kernel each pulse is most like.
     site : ndarray, (N,)
         Site of the kernel of that class.
@@ -26,7 +26,7 @@ class Recovered:
         Cosine between current and kernel; 1 but for whole microamperes.
     """
 
-    primary: NDArray[np.int8]
+    afferent: NDArray[np.int8]
     site: NDArray[np.intp]
     drive: NDArray[np.float32]
     likeness: NDArray[np.float32]

@@ -7,11 +7,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.afferent import Afferent
 from smarttouch.kernels.frames.figures import FrameFigures
 from smarttouch.kernels.frames.judge import FrameJudge
 from smarttouch.physiology.afferents import Afferents, depth_mm, flat, tilted
 from smarttouch.physiology.afferents import variants as conductivities
-from smarttouch.primary import Primary
 from smarttouch.profile import Skin
 
 Array = NDArray[np.float64]
@@ -21,16 +21,16 @@ Array = NDArray[np.float64]
 class Worst:
     """Worst figures over some variants; each may come from another one."""
 
-    worst_other: float
-    worst_spill: float
+    off_target: float
+    spill: float
     weakest: float
     strongest: float
 
     @classmethod
     def of(cls, figures: Sequence[FrameFigures]) -> "Worst":
         return cls(
-            max(each.worst_other for each in figures),
-            max(each.worst_spill for each in figures),
+            max(each.off_target for each in figures),
+            max(each.spill for each in figures),
             min(each.weakest for each in figures),
             max(each.strongest for each in figures),
         )
@@ -53,7 +53,7 @@ def spread_judges(
     depth, angle : bool
         Whether these vary. Conductivities vary with depth, where skin is layered.
     """
-    skin, primary = judge.profile.skin, judge.primary
+    skin, afferent = judge.profile.skin, judge.afferent
     turn = skin.spread.angle_deg * part if angle else 0.0
     shifts = [0.0, 1.0, -1.0] if depth else [0.0]
     found = []
@@ -61,10 +61,10 @@ def spread_judges(
         for other_shift in shifts:
             others = None
             for own_shift in shifts:
-                moved = _shifted(layered, primary, own_shift * part, other_shift * part)
-                for vary in _turns(primary, turn):
+                moved = _shifted(layered, afferent, own_shift * part, other_shift * part)
+                for vary in _turns(afferent, turn):
                     found.append(
-                        FrameJudge(judge.profile, primary, judge.wish_af, moved, vary, others)
+                        FrameJudge(judge.profile, afferent, judge.wish_af, moved, vary, others)
                     )
                     others = found[-1].others
     return found
@@ -86,30 +86,30 @@ def uneven_levels(level: Array, part: float, seed: int) -> Array:
     return np.asarray(level * rng.uniform(1 - part, 1 + part, len(level)) / (1 + part))
 
 
-def _shifted(skin: Skin, primary: Primary, own: float, other: float) -> Skin:
+def _shifted(skin: Skin, afferent: Afferent, own: float, other: float) -> Skin:
     update = {}
-    for each in Primary:
+    for each in Afferent:
         name = f"{each.name.lower()}_depth_mm"
         spread = getattr(skin.spread, name)
-        update[name] = depth_mm(skin, each) + spread * (own if each is primary else other)
+        update[name] = depth_mm(skin, each) + spread * (own if each is afferent else other)
     return skin.model_copy(update=update)
 
 
-def _turns(primary: Primary, turn_deg: float) -> list[Callable[[Afferents], Afferents]]:
+def _turns(afferent: Afferent, turn_deg: float) -> list[Callable[[Afferents], Afferents]]:
     """Return the rotations of afferents: the own class one way each, others all ways at once."""
     if turn_deg == 0:
         return [lambda one: one]
 
     def turned(one: Afferents, way: int) -> Afferents:
         upright = bool(one.direction[0, 2])
-        if one.primary is not primary:
+        if one.afferent is not afferent:
             way_all = [
                 _turned(one.direction, turn_deg, each) for each in range(5 if upright else 3)
             ]
             return replace(one, direction=np.concatenate(way_all))
         return replace(one, direction=_turned(one.direction, turn_deg, way))
 
-    ways = 5 if primary is Primary.RA else 3
+    ways = 5 if afferent is Afferent.RA else 3
     return [partial(turned, way=way) for way in range(ways)]
 
 

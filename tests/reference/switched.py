@@ -76,7 +76,7 @@ class SwitchedSearch:
         self._judge, self._level, self._bounds = judge, level, bounds
         limit = profile.limits.total_ma if total_ma is None else total_ma
         self._total_ma = np.inf if limit is None else limit
-        self._pole = -1 if polarity(profile, judge.primary) == "anodic" else 1
+        self._pole = -1 if polarity(profile, judge.afferent) == "anodic" else 1
         self._insulates = profile.output.kind == "three-state"
         self._free = np.setdiff1d(profile.driven, self.sites)
         self._far = judge.far(self.sites)

@@ -2,26 +2,26 @@
 
 import pytest
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.errors import SmartTouchError
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.running.config import SCANS, RunConfig
-from smarttouch.stimulation.frames import NO_SHARING, Sharing
+from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy
 
 from ..raising import raises
 
 
 def test_which_points_share_slots(profile):
-    assert RunConfig().sharing(profile) == Sharing((Primary.RA,), planned=False)
+    assert RunConfig().sharing(profile) == SlotPolicy((Afferent.RA,), planned=False)
     assert RunConfig(hold="charge").sharing(profile) == NO_SHARING
     for name in ("kajimoto-61", "line-7"):
         assert RunConfig().sharing(load_profile(name)) == NO_SHARING
     assert RunConfig(scan="points").sharing(profile) == NO_SHARING
-    assert RunConfig(scan="frame").sharing(profile) == Sharing(tuple(Primary), planned=True)
+    assert RunConfig(scan="frame").sharing(profile) == SlotPolicy(tuple(Afferent), planned=True)
 
 
 def test_a_recorded_scan_is_used_where_the_board_can(profile):
-    shared = Sharing((Primary.RA,), planned=False)
+    shared = SlotPolicy((Afferent.RA,), planned=False)
     assert RunConfig(scan=shared).sharing(profile) == shared
     assert RunConfig(scan=shared).sharing(load_profile("kajimoto-61")) == NO_SHARING
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.primary import Mode
+from smarttouch.afferent import Mode
 from smarttouch.running.controls import STEP, Controls, ControlState
 
 

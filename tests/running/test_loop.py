@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Mode
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.boards.probe import one_each
@@ -18,7 +19,6 @@ from smarttouch.errors import (
     SafetyError,
 )
 from smarttouch.events import BoardRestarted
-from smarttouch.primary import Mode
 from smarttouch.realtime import Pace
 from smarttouch.running.config import RunConfig
 from smarttouch.running.controls import Controls, ControlState
@@ -31,7 +31,7 @@ from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.sources.source import OpticalSource
 from smarttouch.stimulation.adaptation import Adaptation
-from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.ledger import ChargeBalance
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 
@@ -335,7 +335,7 @@ def test_what_was_measured_changes_what_is_sent(profile, pipeline, board, monkey
         if sequence.slots:
             measured.append((sequence, np.full(sequence.slots, 100.0, np.float32)))
 
-    regulator = Regulator(Adaptation(profile, "energy", 300.0), ChargeLedger(64))
+    regulator = Regulator(Adaptation(profile, "energy", 300.0), ChargeBalance(64))
     with board:
         loop(Bars(60), pipeline, board, listeners=as_listeners([saturate]), regulator=regulator)
     # The same voltage at ever more current: impedance seems to fall, and energy holds.
@@ -624,10 +624,10 @@ def test_on_a_finger_somebody_must_say_how_strong(monkeypatch, pipeline, board):
 
 @pytest.mark.parametrize(("on_a_finger", "waits_for_nothing"), [(0, 0), (1, 0), (1, 1)])
 def test_priority_is_for_boards_whose_time_passes(
-    pipeline, board, monkeypatch, on_a_finger, waits_for_nothing
+    pipeline, board, monkeypatch, on_a_finger, simulated_time
 ):
     monkeypatch.setattr(type(board), "on_a_finger", bool(on_a_finger))
-    monkeypatch.setattr(type(board), "waits_for_nothing", bool(waits_for_nothing))
+    monkeypatch.setattr(type(board), "waits_for_nothing", bool(simulated_time))
     taken = []
 
     @contextmanager
@@ -647,6 +647,6 @@ def test_priority_is_for_boards_whose_time_passes(
             controls=Controls(ControlState(pipeline.mode)),
             listeners=[OnEvent(lambda event: told.append(str(event)))],
         )
-    assert taken == ([] if waits_for_nothing else ["paced", "given back"])
+    assert taken == ([] if simulated_time else ["paced", "given back"])
     assert not tally.real_time
     assert (Pace().notes[0] in told) is bool(on_a_finger)

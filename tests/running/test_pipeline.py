@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.boards.kajimoto61 import Kajimoto61Board
 from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import load_bank
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
@@ -23,11 +23,11 @@ def test_a_bar_fires_the_electrodes_over_it(profile, bank, make_frame, patch):
     pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
     pipeline.process(make_frame(patch(), 0))
     step = pipeline.process(make_frame(patch(24, 40), 10**9))
-    active = step.tactile.activation[Primary.RA].reshape(8, 8) > 0
+    active = step.tactile.activation[Afferent.RA].reshape(8, 8) > 0
     assert active[:, 3:5].all()
     assert not active[:, [0, 1, 6, 7]].any()
     assert sorted(step.sequence.site) == list(np.flatnonzero(active.ravel()))
-    assert not step.tactile.activation[Primary.SAI].any()
+    assert not step.tactile.activation[Afferent.SAI].any()
 
 
 def test_warming_up_changes_nothing(profile, bank, make_frame, patch):
@@ -82,7 +82,7 @@ def test_frames_of_another_size_are_taken(profile, bank, make_frame, patch):
     pipeline.process(make_frame(patch(), 0))
     large = patch(24, 40).repeat(10, 1).repeat(7, 0)
     step = pipeline.process(make_frame(large, 10**9))
-    assert (step.tactile.activation[Primary.RA].reshape(8, 8)[:, 3:5] > 0).all()
+    assert (step.tactile.activation[Afferent.RA].reshape(8, 8)[:, 3:5] > 0).all()
 
 
 def test_a_change_of_mode_begins_at_zero(profile, bank, make_frame, patch):
@@ -96,8 +96,8 @@ def test_a_change_of_mode_begins_at_zero(profile, bank, make_frame, patch):
     assert steps[0].sequence.intensity == 0
     assert steps[-1].sequence.intensity == 1
     # What stays is felt by SAI alone.
-    assert not steps[-1].tactile.activation[Primary.RA].any()
-    assert steps[-1].tactile.activation[Primary.SAI].any()
+    assert not steps[-1].tactile.activation[Afferent.RA].any()
+    assert steps[-1].tactile.activation[Afferent.SAI].any()
 
 
 def test_modes_that_a_board_offers(profile, bank):

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Mode
 from smarttouch.boards.emulator.simulated import SimulatedBoard
-from smarttouch.primary import Mode
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulator import Regulator
 from smarttouch.stimulation.adaptation import Adaptation
-from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.ledger import ChargeBalance
 from smarttouch.stimulation.recharge import RechargeRules
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.timing import ScanTiming
@@ -61,7 +61,7 @@ def rules_of(profile):
 
 def test_a_phase_that_does_not_fit_slows_the_scan_and_the_notes_say_so(profile, step):
     hurried = replace(step, sequence=replace(step.sequence, period_us=step.asked_us // 2))
-    regulator = Regulator(ledger=ChargeLedger(64), recharge=rules_of(profile))
+    regulator = Regulator(ledger=ChargeBalance(64), recharge=rules_of(profile))
     sent = regulator.regulate(hurried, Told()).sequence
     assert sent.period_us > hurried.sequence.period_us
     (note,) = regulator.notes()
@@ -70,14 +70,14 @@ def test_a_phase_that_does_not_fit_slows_the_scan_and_the_notes_say_so(profile, 
 
 
 def test_charge_that_cannot_be_taken_back_at_once_is_noted(profile, step):
-    regulator = Regulator(ledger=ChargeLedger(64), recharge=rules_of(profile))
+    regulator = Regulator(ledger=ChargeBalance(64), recharge=rules_of(profile))
     regulator.ledger.charge_pc[:2] = [9_000_000, -9_000_000]
     regulator.regulate(step, Told())
     assert any(f"{regulator.ledger.worst_uc:.2f} µC" in each for each in regulator.notes())
 
 
 def test_reversed_scans_are_noted_with_what_they_do(step):
-    regulator = Regulator(ledger=ChargeLedger(64))
+    regulator = Regulator(ledger=ChargeBalance(64))
     for _ in range(4):
         regulator.regulate(step, Told())
     (note,) = regulator.notes()
@@ -102,8 +102,8 @@ def test_by_the_emulators_books_charge_is_back_and_the_same_is_felt(
     """A bar that moves for a second: without balance, and with each way of it."""
     ways = {
         "without": Regulator(),
-        "reversing": Regulator(ledger=ChargeLedger(64)),
-        "recharging": Regulator(ledger=ChargeLedger(64), recharge=rules_of(profile)),
+        "reversing": Regulator(ledger=ChargeBalance(64)),
+        "recharging": Regulator(ledger=ChargeBalance(64), recharge=rules_of(profile)),
     }
     passed_uc, pulses = {}, {}
     for way, regulator in ways.items():

@@ -5,10 +5,10 @@ import threading
 import numpy as np
 import pytest
 
-from smarttouch.errors import BoardError, BoardStoppedError, SensorError, SmartTouchError
+from smarttouch.afferent import Afferent, Mode
+from smarttouch.errors import BoardError, BoardStoppedError, SmartTouchError, SourceError
 from smarttouch.events import Advice, IntensityChanged, ModeChanged, RunEnded
 from smarttouch.outputs import FeltPicture, Patterns
-from smarttouch.primary import Mode, Primary
 from smarttouch.recording.recorder import Recorder
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import open_display
@@ -97,7 +97,7 @@ def test_a_stimulus_source_chooses_the_classes(profile, display):
             if time_ns > 0.3e9:
                 return None
             activation = np.zeros((3, 64), np.float32)
-            activation[Primary.RA, 27] = 1
+            activation[Afferent.RA, 27] = 1
             return Stimulus(activation, time_ns, profile.force.full_n, 25_000, 0.5)
 
     noting = Noting()
@@ -161,7 +161,7 @@ def test_on_a_finger_somebody_says_how_strong(profile, source):
 
 def test_without_force_there_is_no_run(display, source, monkeypatch):
     monkeypatch.setattr(type(source), "knows_force", False)
-    with raises(SensorError, about="force", problem="missing"):
+    with raises(SourceError, about="force", problem="missing"):
         Runner(source, display, RunConfig()).run()
 
 

@@ -2,12 +2,12 @@
 
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import SavedRunError
 from smarttouch.imaging.mapping import Tone
-from smarttouch.primary import Primary
 from smarttouch.running.config import RunConfig
 from smarttouch.running.saved import SavedRun, load_run, save_run, saved_run_path, saved_runs
-from smarttouch.stimulation.frames import Sharing
+from smarttouch.stimulation.frames import SlotPolicy
 
 from ..raising import assert_says, raises
 
@@ -134,7 +134,7 @@ def test_all_that_is_wrong_is_told(folder):
 
 
 def test_classes_that_share_slots_have_no_name():
-    sharing = Sharing((Primary.RA,), planned=False)
+    sharing = SlotPolicy((Afferent.RA,), planned=False)
     with raises(SavedRunError, about="scan", problem="impossible", value=sharing):
         save_run("desk", SavedRun(config=RunConfig(scan=sharing)))
 

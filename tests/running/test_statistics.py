@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from smarttouch.running.statistics import LatencyHistogram, RunStatistics
 from smarttouch.sources.frame import Frame, Pose
-from smarttouch.stimulation.sequence import Proof
+from smarttouch.stimulation.sequence import SelectivityReport
 
 
 @given(st.lists(st.floats(1, 1e7), min_size=1, max_size=300), st.floats(0.01, 1))
@@ -57,7 +57,7 @@ def test_the_worst_of_shared_slots_is_kept():
     tally, points = RunStatistics(), np.array([3, 1], np.uint16)
     for other, spill in ((0.1, 0.2), (0.2, 0.1)):
         ratio = np.array([other, 0.9], np.float32), np.array([spill, 0.9], np.float32)
-        tally.weigh(Proof(points, *ratio))
+        tally.weigh(SelectivityReport(points, *ratio))
     tally.weigh(None)
-    tally.weigh(Proof(np.ones(2, np.uint16), *ratio))
-    assert (tally.worst_other, tally.worst_spill) == pytest.approx((0.2, 0.2))
+    tally.weigh(SelectivityReport(np.ones(2, np.uint16), *ratio))
+    assert (tally.off_target, tally.spill) == pytest.approx((0.2, 0.2))

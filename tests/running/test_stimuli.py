@@ -6,10 +6,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.boards.board import make_board
 from smarttouch.errors import BoardError, SafetyError, ScheduleError
 from smarttouch.kernels.bank import load_bank
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
@@ -26,8 +26,8 @@ BLANK = np.full((64, 64), 255, np.uint8)
 
 def asking(activation, period_us=20_000, time_ns=0, level=1.0, force_n=FULL_N):
     rows = np.zeros((3, 64), np.float32)
-    for primary, sites in activation.items():
-        rows[primary, list(sites)] = 1
+    for afferent, sites in activation.items():
+        rows[afferent, list(sites)] = 1
     return Stimulus(rows, time_ns, force_n, period_us, level)
 
 
@@ -42,13 +42,13 @@ def settled(profile, bank, mode, **options):
 
 def test_each_class_pulses_with_its_own_kernel_where_it_is_asked_for(profile, bank):
     pipeline, now = settled(profile, bank, Mode.COLOR)
-    asked = {Primary.RA: (9, 20), Primary.SAI: (30,), Primary.PC: (35, 36, 40)}
+    asked = {Afferent.RA: (9, 20), Afferent.SAI: (30,), Afferent.PC: (35, 36, 40)}
     sequence = pipeline.process(asking(asked, 25_000, now)).sequence
     assert (sequence.period_us, sequence.slots) == (25_000, 6)
     assert sorted(sequence.site[:2]) == [9, 20]
-    for slot, primary in enumerate([Primary.RA] * 2 + [Primary.SAI] + [Primary.PC] * 3):
+    for slot, afferent in enumerate([Afferent.RA] * 2 + [Afferent.SAI] + [Afferent.PC] * 3):
         site = sequence.site[slot]
-        expected = bank.kernels(primary)[site] * profile.full_ma[site] * 1000
+        expected = bank.kernels(afferent)[site] * profile.full_ma[site] * 1000
         np.testing.assert_allclose(sequence.current_ua[slot], expected, atol=10)
 
 
@@ -61,15 +61,15 @@ def test_nothing_asked_is_silence_of_just_that_time(profile, bank):
 def test_any_period_down_to_the_limit_is_kept(profile, bank):
     pipeline, now = settled(profile, bank, Mode.RA)
     for step, period_us in enumerate((66_667, 22_222, 5_000)):
-        frame = asking({Primary.RA: (27,)}, period_us, now + step)
+        frame = asking({Afferent.RA: (27,)}, period_us, now + step)
         assert pipeline.process(frame).sequence.period_us == period_us
     with raises(ScheduleError, about="period_us", value=4_999, allowed=5_000):
-        pipeline.process(asking({Primary.RA: (27,)}, 4_999, now + 9))
+        pipeline.process(asking({Afferent.RA: (27,)}, 4_999, now + 9))
 
 
 def test_pulses_that_do_not_fit_lengthen_the_period_and_say_so(profile, bank):
     pipeline, now = settled(profile, bank, Mode.COLOR)
-    everything = {each: range(64) for each in Primary}
+    everything = {each: range(64) for each in Afferent}
     step = pipeline.process(asking(everything, 10_000, now))
     assert step.asked_us == 10_000
     # PC of the last row would have to be stimulated below it: its 8 points have no slot.
@@ -80,7 +80,7 @@ def test_pulses_that_do_not_fit_lengthen_the_period_and_say_so(profile, bank):
 
 def test_level_and_force_and_soft_start_count_as_for_everyone(profile, bank):
     pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points"))
-    site = {Primary.RA: (27,)}
+    site = {Afferent.RA: (27,)}
     assert pipeline.process(asking(site)).sequence.slots == 0
     assert pipeline.process(asking(site, time_ns=250_000_000)).sequence.intensity == 0.5
     half = pipeline.process(asking(site, time_ns=10**9, level=0.25), 0.5)
@@ -92,12 +92,12 @@ def test_level_and_force_and_soft_start_count_as_for_everyone(profile, bank):
 def test_a_class_that_cannot_be_driven_is_refused(profile, bank):
     pipeline, now = settled(profile, bank, Mode.RA)
     with raises(ScheduleError, about="mode", value="SAI", allowed=("RA",)):
-        pipeline.process(asking({Primary.SAI: (3,)}, time_ns=now))
+        pipeline.process(asking({Afferent.SAI: (3,)}, time_ns=now))
     board = load_profile("kajimoto-61")
     pipeline = Pipeline(board, load_bank(board), RunConfig(mode=Mode.COLOR, scan="points"))
     pipeline.warm_up()
     rows = np.zeros((3, 61), np.float32)
-    rows[Primary.PC, 5] = 1
+    rows[Afferent.PC, 5] = 1
     frame = replace(asking({}), activation=rows)
     with raises(ScheduleError, about="mode", value="PC"):
         pipeline.process(frame)
@@ -112,7 +112,7 @@ def test_color_is_not_for_images(profile, bank):
 
 def test_vibrators_take_pc_over(profile, bank):
     pipeline, now = settled(profile, bank, Mode.COLOR, vibrated=True)
-    frame = asking({Primary.PC: (35, 36), Primary.RA: (4,)}, time_ns=now, level=0.5)
+    frame = asking({Afferent.PC: (35, 36), Afferent.RA: (4,)}, time_ns=now, level=0.5)
     sequence = pipeline.process(frame).sequence
     assert sequence.site.tolist() == [4]
     assert np.flatnonzero(sequence.vibration).tolist() == [35, 36]
@@ -131,7 +131,7 @@ def test_a_sensation_is_placed_at_the_receptor(profile, bank, changed):
     """What should be felt at a place is stimulated where its axons run (Section III-B.4)."""
     shifted = changed(profile, {"perception.pc_shift_mm": (0.0, -2.0)})
     pipeline, now = settled(shifted, load_bank(shifted), Mode.COLOR)
-    asked = {Primary.PC: (27, 60), Primary.RA: (27,)}
+    asked = {Afferent.PC: (27, 60), Afferent.RA: (27,)}
     sequence = pipeline.process(asking(asked, time_ns=now)).sequence
     # Felt 2 mm above where it is stimulated; below the last row there is nothing to stimulate.
     assert sequence.site.tolist() == [27, 35]
@@ -139,13 +139,13 @@ def test_a_sensation_is_placed_at_the_receptor(profile, bank, changed):
 
 @given(
     shift=st.tuples(st.floats(-20, 20), st.floats(-20, 20)),
-    primary=st.sampled_from(Primary),
+    afferent=st.sampled_from(Afferent),
 )
 def test_every_point_is_felt_within_half_a_cell_of_where_it_should_be(
-    profile, changed, shift, primary
+    profile, changed, shift, afferent
 ):
     felt = felt_at(
-        changed(profile, {f"perception.{primary.name.lower()}_shift_mm": shift}), primary
+        changed(profile, {f"perception.{afferent.name.lower()}_shift_mm": shift}), afferent
     )
     if felt is None:
         assert shift == (0, 0)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smarttouch.boards.emulator.books import read_slots, read_state
+from smarttouch.boards.emulator.delivery_log import read_slots, read_state
 from smarttouch.boards.emulator.skin import SPREAD
 
 from .bounds import LATE_NS, MEAN_UA, STRONG_A_SECOND

@@ -13,7 +13,7 @@ ORACLE = ("bounds", "rules", "quick", "oracle", "deliveries")
 MAY = (
     "smarttouch.profile",
     "smarttouch.electrodes",
-    "smarttouch.boards.emulator.books",
+    "smarttouch.boards.emulator.delivery_log",
     "smarttouch.boards.emulator.skin",
 )
 """What they may know of the package: data, geometry, and what an emulator wrote down."""

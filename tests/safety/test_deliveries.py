@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
 from smarttouch.boards.emulator.skin import Delivered
 
@@ -87,7 +87,7 @@ def test_strength_rises_no_faster_than_from_zero_when_the_board_began():
 
 def test_books_of_a_kit(tmp_path):
     """The firmware by itself: what is within the profile's limits, and what is not."""
-    books = Books(61, tmp_path)
+    books = DeliveryLog(61, tmp_path)
     board = Kajimoto61Firmware(books)
     bounds = Bounds.of(display("kajimoto-61"))
     board.feed(bytes([0xFF]) + bytes(61), 0)
@@ -111,7 +111,7 @@ def test_pulses_that_were_taken():
 
 
 def test_books_keep_every_pulse_with_its_time(tmp_path):
-    books = Books(4, tmp_path)
+    books = DeliveryLog(4, tmp_path)
     current = np.array([100.4, -100.4, 0, 0])
     for time_us in (7, 2**40):
         delivered = Delivered(current, current * 50, np.zeros(4), 1.0)

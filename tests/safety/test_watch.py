@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.boards.emulator.skin import Delivered
 from smarttouch.profile import load_profile
@@ -70,7 +70,7 @@ def test_it_can_look_away(blind):
 def test_books_in_a_folder(blind, tmp_path):
     folder = tmp_path / "books"
     folder.mkdir()
-    books = Books(4, folder)
+    books = DeliveryLog(4, folder)
     for level in (3000, 3100):
         current = np.array([level, -level, 0.0, 0.0])
         delivered = Delivered(current, current * 100, current, 1.0)

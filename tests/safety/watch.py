@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 
 import pytest
 
-from smarttouch.boards.emulator.books import DELIVERED_FILE, STATE_FILE
+from smarttouch.boards.emulator.delivery_log import DELIVERED_FILE, STATE_FILE
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.profile import list_profiles, load_profile
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
-from smarttouch.errors import SensorError, SourceLostError
+from smarttouch.errors import SourceError, SourceLostError
 from smarttouch.sources import camera, capture, open_source
 from smarttouch.sources.camera import OPENCV_LOG, QUIET_OPENCV, SILENT, CameraDevice, to_grey
 
@@ -158,7 +158,7 @@ def test_what_the_camera_does_not_take_is_said_once(profile, device):
 
 @pytest.mark.parametrize("rest", ["", "-1", "1e3", "99999", "http://x/y"])
 def test_what_is_no_camera(profile, device, rest):
-    with raises(SensorError, about="camera", problem="malformed", value=rest):
+    with raises(SourceError, about="camera", problem="malformed", value=rest):
         open_source(f"camera:{rest}", profile)
     assert device.opened == []
 
@@ -174,14 +174,14 @@ def test_what_is_no_camera(profile, device, rest):
     ],
 )
 def test_what_cannot_be(profile, device, option, value):
-    with raises(SensorError, about=f"--{option}", value=lambda given: given is value):
+    with raises(SourceError, about=f"--{option}", value=lambda given: given is value):
         open_source("camera:0", profile, **{option: value})
     assert device.opened == []
 
 
 def test_an_option_of_other_sensors_is_not_taken(profile, device):
     allowed = ("size", "exposure", "fps")
-    with raises(SensorError, about="baud", problem="unknown", value=9600, allowed=allowed):
+    with raises(SourceError, about="baud", problem="unknown", value=9600, allowed=allowed):
         open_source("camera:0", profile, baud=9600)
     assert device.opened == []
 
@@ -260,7 +260,7 @@ def test_the_driver_may_tell_when_an_image_was_taken(device, monkeypatch):
 )
 def test_a_missing_camera_is_one_sentence_and_nothing_else(profile, capfd, place):
     """The real OpenCV."""
-    with raises(SensorError, about="camera", problem="unavailable") as caught:
+    with raises(SourceError, about="camera", problem="unavailable") as caught:
         open_source(place, profile)
     assert f"camera:{caught.value.value}" == place
     captured = capfd.readouterr()
@@ -307,7 +307,7 @@ def test_every_image_becomes_grey(image, level):
 @pytest.mark.parametrize("image", [np.zeros((3, 4, 2), np.uint8), np.zeros((3, 4), np.float64)])
 def test_what_is_no_image(image):
     found = (image.shape, str(image.dtype))
-    with raises(SensorError, about="image", problem="malformed", value=found):
+    with raises(SourceError, about="image", problem="malformed", value=found):
         to_grey(image)
 
 

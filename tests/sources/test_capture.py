@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.errors import SensorError, SourceLostError
+from smarttouch.errors import SourceError, SourceLostError
 from smarttouch.sources import capture
 from smarttouch.sources.capture import ImageDevice, LiveSource, Shot, SourceEndedError
 from smarttouch.sources.flat_field import FlatField
@@ -218,9 +218,9 @@ def test_images_from_before_the_run_are_nobodys(profile):
 
 
 def test_a_source_that_cannot_be_opened(profile):
-    error = SensorError("no camera 0")
+    error = SourceError("no camera 0")
     source = Script(opens=[error])
-    with pytest.raises(SensorError) as caught:
+    with pytest.raises(SourceError) as caught:
         LiveSource(source, profile)
     assert caught.value is error
     assert source.closes == 1
@@ -229,7 +229,7 @@ def test_a_source_that_cannot_be_opened(profile):
 def test_no_image_at_first(profile, monkeypatch):
     monkeypatch.setattr(capture, "FIRST_IMAGE_S", 0.01)
     mute = {"about": "source", "problem": "mute", "value": "by hand", "allowed": 0.01}
-    with LiveSource(Handed(), profile) as sensor, raises(SensorError, **mute):
+    with LiveSource(Handed(), profile) as sensor, raises(SourceError, **mute):
         sensor.read(0)
 
 
@@ -237,7 +237,7 @@ def test_no_image_at_first(profile, monkeypatch):
     ("error", "attributes"),
     [
         (
-            SensorError("of its own", about="image", problem="malformed", value=7),
+            SourceError("of its own", about="image", problem="malformed", value=7),
             {"about": "image", "problem": "malformed", "value": 7, "__cause__": None},
         ),
         (
@@ -250,7 +250,7 @@ def test_errors_of_the_thread_reach_the_reader(profile, error, attributes):
     source = Script(error)
     with LiveSource(source, profile) as sensor:
         for _ in range(2):
-            with raises(SensorError, **attributes) as caught:
+            with raises(SourceError, **attributes) as caught:
                 sensor.read(0)
             assert str(error) in str(caught.value)
     assert source.closes == 1
@@ -286,7 +286,7 @@ def test_unplugged_and_plugged_in_again(profile):
         None,
         later,
         shot(1),
-        opens=[None, SensorError("not yet"), None],
+        opens=[None, SourceError("not yet"), None],
     )
     with LiveSource(source, profile, now_ns=lambda: now[0]) as sensor:
         numbers = read_to_the_end(sensor)
@@ -298,11 +298,11 @@ def test_unplugged_and_plugged_in_again(profile):
 
 def test_not_plugged_in_again(profile):
     now = itertools.count(0, SECOND)
-    gone = [SensorError("no camera")] * 20
+    gone = [SourceError("no camera")] * 20
     source = Script(shot(0), SourceLostError("gone"), opens=[None, *gone])
     sensor = LiveSource(source, profile, replug_s=3, now_ns=lambda: next(now))
     lost = {"about": "source", "problem": "gone", "value": "camera 0", "allowed": 3}
-    with sensor, raises(SensorError, **lost):
+    with sensor, raises(SourceError, **lost):
         read_to_the_end(sensor)
     assert sensor.frames == 1
 
@@ -377,5 +377,5 @@ def test_the_flat_field_of_the_profile_is_applied(profile, changed, tmp_path):
         assert (sensor.read(0).image == 100).all()
     other = Shot(np.zeros((9, 9), np.uint8), 0)
     misfit = {"about": "optics.flat_field", "problem": "conflict", "value": (9, 9)}
-    with LiveSource(Script(other), corrected) as sensor, raises(SensorError, **misfit):
+    with LiveSource(Script(other), corrected) as sensor, raises(SourceError, **misfit):
         sensor.read(0)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.calibrate.simulated import SimulatedPatch
-from smarttouch.errors import CalibrationError, SensorError
+from smarttouch.errors import CalibrationError, SourceError
 from smarttouch.sources.flat_field import FlatField
 
 from ..raising import raises
@@ -70,7 +70,7 @@ def test_it_is_a_new_image_and_saturates(field):
 
 def test_another_shape(field):
     misfit = {"problem": "conflict", "value": (48, 64), "allowed": (64, 48)}
-    with raises(SensorError, about="optics.flat_field", **misfit):
+    with raises(SourceError, about="optics.flat_field", **misfit):
         field.correct(np.zeros((64, 48), np.uint8))
 
 
@@ -108,7 +108,7 @@ def test_a_damaged_file_is_refused_or_still_a_field(tmp_path_factory, cut, at, v
     content[at % len(content)] = value
     path = tmp_path_factory.mktemp("field") / "f.npz"
     path.write_bytes(content[: len(content) - cut])
-    with contextlib.suppress(SensorError):
+    with contextlib.suppress(SourceError):
         again = FlatField.load(path)
         assert np.isfinite(again.gain).all()
         assert again.correct(np.zeros(again.gain.shape, np.uint8)).dtype == np.uint8
@@ -122,7 +122,7 @@ def test_a_file_that_is_none(tmp_path, content, problem):
     path = tmp_path / "f.npz"
     if content is not None:
         path.write_bytes(content)
-    with raises(SensorError, about="optics.flat_field", problem=problem, value=path):
+    with raises(SourceError, about="optics.flat_field", problem=problem, value=path):
         FlatField.load(path)
 
 
@@ -137,7 +137,7 @@ def test_a_file_that_is_none(tmp_path, content, problem):
     ],
 )
 def test_arrays_that_are_no_field(dark, gain, problem, value):
-    with raises(SensorError, about="optics.flat_field", problem=problem, value=value):
+    with raises(SourceError, about="optics.flat_field", problem=problem, value=value):
         FlatField(dark.astype(np.float32), gain.astype(np.float32))
 
 

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from smarttouch.documents.page_image import Page
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.resources import data_folder
 from smarttouch.sources import open_source
 from smarttouch.sources.page import PageSource
@@ -129,5 +129,5 @@ def test_a_page_image_of_one_s_own(profile, tmp_path):
 @pytest.mark.parametrize("url", ["nothing:x", "page", "", "camera", ":"])
 def test_unknown_sources(profile, url):
     known = {"page", "text"}.issubset
-    with raises(SensorError, about="source", problem="unknown", value=url, allowed=known):
+    with raises(SourceError, about="source", problem="unknown", value=url, allowed=known):
         open_source(url, profile)

@@ -13,7 +13,7 @@ from skimage import data
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.printed_text import print_text
 from smarttouch.documents.text_lines import find_lines
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.sources.reading_path import ReadingPath, RecordedPath
 
 from ..raising import raises
@@ -130,7 +130,7 @@ def test_a_tall_block_takes_several_sweeps(profile):
 
 @pytest.mark.parametrize("speed", [0, -1, 501, math.nan, math.inf])
 def test_impossible_speeds(profile, speed):
-    with raises(SensorError, about="--speed", value=lambda given: given is speed):
+    with raises(SourceError, about="--speed", value=lambda given: given is speed):
         ReadingPath(print_text("x"), profile, speed)
 
 
@@ -160,14 +160,14 @@ def test_recorded_path(tmp_path):
 def test_bad_recorded_paths(tmp_path, text, about, problem, value):
     file = tmp_path / "path.csv"
     file.write_text(text)
-    with raises(SensorError, about=about, problem=problem, value=value) as caught:
+    with raises(SourceError, about=about, problem=problem, value=value) as caught:
         RecordedPath(file)
     assert str(file) in str(caught.value)
 
 
 def test_missing_path(tmp_path):
     path = tmp_path / "none.csv"
-    with raises(SensorError, about="file", problem="missing", value=path):
+    with raises(SourceError, about="file", problem="missing", value=path):
         RecordedPath(path)
 
 
@@ -177,6 +177,6 @@ def test_no_text_crashes_the_path(tmp_path_factory, text):
     file.write_text(text, encoding="utf-8", errors="replace", newline="")
     try:
         duration_s = RecordedPath(file).duration_s
-    except SensorError:
+    except SourceError:
         return
     assert duration_s > 0

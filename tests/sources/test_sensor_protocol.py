@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.sources.sensor_protocol import (
     LARGEST_BODY,
     NO_READING,
@@ -96,13 +96,13 @@ def test_the_page_in_the_docstring_is_what_is_sent():
     ],
 )
 def test_what_no_frame_can_hold(image, problem, value):
-    with raises(SensorError, about="frame", problem=problem, value=value):
+    with raises(SourceError, about="frame", problem=problem, value=value):
         encode_frame(0, 0, image)
 
 
 @pytest.mark.parametrize("reading", [2**31, NO_READING - 1])
 def test_what_no_reading_can_hold(reading):
-    with raises(SensorError, about="reading", problem="too large", value=reading):
+    with raises(SourceError, about="reading", problem="too large", value=reading):
         encode_force(0, 0, reading)
 
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.errors import SensorError, SourceLostError
+from smarttouch.errors import SourceError, SourceLostError
 from smarttouch.sources import open_source, serial_array
 from smarttouch.sources.sensor_protocol import encode_force, encode_frame, encode_info
 from smarttouch.sources.serial_array import SerialArrayDevice
@@ -156,7 +156,7 @@ def test_a_port_that_is_gone(line, source):
         source.grab(1)
     source.close()
     source.close()
-    with raises(SensorError, about="port", problem="missing", value=line.name):
+    with raises(SourceError, about="port", problem="missing", value=line.name):
         source.open()
 
 
@@ -180,7 +180,7 @@ def test_bytes_that_are_no_frames_from_the_start_on(line, source, monkeypatch):
     assert source.grab(0) is None, "as long as nothing comes there is nothing to say"
     line.send(b"Reading: 12.3 g\r\n")
     odd = {"problem": "malformed", "value": line.name, "remedy": "--baud"}
-    with raises(SensorError, about="port", **odd) as caught:
+    with raises(SourceError, about="port", **odd) as caught:
         source.grab(0)
     assert "921600" in str(caught.value)
 
@@ -262,5 +262,5 @@ def test_the_books_of_the_live_sensor(line, profile):
     ],
 )
 def test_what_cannot_be_opened(profile, url, baud, about, problem, value):
-    with raises(SensorError, about=about, problem=problem, value=value):
+    with raises(SourceError, about=about, problem=problem, value=value):
         open_source(url, profile, baud=baud)

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import load_bank
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile, load_profile
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
-from smarttouch.stimulation.schedule import PointScan
-from smarttouch.stimulation.sequence import Proof, ScanSequence
+from smarttouch.stimulation.schedule import ScanScheduler
+from smarttouch.stimulation.sequence import ScanSequence, SelectivityReport
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.tactile_image import TactileImage
 
@@ -44,7 +44,9 @@ class Finger:
 
     def __init__(self, profile, hold, **more):
         self.adaptation = Adaptation(profile, hold, COMPLIANCE_V, **more)
-        self.scan = PointScan(profile, load_bank(profile), (Primary.RA,), profile.pulse.rate_hz)
+        self.scan = ScanScheduler(
+            profile, load_bank(profile), (Afferent.RA,), profile.pulse.rate_hz
+        )
         self.kohm = np.full(len(profile.electrodes), KOHM)
         self.time_ns = 0
 
@@ -52,7 +54,7 @@ class Finger:
         """Return what was asked for, what was sent, delivered charge (S,) µC and volts (S,)."""
         self.time_ns += 20_000_000
         rows = np.zeros((3, len(self.kohm)), np.float32)
-        rows[Primary.RA] = activation
+        rows[Afferent.RA] = activation
         asked = self.scan.schedule(TactileImage(rows, self.time_ns, 1.0), intensity)
         sent = self.adaptation.apply(asked) if adapted else asked
         peak_ma = np.abs(sent.current_ua.astype(float)).max(axis=1) / 1000
@@ -242,7 +244,7 @@ def test_a_changed_sequence_has_no_proof():
     for kohm in (KOHM, 2 * KOHM, 2 * KOHM):
         finger.kohm[:] = kohm
         asked, sent, _, _ = finger.touch()
-    proved = replace(asked, proof=Proof.of_nothing(asked.slots))
+    proved = replace(asked, proof=SelectivityReport.of_nothing(asked.slots))
     assert sent is not asked
     assert finger.adaptation.apply(proved).proof is None
 
@@ -258,10 +260,10 @@ def test_whatever_is_measured_the_result_is_safe(profile, hold, seed, density):
         SafetyGate(SafetyLimits.of(profile)),
     )
     bank = SAFE_BANKS[profile.name]
-    scan = PointScan(profile, bank, (Primary.RA,), profile.pulse.rate_hz)
+    scan = ScanScheduler(profile, bank, (Afferent.RA,), profile.pulse.rate_hz)
     for step in range(6):
         rows = np.zeros((3, count), np.float32)
-        rows[Primary.RA] = rng.random(count) * (rng.random(count) < density)
+        rows[Afferent.RA] = rng.random(count) * (rng.random(count) < density)
         intensity = float(rng.random()) if step else 0.0
         asked = scan.schedule(TactileImage(rows, step * 10**9, 1.0), intensity)
         sent = adaptation.apply(asked)

@@ -5,17 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import load_bank
 from smarttouch.kernels.frames.slots import plan_slots
 from smarttouch.kernels.problem import Problem
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 from smarttouch.stimulation import frames as module
-from smarttouch.stimulation.frames import FrameSlots, Sharing
+from smarttouch.stimulation.frames import FrameSlots, SlotPolicy
 from smarttouch.stimulation.points import PointSlots
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
-from smarttouch.stimulation.schedule import PointScan
+from smarttouch.stimulation.schedule import ScanScheduler
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.tactile_image import TactileImage
 
@@ -30,62 +30,62 @@ LETTER_T = np.flatnonzero(_DRAWN)
 def made(profile, bank):
     return {
         (each, planned): FrameSlots(profile, bank, (each,), planned)
-        for each in (Primary.RA, Primary.SAI)
+        for each in (Afferent.RA, Afferent.SAI)
         for planned in (True, False)
     }
 
 
 @pytest.fixture(scope="module")
 def slots(made):
-    return made[Primary.RA, True]
+    return made[Afferent.RA, True]
 
 
 @pytest.fixture(scope="module")
 def problems(profile):
-    return {each: Problem(profile, each).rows[0] for each in (Primary.RA, Primary.SAI)}
+    return {each: Problem(profile, each).rows[0] for each in (Afferent.RA, Afferent.SAI)}
 
 
 @pytest.fixture(scope="module")
 def rows(problems):
-    return problems[Primary.RA]
+    return problems[Afferent.RA]
 
 
-def image(activation, primary=Primary.RA):
+def image(activation, afferent=Afferent.RA):
     rows = np.zeros((3, len(activation)), np.float32)
-    rows[primary] = activation
+    rows[afferent] = activation
     return TactileImage(rows, 0, 1.0)
 
 
 @settings(deadline=None, max_examples=25)
 @given(
-    primary=st.sampled_from([Primary.RA, Primary.SAI]),
+    afferent=st.sampled_from([Afferent.RA, Afferent.SAI]),
     planned=st.booleans(),
     seed=st.integers(0, 2**32 - 1),
     density=st.floats(0, 0.5),
     intensity=st.floats(0, 1),
 )
 def test_every_slot_is_within_limits_and_bounds_and_its_proof_is_true(
-    profile, bank, made, problems, primary, planned, seed, density, intensity
+    profile, bank, made, problems, afferent, planned, seed, density, intensity
 ):
     random = np.random.default_rng(seed)
     activation = random.random(64, np.float32) * (random.random(64) < density)
-    site, current_ua, _, proof = made[primary, planned].slots(activation[None], intensity)
-    scan = PointScan(profile, bank, (primary,), 10.0, sharing=Sharing((primary,), planned))
-    sequence = scan.schedule(image(activation, primary), intensity)
+    site, current_ua, _, proof = made[afferent, planned].slots(activation[None], intensity)
+    scan = ScanScheduler(profile, bank, (afferent,), 10.0, sharing=SlotPolicy((afferent,), planned))
+    sequence = scan.schedule(image(activation, afferent), intensity)
     assert np.array_equal(sequence.current_ua, current_ua)
     SafetyGate(SafetyLimits.of(profile)).prove_measurement(sequence)
     assert not current_ua.sum(axis=1).any()
     assert proof.points.sum() == (np.count_nonzero(activation) if intensity > 0 else 0)
     shared = proof.points > 1
-    assert (proof.worst_other[shared] <= profile.frames.other).all()
-    assert (proof.worst_spill[shared] <= profile.frames.spill).all()
+    assert (proof.off_target[shared] <= profile.frames.other).all()
+    assert (proof.spill[shared] <= profile.frames.spill).all()
     if intensity < 0.05 or not len(site):
         return
     # By all the rows of the problem, not by what planned it.
-    rows = problems[primary]
+    rows = problems[afferent]
     current_ma = current_ua / 1000 / intensity
     level = np.where(activation > 0, 0.5 + 0.5 * activation, 0)
-    kernels = bank.kernels(primary)
+    kernels = bank.kernels(afferent)
     alone = (rows.target[0] * kernels).sum(axis=1) * profile.full_ma * level
     reached = current_ma @ rows.target[0].T
     others = (current_ma @ rows.other.T).max(axis=1)
@@ -102,22 +102,22 @@ def test_every_slot_is_within_limits_and_bounds_and_its_proof_is_true(
         rounding = 0.01 + (0.03 / intensity if points == 1 else 0)
         true = others[slot] / weakest
         if planned or points == 1:
-            assert proof.worst_other[slot] == pytest.approx(true, rel=0.08, abs=rounding)
+            assert proof.off_target[slot] == pytest.approx(true, rel=0.08, abs=rounding)
         else:
             # A bound of all frames, and so of this one.
-            assert true <= proof.worst_other[slot] * 1.08
+            assert true <= proof.off_target[slot] * 1.08
 
 
 def test_each_class_is_felt_where_its_own_shift_says(profile, bank, changed, problems):
     """SAI one cell to the right of where it is stimulated, RA where it is."""
     shifted = changed(profile, {"perception.sai_shift_mm": (2.0, 0.0)})
-    slots = FrameSlots(shifted, bank, (Primary.RA, Primary.SAI))
+    slots = FrameSlots(shifted, bank, (Afferent.RA, Afferent.SAI))
     rows = np.zeros((2, 64), np.float32)
     rows[0, 18], rows[1, 45] = 0.5, 1
     found = slots.slots(rows, 1.0)
     assert found.site.tolist() == [44], "the stronger of the two"
     current_ma = found.current_ua / 1000
-    for each, site in ((Primary.RA, 18), (Primary.SAI, 44)):
+    for each, site in ((Afferent.RA, 18), (Afferent.SAI, 44)):
         target = problems[each].target[0]
         alone = (target * bank.kernels(each)).sum(axis=1) * profile.full_ma
         assert (current_ma @ target.T / alone).max(axis=0).argmax() == site
@@ -135,30 +135,32 @@ def test_limits_of_electrodes_that_are_no_whole_microamperes(profile, changed):
     )
     bank = load_bank(profile)
     gate = SafetyGate(SafetyLimits.of(limited))
-    for primary in (Primary.RA, Primary.SAI):
-        scan = PointScan(limited, bank, (primary,), 10.0, sharing=Sharing((primary,), False))
+    for afferent in (Afferent.RA, Afferent.SAI):
+        scan = ScanScheduler(
+            limited, bank, (afferent,), 10.0, sharing=SlotPolicy((afferent,), False)
+        )
         for seed in range(20):
             activation = np.zeros(64, np.float32)
             activation[np.random.default_rng(seed).choice(64, 20, replace=False)] = 1
-            gate.prove_measurement(scan.schedule(image(activation, primary), 1.0))
+            gate.prove_measurement(scan.schedule(image(activation, afferent), 1.0))
 
 
 def test_what_rounding_breaks_is_shown_point_by_point(profile, made):
     activation = np.zeros(64, np.float32)
     activation[LETTER_T] = 1
-    loud, faint = (made[Primary.SAI, True].slots(activation[None], each) for each in (0.5, 0.01))
+    loud, faint = (made[Afferent.SAI, True].slots(activation[None], each) for each in (0.5, 0.01))
     assert len(loud.site) < len(faint.site) <= len(LETTER_T)
     assert faint.proof.points.sum() == len(LETTER_T)
     kept = faint.proof.points > 1
-    assert (faint.proof.worst_other[kept] <= profile.frames.other).all()
+    assert (faint.proof.off_target[kept] <= profile.frames.other).all()
 
 
 def test_natural_mode_joins_what_is_proved_with_what_is_not(profile, bank):
     rows = np.zeros((3, 64), np.float32)
-    rows[Primary.RA, LETTER_T] = rows[Primary.SAI, :3] = 1
-    both = (Primary.RA, Primary.SAI)
+    rows[Afferent.RA, LETTER_T] = rows[Afferent.SAI, :3] = 1
+    both = (Afferent.RA, Afferent.SAI)
     only_ra, each = (
-        PointScan(profile, bank, both, sharing=Sharing(frames)).schedule(
+        ScanScheduler(profile, bank, both, sharing=SlotPolicy(frames)).schedule(
             TactileImage(rows, 0, 1.0), 1.0
         )
         for frames in (both[:1], both)
@@ -168,23 +170,25 @@ def test_natural_mode_joins_what_is_proved_with_what_is_not(profile, bank):
     proof = only_ra.proof
     assert (proof.points[:count] > 0).all()
     assert (proof.points[count:] == 0).all()
-    assert np.isnan(proof.worst_other[count:]).all()
-    assert np.isfinite(each.proof.worst_other).all()
+    assert np.isnan(proof.off_target[count:]).all()
+    assert np.isfinite(each.proof.off_target).all()
     assert proof.shared == pytest.approx(
-        (proof.worst_other[:count].max(), proof.worst_spill[:count].max())
+        (proof.off_target[:count].max(), proof.spill[:count].max())
     )
-    assert PointScan(profile, bank, both).schedule(TactileImage(rows, 0, 1.0), 1.0).proof is None
+    assert (
+        ScanScheduler(profile, bank, both).schedule(TactileImage(rows, 0, 1.0), 1.0).proof is None
+    )
 
 
 def test_both_classes_share_slots_where_both_are_due(profile, bank, problems):
-    both = (Primary.RA, Primary.SAI)
+    both = (Afferent.RA, Afferent.SAI)
     rows = np.zeros((3, 64), np.float32)
-    rows[Primary.RA, :8], rows[Primary.SAI, 48:56] = 1, 0.5
-    scan = PointScan(profile, bank, both, sharing=Sharing(both))
+    rows[Afferent.RA, :8], rows[Afferent.SAI, 48:56] = 1, 0.5
+    scan = ScanScheduler(profile, bank, both, sharing=SlotPolicy(both))
     sequence = scan.schedule(TactileImage(rows, 0, 1.0), 1.0)
     SafetyGate(SafetyLimits.of(profile)).prove_measurement(sequence)
     apart = sum(
-        PointScan(profile, bank, (each,), sharing=Sharing(both))
+        ScanScheduler(profile, bank, (each,), sharing=SlotPolicy(both))
         .schedule(TactileImage(rows, 0, 1.0), 1.0)
         .slots
         for each in both
@@ -192,7 +196,7 @@ def test_both_classes_share_slots_where_both_are_due(profile, bank, problems):
     assert sequence.slots < apart
     assert sequence.points == sequence.proof.points.sum() == 16
     assert set(sequence.site) <= {*range(8), *range(48, 56)}
-    assert sequence.proof.worst_other.max() <= profile.frames.other
+    assert sequence.proof.off_target.max() <= profile.frames.other
     current_ma = sequence.current_ua / 1000
     for each, level in zip(both, (1.0, 0.75), strict=True):
         target = problems[each].target[0]
@@ -209,7 +213,7 @@ def test_both_classes_share_slots_where_both_are_due(profile, bank, problems):
 def test_kernels_that_are_added_up_need_hardly_more_slots_and_no_search(
     profile, bank, made, monkeypatch
 ):
-    fixed, planned = made[Primary.RA, False], made[Primary.RA, True]
+    fixed, planned = made[Afferent.RA, False], made[Afferent.RA, True]
     monkeypatch.setattr(module, "plan_slots", lambda *given: few.append(1) or plan(*given))
     plan, few = plan_slots, []
     slots = {True: 0, False: 0}
@@ -222,8 +226,8 @@ def test_kernels_that_are_added_up_need_hardly_more_slots_and_no_search(
             slots[way] += len(found.site)
             if way is False:
                 # Of all 2^16 subsets of a set, with any levels.
-                assert found.proof.worst_other[found.proof.points > 1].max() < 0.225
-                assert found.proof.worst_spill[found.proof.points > 1].max() < 0.06
+                assert found.proof.off_target[found.proof.points > 1].max() < 0.225
+                assert found.proof.spill[found.proof.points > 1].max() < 0.06
                 assert not few
         few.clear()
     assert slots[False] < 1.25 * slots[True]
@@ -233,16 +237,16 @@ def test_where_nothing_is_proved_points_are_shown_one_by_one(profile, bank, made
     """SAI: 16 of its kernels together reach RA twice as strongly as their targets."""
     activation = np.zeros((1, 64), np.float32)
     activation[0, :10] = 1
-    found = made[Primary.SAI, False].slots(activation, 1.0)
+    found = made[Afferent.SAI, False].slots(activation, 1.0)
     assert found.proof.points.tolist() == [1] * 10
-    alone = PointSlots(profile, bank, Primary.SAI, ScanTiming()).slots(activation[0], 1.0)
+    alone = PointSlots(profile, bank, Afferent.SAI, ScanTiming()).slots(activation[0], 1.0)
     order = np.argsort(alone.site)
     assert found.site.tolist() == alone.site[order].tolist()
     assert found.current_ua == pytest.approx(alone.current_ua[order], abs=40)
-    assert found.proof.worst_other == pytest.approx(bank.worst_other[Primary.SAI][:10], rel=0.02)
+    assert found.proof.off_target == pytest.approx(bank.off_target[Afferent.SAI][:10], rel=0.02)
     # A faint point does less; figures are scaled to level 1, .6 is aimed at to be within 5 %.
-    faint = made[Primary.SAI, False].slots(activation * np.float32(0.2), 1.0)
-    assert faint.proof.worst_other == pytest.approx(0.6 / 0.96 * found.proof.worst_other, rel=1e-3)
+    faint = made[Afferent.SAI, False].slots(activation * np.float32(0.2), 1.0)
+    assert faint.proof.off_target == pytest.approx(0.6 / 0.96 * found.proof.off_target, rel=1e-3)
 
 
 def test_a_letter_takes_a_few_slots_and_an_empty_frame_none(slots, bank, profile):
@@ -261,18 +265,18 @@ def test_fainter_points_take_fewer_slots(profile, bank, changed):
     activation[LETTER_T] = 1
     # A sixth of the current leaves room for six times as many points.
     faint = changed(profile, {"perception.threshold_ma": 0.2})
-    assert len(FrameSlots(faint, bank, (Primary.RA,)).slots(activation[None], 1.0)[0]) == 1
+    assert len(FrameSlots(faint, bank, (Afferent.RA,)).slots(activation[None], 1.0)[0]) == 1
 
 
 def test_a_bound_of_the_profile_counts(profile, bank, changed):
     activation = np.zeros(64, np.float32)
     activation[LETTER_T] = 1
     strict = changed(profile, {"perception.threshold_ma": 0.24, "frames.other": 0.12})
-    assert len(FrameSlots(strict, bank, (Primary.RA,)).slots(activation[None], 1.0)[0]) > 1
+    assert len(FrameSlots(strict, bank, (Afferent.RA,)).slots(activation[None], 1.0)[0]) > 1
 
 
 def test_a_frame_that_comes_again_is_not_planned_again(profile, bank, monkeypatch):
-    slots = FrameSlots(profile, bank, (Primary.RA,))
+    slots = FrameSlots(profile, bank, (Afferent.RA,))
     activation = np.zeros(64, np.float32)
     activation[LETTER_T] = 1
     first = slots.slots(activation[None], 0.5)
@@ -284,7 +288,7 @@ def test_a_frame_that_comes_again_is_not_planned_again(profile, bank, monkeypatc
 
 def test_masked_electrodes_carry_nothing(profile, changed):
     masked = changed(profile, {"output.masked": (27, 28)})
-    slots = FrameSlots(masked, load_bank(masked), (Primary.RA,))
+    slots = FrameSlots(masked, load_bank(masked), (Afferent.RA,))
     site, current_ua, *_ = slots.slots(np.ones((1, 64), np.float32), 1.0)
     assert not current_ua[:, [27, 28]].any()
     assert not set(site) & {27, 28}
@@ -293,15 +297,15 @@ def test_masked_electrodes_carry_nothing(profile, changed):
 def test_boards_that_cannot_are_refused(profile, bank, changed):
     board = load_profile("kajimoto-61")
     with raises(ScheduleError, about="output.kind", problem="impossible"):
-        FrameSlots(board, load_bank(board), (Primary.RA,))
+        FrameSlots(board, load_bank(board), (Afferent.RA,))
     with raises(ScheduleError, about="pulse.carrier", problem="impossible"):
-        FrameSlots(changed(profile, {"pulse.carrier": "width"}), bank, (Primary.RA,))
+        FrameSlots(changed(profile, {"pulse.carrier": "width"}), bank, (Afferent.RA,))
     with raises(ScheduleError, about="frames.share", problem="impossible"):
-        FrameSlots(changed(profile, {"frames.share": False}), bank, (Primary.RA,))
+        FrameSlots(changed(profile, {"frames.share": False}), bank, (Afferent.RA,))
     # As profiles were before they had that key.
     with raises(ScheduleError, about="frames.share", problem="impossible"):
         FrameSlots(
-            changed(profile, {"limits.total_ma": None, "frames.share": None}), bank, (Primary.RA,)
+            changed(profile, {"limits.total_ma": None, "frames.share": None}), bank, (Afferent.RA,)
         )
 
 
@@ -309,7 +313,7 @@ def test_the_faintest_points_are_at_their_threshold(profile, bank, slots, rows):
     activation = np.zeros(64, np.float32)
     activation[LETTER_T] = 1e-6
     _, current_ua, *_ = slots.slots(activation[None], 1.0)
-    kernels = bank.kernels(Primary.RA)
+    kernels = bank.kernels(Afferent.RA)
     threshold = (rows.target[0] * kernels).sum(axis=1) * profile.threshold_ma
     reached = (current_ua / 1000 @ rows.target[0].T / threshold).max(axis=0)
     assert reached[LETTER_T] == pytest.approx(1, abs=0.01)
@@ -325,7 +329,7 @@ def test_points_that_go_with_no_other_are_rounded_within_their_limit(profile, ba
     alone = changed(profile, keys)
     activation = np.zeros(64, np.float32)
     activation[[0, 9, 20, 27, 38, 45]] = 1
-    scan = PointScan(alone, bank, (Primary.RA,), 10.0, sharing=Sharing((Primary.RA,)))
+    scan = ScanScheduler(alone, bank, (Afferent.RA,), 10.0, sharing=SlotPolicy((Afferent.RA,)))
     sequence = scan.schedule(image(activation), 1.0)
     assert sequence.slots == 6
     assert np.abs(sequence.current_ua).max() > 2310
@@ -333,7 +337,7 @@ def test_points_that_go_with_no_other_are_rounded_within_their_limit(profile, ba
 
 
 def test_a_slot_above_the_total_is_shown_point_by_point(profile, bank, monkeypatch):
-    slots = FrameSlots(profile, bank, (Primary.RA,))
+    slots = FrameSlots(profile, bank, (Afferent.RA,))
     # As if rounding added as much as half a milliampere.
     monkeypatch.setattr(slots, "_planned_ma", 10.5)
     split = 0

@@ -3,25 +3,25 @@
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.kernels.frames.bound import proved_sets
 from smarttouch.kernels.frames.operator import AIM, FrameOperator
-from smarttouch.primary import Primary
 from smarttouch.stimulation.frames import FrameSlots
 from smarttouch.stimulation.kernel_sums import _parts
-from smarttouch.stimulation.sequence import whole_ua
+from smarttouch.stimulation.sequence import round_charge_balanced
 
 INTENSITIES = (1.0, 0.6, 0.3, 0.1, 0.03, 0.01, 0.003)
 
 
 @pytest.fixture(scope="module")
 def slots(profile, bank):
-    return FrameSlots(profile, bank, (Primary.RA,), planned=False)
+    return FrameSlots(profile, bank, (Afferent.RA,), planned=False)
 
 
 @pytest.fixture(scope="module")
 def judged(profile, bank):
     """The same, with a judge for each frame."""
-    slots = FrameSlots(profile, bank, (Primary.RA,), planned=False)
+    slots = FrameSlots(profile, bank, (Afferent.RA,), planned=False)
     slots._sums.certain_from = np.inf
     return slots
 
@@ -100,5 +100,5 @@ def test_currents_are_those_by_definition(slots):
         expected_ma = by_definition(slots, level)
         assert found.current_ma == pytest.approx(expected_ma, abs=1e-12)
         for intensity in INTENSITIES:
-            sent = whole_ua(1000 * intensity * found.current_ma)
-            assert np.array_equal(sent, whole_ua(1000 * intensity * expected_ma))
+            sent = round_charge_balanced(1000 * intensity * found.current_ma)
+            assert np.array_equal(sent, round_charge_balanced(1000 * intensity * expected_ma))

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.ledger import ChargeBalance
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
-from smarttouch.stimulation.sequence import Proof, ScanSequence
+from smarttouch.stimulation.sequence import ScanSequence, SelectivityReport
 
 
 def sequence(currents, widths=200, time_ns=10**9, electrodes=16, intensity=1.0):
@@ -40,21 +40,21 @@ def balanced(draw):
 
 
 def test_charge_is_current_times_width():
-    ledger = ChargeLedger(4)
+    ledger = ChargeBalance(4)
     ledger.add(sequence([[1000, -600, -400, 0], [0, 0, -2000, 2000]], [200, 100], electrodes=4), 3)
     assert ledger.charge_uc == pytest.approx(3 * np.array([0.2, -0.12, -0.28, 0.2]))
     assert ledger.worst_uc == pytest.approx(0.84)
 
 
 def test_a_new_ledger_is_empty():
-    ledger = ChargeLedger(4)
+    ledger = ChargeBalance(4)
     ledger.add(sequence([], electrodes=4))
     assert ledger.worst_uc == 0
 
 
 @given(balanced(), st.integers(1, 40))
 def test_over_equal_sequences_net_charge_stays_within_one(one, times):
-    balanced_ledger, plain, single = (ChargeLedger(16) for _ in range(3))
+    balanced_ledger, plain, single = (ChargeBalance(16) for _ in range(3))
     single.add(one)
     for _ in range(times):
         balanced_ledger.add(balanced_ledger.balancing(one))
@@ -65,12 +65,12 @@ def test_over_equal_sequences_net_charge_stays_within_one(one, times):
 
 @given(st.lists(balanced(), min_size=1, max_size=20))
 def test_the_choice_is_the_better_one(run):
-    ledger = ChargeLedger(16)
+    ledger = ChargeBalance(16)
     for one in run:
         chosen = ledger.balancing(one)
         found = []
         for sign in (1, -1):
-            tried = ChargeLedger(16)
+            tried = ChargeBalance(16)
             tried.charge_pc = ledger.charge_pc.copy()
             tried.add(sequence(sign * one.current_ua, one.width_us))
             found.append((tried.charge_uc**2).sum())
@@ -80,7 +80,7 @@ def test_the_choice_is_the_better_one(run):
 
 @given(balanced())
 def test_the_reversed_twin_passes_the_same_gate(one):
-    ledger, limits = ChargeLedger(16), SafetyLimits.of(load_profile("smarttouch-4x4"))
+    ledger, limits = ChargeBalance(16), SafetyLimits.of(load_profile("smarttouch-4x4"))
     ledger.add(one)
     twin = ledger.balancing(one)
     assert np.array_equal(twin.current_ua, -one.current_ua)
@@ -92,7 +92,7 @@ def test_the_reversed_twin_passes_the_same_gate(one):
 
 
 def test_what_has_no_twin_stays_as_it_is():
-    ledger, extreme = ChargeLedger(4), sequence([[-32768, 32767, 1, 0]], 10, electrodes=4)
+    ledger, extreme = ChargeBalance(4), sequence([[-32768, 32767, 1, 0]], 10, electrodes=4)
     ledger.add(extreme)
     assert ledger.balancing(extreme) is extreme
     turned = sequence([[-32767, 32767, 0, 0]], 10, electrodes=4)
@@ -100,8 +100,8 @@ def test_what_has_no_twin_stays_as_it_is():
 
 
 def test_a_turned_scan_has_no_proof():
-    proved = replace(sequence([[100, -100] + [0] * 14]), proof=Proof.of_nothing(1))
-    ledger = ChargeLedger(16)
+    proved = replace(sequence([[100, -100] + [0] * 14]), proof=SelectivityReport.of_nothing(1))
+    ledger = ChargeBalance(16)
     assert ledger.balancing(proved) is proved
     ledger.add(proved)
     assert ledger.balancing(proved).proof is None

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.errors import SafetyError, ScheduleError
 from smarttouch.kernels.bank import load_bank
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.limits import PPB
 from smarttouch.stimulation.points import SHORTEST_PULSE_US, PointSlots
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
-from smarttouch.stimulation.schedule import PointScan
+from smarttouch.stimulation.schedule import ScanScheduler
 from smarttouch.stimulation.sequence import frozen
 from smarttouch.stimulation.sequence_limits import prove_slots
 from smarttouch.stimulation.sums import SlotAdder
@@ -37,7 +37,7 @@ def by_width(profile, changed):
 
 
 def test_width_carries_intensity_at_full_height(by_width, bank):
-    slots = PointSlots(by_width, bank, Primary.RA, ScanTiming())
+    slots = PointSlots(by_width, bank, Afferent.RA, ScanTiming())
     activation = np.zeros(64, np.float32)
     activation[[9, 27]] = 1.0, 1e-6
     site, current_ua, width_us, _ = slots.slots(activation, 1.0)
@@ -50,7 +50,7 @@ def test_width_carries_intensity_at_full_height(by_width, bank):
 
 
 def test_what_would_be_too_short_is_not_felt(by_width, bank):
-    slots = PointSlots(by_width, bank, Primary.RA, ScanTiming())
+    slots = PointSlots(by_width, bank, Afferent.RA, ScanTiming())
     _, _, width_us, _ = slots.slots(np.ones(64, np.float32), 0.09)
     assert len(width_us) == 0
     _, _, width_us, _ = slots.slots(np.ones(64, np.float32), 0.11)
@@ -70,14 +70,14 @@ def test_every_sequence_is_safe_with_either_carrier(
     activation = np.random.default_rng(seed).random(64, np.float32)
     activation[activation < 0.3] = 0
     for each in (profile, by_width):
-        scan = PointScan(each, bank, mode.primaries, softness=softness)
+        scan = ScanScheduler(each, bank, mode.afferents, softness=softness)
         gate = SafetyGate(SafetyLimits.of(each))
         gate.prove(scan.schedule(image(activation, 0), 0.0))
         gate.prove(scan.schedule(image(activation), intensity, pressure))
 
 
 def test_the_gate_bounds_charge_where_width_carries_intensity(by_width, bank):
-    scan = PointScan(by_width, bank, (Primary.RA,))
+    scan = ScanScheduler(by_width, bank, (Afferent.RA,))
     sequence = scan.schedule(image(np.ones(64)), 0.5)
     gate = SafetyGate(SafetyLimits.of(by_width))
     gate.prove_measurement(sequence)
@@ -90,14 +90,14 @@ def test_the_gate_bounds_charge_where_width_carries_intensity(by_width, bank):
 
 def test_a_board_with_one_width_wants_height(by_width, bank):
     with raises(ScheduleError, about="pulse.carrier", value="width", allowed="height"):
-        PointScan(by_width, bank, (Primary.RA,), timing=ScanTiming(own_widths=False))
+        ScanScheduler(by_width, bank, (Afferent.RA,), timing=ScanTiming(own_widths=False))
 
 
 def test_measured_maxima_are_what_full_activation_gets(profile, changed, bank):
     comfort = [2.0] * 64
     comfort[9] = 1.5
     mine = changed(profile, {"perception.comfort_ma": comfort})
-    slots = PointSlots(mine, bank, Primary.RA, ScanTiming())
+    slots = PointSlots(mine, bank, Afferent.RA, ScanTiming())
     activation = np.zeros(64, np.float32)
     activation[[9, 10, 11]] = 1.0, 1.0, 1e-6
     site, current_ua, *_ = slots.slots(activation, 1.0)
@@ -107,9 +107,9 @@ def test_measured_maxima_are_what_full_activation_gets(profile, changed, bank):
 
 
 def test_natural_mode_pulses_both_classes_at_their_own_rates(profile, bank):
-    scan = PointScan(profile, bank, Mode.NATURAL.primaries)
+    scan = ScanScheduler(profile, bank, Mode.NATURAL.afferents)
     rows = np.zeros((3, 64), np.float32)
-    rows[Primary.RA, 9] = rows[Primary.SAI, 18] = 1.0
+    rows[Afferent.RA, 9] = rows[Afferent.SAI, 18] = 1.0
     time_ns, pulses = 0, {9: [], 18: []}
     while time_ns < 10**9:
         sequence = scan.schedule(TactileImage(rows, time_ns, 1.0), 1.0)
@@ -124,13 +124,13 @@ def test_natural_mode_pulses_both_classes_at_their_own_rates(profile, bank):
 
 def test_hard_things_pulse_faster_when_pressed(profile, bank):
     def period_us(softness, pressure):
-        scan = PointScan(profile, bank, (Primary.SAI,), softness=softness)
+        scan = ScanScheduler(profile, bank, (Afferent.SAI,), softness=softness)
         return scan.schedule(image(np.ones(64) * (np.arange(64) == 9)), 1.0, pressure).period_us
 
     assert [period_us(1.0, pressure) for pressure in (0.1, 0.5, 1.0)] == [20_000] * 3
     assert [period_us(0.0, pressure) for pressure in (0.1, 0.5, 1.0)] == [100_000, 40_000, 20_000]
     # RA does not encode pressure.
-    scan = PointScan(profile, bank, (Primary.RA,), softness=0.0)
+    scan = ScanScheduler(profile, bank, (Afferent.RA,), softness=0.0)
     assert scan.schedule(image(np.ones(64)), 1.0, 0.1).period_us == 20_000
 
 
@@ -144,7 +144,7 @@ def test_hard_things_pulse_faster_when_pressed(profile, bank):
 )
 def test_where_two_rates_are_not_possible(profile, bank, options, attributes):
     with raises(ScheduleError, **attributes):
-        PointScan(profile, bank, Mode.NATURAL.primaries, **options)
+        ScanScheduler(profile, bank, Mode.NATURAL.afferents, **options)
 
 
 @pytest.mark.parametrize("keys", [
@@ -156,10 +156,10 @@ def test_a_comfort_that_is_just_the_limit_stays_within_it(changed, keys):
     line = changed(load_profile("line-8"), keys)
     bank = load_bank(line)
     gate = SafetyGate(SafetyLimits.of(line))
-    for primary in Primary:
-        scan = PointScan(line, bank, (primary,), 10.0)
+    for afferent in Afferent:
+        scan = ScanScheduler(line, bank, (afferent,), 10.0)
         rows = np.zeros((3, 8), np.float32)
-        rows[primary] = 1
+        rows[afferent] = 1
         for level in np.linspace(0.5, 1, 30):
             gate.prove_measurement(scan.schedule(TactileImage(rows, 0, 1.0), float(level)))
 
@@ -171,9 +171,11 @@ def test_rounding_of_a_thousand_small_currents_is_no_charge_above_the_limit(prof
     for site in range(100):
         weights[site, site] = 1
         weights[site, 101:] = -1 / 923
-    scan = PointScan(wide, replace(bank, weights={Primary.SAI: weights}), (Primary.SAI,), 10.0)
+    scan = ScanScheduler(
+        wide, replace(bank, weights={Afferent.SAI: weights}), (Afferent.SAI,), 10.0
+    )
     rows = np.zeros((3, 1024), np.float32)
-    rows[Primary.SAI, :100] = np.linspace(0.1, 1, 100)
+    rows[Afferent.SAI, :100] = np.linspace(0.1, 1, 100)
     gate = SafetyGate(SafetyLimits.of(wide))
     for intensity in np.linspace(0.1, 1, 10):
         sequence = scan.schedule(TactileImage(rows, 0, 1.0), float(intensity))
@@ -190,7 +192,7 @@ def test_a_frame_allocates_its_sequence_and_its_proved_copy_and_no_scratch(
     wide = changed(profile, {"array.rows": 32, "array.columns": 32})
     weights = np.full((1024, 1024), 1 / 1023, np.float32)
     np.fill_diagonal(weights, -1)
-    scan = PointScan(wide, make_bank(weights, weights), (Primary.RA,), 1.0)
+    scan = ScanScheduler(wide, make_bank(weights, weights), (Afferent.RA,), 1.0)
     limits = SafetyLimits.of(wide)
     adder = SlotAdder(limits.felt_ua)
 
@@ -201,7 +203,7 @@ def test_a_frame_allocates_its_sequence_and_its_proved_copy_and_no_scratch(
         return copy
 
     activation = np.zeros((3, 1024), np.float32)
-    activation[Primary.RA, :300] = 1
+    activation[Afferent.RA, :300] = 1
 
     def peak_of(make):
         tracemalloc.start()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from smarttouch.errors import SafetyError
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.ledger import ChargeLedger, net_charge_pc
+from smarttouch.stimulation.ledger import ChargeBalance, net_charge_pc
 from smarttouch.stimulation.recharge import (
     MOST_PC,
     MOST_US,
@@ -170,7 +170,7 @@ def test_without_slots_there_is_none():
 def test_over_a_thousand_scans_nothing_builds_up(seed):
     """Scans of the same sign all the time, as those of one class are."""
     rng = np.random.default_rng(seed)
-    ledger, plain, within = ChargeLedger(16), ChargeLedger(16), rules(120, 16)
+    ledger, plain, within = ChargeBalance(16), ChargeBalance(16), rules(120, 16)
     kernels = rng.integers(-150, 10, (16, 16))
     np.fill_diagonal(kernels, 0)
     np.fill_diagonal(kernels, -kernels.sum(axis=1))

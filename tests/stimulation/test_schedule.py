@@ -9,23 +9,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import design_bank, load_bank
-from smarttouch.primary import Primary
 from smarttouch.profile import list_profiles, load_profile
-from smarttouch.stimulation.frames import NO_SHARING, Sharing
+from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy
 from smarttouch.stimulation.points import felt_at, spread_order
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
-from smarttouch.stimulation.schedule import PointScan
+from smarttouch.stimulation.schedule import ScanScheduler
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.tactile_image import TactileImage
 
 from ..raising import raises
 
 
-def tactile(activation, time_ns=10**9, primary=Primary.RA):
+def tactile(activation, time_ns=10**9, afferent=Afferent.RA):
     rows = np.zeros((3, len(activation)), np.float32)
-    rows[primary] = activation
+    rows[afferent] = activation
     return TactileImage(rows, time_ns, 1.0)
 
 
@@ -38,7 +38,7 @@ def shipped(name):
 
 def started(profile, bank):
     gate = SafetyGate(SafetyLimits.of(profile))
-    scan = PointScan(profile, bank, (Primary.RA,), 20.0)
+    scan = ScanScheduler(profile, bank, (Afferent.RA,), 20.0)
     gate.prove(scan.schedule(tactile(np.zeros(len(profile.electrodes)), 0), 0.0))
     return gate
 
@@ -48,18 +48,18 @@ def started(profile, bank):
 @settings(max_examples=50)
 def test_every_sequence_of_every_profile_is_safe(name, data):
     profile, bank = shipped(name)
-    primary = data.draw(st.sampled_from(sorted(bank.weights)))
+    afferent = data.draw(st.sampled_from(sorted(bank.weights)))
     level = st.floats(0, 1, width=32)
     count = len(profile.electrodes)
     seed = data.draw(st.integers(0, 2**32 - 1))
     density, intensity = data.draw(level), data.draw(level)
     rng = np.random.default_rng(seed)
     activation = rng.random(count, np.float32) * (rng.random(count) < density)
-    scan = PointScan(profile, bank, (primary,), profile.pulse.rate_hz)
-    sequence = scan.schedule(tactile(activation, primary=primary), intensity)
+    scan = ScanScheduler(profile, bank, (afferent,), profile.pulse.rate_hz)
+    sequence = scan.schedule(tactile(activation, afferent=afferent), intensity)
     started(profile, bank).prove(sequence)
     assert not sequence.current_ua.sum(axis=1).any()
-    felt = felt_at(profile, primary)
+    felt = felt_at(profile, afferent)
     places = sequence.site if felt is None else felt[sequence.site]
     assert set(places) <= set(np.flatnonzero(activation))
 
@@ -67,7 +67,7 @@ def test_every_sequence_of_every_profile_is_safe(name, data):
 def test_full_activation_gets_the_comfortable_current_and_faint_the_threshold(profile, bank):
     activation = np.zeros(64)
     activation[[9, 50]] = 1.0, 1e-6
-    sequence = PointScan(profile, bank, (Primary.RA,), 50).schedule(tactile(activation), 1.0)
+    sequence = ScanScheduler(profile, bank, (Afferent.RA,), 50).schedule(tactile(activation), 1.0)
     peak = dict(zip(sequence.site.tolist(), np.abs(sequence.current_ua).max(axis=1), strict=True))
     assert peak[9] == pytest.approx(2400, abs=32)
     assert peak[50] == pytest.approx(1200, abs=32)
@@ -76,18 +76,18 @@ def test_full_activation_gets_the_comfortable_current_and_faint_the_threshold(pr
 def test_ra_is_anodic_at_its_point(profile, bank):
     activation = np.zeros(64)
     activation[27] = 1.0
-    sequence = PointScan(profile, bank, (Primary.RA,), 50).schedule(tactile(activation), 1.0)
+    sequence = ScanScheduler(profile, bank, (Afferent.RA,), 50).schedule(tactile(activation), 1.0)
     assert sequence.current_ua[0, 27] == sequence.current_ua[0].min() < 0
     assert sequence.state[0, 27] == -1
 
 
 def test_no_intensity_no_slots(profile, bank):
-    scan = PointScan(profile, bank, (Primary.RA,), 50)
+    scan = ScanScheduler(profile, bank, (Afferent.RA,), 50)
     assert scan.schedule(tactile(np.ones(64)), 0.0).slots == 0
 
 
 def test_rate_is_kept_where_it_fits_and_lowered_where_not(profile, bank):
-    scan = PointScan(profile, bank, (Primary.RA,), 100)
+    scan = ScanScheduler(profile, bank, (Afferent.RA,), 100)
     few = np.zeros(64)
     few[:33] = 1
     assert scan.schedule(tactile(few), 1.0).rate_hz == pytest.approx(100)
@@ -97,7 +97,7 @@ def test_rate_is_kept_where_it_fits_and_lowered_where_not(profile, bank):
 
 def test_switched_boards_never_lose_an_electrode_to_rounding():
     profile = load_profile("kajimoto-61")
-    scan = PointScan(profile, load_bank(profile), (Primary.RA,), 50)
+    scan = ScanScheduler(profile, load_bank(profile), (Afferent.RA,), 50)
     for intensity in (0.001, 0.01, 0.02, 0.05, 0.3, 1.0):
         state = scan.schedule(tactile(np.ones(61)), intensity).state
         assert np.all(state != 0)
@@ -108,7 +108,7 @@ def test_switched_boards_never_lose_an_electrode_to_rounding():
 def test_impossible_rates(profile, bank, rate):
     same = pytest.approx(rate, nan_ok=True)
     with raises(ScheduleError, about="rate", problem="out of range", value=same):
-        PointScan(profile, bank, (Primary.RA,), rate)
+        ScanScheduler(profile, bank, (Afferent.RA,), rate)
 
 
 @pytest.fixture(scope="module", params=["line-7", "kajimoto-61"])
@@ -121,11 +121,11 @@ def masked(request, changed):
 @given(data=st.data())
 def test_a_masked_electrode_is_never_driven(masked, data):
     profile, bank = masked
-    primary = data.draw(st.sampled_from(sorted(bank.weights)))
+    afferent = data.draw(st.sampled_from(sorted(bank.weights)))
     count = len(profile.electrodes)
     activation = np.array(data.draw(st.lists(st.floats(0, 1), min_size=count, max_size=count)))
-    scan = PointScan(profile, bank, (primary,), 20)
-    sequence = scan.schedule(tactile(activation, primary=primary), 1.0)
+    scan = ScanScheduler(profile, bank, (afferent,), 20)
+    sequence = scan.schedule(tactile(activation, afferent=afferent), 1.0)
     started(*shipped(profile.name)).prove(sequence)
     assert not np.isin(sequence.site, profile.output.masked).any()
     assert not sequence.current_ua[:, list(profile.output.masked)].any()
@@ -136,7 +136,7 @@ def test_a_masked_electrode_is_never_driven(masked, data):
 def test_kernels_of_before_the_mask_are_refused(profile, bank, changed):
     mine = changed(profile, {"output.masked": [27]})
     with raises(ScheduleError, about="output.masked", problem="conflict", value=(27,)):
-        PointScan(mine, bank, (Primary.RA,), 50)
+        ScanScheduler(mine, bank, (Afferent.RA,), 50)
 
 
 def test_the_board_s_clock_sets_the_period():
@@ -144,8 +144,8 @@ def test_the_board_s_clock_sets_the_period():
     timing = ScanTiming(slot_extra_us=10, every_electrode=True, whole_hz=True, load=0.9)
     few = tactile(np.r_[np.ones(3), np.zeros(29)])
     for asked_hz, got_hz in ((50, 50), (60, 60), (52.5, 52), (133, 133), (134, 133), (200, 133)):
-        scan = PointScan(profile, load_bank(profile), (Primary.SAI,), asked_hz, timing)
-        sequence = scan.schedule(tactile(few.activation[Primary.RA], primary=Primary.SAI), 1.0)
+        scan = ScanScheduler(profile, load_bank(profile), (Afferent.SAI,), asked_hz, timing)
+        sequence = scan.schedule(tactile(few.activation[Afferent.RA], afferent=Afferent.SAI), 1.0)
         assert sequence.slots == 3
         assert sequence.period_us == math.ceil(1e6 / got_hz)
 
@@ -153,7 +153,7 @@ def test_the_board_s_clock_sets_the_period():
 def test_a_board_in_index_order_gets_its_order():
     profile = load_profile("kajimoto-61")
     timing = ScanTiming(50, 150, slot_extra_us=8, scan_us=700, in_index_order=True, load=1 / 1.1)
-    scan = PointScan(profile, load_bank(profile), (Primary.RA,), 100, timing)
+    scan = ScanScheduler(profile, load_bank(profile), (Afferent.RA,), 100, timing)
     sequence = scan.schedule(tactile(np.ones(61)), 1.0)
     assert sequence.site.tolist() == list(range(61))
     assert sequence.period_us == pytest.approx((700 + 208 * 61) * 1.1, abs=1)
@@ -175,8 +175,8 @@ def test_successive_points_are_apart(count):
 def natural_image(every=3):
     """RA and SAI here and there, each point as strong as no other: no slot is another's."""
     rows = np.zeros((3, 64), np.float32)
-    rows[Primary.RA, ::every] = np.linspace(1, 0.3, len(rows[0, ::every]))
-    rows[Primary.SAI, 1::5] = np.linspace(0.2, 0.9, len(rows[1, 1::5]))
+    rows[Afferent.RA, ::every] = np.linspace(1, 0.3, len(rows[0, ::every]))
+    rows[Afferent.SAI, 1::5] = np.linspace(0.2, 0.9, len(rows[1, 1::5]))
     return TactileImage(rows, 10**9, 1.0)
 
 
@@ -184,10 +184,10 @@ def natural_image(every=3):
 def test_classes_that_are_due_together_follow_one_another(profile, bank, changed, carrier):
     """Each slot is, column by column, what its class alone has in this place."""
     profile = changed(profile, {"pulse.carrier": carrier})
-    both = (Primary.RA, Primary.SAI)
-    joined = PointScan(profile, bank, both).schedule(natural_image(), 0.7)
+    both = (Afferent.RA, Afferent.SAI)
+    joined = ScanScheduler(profile, bank, both).schedule(natural_image(), 0.7)
     first, second = (
-        PointScan(profile, bank, (each,), 10.0).schedule(natural_image(), 0.7) for each in both
+        ScanScheduler(profile, bank, (each,), 10.0).schedule(natural_image(), 0.7) for each in both
     )
     assert (first.slots, second.slots) == (22, 13)
     for name in ("site", "current_ua", "width_us", "discharge_us"):
@@ -201,16 +201,16 @@ def test_classes_that_are_due_together_follow_one_another(profile, bank, changed
 @pytest.mark.parametrize(
     ("sharing", "proved"),
     [
-        (Sharing((Primary.RA,), planned=False), (True, False)),
-        (Sharing((Primary.SAI,), planned=True), (False, True)),
-        (Sharing((Primary.RA, Primary.SAI), planned=False), (True, True)),
+        (SlotPolicy((Afferent.RA,), planned=False), (True, False)),
+        (SlotPolicy((Afferent.SAI,), planned=True), (False, True)),
+        (SlotPolicy((Afferent.RA, Afferent.SAI), planned=False), (True, True)),
     ],
 )
 def test_proofs_stay_with_their_slots_where_classes_are_joined(profile, bank, sharing, proved):
-    both = (Primary.RA, Primary.SAI)
-    joined = PointScan(profile, bank, both, sharing=sharing).schedule(natural_image(), 0.7)
+    both = (Afferent.RA, Afferent.SAI)
+    joined = ScanScheduler(profile, bank, both, sharing=sharing).schedule(natural_image(), 0.7)
     parts = [
-        PointScan(profile, bank, (each,), 10.0, sharing=sharing).schedule(natural_image(), 0.7)
+        ScanScheduler(profile, bank, (each,), 10.0, sharing=sharing).schedule(natural_image(), 0.7)
         for each in both
     ]
     assert [each.proof is not None for each in parts] == list(proved)
@@ -229,23 +229,23 @@ def test_proofs_stay_with_their_slots_where_classes_are_joined(profile, bank, sh
             assert np.isnan([other, spill]).all()
             continue
         assert points.tolist() == part.proof.points.tolist()
-        assert other.tolist() == part.proof.worst_other.tolist()
-        assert spill.tolist() == part.proof.worst_spill.tolist()
+        assert other.tolist() == part.proof.off_target.tolist()
+        assert spill.tolist() == part.proof.spill.tolist()
         assert not np.array_equal(other, spill)
     assert joined.points == 22 + 13
 
 
 def test_three_classes_are_joined_as_two_are(profile, bank):
     rows = natural_image().activation.copy()
-    rows[Primary.PC, 2::11] = 0.5
+    rows[Afferent.PC, 2::11] = 0.5
     image = TactileImage(rows, 10**9, 1.0, 200_000)
-    for sharing in (NO_SHARING, Sharing(tuple(Primary), planned=True)):
-        scan = PointScan(profile, bank, tuple(Primary), sharing=sharing)
+    for sharing in (NO_SHARING, SlotPolicy(tuple(Afferent), planned=True)):
+        scan = ScanScheduler(profile, bank, tuple(Afferent), sharing=sharing)
         joined = scan.schedule(image, 0.7)
-        together = (Primary.RA, Primary.SAI)
-        groups = [together, (Primary.PC,)] if sharing.primaries else [(each,) for each in Primary]
+        together = (Afferent.RA, Afferent.SAI)
+        groups = [together, (Afferent.PC,)] if sharing.afferents else [(each,) for each in Afferent]
         parts = [
-            PointScan(profile, bank, group, sharing=sharing).schedule(
+            ScanScheduler(profile, bank, group, sharing=sharing).schedule(
                 replace(image, activation=np.where(np.isin(range(3), group)[:, None], rows, 0)),
                 0.7,
             )

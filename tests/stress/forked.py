@@ -26,7 +26,7 @@ import smarttouch.cli.session
 import smarttouch.delivered.drawing
 import smarttouch.sources.forces.force
 import smarttouch.sources.page  # noqa: F401
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
 from smarttouch.boards.emulator.firmware import Firmware
 from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
@@ -125,7 +125,7 @@ class Emulated:
 
     def _serve(self, line, trace):
         quiet(out=os.devnull)
-        books = Books(KINDS[self.kind])
+        books = DeliveryLog(KINDS[self.kind])
         firmware = {
             "link": lambda: LinkFirmware(64, "weighted", books),
             "kajimoto61": lambda: Kajimoto61Firmware(books),

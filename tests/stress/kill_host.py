@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from smarttouch.boards import streamed
 from smarttouch.boards.board import make_board
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
 from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
 from smarttouch.boards.emulator.link import LinkFirmware
@@ -46,7 +46,7 @@ LEAVES_WITHIN_S = 10.0
 PR_SET_CHILD_SUBREAPER = 36
 
 
-class LastPulse(Books):
+class LastPulse(DeliveryLog):
     """Books that know when the last pulse ended."""
 
     ended_us = -np.inf

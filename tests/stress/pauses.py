@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 from forked import KINDS, Emulated, quiet, run_and_exit
 
+from smarttouch.afferent import Mode
 from smarttouch.boards.board import make_board
 from smarttouch.kernels.bank import load_bank
-from smarttouch.primary import Mode
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.controls import Controls, ControlState

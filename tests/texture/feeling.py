@@ -57,7 +57,7 @@ def pulses_of(drawing: TextureDrawing) -> FeltPulses:
 
 
 @dataclass(frozen=True, eq=False)
-class Touched:
+class SimulationResult:
     """What came of it.
 
     Attributes
@@ -84,7 +84,7 @@ def feel(
     profile: Profile,
     bank: KernelBank,
     seconds: float | None = None,
-) -> Touched:
+) -> SimulationResult:
     """Let a finger feel a texture until the hand stops; frames, kernels, safety are a live run's.
 
     Parameters
@@ -128,4 +128,4 @@ def feel(
             clock=SimulatedClock(),
         )
         drawing.deliver(*board.take_pulses())
-    return Touched(drawing, pulses_of(drawing), times_ns, poses_mm, tally)
+    return SimulationResult(drawing, pulses_of(drawing), times_ns, poses_mm, tally)

@@ -7,7 +7,7 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from smarttouch.errors import SensorError, SourceLostError
+from smarttouch.errors import SourceError, SourceLostError
 from smarttouch.texture.motion import open_motion
 
 from ..raising import raises
@@ -121,7 +121,7 @@ def test_it_can_be_had_alone(device):
         assert device.latest.grabbed
     device.taken = True
     busy = {"problem": "busy", "value": device.place, "remedy": "--grab"}
-    with raises(SensorError, about="mouse", **busy):
+    with raises(SourceError, about="mouse", **busy):
         open_motion("evdev:", grab=True)
     assert device.latest.closed
 
@@ -146,26 +146,26 @@ def test_the_first_mouse_is_found_among_others(device, monkeypatch):
 )
 def test_a_device_that_cannot_be_read(device, error, problem):
     device.error = error
-    with raises(SensorError, about="mouse", problem=problem, value=device.place):
+    with raises(SourceError, about="mouse", problem=problem, value=device.place):
         open_motion(f"evdev:{device.place}")
 
 
 def test_what_is_no_mouse(device, monkeypatch):
     device.moves = (8,)
-    with raises(SensorError, about="mouse", problem="no mouse", value=device.place):
+    with raises(SourceError, about="mouse", problem="no mouse", value=device.place):
         open_motion(f"evdev:{device.place}")
     assert device.latest.closed
     monkeypatch.setattr(sys.modules["evdev"], "list_devices", list)
-    with raises(SensorError, about="mouse", problem="missing", value="/dev/input") as caught:
+    with raises(SourceError, about="mouse", problem="missing", value="/dev/input") as caught:
         open_motion("evdev:")
     assert "usermod" in str(caught.value), "the group that may read it is to be joined"
-    with raises(SensorError, about="mouse", problem="missing", value="/dev/input/none"):
+    with raises(SourceError, about="mouse", problem="missing", value="/dev/input/none"):
         open_motion("evdev:/dev/input/none")
-    with raises(SensorError, about="--cpi", value=1, allowed=(10, 100_000)):
+    with raises(SourceError, about="--cpi", value=1, allowed=(10, 100_000)):
         open_motion("evdev:", cpi=1)
 
 
 def test_without_the_extra_it_names_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "evdev", None)
-    with raises(SensorError, about="evdev", remedy="pip install 'smarttouch[mouse]'"):
+    with raises(SourceError, about="evdev", remedy="pip install 'smarttouch[mouse]'"):
         open_motion("evdev:")

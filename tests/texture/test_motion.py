@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.texture.motion import open_motion
 from smarttouch.texture.sweep_motion import REST_S, START_S, SweepMotion, strokes_over
 
@@ -100,18 +100,18 @@ def test_a_sensor_tells_the_motion():
     ],
 )
 def test_what_is_wrong_is_said(url, options, about, problem, value):
-    with raises(SensorError, about=about, problem=problem, value=value):
+    with raises(SourceError, about=about, problem=problem, value=value):
         open_motion(url, **options)
 
 
 def test_what_a_motion_may_be():
     known = {"sweep", "path", "evdev", "window", "camera"}.issubset
-    with raises(SensorError, about="motion", allowed=known):
+    with raises(SourceError, about="motion", allowed=known):
         open_motion("wheel:")
-    with raises(SensorError, about="rounds", allowed=(1, 10_000)):
+    with raises(SourceError, about="rounds", allowed=(1, 10_000)):
         open_motion("sweep:0")
     rounds = 9999
-    with raises(SensorError, about="strokes", value=lambda strokes: strokes > 10 * rounds):
+    with raises(SourceError, about="strokes", value=lambda strokes: strokes > 10 * rounds):
         open_motion(f"sweep:{rounds}", span_mm=(10, 1000))
 
 
@@ -130,6 +130,6 @@ def test_what_a_motion_may_be():
 def test_a_wrong_way_says_where(tmp_path, text, about, problem, value):
     path = tmp_path / "way.csv"
     path.write_text(text)
-    with raises(SensorError, about=about, problem=problem, value=value) as caught:
+    with raises(SourceError, about=about, problem=problem, value=value) as caught:
         open_motion(f"path:{path}")
     assert str(path) in str(caught.value)

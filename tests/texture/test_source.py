@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from smarttouch.errors import SensorError
-from smarttouch.primary import Mode, Primary
+from smarttouch.afferent import Afferent, Mode
+from smarttouch.errors import SourceError
 from smarttouch.texture.motion import Motion
 from smarttouch.texture.source import JUMP_MM, MouseSource, PulseLimit
 from smarttouch.texture.sweep_motion import START_S
@@ -39,7 +39,7 @@ def pulses(source, step_us=10_000):
     """Read a source to its end; return what it asked of its class, (frames, E)."""
     asked, time_ns = [], 0
     while (frame := source.read(time_ns)) is not None:
-        asked.append(frame.activation[source.mode.primaries[0]])
+        asked.append(frame.activation[source.mode.afferents[0]])
         time_ns += 1000 * step_us
     return np.array(asked)
 
@@ -196,7 +196,7 @@ def test_what_a_frame_says(mouse):
     assert (source.frames, source.knows_force, frames[1].force_n) == (2, True, 0.4)
     assert frames[1].period_us == 20_000
     rows = frames[1].activation.any(axis=1)
-    assert rows.tolist() == [each is Primary.SAI for each in Primary]
+    assert rows.tolist() == [each is Afferent.SAI for each in Afferent]
     shape = (mouse.optics.sensor_rows, mouse.optics.sensor_columns)
     np.testing.assert_array_equal(frames[1].image, GRATING.draw(-2.0, -6.0, shape, 0.25))
 
@@ -246,5 +246,5 @@ def test_other_classes_feel_it_too(mouse, mouse_bank, mode):
 )
 def test_what_is_impossible_is_said(mouse, options, about, allowed):
     (value,) = options.values()
-    with raises(SensorError, about=about, value=value, allowed=allowed):
+    with raises(SourceError, about=about, value=value, allowed=allowed):
         MouseSource(GRATING, Played([]), mouse, **options)

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from smarttouch.afferent import Afferent
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.boards.hybrid import HybridBoard
 from smarttouch.clock import SimulatedClock
-from smarttouch.primary import Primary
 from smarttouch.running.config import RunConfig
 from smarttouch.running.listener import as_listeners
 from smarttouch.running.loop import run_loop
@@ -70,9 +70,9 @@ def feel(spec, profile, bank, seconds=2.0, shaking=None, **options):
     assert pulses.likeness.min(initial=1) > 0.999
     time_s = np.array([began_s[number] for number in numbers.tolist()])
     got = {}
-    for primary in Primary:
-        its = (pulses.primary == primary) & (time_s > RISEN_S)
+    for afferent in Afferent:
+        its = (pulses.afferent == afferent) & (time_s > RISEN_S)
         if its.any():
             sites = set(pulses.site[its].tolist())
-            got[primary] = Got(np.unique(time_s[its]), pulses.drive[its], sites)
+            got[afferent] = Got(np.unique(time_s[its]), pulses.drive[its], sites)
     return got, sensor

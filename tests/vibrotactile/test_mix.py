@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import smarttouch.vibrotactile.mix
+from smarttouch.afferent import Afferent, Mode
 from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import load_bank
-from smarttouch.primary import Mode, Primary
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.vibrotactile.mix import VIBRATION_US, mix_colors
@@ -79,7 +79,7 @@ def test_one_class_alone_is_that_mode(spec, mode, profile, bank):
 def test_pc_is_slowed_to_what_current_can_do(profile, bank):
     def pc_us(hz):
         mixture = mix_colors(open_trace(f"tone:{hz}Hz,6um", 1.0), profile, bank)
-        return np.median(np.diff(mixture.ideal_us[Primary.PC]))
+        return np.median(np.diff(mixture.ideal_us[Afferent.PC]))
 
     np.testing.assert_allclose([pc_us(hz) for hz in (100, 250, 400)], [10000, 8000, 7500], atol=1)
 
@@ -87,12 +87,12 @@ def test_pc_is_slowed_to_what_current_can_do(profile, bank):
 def test_vibrators_do_it_instead_of_pulses_of_pc(profile, bank):
     mixture = mix_colors(open_trace(ALL, 1.0), profile, bank, vibrated=True)
     assert mixture.vibrated
-    assert Primary.PC not in mixture.ideal_us
+    assert Afferent.PC not in mixture.ideal_us
     assert np.diff(mixture.time_us).max() <= 1.5 * VIBRATION_US
     # Held at every stimulus, those of other classes too.
     middle = (mixture.time_us > 100_000) & (mixture.time_us < 900_000)
-    assert (mixture.drive[middle, Primary.PC] > 0.8).all()
-    assert mixture.pulses(Primary.RA) == 29
+    assert (mixture.drive[middle, Afferent.PC] > 0.8).all()
+    assert mixture.pulses(Afferent.RA) == 29
     quiet = mix_colors(open_trace("tone:30Hz,6um", 1.0), profile, bank, vibrated=True)
     assert not quiet.vibrated
 
@@ -101,9 +101,9 @@ def test_a_board_without_pc_leaves_it_out_or_refuses():
     profile = load_profile("kajimoto-61")
     bank = load_bank(profile)
     mixture = mix_colors(open_trace(ALL, 0.5), profile, bank)
-    assert mixture.left_out == (Primary.SAI, Primary.PC)
-    assert not mixture.drive[:, [Primary.SAI, Primary.PC]].any()
-    only = {"problem": "impossible", "value": (Primary.PC,), "allowed": (Primary.RA,)}
+    assert mixture.left_out == (Afferent.SAI, Afferent.PC)
+    assert not mixture.drive[:, [Afferent.SAI, Afferent.PC]].any()
+    only = {"problem": "impossible", "value": (Afferent.PC,), "allowed": (Afferent.RA,)}
     with raises(ScheduleError, about="classes", **only):
         mix_colors(open_trace("tone:250Hz,1um", 0.5), profile, bank)
     assert mix_colors(open_trace("tone:250Hz,1um", 0.5), profile, bank, vibrated=True).vibrated
@@ -112,7 +112,7 @@ def test_a_board_without_pc_leaves_it_out_or_refuses():
 def test_a_board_with_one_rate_takes_one_class(profile, bank):
     timing = ScanTiming(whole_hz=True)
     assert mix_colors(open_trace("tone:30Hz,6um"), profile, bank, timing=timing).mode is Mode.RA
-    both = {"problem": "too many", "value": (Primary.RA, Primary.SAI), "allowed": 1}
+    both = {"problem": "too many", "value": (Afferent.RA, Afferent.SAI), "allowed": 1}
     with raises(ScheduleError, about="classes", **both):
         mix_colors(open_trace("tone:30Hz,6um+press:1N"), profile, bank, timing=timing)
 
@@ -137,9 +137,9 @@ def test_the_disc_is_in_the_middle(profile):
 
 def test_where_pc_is_felt_elsewhere_its_pulses_move(profile, bank):
     assert profile.perception.pc_shift_mm == (0, -2)
-    assert stimulated(profile, Primary.PC, np.array([3, 59])).tolist() == [11]
-    assert stimulated(profile, Primary.RA, np.array([3, 59])).tolist() == [3, 59]
-    with raises(ScheduleError, about="classes", problem="impossible", value=(Primary.PC,)):
+    assert stimulated(profile, Afferent.PC, np.array([3, 59])).tolist() == [11]
+    assert stimulated(profile, Afferent.RA, np.array([3, 59])).tolist() == [3, 59]
+    with raises(ScheduleError, about="classes", problem="impossible", value=(Afferent.PC,)):
         mix_colors(open_trace("tone:250Hz,1um", 0.3), profile, bank, sites=[59])
 
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.kernels.bank import load_bank
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
+from smarttouch.vibrotactile.crosstalk import pacinian_price
 from smarttouch.vibrotactile.mix import mix_colors
-from smarttouch.vibrotactile.price import pacinian_price
 from smarttouch.vibrotactile.report import as_figures, notes
 from smarttouch.vibrotactile.source import LONGEST_US, ColorSource
 from smarttouch.vibrotactile.spec import open_trace
@@ -40,8 +40,8 @@ def test_every_request_comes_at_its_time(make_source):
     assert [time for time, _ in pulsing] == mixture.time_us.tolist()
     drives = [each.activation[:, mixture.sites[0]] for _, each in pulsing]
     np.testing.assert_array_equal(drives, mixture.drive)
-    for primary in Primary:
-        np.testing.assert_array_equal(source.error_us(primary), mixture.error_us(primary))
+    for afferent in Afferent:
+        np.testing.assert_array_equal(source.error_us(afferent), mixture.error_us(afferent))
 
 
 def test_between_pulses_the_finger_is_looked_at(make_source):
@@ -56,18 +56,18 @@ def test_where_sequences_are_longer_pulses_wait_and_none_is_lost(make_source):
     source, mixture = make_source("tone:30Hz,6um+press:0.45N")
     late = asked(source, stretch=1.7)
     assert sum(each.activation.any() for _, each in late) < len(mixture.time_us)
-    for primary in (Primary.RA, Primary.SAI):
-        error_us = source.error_us(primary)
-        assert len(error_us) >= mixture.pulses(primary) - 1
+    for afferent in (Afferent.RA, Afferent.SAI):
+        error_us = source.error_us(afferent)
+        assert len(error_us) >= mixture.pulses(afferent) - 1
         assert error_us.max() > 5000
         # What would be due before long goes along.
-        moved_us = error_us - mixture.error_us(primary)[: len(error_us)]
+        moved_us = error_us - mixture.error_us(afferent)[: len(error_us)]
         assert -mixture.least_us // 2 <= moved_us.min() < 0
 
 
 def test_vibrators_go_on_between_requests(make_source):
     source, mixture = make_source("tone:250Hz,1.5um", vibrated=True)
-    row = Primary.PC, mixture.sites[0]
+    row = Afferent.PC, mixture.sites[0]
     levels = [each.activation[row] for time, each in asked(source, 0.3) if 1e5 < time < 4e5]
     assert len(levels) > 20
     assert min(levels) > 0.8
@@ -88,14 +88,14 @@ def test_the_price_of_pc_is_that_of_its_kernels(profile, bank, make_source):
     _, mixture = make_source("tone:250Hz,1.5um")
     price = pacinian_price(profile, bank, mixture.sites)
     # Felt at 27, 28, 35 and 36, stimulated a pitch below.
-    assert price.mean == pytest.approx(bank.worst_other[Primary.PC][[35, 36, 43, 44]].mean())
-    assert price.worst[0] is Primary.RA
+    assert price.mean == pytest.approx(bank.off_target[Afferent.PC][[35, 36, 43, 44]].mean())
+    assert price.worst[0] is Afferent.RA
     assert "RA" in str(price)
     assert numbers_in(str(price))[0] == pytest.approx(price.mean, abs=0.05)
     # Not only by the bank's word: the kernel's own activation of RA nodes is beyond PC's.
-    kernel = bank.weights[Primary.PC][35]
-    reached = bank.receptor[Primary.RA] @ kernel
-    own = bank.receptor[Primary.PC][35] @ kernel
+    kernel = bank.weights[Afferent.PC][35]
+    reached = bank.receptor[Afferent.RA] @ kernel
+    own = bank.receptor[Afferent.PC][35] @ kernel
     assert own == pytest.approx(1, rel=1e-5)
     assert 1 < reached.max() <= price.times[0] * 1.001
 
@@ -112,7 +112,7 @@ def test_figures_and_notes_say_what_went_out(profile, bank, make_source):
     source, mixture = make_source(spec, sites=range(64))
     asked(source)
     figures = as_figures(answers, mixture, source, None)
-    assert figures["classes"]["RA"]["sent"]["planned"] == mixture.pulses(Primary.RA)
+    assert figures["classes"]["RA"]["sent"]["planned"] == mixture.pulses(Afferent.RA)
     assert figures["classes"]["SAI"]["answered"]["rate_hz"] == pytest.approx(23, abs=3)
     assert "sent" not in figures["classes"]["PC"]
     (first,) = notes(mixture, answers)

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import ScheduleError
 from smarttouch.physiology.receptors import threshold_um
-from smarttouch.primary import Primary
 from smarttouch.vibrotactile.spec import open_trace
 from smarttouch.vibrotactile.split import SPAN_DB, shares, split
 from smarttouch.vibrotactile.trace import Trace
@@ -19,24 +19,26 @@ SILENT = 0.01
 
 
 def drives(spec, seconds=2.0):
-    return {primary: each.peak_drive for primary, each in split(open_trace(spec, seconds)).items()}
+    return {
+        afferent: each.peak_drive for afferent, each in split(open_trace(spec, seconds)).items()
+    }
 
 
 @pytest.mark.parametrize(
     ("spec", "alone"),
     [
-        ("tone:30Hz,10um", Primary.RA),  # 14.4 dB above threshold
-        ("tone:250Hz,1.7um", Primary.PC),
-        ("tone:250Hz,9um", Primary.PC),
-        ("press:1N", Primary.SAI),
+        ("tone:30Hz,10um", Afferent.RA),  # 14.4 dB above threshold
+        ("tone:250Hz,1.7um", Afferent.PC),
+        ("tone:250Hz,9um", Afferent.PC),
+        ("press:1N", Afferent.SAI),
     ],
 )
 def test_what_each_class_answers_best_drives_it_alone(spec, alone):
-    for primary, drive in drives(spec).items():
-        if primary is alone:
+    for afferent, drive in drives(spec).items():
+        if afferent is alone:
             assert drive > 0.9
         else:
-            assert drive < SILENT, primary
+            assert drive < SILENT, afferent
 
 
 def test_a_slow_indentation_is_for_sai():
@@ -44,26 +46,28 @@ def test_a_slow_indentation_is_for_sai():
     pressed = np.where(np.abs(time_s - 2) < 1, 800.0, 0.0)
     answers = split(Trace(pressed, np.zeros_like(pressed)))
     held = slice(7000, 9000)
-    assert np.allclose(answers[Primary.SAI].drive[held], 775 / 1475, atol=0.01)
-    assert answers[Primary.PC].drive[held].max() == 0
+    assert np.allclose(answers[Afferent.SAI].drive[held], 775 / 1475, atol=0.01)
+    assert answers[Afferent.PC].drive[held].max() == 0
     # Both edges are felt by all.
-    assert min(answers[each].drive[3900:4100].max() for each in Primary) > 0.2
+    assert min(answers[each].drive[3900:4100].max() for each in Afferent) > 0.2
 
 
-@pytest.mark.parametrize("primary", [Primary.RA, Primary.PC])
+@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.PC])
 @pytest.mark.parametrize("frequency_hz", [20, 30, 70, 250])
-def test_drive_is_linear_in_decibels_above_threshold(primary, frequency_hz):
-    threshold = float(threshold_um(primary, frequency_hz))
+def test_drive_is_linear_in_decibels_above_threshold(afferent, frequency_hz):
+    threshold = float(threshold_um(afferent, frequency_hz))
     for above_db in (-1, 3, 9, 16):
         spec = f"tone:{frequency_hz}Hz,{threshold * 10 ** (above_db / 20):.6f}um"
-        answer = split(open_trace(spec))[primary]
+        answer = split(open_trace(spec))[afferent]
         expected = min(1, max(0, above_db / SPAN_DB))
         assert np.median(answer.drive) == pytest.approx(expected, abs=0.01)
 
 
-@pytest.mark.parametrize(("primary", "hz"), [(Primary.RA, 25), (Primary.RA, 60), (Primary.PC, 217)])
-def test_one_spike_each_cycle_at_the_same_phase(primary, hz):
-    answer = split(open_trace(f"tone:{hz}Hz,8um"))[primary]
+@pytest.mark.parametrize(
+    ("afferent", "hz"), [(Afferent.RA, 25), (Afferent.RA, 60), (Afferent.PC, 217)]
+)
+def test_one_spike_each_cycle_at_the_same_phase(afferent, hz):
+    answer = split(open_trace(f"tone:{hz}Hz,8um"))[afferent]
     spikes = answer.spike_s[(answer.spike_s > 0.2) & (answer.spike_s < 1.8)]
     assert len(spikes) == pytest.approx(1.6 * hz, abs=1)
     assert np.ptp(np.mod(spikes * hz + 0.5, 1)) < 0.01
@@ -72,18 +76,18 @@ def test_one_spike_each_cycle_at_the_same_phase(primary, hz):
 
 def test_ra_keeps_its_cycles_under_a_stronger_vibration_of_pc():
     answers = split(open_trace("tone:30Hz,3um+tone:250Hz,9um"))
-    assert answers[Primary.RA].mean_rate_hz == pytest.approx(30, rel=0.1)
-    assert answers[Primary.PC].mean_rate_hz == pytest.approx(250, rel=0.01)
+    assert answers[Afferent.RA].mean_rate_hz == pytest.approx(30, rel=0.1)
+    assert answers[Afferent.PC].mean_rate_hz == pytest.approx(250, rel=0.01)
 
 
 def test_silence_between_two_bursts_has_no_spikes():
-    answer = split(open_trace("tone:30Hz,8um@0-0.8+tone:30Hz,8um@1.2-2"))[Primary.RA]
+    answer = split(open_trace("tone:30Hz,8um@0-0.8+tone:30Hz,8um@1.2-2"))[Afferent.RA]
     assert not ((answer.spike_s > 0.81) & (answer.spike_s < 1.19)).any()
     assert ((answer.spike_s < 0.8).sum(), (answer.spike_s > 1.2).sum()) == (23, 23)
 
 
 def test_sai_fires_faster_when_pressed_harder():
-    rates = [split(open_trace(f"press:{n}N"))[Primary.SAI] for n in (0.1, 0.5, 1, 3)]
+    rates = [split(open_trace(f"press:{n}N"))[Afferent.SAI] for n in (0.1, 0.5, 1, 3)]
     found = [np.median(each.rate_hz) for each in rates]
     np.testing.assert_allclose(found, [10, 25, 50, 50], rtol=0.01)
     counts = [len(each.spike_s) for each in rates]
@@ -93,7 +97,7 @@ def test_sai_fires_faster_when_pressed_harder():
 def test_shares_are_parts_of_the_whole():
     part = shares(split(open_trace("tone:30Hz,8um+press:0.5N")))
     assert sum(part.values()) == pytest.approx(1)
-    assert part[Primary.PC] == 0
+    assert part[Afferent.PC] == 0
     nothing = shares(split(open_trace("press:0N")))
     assert set(nothing.values()) == {0.0}
 
@@ -101,12 +105,12 @@ def test_shares_are_parts_of_the_whole():
 def test_who_answers_where_in_a_sweep():
     answers = split(open_trace("sweep:5-500Hz,3um", 4.0))
     hz = 5 * 100 ** (np.arange(16000) / 16000)
-    bands = {each: hz[answers[each].drive > 0.02] for each in Primary}
+    bands = {each: hz[answers[each].drive > 0.02] for each in Afferent}
     # What 3 µm reach is just about the paper's bands: RA 20 to 70 Hz, PC from 60 to 800.
-    assert bands[Primary.RA][[0, -1]] == pytest.approx([19, 79], rel=0.05)
-    assert bands[Primary.PC][0] == pytest.approx(61, rel=0.05)
-    assert bands[Primary.PC][-1] > 450
-    assert not len(bands[Primary.SAI])
+    assert bands[Afferent.RA][[0, -1]] == pytest.approx([19, 79], rel=0.05)
+    assert bands[Afferent.PC][0] == pytest.approx(61, rel=0.05)
+    assert bands[Afferent.PC][-1] > 450
+    assert not len(bands[Afferent.SAI])
 
 
 @settings(max_examples=40)
@@ -132,8 +136,8 @@ def test_more_of_the_same_drives_no_class_less(seed, factor):
     trace = open_trace("noise:5-400Hz,4um+press:0.2N", 0.3, seed)
     more = Trace(trace.displacement_um * factor, trace.force_n * factor)
     before, after = split(trace), split(more)
-    for primary in Primary:
-        assert (after[primary].drive >= before[primary].drive - 1e-9).all()
+    for afferent in Afferent:
+        assert (after[afferent].drive >= before[afferent].drive - 1e-9).all()
 
 
 def test_a_force_at_which_sai_is_full_before_it_answers_is_refused():

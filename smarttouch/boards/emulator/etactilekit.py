@@ -21,7 +21,7 @@ import math
 from dataclasses import dataclass
 
 from smarttouch.boards.emulator import etactilekit_generations as op
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.firmware import Firmware
 from smarttouch.boards.emulator.single_source import LARGEST_READING, SingleSource
@@ -65,7 +65,7 @@ class ETactileKitFirmware(Firmware):
 
     Parameters
     ----------
-    books : Books
+    books : DeliveryLog
         Its electrodes are all the outputs that there are.
     finger : Finger, optional
         Events of the skin while it runs.
@@ -78,11 +78,11 @@ class ETactileKitFirmware(Firmware):
 
     longest_step_ns = 400_000_000
     """Its scans go on by its own clock, whatever keeps its process waiting."""
-    books: Books
+    books: DeliveryLog
 
     def __init__(
         self,
-        books: Books,
+        books: DeliveryLog,
         finger: Finger | None = None,
         compliance_v: float = COMPLIANCE_V,
         firmware: str = "71adee2",

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from typing import Protocol
 
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 
 
 class Clock(Protocol):
@@ -17,7 +17,7 @@ class Firmware(ABC):
 
     Attributes
     ----------
-    books : Books or None
+    books : DeliveryLog or None
         Account of what flowed.
     longest_step_ns : int
         How long its process may have been kept waiting before its time stands still.
@@ -27,7 +27,7 @@ class Firmware(ABC):
         Faults at this time, of those that are not of the line.
     """
 
-    books: Books | None = None
+    books: DeliveryLog | None = None
     longest_step_ns = 10_000_000
     backlog = 65536
     wrong: frozenset[str] = frozenset()

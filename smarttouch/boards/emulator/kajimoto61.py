@@ -11,7 +11,7 @@ that pulses first is connected to it until its own value has been loaded.
 from collections import deque
 from dataclasses import dataclass, field
 
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.firmware import Firmware
 from smarttouch.boards.emulator.single_source import SingleSource
@@ -59,17 +59,17 @@ class Kajimoto61Firmware(Firmware):
 
     Parameters
     ----------
-    books : Books
+    books : DeliveryLog
         Of 61 electrodes.
     finger : Finger, optional
         Events of the skin while it runs.
     compliance_v : float, V
     """
 
-    books: Books
+    books: DeliveryLog
 
     def __init__(
-        self, books: Books, finger: Finger | None = None, compliance_v: float = COMPLIANCE_V
+        self, books: DeliveryLog, finger: Finger | None = None, compliance_v: float = COMPLIANCE_V
     ) -> None:
         self.books = books
         books.state, self._testing = "self-test", True

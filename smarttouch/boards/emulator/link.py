@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.firmware import Firmware
 from smarttouch.boards.emulator.rules import MAX_CURRENT_UA, MAX_SLOTS, Rules
@@ -65,7 +65,7 @@ class LinkFirmware(Firmware):
         Number of outputs.
     output : str
         Kind of the outputs.
-    books : Books
+    books : DeliveryLog
         Delivery log.
     finger : Finger, optional
         Events of the skin while it runs.
@@ -75,13 +75,13 @@ class LinkFirmware(Firmware):
         Session that filters packets.
     """
 
-    books: Books
+    books: DeliveryLog
 
     def __init__(
         self,
         electrodes: int,
         output: Output,
-        books: Books,
+        books: DeliveryLog,
         finger: Finger | None = None,
         compliance_v: float = COMPLIANCE_V,
         session: BoardSession | None = None,

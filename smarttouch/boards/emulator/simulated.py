@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.board import Board, BoardReport, Capabilities
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.rules import MAX_CURRENT_UA, MAX_SLOTS
 from smarttouch.boards.link import encode_scan
@@ -31,7 +31,7 @@ cathodic.
 
 
 @dataclass
-class _KeptBooks(Books):
+class _KeptBooks(DeliveryLog):
     """Delivery log that keeps every pulse in memory until it is taken."""
 
     _kept: list[tuple[int, float, NDArray[np.int16]]] = field(default_factory=list, repr=False)
@@ -66,7 +66,7 @@ class SimulatedBoard(Board):
         Output of the emulated board; weighted if not given.
     """
 
-    waits_for_nothing = True
+    simulated_time = True
     on_a_finger = False
 
     def __init__(

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.skin import Skin
 
@@ -18,7 +18,7 @@ class SingleSource:
 
     Parameters
     ----------
-    books : Books
+    books : DeliveryLog
         Delivery log.
     finger : Finger, optional
         Events of the skin while it runs.
@@ -29,7 +29,7 @@ class SingleSource:
 
     def __init__(
         self,
-        books: Books,
+        books: DeliveryLog,
         finger: Finger | None,
         compliance_v: float,
         shunt_ohm: float = math.inf,

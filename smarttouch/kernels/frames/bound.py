@@ -50,15 +50,15 @@ class SharedKernels:
         return self.operator.judge.wish_af[self.sites]
 
     @cached_property
-    def worst_other(self) -> float:
-        """Upper bound of `FrameFigures.worst_other` over all subsets."""
+    def off_target(self) -> float:
+        """Upper bound of `FrameFigures.off_target` over all subsets."""
         judge = self.operator.judge
         reached = [np.maximum(field(self.kernels), 0).sum(axis=0).max() for field in judge.others]
         return self._against_targets(float(max(reached)))
 
     @cached_property
-    def worst_spill(self) -> float:
-        """Upper bound of `FrameFigures.worst_spill` over all subsets.
+    def spill(self) -> float:
+        """Upper bound of `FrameFigures.spill` over all subsets.
 
         A node counts only where every active site is more than a pitch away:
         sites within a pitch of it add nothing.
@@ -128,8 +128,8 @@ class Certainty:
     def of(cls, kernels: SharedKernels, aim: float, faintest: float) -> "Certainty":
         """Return the bounds for levels from ``faintest`` to 1 and targets at ``aim`` of theirs.
 
-        Rounding as `whole_ua` does it: what all electrodes up to one carry together is off by
-        half a µA at most, so that each row of a field is off by no more than half of what it
+        Rounding as `round_charge_balanced` does it: what all electrodes up to one carry together
+        is off by half a µA at most, so that each row of a field is off by no more than half of what it
         differs from electrode to electrode, added up.
         """
         judge = kernels.operator.judge
@@ -146,8 +146,8 @@ class Certainty:
         smallest = kernels.smallest
         return cls(
             (
-                _SINGLE * aim * kernels.worst_other * smallest,
-                _SINGLE * aim * kernels.worst_spill * smallest,
+                _SINGLE * aim * kernels.off_target * smallest,
+                _SINGLE * aim * kernels.spill * smallest,
             ),
             (_HALF_UA_MA * other, _HALF_UA_MA * spill),
             aim * float(least.min()),
@@ -155,7 +155,7 @@ class Certainty:
         )
 
     def figures(self, intensity: float) -> tuple[float, float]:
-        """Return the upper bounds of `FrameFigures.worst_other` and `worst_spill`."""
+        """Return the upper bounds of `FrameFigures.off_target` and `spill`."""
         weakest = intensity * self.target - self.lost
         if weakest <= 0:
             return np.inf, np.inf
@@ -207,8 +207,8 @@ def proved_sets(operator: FrameOperator[FrameJudge], bounds: FrameBounds) -> lis
     for step in _STEPS:
         sets = color_classes(operator, step)
         if all(
-            each.worst_other <= bounds.other
-            and each.worst_spill <= bounds.spill
+            each.off_target <= bounds.other
+            and each.spill <= bounds.spill
             and aim * each.weakest >= 1 - bounds.uneven
             and (aim * each.electrode_ma <= judge.full_ma).all()
             for each in sets

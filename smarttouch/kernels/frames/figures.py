@@ -20,9 +20,9 @@ class FrameFigures:
 
     Attributes
     ----------
-    worst_other : float
+    off_target : float
         Largest activation of any other class.
-    worst_spill : float
+    spill : float
         Largest activation of the own class more than a pitch from every target.
     weakest, strongest : float
         Activation of the targets, of what was wished there.
@@ -30,8 +30,8 @@ class FrameFigures:
         Current of all cathodes together, and of the strongest electrode.
     """
 
-    worst_other: float
-    worst_spill: float
+    off_target: float
+    spill: float
     weakest: float
     strongest: float
     total_ma: float
@@ -50,7 +50,7 @@ class FrameBounds:
     Attributes
     ----------
     other, spill : float
-        Of `FrameFigures.worst_other` and `worst_spill`. 0.30 is what the paper's
+        Of `FrameFigures.off_target` and `spill`. 0.30 is what the paper's
         own single SAI point reaches on its line array (Fig. 8).
     uneven : float
         Largest deviation of targets from their wish, of it. All may be as much weaker

@@ -6,12 +6,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.kernels.frames.fields import FieldMap, Single
 from smarttouch.kernels.frames.figures import Bounded, FrameBounds, FrameFigures, no_active_site
 from smarttouch.physiology.activation import af_matrix
 from smarttouch.physiology.afferents import Afferents, everywhere, targets
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile, Skin
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ class FrameJudge:
     ----------
     profile : Profile
         Array of E electrodes, and skin.
-    primary : Primary
+    afferent : Afferent
         Class that is to fire.
     wish_af : ndarray, (E,) V/mm²
         Activation at each target that a level of 1 wishes for.
@@ -41,7 +41,7 @@ class FrameJudge:
     def __init__(
         self,
         profile: Profile,
-        primary: Primary,
+        afferent: Afferent,
         wish_af: Array,
         skin: Skin | None = None,
         vary: Callable[[Afferents], Afferents] = lambda one: one,
@@ -57,16 +57,16 @@ class FrameJudge:
                 value=np.size(wish_af),
                 allowed=len(profile.electrodes),
             )
-        self.profile, self.primary = profile, primary
+        self.profile, self.afferent = profile, afferent
         self.wish_af = np.asarray(wish_af, np.float64)
-        self.target = af_matrix(profile, vary(targets(profile, primary)))
+        self.target = af_matrix(profile, vary(targets(profile, afferent)))
         """Row s is the activating function of the target under electrode s, (E, E)."""
         self.others = others or [
             FieldMap(profile, vary(everywhere(profile, each)))
-            for each in Primary
-            if each is not primary
+            for each in Afferent
+            if each is not afferent
         ]
-        place = vary(everywhere(profile, primary))
+        place = vary(everywhere(profile, afferent))
         self.own = FieldMap(profile, place)
         self.wanted, self.unwanted = [self.own], self.others
         self._near = _near(place.position_mm, profile)
@@ -108,9 +108,9 @@ class FrameJudge:
         return float(reached.min()), reached / self.wish_af[active]
 
     @property
-    def by_class(self) -> dict[Primary, FieldMap]:
+    def by_class(self) -> dict[Afferent, FieldMap]:
         """Fields of the other classes."""
-        names = (each for each in Primary if each is not self.primary)
+        names = (each for each in Afferent if each is not self.afferent)
         return dict(zip(names, self.others, strict=True))
 
     def reached(self, current: Array) -> list[Single]:
@@ -181,7 +181,7 @@ def reached(fields: Sequence[FieldMap], current: Array) -> list[Single]:
     return [field(many).reshape(*current.shape[:-1], -1) for field in fields]
 
 
-def full_wish(profile: Profile, primary: Primary, kernels: Array, receptor: Array) -> Array:
+def full_wish(profile: Profile, afferent: Afferent, kernels: Array, receptor: Array) -> Array:
     """Return the activation of single kernels at full comfortable current, (E,) V/mm².
 
     Parameters

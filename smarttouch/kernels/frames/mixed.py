@@ -25,7 +25,7 @@ class MixedJudge:
     A point is a site of a class: points 0 to E − 1 are the sites of the first
     judge's class, the next E those of the second one's. To each class whose
     points are active all that other classes get far from their own points is
-    `FrameFigures.worst_other`, of its own weakest target.
+    `FrameFigures.off_target`, of its own weakest target.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class MixedJudge:
 
     def __init__(self, judges: Sequence[FrameJudge]) -> None:
         self.judges = tuple(judges)
-        classes = [each.primary for each in judges]
+        classes = [each.afferent for each in judges]
         if not classes or len(set(classes)) < len(classes):
             message = "a mixed frame needs one judge for each of its classes"
             problem = "conflict" if classes else "missing"
@@ -49,7 +49,7 @@ class MixedJudge:
         self.wish_af = np.concatenate([each.wish_af for each in judges])
         self.wanted: list[FieldMap] = [each.own for each in judges]
         self.unwanted = [
-            field for primary, field in judges[0].by_class.items() if primary not in classes
+            field for afferent, field in judges[0].by_class.items() if afferent not in classes
         ]
 
     @property

@@ -294,8 +294,8 @@ def _excess(
     masked = most == 0
     idle = masked.any()
     parts = [
-        figures.worst_other / bounds.other,
-        figures.worst_spill / bounds.spill,
+        figures.off_target / bounds.other,
+        figures.spill / bounds.spill,
         float((strength[~masked] / most[~masked] if idle else strength / most).max()),
         np.inf if idle and current[masked].any() else 0.0,
         (1 - figures.weakest) / bounds.uneven,

@@ -29,7 +29,7 @@ deviance is uninformative (McCullagh and Nelder, *Generalized Linear Models*, 19
 
 
 @dataclass(frozen=True)
-class How:
+class BootstrapOptions:
     """Settings of the confidence intervals.
 
     Attributes
@@ -124,18 +124,18 @@ def fit(counts: Counts, model: Model) -> Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class Sureness:
+class Uncertainty:
     """Uncertainty of a fit.
 
     Attributes
     ----------
     fit : Fit
-    how : How
+    how : BootstrapOptions
     replicas : Replicas
     """
 
     fit: Fit
-    how: How
+    how: BootstrapOptions
     replicas: Replicas
 
     @property
@@ -180,10 +180,10 @@ class Sureness:
         return Bounded(self.fit.at(part), *map(float, model.stimulus([low, high])))
 
 
-def how_sure(found: Fit, how: How) -> Sureness:
+def how_sure(found: Fit, how: BootstrapOptions) -> Uncertainty:
     """Compute the replicas of a fit."""
     drawn = resample(found.model, found.counts, found.best, how.samples, how.seed, how.parametric)
-    return Sureness(found, how, drawn)
+    return Uncertainty(found, how, drawn)
 
 
 def _sudden(model: Model, counts: Counts, parameters: Parameters) -> float:

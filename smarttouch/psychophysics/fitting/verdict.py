@@ -9,7 +9,7 @@ import numpy as np
 from smarttouch.psychophysics.fitting.answers import Answers, Counts, usual_model
 from smarttouch.psychophysics.fitting.bootstrap import Bounded
 from smarttouch.psychophysics.fitting.estimate import Estimate
-from smarttouch.psychophysics.fitting.fit import Fit, How, Sureness, fit, how_sure
+from smarttouch.psychophysics.fitting.fit import BootstrapOptions, Fit, Uncertainty, fit, how_sure
 from smarttouch.psychophysics.fitting.psychometric import Model
 
 FEWEST_ANSWERS = 15
@@ -35,7 +35,7 @@ class Finding:
     ----------
     answers : Answers
     model : Model
-    how : How
+    how : BootstrapOptions
     fit : Fit or None
         None where there is no function to speak of.
     verdict : str or None
@@ -49,14 +49,14 @@ class Finding:
 
     answers: Answers
     model: Model
-    how: How
+    how: BootstrapOptions
     fit: Fit | None
     verdict: str | None = None
     reason: str = ""
     beyond: int = 0
 
     @cached_property
-    def sureness(self) -> Sureness | None:
+    def sureness(self) -> Uncertainty | None:
         """Uncertainty of the fit; None without a fit."""
         return None if self.fit is None else how_sure(self.fit, self.how)
 
@@ -131,17 +131,17 @@ class Finding:
         return Bounded(*(each / standard - 1 for each in found))
 
 
-def judge(answers: Answers, model: Model, how: How | None = None) -> Finding:
+def judge(answers: Answers, model: Model, how: BootstrapOptions | None = None) -> Finding:
     """Fit the answers to one standard, or give the reason why not.
 
     Parameters
     ----------
     answers : Answers
     model : Model
-    how : How or None
+    how : BootstrapOptions or None
         Settings of the intervals; defaults if None.
     """
-    how = how or How()
+    how = how or BootstrapOptions()
 
     def none(reason: str, why: str, beyond: int = 0, found: Fit | None = None) -> Finding:
         return Finding(answers, model, how, found, why, reason, beyond)
@@ -188,7 +188,7 @@ def judge(answers: Answers, model: Model, how: How | None = None) -> Finding:
 
 def estimate(answers: Answers) -> Estimate | None:
     """Return threshold and spread of the answers to one standard; None if there is none."""
-    found = judge(answers, usual_model([answers]), How(samples=_SAMPLES))
+    found = judge(answers, usual_model([answers]), BootstrapOptions(samples=_SAMPLES))
     if found.threshold is None:
         return None
     value, low, high = found.threshold

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
+from smarttouch.afferent import Afferent
 from smarttouch.delivered.perception import strength
 from smarttouch.errors import ExperimentError
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
-from smarttouch.psychophysics.observers.felt_map import FeltMap
+from smarttouch.psychophysics.observers.felt_map import SiteResponse
 from smarttouch.psychophysics.observers.interval import Interval
 from smarttouch.psychophysics.observers.percept import FrequencySense, Recruitment
 
@@ -131,7 +131,7 @@ class SimulatedObserver:
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
         self._recruitment = Recruitment(self.profile, self.bank)
-        self._skin = FeltMap(self.profile, self.bank)
+        self._skin = SiteResponse(self.profile, self.bank)
         self._middles_ma = {
             "felt": self.profile.threshold_ma if self.threshold_ma is None else self.threshold_ma,
             "enough": self.profile.full_ma if self.enough_ma is None else self.enough_ma,
@@ -165,19 +165,19 @@ class SimulatedObserver:
 
     # -- the truth ---------------------------------------------------------
 
-    def ratio(self, primary: Primary, site: int, level: float = 1.0) -> float:
+    def ratio(self, afferent: Afferent, site: int, level: float = 1.0) -> float:
         """Return the ratio of PC to RA that a mode's pulses recruit at a site.
 
         Parameters
         ----------
-        primary : Primary
+        afferent : Afferent
             The mode.
         site : int
             The electrode.
         level : float
             Of the strongest comfortable current.
         """
-        current_ua = 1000 * level * self.profile.full_ma[site] * self.bank.kernels(primary)[site]
+        current_ua = 1000 * level * self.profile.full_ma[site] * self.bank.kernels(afferent)[site]
         pulse = Interval(
             np.zeros(1),
             np.full(1, self.profile.pulse.width_us, np.float32),

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
+from smarttouch.afferent import Afferent
 from smarttouch.delivered.perception import strength
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.receptors import MEETING_HZ, best_hz, sensitivity
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.observers.interval import Interval
 
@@ -83,9 +83,9 @@ class Recruitment:
         # Masked sites have no kernel: nothing fires there.
         least = np.where(own > 0, own, np.inf).min(axis=0)
         self._threshold_ua = np.asarray(1000 * profile.threshold_ma * least, np.float32)
-        self._axons: dict[Primary, NDArray[np.float32]] = {
+        self._axons: dict[Afferent, NDArray[np.float32]] = {
             each: np.ascontiguousarray(bank.receptor[each].T)
-            for each in (Primary.RA, Primary.PC)
+            for each in (Afferent.RA, Afferent.PC)
             if each in bank.receptor
         }
 
@@ -96,13 +96,15 @@ class Recruitment:
         slots, which = interval.distinct()
         does = strength(interval.width_us[slots], self._pulse)
         current_ua = interval.current_ua[slots] * does[:, None]
-        ra, pc = (self._recruited(current_ua, each)[which] for each in (Primary.RA, Primary.PC))
+        ra, pc = (self._recruited(current_ua, each)[which] for each in (Afferent.RA, Afferent.PC))
         hz = _hz(interval.time_s, ra) or _hz(interval.time_s, pc)
         return Activity(hz, float(ra.max(axis=1).sum()), float(pc.max(axis=1).sum()))
 
-    def _recruited(self, current_ua: NDArray[np.float32], primary: Primary) -> NDArray[np.float32]:
+    def _recruited(
+        self, current_ua: NDArray[np.float32], afferent: Afferent
+    ) -> NDArray[np.float32]:
         """Return the part that each slot fires under each electrode, (N, E) in [0, 1)."""
-        axons = self._axons.get(primary)
+        axons = self._axons.get(afferent)
         if axons is None:
             return np.zeros_like(current_ua)
         above = current_ua @ axons
@@ -150,8 +152,8 @@ class FrequencySense:
     @cached_property
     def _learned(self) -> tuple[Array, Array]:
         # Up to the best frequency of PC: beyond it the ratio falls again.
-        hz = np.geomspace(MEETING_HZ, best_hz(Primary.PC), 200)
-        return hz, sensitivity(Primary.PC, hz) / sensitivity(Primary.RA, hz)
+        hz = np.geomspace(MEETING_HZ, best_hz(Afferent.PC), 200)
+        return hz, sensitivity(Afferent.PC, hz) / sensitivity(Afferent.RA, hz)
 
     @cached_property
     def spread(self) -> float:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.profile import Profile
 from smarttouch.registry import find_opener
 from smarttouch.sources.device import Device
@@ -34,11 +34,11 @@ def open_force(url: str, profile: Profile) -> ForceSource:
 
     Raises
     ------
-    SensorError
+    SourceError
         If there is no such kind or it cannot be opened.
     """
     opener, rest = find_opener(
-        "smarttouch.forces", url, SensorError, ForceSource, ("rest", "profile")
+        "smarttouch.forces", url, SourceError, ForceSource, ("rest", "profile")
     )
     source: ForceSource = opener(rest, profile)
     return source
@@ -64,7 +64,7 @@ class FixedForce(ForceSource):
 
     Raises
     ------
-    SensorError
+    SourceError
         If it is another number, or none.
     """
 
@@ -74,7 +74,7 @@ class FixedForce(ForceSource):
         except ValueError:
             self._force_n = math.nan
         if not 0 <= self._force_n <= LARGEST_FIXED_N:
-            raise SensorError(
+            raise SourceError(
                 f"fixed:{text} is no force: give newtons from 0 to {LARGEST_FIXED_N:g}, as in "
                 "fixed:0.5",
                 about="force",
@@ -100,18 +100,18 @@ class RecordedForce(ForceSource):
 
     Raises
     ------
-    SensorError
+    SourceError
         If the file is missing or wrong, with the line number.
     """
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"force of {path.name}")
-        table = read_csv(path, SensorError)
+        table = read_csv(path, SourceError)
         self._time_s, self._force_n = table.numbers(_COLUMNS).T
         beyond = np.flatnonzero(np.abs(self._force_n) > LARGEST_RECORDED_N)
         if len(beyond):
             line, force_n = table.lines[beyond[0]], float(self._force_n[beyond[0]])
-            raise SensorError(
+            raise SourceError(
                 f"{path}, line {line}: {force_n:g} N is more than any finger presses: give newtons",
                 about="force_n",
                 problem="too large",

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.closing import Closing
-from smarttouch.errors import SensorError, SourceLostError
+from smarttouch.errors import SourceError, SourceLostError
 from smarttouch.profile import Profile
 from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.forces.load_cell_watch import CellWatch
@@ -45,7 +45,7 @@ def open_hx711(rest: str, profile: Profile) -> ForceSource:
 
     Raises
     ------
-    SensorError
+    SourceError
         If the profile has no curve, the port cannot be opened, or no reading comes.
     """
     return LoadCellForce(f"hx711:{rest}", profile)
@@ -56,7 +56,7 @@ def open_loadcell(rest: str, profile: Profile) -> ForceSource:
 
     Raises
     ------
-    SensorError
+    SourceError
         If the profile has no curve, the port cannot be opened, or no reading comes.
     """
     return LoadCellForce(f"loadcell:{rest}", profile)
@@ -67,7 +67,7 @@ def open_cell(url: str) -> "LoadCell":
 
     Raises
     ------
-    SensorError
+    SourceError
         If the URL is none of a load cell, the port cannot be opened, or no reading comes.
     """
     # Without a curve contact is not known; a sketch that has set zero stands still there.
@@ -86,7 +86,7 @@ class LoadCell(Closing):
 
     Raises
     ------
-    SensorError
+    SourceError
         If it cannot be opened, or no reading comes from it.
     """
 
@@ -102,7 +102,7 @@ class LoadCell(Closing):
         self._any = self._heard = False
         self._collected: list[float] | None = None
         self._closing = threading.Event()
-        port = open_port(name, self._baud, _WAIT_S, SensorError)
+        port = open_port(name, self._baud, _WAIT_S, SourceError)
         self._thread = threading.Thread(
             target=self._listen, args=(port,), name="load cell", daemon=True
         )
@@ -123,7 +123,7 @@ class LoadCell(Closing):
 
         Raises
         ------
-        SensorError
+        SourceError
             If none came.
         """
         with self._news:
@@ -149,7 +149,7 @@ class LoadCell(Closing):
             if self._news.wait_for(lambda: self._any, FIRST_READING_S):
                 return
         if self._heard:
-            raise SensorError(
+            raise SourceError(
                 f"what comes from the {self.title} is no readings: check its speed (now "
                 f"{self._baud}; another one is set by ?baud=N after the port) and what it sends",
                 about="port",
@@ -163,9 +163,9 @@ class LoadCell(Closing):
             FIRST_READING_S,
         )
 
-    def _mute(self, message: str, seconds: float) -> SensorError:
+    def _mute(self, message: str, seconds: float) -> SourceError:
         about, value = "port", self._name
-        return SensorError(message, about=about, problem="mute", value=value, allowed=seconds)
+        return SourceError(message, about=about, problem="mute", value=value, allowed=seconds)
 
     def _listen(self, port: Port | None) -> None:
         while not self._closing.is_set():
@@ -201,8 +201,8 @@ class LoadCell(Closing):
         if self._closing.wait(RETRY_S):
             return None
         try:
-            port = open_port(self._name, self._baud, _WAIT_S, SensorError)
-        except SensorError:
+            port = open_port(self._name, self._baud, _WAIT_S, SourceError)
+        except SourceError:
             return None
         self._readings.restart()
         return port
@@ -220,13 +220,13 @@ class LoadCellForce(ForceSource):
 
     Raises
     ------
-    SensorError
+    SourceError
         If the profile has no curve, the port cannot be opened, or no reading comes.
     """
 
     def __init__(self, url: str, profile: Profile) -> None:
         if profile.force.curve is None:
-            raise SensorError(
+            raise SourceError(
                 f"profile {profile.name} has no force.curve: run smarttouch calibrate force, or, "
                 "for a sketch that prints grams, set curve = [0, 0.00980665] in [force]",
                 about="force.curve",
@@ -271,16 +271,16 @@ def _parse(url: str) -> tuple[str, str, int]:
     if kind not in _KINDS:
         kinds = " or ".join(f"{each}:PORT" for each in _KINDS)
         message, known = f"{url!r} is no load cell: give {kinds}", tuple(_KINDS)
-        raise SensorError(message, about="force", problem="unknown", value=url, allowed=known)
+        raise SourceError(message, about="force", problem="unknown", value=url, allowed=known)
     name, asked, speed = rest.partition("?baud=")
     if not name:
         message = f"{url!r} names no port: give one, as in {kind}:/dev/ttyUSB0"
-        raise SensorError(message, about="port", problem="missing", value=url)
+        raise SourceError(message, about="port", problem="missing", value=url)
     if not asked:
         return kind, name, _KINDS[kind][0]
     if not (speed.isdecimal() and 0 < int(speed) < 10**8):
         message = f"{url!r}: {speed!r} is no speed of a line: give bits a second, 115200"
-        raise SensorError(message, about="?baud=", value=speed)
+        raise SourceError(message, about="?baud=", value=speed)
     return kind, name, int(speed)
 
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 
-from smarttouch.sources.notes import Episodes, StandingNotes
+from smarttouch.sources.notes import DeviceWarnings, OutageTracker
 
 FRESH_S = 0.35
 """Age up to which a reading is fresh: enough for cells with ten conversions a second."""
@@ -35,18 +35,18 @@ class CellWatch:
         self._same_since_ns = 0
         self._same = 0
         self._none = self._saturated = 0
-        self._said = StandingNotes(notes)
-        self._silence = Episodes(
+        self._said = DeviceWarnings(notes)
+        self._silence = OutageTracker(
             self._said,
             f"{title}: no reading",
             f"let it send ten a second or more, none counts for longer than {FRESH_S:g} s",
         )
-        self._frost = Episodes(
+        self._frost = OutageTracker(
             self._said,
             f"{title}: readings stood still under pressure",
             "it is frozen, or prints too few decimals",
         )
-        self._absence = Episodes(self._said, f"{title} was gone", "check the cable")
+        self._absence = OutageTracker(self._said, f"{title} was gone", "check the cable")
 
     def hear(self, readings: list[float], now_ns: int) -> None:
         """Take new readings, oldest first."""

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.boards.emulator.books import Books, read_slots
+from smarttouch.boards.emulator.delivery_log import DeliveryLog, read_slots
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
 from smarttouch.boards.emulator.finger import Finger
 
@@ -19,7 +19,7 @@ class Rig:
     """A board of some outputs, and its books; without the dummy load unless asked for."""
 
     def __init__(self, folder, outputs=4, **options):
-        self.books = Books(outputs, folder)
+        self.books = DeliveryLog(outputs, folder)
         self.board = ETactileKitFirmware(self.books, **{"dummy_ohm": np.inf} | options)
 
     def say(self, now_ms, text):
@@ -409,7 +409,7 @@ BYTES = st.one_of(
 @settings(max_examples=60, deadline=None)
 @given(pieces=st.lists(BYTES, max_size=8), step_us=st.integers(0, 2000))
 def test_any_bytes_are_survived(pieces, step_us):
-    books = Books(4)
+    books = DeliveryLog(4)
     board = ETactileKitFirmware(books)
     for step, piece in enumerate(pieces):
         board.feed(piece, step * step_us * 1000)
@@ -424,6 +424,6 @@ def test_any_bytes_are_survived(pieces, step_us):
 @given(pieces=st.lists(BYTES, max_size=8), cut=st.integers(1, 9))
 def test_how_the_bytes_are_cut_does_not_matter(pieces, cut):
     data = b"".join(pieces)
-    whole, parts = ETactileKitFirmware(Books(4)), ETactileKitFirmware(Books(4))
+    whole, parts = ETactileKitFirmware(DeliveryLog(4)), ETactileKitFirmware(DeliveryLog(4))
     answer = whole.feed(data, 0)
     assert answer == b"".join(parts.feed(data[at : at + cut], 0) for at in range(0, len(data), cut))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.boards.emulator.books import Books, read_slots
+from smarttouch.boards.emulator.delivery_log import DeliveryLog, read_slots
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.kajimoto61 import BUFFER, ELECTRODES, Kajimoto61Firmware
 
@@ -25,7 +25,7 @@ def frame(**intensities):
 
 @pytest.fixture
 def books(tmp_path):
-    return Books(ELECTRODES, tmp_path)
+    return DeliveryLog(ELECTRODES, tmp_path)
 
 
 @pytest.fixture
@@ -134,7 +134,7 @@ def test_other_bytes_are_ignored(board, books, junk):
 
 
 def test_in_the_self_test_it_measures_and_any_first_packet_stimulates():
-    books = Books(ELECTRODES)
+    books = DeliveryLog(ELECTRODES)
     board = Kajimoto61Firmware(books)
     assert books.state == "self-test"
     board.feed(b"\xfe", 1 * MS)
@@ -147,7 +147,7 @@ def test_in_the_self_test_it_measures_and_any_first_packet_stimulates():
 
 @pytest.mark.parametrize("first", [b"", ZERO, ZERO * 3])
 def test_what_the_self_test_left_flows_for_a_moment_in_the_first_pulse(tmp_path, first):
-    books = Books(ELECTRODES, tmp_path)
+    books = DeliveryLog(ELECTRODES, tmp_path)
     board = Kajimoto61Firmware(books)
     board.feed(first, 0)
     board.feed(frame(e1=1, e2=1), 10 * MS)
@@ -164,7 +164,7 @@ def test_what_the_self_test_left_flows_for_a_moment_in_the_first_pulse(tmp_path,
 
 
 def test_after_a_measurement_the_converter_is_empty(tmp_path):
-    books = Books(ELECTRODES, tmp_path)
+    books = DeliveryLog(ELECTRODES, tmp_path)
     board = Kajimoto61Firmware(books)
     board.feed(ZERO + b"\xfe" + frame(e1=1), 0)
     board.advance(30 * MS)
@@ -190,7 +190,9 @@ def test_a_measurement_takes_its_time_and_its_readings_are_volts(board, books):
 
 
 def test_a_reading_wraps_and_never_looks_like_the_end():
-    board = Kajimoto61Firmware(Books(ELECTRODES), Finger(ELECTRODES, ["0 open 5", "0 short 6"]))
+    board = Kajimoto61Firmware(
+        DeliveryLog(ELECTRODES), Finger(ELECTRODES, ["0 open 5", "0 short 6"])
+    )
     board.feed(ZERO, 0)
     board.feed(b"\xfe", 1 * MS)
     reply = board.advance(10 * MS)
@@ -200,7 +202,7 @@ def test_a_reading_wraps_and_never_looks_like_the_end():
     readings = set()
     for percent in range(30, 100):
         event = f"0 peel 5 {percent / 100}"
-        board = Kajimoto61Firmware(Books(ELECTRODES), Finger(ELECTRODES, [event]), 2000.0)
+        board = Kajimoto61Firmware(DeliveryLog(ELECTRODES), Finger(ELECTRODES, [event]), 2000.0)
         board.feed(ZERO + b"\xfe", 0)
         readings.add(board.advance(10 * MS)[5])
     assert 255 not in readings
@@ -241,7 +243,7 @@ def test_from_129_on_a_byte_is_more_than_5_ma(board, books, value, unsafe):
 @settings(max_examples=60, deadline=None)
 @given(pieces=st.lists(st.binary(max_size=70) | st.sampled_from([b"\xff", b"\xfe"]), max_size=8))
 def test_any_bytes_are_survived_and_only_their_intensities_flow(pieces):
-    books = Books(ELECTRODES)
+    books = DeliveryLog(ELECTRODES)
     board = Kajimoto61Firmware(books)
     board.feed(ZERO, 0)
     for step, piece in enumerate(pieces):
@@ -256,7 +258,7 @@ def test_any_bytes_are_survived_and_only_their_intensities_flow(pieces):
 @settings(max_examples=30, deadline=None)
 @given(data=st.binary(max_size=200), cuts=st.lists(st.integers(0, 200), max_size=5))
 def test_how_the_bytes_are_cut_does_not_matter(data, cuts):
-    whole, pieces = Books(ELECTRODES), Books(ELECTRODES)
+    whole, pieces = DeliveryLog(ELECTRODES), DeliveryLog(ELECTRODES)
     board = Kajimoto61Firmware(whole)
     board.feed(ZERO + data, 0)
     board.advance(100 * MS)

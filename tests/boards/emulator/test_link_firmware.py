@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.link_protocol import ALIVE, Kind, Refusal
@@ -25,7 +25,7 @@ class Rig:
     def __init__(self, electrodes=4, output="weighted", begun=True, finger=None):
         self.output = output
         self.alive = []
-        self.books = Books(electrodes)
+        self.books = DeliveryLog(electrodes)
         self.board = LinkFirmware(electrodes, output, self.books, finger)
         self.host = HostSession()
         if begun:
@@ -225,7 +225,7 @@ def test_what_is_garbled_is_told_of():
 
 
 def test_hello_of_any_version_is_answered_and_nothing_else():
-    board = LinkFirmware(4, "weighted", Books(4))
+    board = LinkFirmware(4, "weighted", DeliveryLog(4))
     (answer,) = Deframer().feed(board.feed(frame_packet(9, Kind.HELLO, 0, b""), 0))
     assert (answer.kind, answer.version) == (Kind.CAPABILITIES, protocol.VERSION)
     assert board.feed(frame_packet(9, Kind.STATUS, 1, bytes(16)), MS) == b""

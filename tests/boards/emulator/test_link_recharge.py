@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.emulator.books import Books, read_delivered, read_recharges, read_slots
+from smarttouch.boards.emulator.delivery_log import (
+    DeliveryLog,
+    read_delivered,
+    read_recharges,
+    read_slots,
+)
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.skin import Delivered
 from smarttouch.boards.link_protocol import Feature, Kind, Refusal
@@ -23,7 +28,7 @@ class Rig:
     """A board, and a session begun at time zero."""
 
     def __init__(self, folder=None, output="weighted"):
-        self.books = Books(4, folder)
+        self.books = DeliveryLog(4, folder)
         self.output = output
         self.board = LinkFirmware(4, output, self.books)
         self.host = HostSession()
@@ -165,7 +170,7 @@ def test_what_is_just_within_them_is_not():
     [(500, 4000, 0), (501, 10, 1), (100, 20_001, 1), (500, 4001, 1)],
 )
 def test_the_books_look_for_themselves(current_ua, width_us, unsafe):
-    books, current = Books(2), np.array([current_ua, -current_ua], float)
+    books, current = DeliveryLog(2), np.array([current_ua, -current_ua], float)
     books.enter_recharge(1, Delivered(current, current * width_us, current, 0.0), width_us,
                          current * 0, 0.0)  # fmt: skip
     assert books.unsafe == unsafe

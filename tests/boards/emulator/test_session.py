@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.session import MOST_HOSTS, BoardSession
 from smarttouch.boards.link_protocol import (
@@ -31,7 +31,7 @@ class Rig:
     """A board, the host that began its session at time zero, and all that it sent."""
 
     def __init__(self):
-        self.books = Books(4)
+        self.books = DeliveryLog(4)
         self.board = LinkFirmware(4, "weighted", self.books)
         self.now_ms, self.sent = 0, []
         self.host = self.begin()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cobs import cobs
 
-from smarttouch.boards.emulator.books import Books
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.session import BoardSession
 from smarttouch.boards.link import LinkBoard
@@ -24,7 +24,7 @@ HELLO, BEGIN, CAPABILITIES = 0x01, 0x06, 0x81
 FAULTS = ("drop", "twice", "later", "behind", "again", "foreign", "flip", "cut")
 
 
-class KeptBooks(Books):
+class KeptBooks(DeliveryLog):
     """Books that keep what flowed: number, currents and time of each pulse."""
 
     def enter(self, number, slot, site, delivered, width_us, residual_uc, time_us, **more):

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.kernels.frames.bound import (
     Certainty,
@@ -15,9 +16,8 @@ from smarttouch.kernels.frames.bound import (
 from smarttouch.kernels.frames.figures import FrameBounds
 from smarttouch.kernels.frames.judge import FrameJudge
 from smarttouch.kernels.frames.operator import FrameOperator
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.sequence import whole_ua
+from smarttouch.stimulation.sequence import round_charge_balanced
 
 from ...raising import raises
 from .test_operator import make_operator
@@ -27,10 +27,10 @@ __all__ = ["make_operator"]
 
 @settings(max_examples=40, deadline=None)
 @given(
-    st.sampled_from([Primary.RA, Primary.SAI]), st.integers(1, 4), st.integers(0, 2**32 - 1)
+    st.sampled_from([Afferent.RA, Afferent.SAI]), st.integers(1, 4), st.integers(0, 2**32 - 1)
 )  # fmt: skip
-def test_no_subset_breaks_a_bound(make_operator, primary, step, seed):
-    operator = make_operator(primary)
+def test_no_subset_breaks_a_bound(make_operator, afferent, step, seed):
+    operator = make_operator(afferent)
     rng = np.random.default_rng(seed)
     one = rng.choice(color_classes(operator, step))
     on = rng.random(len(one.sites)) < rng.uniform(0.1, 1)
@@ -39,8 +39,8 @@ def test_no_subset_breaks_a_bound(make_operator, primary, step, seed):
     level = np.zeros(64)
     level[one.sites[on]] = 1
     figures = operator.judge.judge(current, level)
-    assert figures.worst_other <= one.worst_other * 1.001
-    assert figures.worst_spill <= one.worst_spill * 1.001
+    assert figures.off_target <= one.off_target * 1.001
+    assert figures.spill <= one.spill * 1.001
     assert figures.total_ma <= one.total_ma + 1e-9
     assert (np.abs(current) <= one.electrode_ma + 1e-9).all()
     assert figures.weakest >= one.weakest - 1e-9
@@ -48,12 +48,12 @@ def test_no_subset_breaks_a_bound(make_operator, primary, step, seed):
         assert one.weakest == pytest.approx(1, abs=1e-3)
 
 
-@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
+@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
 @pytest.mark.parametrize("step", [2, 3])
-def test_the_bounds_are_reached_by_a_subset(make_operator, primary, step):
+def test_the_bounds_are_reached_by_a_subset(make_operator, afferent, step):
     """The worst node's exciting sites alone reach it: no bound is looser than it must be."""
-    judge = make_operator(primary).judge
-    operator = make_operator(primary)
+    judge = make_operator(afferent).judge
+    operator = make_operator(afferent)
     # Neighbors calm what each excites: only some of them make the worst subset.
     beside = SharedKernels(operator, np.array([18, 19, 20, 26, 28, 45]))
     for one in [*color_classes(operator, step), beside]:
@@ -74,7 +74,7 @@ def test_the_bounds_are_reached_by_a_subset(make_operator, primary, step):
 
 def test_classes_are_all_driven_sites_once(profile, changed):
     mine = changed(profile, {"output.masked": [0, 9]})
-    operator = FrameOperator(FrameJudge(mine, Primary.RA, np.full(64, 2.2)))
+    operator = FrameOperator(FrameJudge(mine, Afferent.RA, np.full(64, 2.2)))
     classes = color_classes(operator, 2)
     assert len(classes) == 4
     assert sorted(np.concatenate([each.sites for each in classes])) == mine.driven.tolist()
@@ -86,24 +86,24 @@ def test_classes_are_all_driven_sites_once(profile, changed):
 
 def test_a_hexagon_has_no_colors():
     mine = load_profile("kajimoto-61")
-    operator = FrameOperator(FrameJudge(mine, Primary.RA, np.ones(61)))
+    operator = FrameOperator(FrameJudge(mine, Afferent.RA, np.ones(61)))
     with raises(DesignError, about="array", problem="no grid"):
         color_classes(operator, 2)
-    assert SharedKernels(operator, np.array([3, 40])).worst_other > 0
+    assert SharedKernels(operator, np.array([3, 40])).off_target > 0
 
 
 def test_sets_are_as_large_as_can_be_proved(make_operator, profile, changed):
     bounds = FrameBounds()
-    sets = proved_sets(make_operator(Primary.RA), bounds)
+    sets = proved_sets(make_operator(Afferent.RA), bounds)
     assert [len(each.sites) for each in sets] == [16] * 4
     assert sorted(np.concatenate([each.sites for each in sets])) == list(range(64))
     # Tighter bounds, sparser sets; and none at all.
-    assert len(proved_sets(make_operator(Primary.RA), FrameBounds(other=0.15))) == 9
-    assert proved_sets(make_operator(Primary.RA), FrameBounds(other=0.05)) == []
-    assert proved_sets(make_operator(Primary.SAI), bounds) == []
+    assert len(proved_sets(make_operator(Afferent.RA), FrameBounds(other=0.15))) == 9
+    assert proved_sets(make_operator(Afferent.RA), FrameBounds(other=0.05)) == []
+    assert proved_sets(make_operator(Afferent.SAI), bounds) == []
     judge = sets[0].operator.judge
     for one in sets:
-        assert one.worst_other <= 0.3
+        assert one.off_target <= 0.3
         assert one.totals_ma.sum() == pytest.approx(one.total_ma)
         assert (0.96 * one.electrode_ma <= judge.full_ma).all()
 
@@ -111,24 +111,24 @@ def test_sets_are_as_large_as_can_be_proved(make_operator, profile, changed):
 def test_what_is_no_grid_or_large_has_no_sets(profile, bank, changed):
     hexagon = load_profile("kajimoto-61")
     wish = np.full(61, 2.0)
-    assert proved_sets(FrameOperator(FrameJudge(hexagon, Primary.RA, wish)), FrameBounds()) == []
+    assert proved_sets(FrameOperator(FrameJudge(hexagon, Afferent.RA, wish)), FrameBounds()) == []
     wide = changed(profile, {"array.rows": 18, "array.columns": 18})
-    judge = FrameJudge(wide, Primary.RA, np.full(324, 2.2))
+    judge = FrameJudge(wide, Afferent.RA, np.full(324, 2.2))
     assert proved_sets(FrameOperator(judge), FrameBounds()) == []
 
 
 @settings(max_examples=60, deadline=None)
 @given(
-    st.sampled_from([Primary.RA, Primary.SAI]),
+    st.sampled_from([Afferent.RA, Afferent.SAI]),
     st.integers(2, 4),
     st.floats(0.01, 1),
     st.floats(0.2, 1),
     st.integers(0, 2**32 - 1),
 )
 def test_no_subset_breaks_what_is_certain_after_rounding(
-    make_operator, primary, step, intensity, faintest, seed
+    make_operator, afferent, step, intensity, faintest, seed
 ):
-    operator = make_operator(primary)
+    operator = make_operator(afferent)
     rng = np.random.default_rng(seed)
     one = rng.choice(color_classes(operator, step))
     certain = Certainty.of(one, 0.96, faintest)
@@ -137,16 +137,16 @@ def test_no_subset_breaks_what_is_certain_after_rounding(
     level = np.zeros(64)
     level[one.sites[on]] = rng.choice([faintest, 1, rng.uniform(faintest, 1)], on.sum())
     exact_ua = 1000 * intensity * 0.96 * (level[one.sites] @ one.kernels)
-    current_ma = whole_ua(exact_ua[None])[0] / 1000
+    current_ma = round_charge_balanced(exact_ua[None])[0] / 1000
     figures = operator.judge.judge(current_ma, level)
-    worst_other, worst_spill = certain.figures(intensity)
-    assert figures.worst_other <= worst_other
-    assert figures.worst_spill <= worst_spill
+    off_target, spill = certain.figures(intensity)
+    assert figures.off_target <= off_target
+    assert figures.spill <= spill
 
 
 def test_from_the_least_intensity_on_bounds_are_kept(make_operator):
     bounds = FrameBounds(0.3, 0.3)
-    for one in color_classes(make_operator(Primary.RA), 2):
+    for one in color_classes(make_operator(Afferent.RA), 2):
         certain = Certainty.of(one, 0.96, 0.5)
         least = certain.least(bounds)
         assert 0 < least < 1

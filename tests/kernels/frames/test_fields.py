@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.kernels.frames.fields import FieldMap
 from smarttouch.physiology.activation import af_matrix
 from smarttouch.physiology.afferents import everywhere
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
 
@@ -15,7 +15,7 @@ def random_currents(profile, count=5, seed=0):
     return current - current.mean(axis=1, keepdims=True)
 
 
-@pytest.mark.parametrize("primary", list(Primary))
+@pytest.mark.parametrize("afferent", list(Afferent))
 @pytest.mark.parametrize(
     ("name", "separable"),
     [
@@ -26,9 +26,9 @@ def random_currents(profile, count=5, seed=0):
         ("line-7", False),
     ],
 )
-def test_a_map_is_what_all_rows_are(name, separable, primary):
+def test_a_map_is_what_all_rows_are(name, separable, afferent):
     profile = load_profile(name)
-    nodes = everywhere(profile, primary)
+    nodes = everywhere(profile, afferent)
     field, rows = FieldMap(profile, nodes), af_matrix(profile, nodes)
     assert field.separable is separable
     current = random_currents(profile)
@@ -46,7 +46,7 @@ def test_electrodes_in_another_order_are_where_they_are(profile, changed):
     places = profile.electrodes.position_mm[order]
     array = {"layout": "free", "positions_mm": places.tolist(), "size_mm": [1.0, 0.0]}
     shuffled = changed(profile, {"array": array})
-    nodes = everywhere(profile, Primary.SAI)
+    nodes = everywhere(profile, Afferent.SAI)
     there = FieldMap(shuffled, nodes)
     assert there.separable
     current = random_currents(profile)
@@ -71,7 +71,7 @@ def test_layers_and_ending_are_the_skin_s(profile, changed):
             "skin.ra_ending": "active",
         },
     )
-    nodes = everywhere(mine, Primary.RA)
+    nodes = everywhere(mine, Afferent.RA)
     current = random_currents(mine)
     whole = current @ af_matrix(mine, nodes).T
     assert np.abs(FieldMap(mine, nodes)(current) - whole).max() < 2e-3 * np.abs(whole).max()

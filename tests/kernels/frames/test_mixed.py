@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.kernels.frames.figures import FrameBounds, judge_all
 from smarttouch.kernels.frames.judge import FrameJudge, full_wish
@@ -12,11 +13,10 @@ from smarttouch.kernels.frames.mixed import MixedJudge
 from smarttouch.kernels.frames.operator import FrameOperator, keeps
 from smarttouch.kernels.frames.slots import likely_slots, plan_slots
 from smarttouch.kernels.problem import Problem
-from smarttouch.primary import Primary
 
 from ...raising import raises
 
-BOTH = (Primary.RA, Primary.SAI)
+BOTH = (Afferent.RA, Afferent.SAI)
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def operator(judges):
 
 @pytest.fixture(scope="module")
 def problems(profile):
-    return [Problem(profile, each) for each in (*BOTH, Primary.PC)]
+    return [Problem(profile, each) for each in (*BOTH, Afferent.PC)]
 
 
 def wished(seed, ra, sai):
@@ -68,7 +68,7 @@ def test_figures_are_those_of_all_rows(operator, problems, seed, ra, sai):
             away &= problem.beyond_a_pitch(site)
         far.append(max((problem.rows[0].own[away] @ current).max(), 0))
     if min(smallest) <= 0:
-        assert figures.worst_other == figures.worst_spill == np.inf
+        assert figures.off_target == figures.spill == np.inf
         return
     deep = (problems[2].rows[0].own @ current).max()
     ratios = [
@@ -76,9 +76,9 @@ def test_figures_are_those_of_all_rows(operator, problems, seed, ra, sai):
         for index in (0, 1)
         if np.isfinite(smallest[index])
     ]
-    assert figures.worst_other == pytest.approx(max(ratios), rel=0.02, abs=0.002)
+    assert figures.off_target == pytest.approx(max(ratios), rel=0.02, abs=0.002)
     spill = max(each / least for each, least in zip(far, smallest, strict=True))
-    assert figures.worst_spill == pytest.approx(spill, rel=0.02, abs=0.002)
+    assert figures.spill == pytest.approx(spill, rel=0.02, abs=0.002)
 
 
 @pytest.mark.parametrize("index", [0, 1])
@@ -105,8 +105,8 @@ def test_every_point_once_and_every_slot_within_its_bounds(profile, bank, operat
     levels = np.array([np.where(np.isin(np.arange(128), each.sites), level, 0) for each in slots])
     currents = np.array([each.current for each in slots])
     for quick, slot in zip(judge_all(operator.judge, currents, levels), slots, strict=True):
-        assert quick.worst_other == pytest.approx(slot.figures.worst_other, rel=1e-4)
-        assert quick.worst_spill == pytest.approx(slot.figures.worst_spill, rel=1e-4, abs=1e-6)
+        assert quick.off_target == pytest.approx(slot.figures.off_target, rel=1e-4)
+        assert quick.spill == pytest.approx(slot.figures.spill, rel=1e-4, abs=1e-6)
 
 
 def test_one_class_carries_back_what_the_other_needs(judges, operator):
@@ -144,11 +144,11 @@ def test_targets_that_nothing_reaches_have_endless_ratios(operator):
     level = wished(1, 2, 2)
     for current in (np.zeros(64), -operator.currents(level)):
         figures = operator.judge.judge(current, level)
-        assert figures.worst_other == figures.worst_spill == np.inf
+        assert figures.off_target == figures.spill == np.inf
 
 
 def test_a_class_cannot_be_mixed_with_itself(judges):
-    twice = (judges[0].primary, judges[0].primary)
+    twice = (judges[0].afferent, judges[0].afferent)
     with raises(DesignError, about="judges", problem="conflict", value=twice):
         MixedJudge([judges[0], judges[0]])
     with raises(DesignError, about="judges", problem="missing", value=()):

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.kernels.frames.figures import FrameBounds
 from smarttouch.kernels.frames.judge import FrameJudge, full_wish
 from smarttouch.kernels.frames.operator import FrameOperator, Weights, keeps
 from smarttouch.physiology.activation import af_matrix
 from smarttouch.physiology.afferents import everywhere
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
 from ...raising import raises
@@ -25,11 +25,11 @@ LETTER_T = "........ .#####.. ...#.... ...#.... ...#.... ...#.... ...#.... ...#.
 def make_operator(profile, bank):
     made = {}
 
-    def make(primary):
-        if primary not in made:
-            wish = full_wish(profile, primary, bank.kernels(primary), bank.receptor[primary])
-            made[primary] = FrameOperator(FrameJudge(profile, primary, wish))
-        return made[primary]
+    def make(afferent):
+        if afferent not in made:
+            wish = full_wish(profile, afferent, bank.kernels(afferent), bank.receptor[afferent])
+            made[afferent] = FrameOperator(FrameJudge(profile, afferent, wish))
+        return made[afferent]
 
     return make
 
@@ -46,10 +46,10 @@ def scattered(seed, points, sites=64):
 
 @settings(max_examples=25, deadline=None)
 @given(
-    st.sampled_from([Primary.RA, Primary.SAI]), st.integers(0, 2**32 - 1), st.integers(1, 30)
+    st.sampled_from([Afferent.RA, Afferent.SAI]), st.integers(0, 2**32 - 1), st.integers(1, 30)
 )  # fmt: skip
-def test_targets_get_their_wish_and_currents_sum_to_zero(make_operator, primary, seed, points):
-    operator = make_operator(primary)
+def test_targets_get_their_wish_and_currents_sum_to_zero(make_operator, afferent, seed, points):
+    operator = make_operator(afferent)
     level = scattered(seed, points) * np.random.default_rng(seed).uniform(0.5, 1, 64)
     current = operator.currents(level)
     active = level > 0
@@ -64,14 +64,14 @@ def test_targets_get_their_wish_and_currents_sum_to_zero(make_operator, primary,
 
 
 def test_no_other_currents_with_the_same_targets_cause_less(profile, make_operator):
-    operator = FrameOperator(make_operator(Primary.SAI).judge, Weights(1.0, 0.3, 0.2))
+    operator = FrameOperator(make_operator(Afferent.SAI).judge, Weights(1.0, 0.3, 0.2))
     judge, level = operator.judge, scattered(4, 6)
     current, active = operator.currents(level), np.flatnonzero(level)
 
     def harm(each):
         sums = 0.2 * each @ each
-        for primary, factor in ((Primary.RA, 1.0), (Primary.PC, 1.0), (Primary.SAI, 0.3)):
-            rows = af_matrix(profile, everywhere(profile, primary))
+        for afferent, factor in ((Afferent.RA, 1.0), (Afferent.PC, 1.0), (Afferent.SAI, 0.3)):
+            rows = af_matrix(profile, everywhere(profile, afferent))
             sums += factor * 64 * ((rows @ each) ** 2).sum() / (rows**2).sum()
         return sums
 
@@ -85,22 +85,22 @@ def test_no_other_currents_with_the_same_targets_cause_less(profile, make_operat
 
 
 def test_a_letter_in_one_slot_is_as_selective_as_a_single_point_of_the_paper(make_operator):
-    operator = make_operator(Primary.RA)
+    operator = make_operator(Afferent.RA)
     figures = operator.judge.judge(operator.currents(drawn(LETTER_T)), drawn(LETTER_T))
-    assert figures.worst_other < 0.25
-    assert figures.worst_spill < 0.10
+    assert figures.off_target < 0.25
+    assert figures.spill < 0.10
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_bounds_hold_where_the_least_squares_break_them(make_operator, seed):
-    operator, level = make_operator(Primary.SAI), scattered(seed, 3)
+    operator, level = make_operator(Afferent.SAI), scattered(seed, 3)
     judge, bounds = operator.judge, FrameBounds()
-    assert judge.judge(operator.currents(level), level).worst_other > bounds.other
+    assert judge.judge(operator.currents(level), level).off_target > bounds.other
     current, figures = operator.bounded(level, bounds)
     assert figures == judge.judge(current, level)
     assert keeps(judge, figures, bounds, current, judge.profile.limits.total_ma)
-    assert figures.worst_other <= bounds.other
-    assert figures.worst_spill <= bounds.spill
+    assert figures.off_target <= bounds.other
+    assert figures.spill <= bounds.spill
     assert figures.weakest >= 1 - bounds.uneven
     assert figures.total_ma <= 10
     assert (np.abs(current) <= judge.full_ma).all()
@@ -108,17 +108,17 @@ def test_bounds_hold_where_the_least_squares_break_them(make_operator, seed):
 
 
 def test_what_cannot_be_kept_is_said_by_its_figures(make_operator):
-    operator, level = make_operator(Primary.SAI), scattered(0, 30)
+    operator, level = make_operator(Afferent.SAI), scattered(0, 30)
     current, figures = operator.bounded(level, FrameBounds(), 10.0)
     assert not keeps(operator.judge, figures, FrameBounds(), current, 10.0)
-    assert figures.worst_other > 0.3
+    assert figures.off_target > 0.3
 
 
 def test_each_bound_counts(make_operator):
-    judge = make_operator(Primary.RA).judge
+    judge = make_operator(Afferent.RA).judge
     current, level = np.zeros(64), scattered(0, 1)
-    good = judge.judge(make_operator(Primary.RA).currents(level), level)
-    good = replace(good, worst_other=0.1, worst_spill=0.1, weakest=1.0, strongest=1.0, total_ma=5.0)
+    good = judge.judge(make_operator(Afferent.RA).currents(level), level)
+    good = replace(good, off_target=0.1, spill=0.1, weakest=1.0, strongest=1.0, total_ma=5.0)
     assert keeps(judge, good, FrameBounds(), current, 10.0)
     for bad in (
         {"worst_other": 0.31}, {"worst_spill": 0.31}, {"weakest": 0.94}, {"strongest": 1.06},
@@ -131,7 +131,7 @@ def test_each_bound_counts(make_operator):
 
 def test_masked_electrodes_carry_nothing(profile, changed):
     mine = changed(profile, {"output.masked": [0, 28]})
-    operator = FrameOperator(FrameJudge(mine, Primary.RA, np.full(64, 2.2)))
+    operator = FrameOperator(FrameJudge(mine, Afferent.RA, np.full(64, 2.2)))
     level = np.zeros(64)
     level[[10, 27, 52]] = 1
     current, _ = operator.bounded(level, FrameBounds())
@@ -153,7 +153,7 @@ def test_masked_electrodes_carry_nothing(profile, changed):
 def test_arrays_that_are_no_grid_have_operators(make_operator):
     mine = load_profile("kajimoto-61")
     mine = type(mine).model_validate(mine.model_dump() | {"output": {"kind": "weighted"}})
-    operator = FrameOperator(FrameJudge(mine, Primary.RA, np.full(61, 1.0)))
+    operator = FrameOperator(FrameJudge(mine, Afferent.RA, np.full(61, 1.0)))
     level = scattered(1, 4, 61)
     reached = operator.judge.target[level > 0] @ operator.currents(level)
     assert reached == pytest.approx(np.ones(4), rel=1e-3)

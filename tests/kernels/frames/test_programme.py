@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.kernels.frames.figures import FrameBounds
 from smarttouch.kernels.frames.judge import FrameJudge
 from smarttouch.kernels.frames.operator import FrameOperator
 from smarttouch.kernels.problem import Problem
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
 from ...raising import raises
@@ -54,28 +54,28 @@ def whole(problem, judge, level, bounds, total_ma):
     return answer.fun if answer.status == 0 else np.inf
 
 
-@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
+@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
 @pytest.mark.parametrize(("seed", "points", "total_ma"), [(0, 3, 9.0), (1, 2, 20.0), (2, 5, 20.0)])
-def test_linprog_agrees(small, primary, seed, points, total_ma):
-    wish = np.full(16, 2.0 if primary is Primary.RA else 0.6)
-    judge, bounds = FrameJudge(small, primary, wish), FrameBounds()
+def test_linprog_agrees(small, afferent, seed, points, total_ma):
+    wish = np.full(16, 2.0 if afferent is Afferent.RA else 0.6)
+    judge, bounds = FrameJudge(small, afferent, wish), FrameBounds()
     level = scattered(seed, points, 16)
-    optimum = whole(Problem(small, primary), judge, level, bounds, total_ma)
+    optimum = whole(Problem(small, afferent), judge, level, bounds, total_ma)
     mine = joint_programme(judge, level, bounds, total_ma)
     assert mine.optimum == pytest.approx(optimum, rel=2e-3)
-    assert mine.figures.worst_other <= optimum * 1.002
-    assert mine.figures.worst_spill <= bounds.spill * 1.002
+    assert mine.figures.off_target <= optimum * 1.002
+    assert mine.figures.spill <= bounds.spill * 1.002
     assert mine.figures.total_ma <= total_ma + 1e-6
     assert mine.figures.error <= 2 * bounds.uneven / (1 - bounds.uneven) + 1e-6
     assert (np.abs(mine.current) <= judge.full_ma + 1e-6).all()
     assert mine.current.sum() == pytest.approx(0, abs=1e-6)
     free, _ = FrameOperator(judge).bounded(level, bounds, total_ma)
-    assert judge.judge(free, level).worst_other >= mine.optimum * 0.998
+    assert judge.judge(free, level).off_target >= mine.optimum * 0.998
 
 
 def test_every_limit_binds_where_it_should(small):
-    judge, bounds = FrameJudge(small, Primary.RA, np.full(16, 2.0)), FrameBounds()
-    problem, level = Problem(small, Primary.RA), scattered(3, 3, 16)
+    judge, bounds = FrameJudge(small, Afferent.RA, np.full(16, 2.0)), FrameBounds()
+    problem, level = Problem(small, Afferent.RA), scattered(3, 3, 16)
     free = joint_programme(judge, level, bounds)
     total_ma = 0.985 * free.figures.total_ma
     less = joint_programme(judge, level, bounds, total_ma)
@@ -91,6 +91,6 @@ def test_every_limit_binds_where_it_should(small):
 
 
 def test_what_is_impossible_is_said(profile):
-    judge = FrameJudge(load_profile("smarttouch-4x4"), Primary.RA, np.full(16, 2.0))
+    judge = FrameJudge(load_profile("smarttouch-4x4"), Afferent.RA, np.full(16, 2.0))
     with raises(DesignError, about="slot", problem="impossible"):
         joint_programme(judge, np.ones(16), FrameBounds(), 1.0)

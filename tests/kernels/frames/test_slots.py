@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from smarttouch.afferent import Afferent
 from smarttouch.kernels.bank import load_bank
 from smarttouch.kernels.frames import slots as module
 from smarttouch.kernels.frames.figures import FrameBounds, FrameFigures
 from smarttouch.kernels.frames.judge import FrameJudge, full_wish
 from smarttouch.kernels.frames.operator import FrameOperator, keeps
 from smarttouch.kernels.frames.slots import FrameSlot, likely_slots, plan_slots
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
 from .test_operator import LETTER_T, drawn, make_operator, scattered
@@ -23,17 +23,17 @@ __all__ = ["make_operator"]
 
 @settings(max_examples=25, deadline=None)
 @given(
-    st.sampled_from([Primary.RA, Primary.SAI]),
+    st.sampled_from([Afferent.RA, Afferent.SAI]),
     st.integers(0, 2**32 - 1),
     st.integers(0, 40),
     st.sampled_from([None, 25.0]),
 )
 def test_every_point_once_and_every_slot_within_its_bounds(
-    make_operator, bank, primary, seed, points, total_ma
+    make_operator, bank, afferent, seed, points, total_ma
 ):
-    operator, bounds = make_operator(primary), FrameBounds()
+    operator, bounds = make_operator(afferent), FrameBounds()
     level = scattered(seed, points) * np.random.default_rng(seed).uniform(0.5, 1, 64)
-    alone = bank.kernels(primary) * operator.judge.profile.full_ma[:, None]
+    alone = bank.kernels(afferent) * operator.judge.profile.full_ma[:, None]
     slots = plan_slots(operator, level, bounds, total_ma, alone)
     sites = np.concatenate([np.zeros(0, int), *(slot.sites for slot in slots)])
     assert sorted(sites) == np.flatnonzero(level).tolist()
@@ -46,15 +46,15 @@ def test_every_point_once_and_every_slot_within_its_bounds(
 
 
 def test_few_slots(make_operator):
-    operator, letter = make_operator(Primary.RA), drawn(LETTER_T)
+    operator, letter = make_operator(Afferent.RA), drawn(LETTER_T)
     assert len(plan_slots(operator, letter, FrameBounds())) <= 4, "10 mA carry four points"
     assert len(plan_slots(operator, letter, FrameBounds(uneven=0.15), 50.0)) == 1
-    sai = plan_slots(make_operator(Primary.SAI), letter, FrameBounds())
+    sai = plan_slots(make_operator(Afferent.SAI), letter, FrameBounds())
     assert len(sai) <= 4
 
 
 def test_total_current_sets_where_a_plan_begins(make_operator):
-    operator, level, bounds = make_operator(Primary.RA), scattered(3, 40), FrameBounds()
+    operator, level, bounds = make_operator(Afferent.RA), scattered(3, 40), FrameBounds()
     assert likely_slots(operator, np.zeros(64), bounds, 10.0) == 0
     assert likely_slots(operator, level, bounds, None) == 1
     counts = [likely_slots(operator, level, bounds, each) for each in (5.0, 10.0, 20.0)]
@@ -64,11 +64,11 @@ def test_total_current_sets_where_a_plan_begins(make_operator):
 
 
 def test_a_point_that_breaks_its_bound_stands_alone_and_says_so(make_operator, bank):
-    operator, strict = make_operator(Primary.SAI), FrameBounds(other=0.01, spill=0.01)
+    operator, strict = make_operator(Afferent.SAI), FrameBounds(other=0.01, spill=0.01)
     slots = plan_slots(operator, scattered(5, 4), strict)
     assert [len(slot.sites) for slot in slots] == [1] * 4
     assert not any(slot.kept for slot in slots)
-    kernels = 2.4 * np.asarray(bank.kernels(Primary.SAI), np.float64)
+    kernels = 2.4 * np.asarray(bank.kernels(Afferent.SAI), np.float64)
     for slot in plan_slots(operator, 0.6 * scattered(5, 4), strict, points_ma=kernels):
         assert slot.current == pytest.approx(0.6 * kernels[slot.sites[0]])
         assert slot.figures.weakest == pytest.approx(1, abs=1e-3)
@@ -77,10 +77,10 @@ def test_a_point_that_breaks_its_bound_stands_alone_and_says_so(make_operator, b
 def test_points_join_slots_that_they_leave_within_bounds():
     """SAI on points 1.1 mm apart, where selectivity is short; dealing anew alone took 25 slots."""
     profile = load_profile("optacon-24x6")
-    bank, primary = load_bank(profile), Primary.SAI
-    kernels = bank.kernels(primary)
-    wish = full_wish(profile, primary, kernels, bank.receptor[primary])
-    operator = FrameOperator(FrameJudge(profile, primary, wish))
+    bank, afferent = load_bank(profile), Afferent.SAI
+    kernels = bank.kernels(afferent)
+    wish = full_wish(profile, afferent, kernels, bank.receptor[afferent])
+    operator = FrameOperator(FrameJudge(profile, afferent, wish))
     slots = 0
     for seed in range(6):
         level = np.zeros(144)

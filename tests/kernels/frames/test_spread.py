@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.kernels.problem import Problem
-from smarttouch.primary import Primary
 
 from ...reference.spread import Worst, spread_judges, uneven_levels, with_gain_error
 from .test_operator import make_operator, scattered
@@ -12,24 +12,24 @@ from .test_operator import make_operator, scattered
 __all__ = ["make_operator"]
 
 
-@pytest.mark.parametrize("primary", [Primary.RA, Primary.SAI])
+@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
 def test_a_single_kernel_is_as_bad_as_on_the_worst_finger_of_its_problem(
-    profile, bank, make_operator, primary
+    profile, bank, make_operator, afferent
 ):
-    judges = spread_judges(make_operator(primary).judge)
-    current, level = bank.kernels(primary)[27] * profile.full_ma[27], np.eye(64)[27]
+    judges = spread_judges(make_operator(afferent).judge)
+    current, level = bank.kernels(afferent)[27] * profile.full_ma[27], np.eye(64)[27]
     figures = [judge.judge(current, level) for judge in judges]
     worst = Worst.of(figures)
     # The problem takes its weakest target and its worst node of any finger: never less.
-    whole = Problem(profile, primary, spread=True).judge(np.asarray(current, np.float64), 27)
-    assert worst.worst_other <= whole.worst_other * 1.01
-    assert worst.worst_other > 0.75 * whole.worst_other
-    assert worst.worst_other > make_operator(primary).judge.judge(current, level).worst_other
+    whole = Problem(profile, afferent, spread=True).judge(np.asarray(current, np.float64), 27)
+    assert worst.off_target <= whole.off_target * 1.01
+    assert worst.off_target > 0.75 * whole.off_target
+    assert worst.off_target > make_operator(afferent).judge.judge(current, level).off_target
     assert worst.weakest < 1 < worst.strongest
 
 
 def test_no_spread_is_the_nominal_finger(make_operator):
-    operator, level = make_operator(Primary.RA), scattered(0, 6)
+    operator, level = make_operator(Afferent.RA), scattered(0, 6)
     current = operator.currents(level)
     (same,) = spread_judges(operator.judge, depth=False, angle=False)
     assert same.judge(current, level) == operator.judge.judge(current, level)
@@ -37,10 +37,10 @@ def test_no_spread_is_the_nominal_finger(make_operator):
         Worst.of([judge.judge(current, level) for judge in judges])
         for judges in (spread_judges(operator.judge, part, angle=False) for part in (0.25, 1.0))
     ]
-    assert figures[0].worst_other < figures[1].worst_other
+    assert figures[0].off_target < figures[1].off_target
     tilted = [judge.judge(current, level) for judge in spread_judges(operator.judge, depth=False)]
     assert len(tilted) == 5
-    assert Worst.of(tilted).worst_other > tilted[0].worst_other
+    assert Worst.of(tilted).off_target > tilted[0].off_target
 
 
 def test_channels_err_as_much_as_said():

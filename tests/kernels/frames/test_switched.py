@@ -7,20 +7,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.kernels.assignment import pole_shares
 from smarttouch.kernels.bank import load_bank
 from smarttouch.kernels.frames.figures import FrameBounds
 from smarttouch.kernels.frames.judge import FrameJudge, full_wish
 from smarttouch.kernels.frames.operator import keeps
-from smarttouch.primary import Primary
 from smarttouch.profile import load_profile
 
 from ...raising import raises
 from ...reference.switched import SwitchedSearch, plan_switched_slots
 from .test_operator import LETTER_T, drawn, scattered
 
-WISH_AF = {Primary.RA: 2.275, Primary.SAI: 0.714}
+WISH_AF = {Afferent.RA: 2.275, Afferent.SAI: 0.714}
 """What three-state kernels reach on the 8 x 8 array at 2.4 mA."""
 
 
@@ -29,17 +29,17 @@ def make_judge(profile, changed):
     """Return a maker of judges: the 8 x 8 array on three-state switches, or the kit of 61."""
     made = {}
 
-    def make(primary, kind="three-state", **keys):
-        key = (primary, kind, str(keys))
+    def make(afferent, kind="three-state", **keys):
+        key = (afferent, kind, str(keys))
         if key not in made:
             if kind == "one-against-all":
                 mine = load_profile("kajimoto-61")
                 bank = load_bank(mine)
-                wish = full_wish(mine, primary, bank.kernels(primary), bank.receptor[primary])
+                wish = full_wish(mine, afferent, bank.kernels(afferent), bank.receptor[afferent])
             else:
                 mine = changed(profile, {"output.kind": kind, **keys})
-                wish = np.full(len(mine.electrodes), WISH_AF[primary])
-            made[key] = FrameJudge(mine, primary, wish)
+                wish = np.full(len(mine.electrodes), WISH_AF[afferent])
+            made[key] = FrameJudge(mine, afferent, wish)
         return made[key]
 
     return make
@@ -52,8 +52,8 @@ def spread_kohm(count, seed=3):
 def broken_by(figures, bounds):
     return (
         max(
-            figures.worst_other / bounds.other,
-            figures.worst_spill / bounds.spill,
+            figures.off_target / bounds.other,
+            figures.spill / bounds.spill,
             (1 - figures.weakest) / bounds.uneven,
             (figures.strongest - 1) / bounds.uneven,
         )
@@ -80,17 +80,19 @@ def test_a_pole_has_one_voltage_and_both_carry_the_source(seed, count):
 
 @settings(max_examples=30, deadline=None)
 @given(
-    st.sampled_from([Primary.RA, Primary.SAI]),
+    st.sampled_from([Afferent.RA, Afferent.SAI]),
     st.integers(0, 2**32 - 1),
     st.integers(1, 12),
     st.sampled_from([5.0, 12.0, 40.0]),
 )
-def test_what_a_search_goes_by_is_what_the_judge_finds(make_judge, primary, seed, points, total_ma):
+def test_what_a_search_goes_by_is_what_the_judge_finds(
+    make_judge, afferent, seed, points, total_ma
+):
     rng = np.random.default_rng(seed)
-    judge = make_judge(primary, **{"output.impedance_kohm": spread_kohm(64)})
+    judge = make_judge(afferent, **{"output.impedance_kohm": spread_kohm(64)})
     level, bounds = scattered(seed, points) * rng.uniform(0.8, 1, 64), FrameBounds()
     search = SwitchedSearch(judge, level, bounds, total_ma)
-    pole = -1 if primary is Primary.RA else 1
+    pole = -1 if afferent is Afferent.RA else 1
     states = rng.integers(-1, 2, (6, 64)).astype(np.int8)
     states[3:] = rng.choice([-pole, 0], (3, 64))
     states[:, search.sites] = pole
@@ -110,14 +112,14 @@ def test_what_a_search_goes_by_is_what_the_judge_finds(make_judge, primary, seed
 
 @settings(max_examples=15, deadline=None)
 @given(
-    st.sampled_from([Primary.RA, Primary.SAI]),
+    st.sampled_from([Afferent.RA, Afferent.SAI]),
     st.integers(0, 2**32 - 1),
     st.integers(0, 20),
     st.sampled_from([None, 25.0]),
     st.sampled_from(["equal", "spread", "masked", "one-against-all"]),
 )
 def test_every_point_once_and_every_slot_within_its_bounds(
-    make_judge, primary, seed, points, total_ma, board
+    make_judge, afferent, seed, points, total_ma, board
 ):
     keys, masked, kind = {}, [5, 27], "three-state"
     if board == "spread":
@@ -125,8 +127,8 @@ def test_every_point_once_and_every_slot_within_its_bounds(
     elif board == "masked":
         keys = {"output.masked": masked}
     elif board == "one-against-all":
-        primary, kind = Primary.RA, board
-    judge, bounds = make_judge(primary, kind, **keys), FrameBounds()
+        afferent, kind = Afferent.RA, board
+    judge, bounds = make_judge(afferent, kind, **keys), FrameBounds()
     count = len(judge.profile.electrodes)
     level = scattered(seed, points, count)
     level[judge.full_ma == 0] = 0
@@ -149,11 +151,11 @@ def test_every_point_once_and_every_slot_within_its_bounds(
 
 def test_few_slots(make_judge):
     letter = drawn(LETTER_T)
-    ra, sai = make_judge(Primary.RA), make_judge(Primary.SAI)
+    ra, sai = make_judge(Afferent.RA), make_judge(Afferent.SAI)
     assert len(plan_switched_slots(ra, letter, FrameBounds())) == 3, "10 mA carry four points"
     assert len(plan_switched_slots(ra, letter, FrameBounds(), 50.0)) <= 2
     assert len(plan_switched_slots(sai, letter, FrameBounds(), 50.0, steps=0)) <= 5
-    kit = make_judge(Primary.RA, "one-against-all")
+    kit = make_judge(Afferent.RA, "one-against-all")
     assert len(plan_switched_slots(kit, scattered(0, 12, 61), FrameBounds(), 50.0)) <= 2
 
 
@@ -161,13 +163,13 @@ def test_few_slots(make_judge):
 def test_points_are_dealt_out_anew_for_fewer_slots(make_judge, seed):
     """As they come they would take 6 to 8."""
     slots = plan_switched_slots(
-        make_judge(Primary.SAI), scattered(seed, 16), FrameBounds(), 50.0, steps=0
+        make_judge(Afferent.SAI), scattered(seed, 16), FrameBounds(), 50.0, steps=0
     )
     assert len(slots) <= 5
 
 
 def test_one_pole_alone_is_no_assignment(make_judge):
-    search = SwitchedSearch(make_judge(Primary.SAI), level_of([9]), FrameBounds())
+    search = SwitchedSearch(make_judge(Afferent.SAI), level_of([9]), FrameBounds())
     states = np.zeros((2, 64), np.int8)
     states[:, 9], states[1, 54] = 1, -1
     excess, source_ma = search.excess(states)
@@ -184,7 +186,7 @@ def test_only_points_that_need_the_same_voltage_share(make_judge, by, ratio):
         level[9] = ratio
     else:
         kohm[9] = 1 / ratio
-    judge = make_judge(Primary.SAI, **{"output.impedance_kohm": kohm.tolist()})
+    judge = make_judge(Afferent.SAI, **{"output.impedance_kohm": kohm.tolist()})
     slots = plan_switched_slots(judge, level, FrameBounds())
     assert len(slots) == (1 if ratio > 0.9 else 2)
     assert all(slot.kept for slot in slots)
@@ -198,7 +200,7 @@ def test_only_points_that_need_the_same_voltage_share(make_judge, by, ratio):
 @pytest.mark.parametrize("impedance_kohm", [1.0, spread_kohm(8)], ids=["equal", "measured"])
 def test_what_any_assignment_can_do_is_found(make_judge, impedance_kohm):
     keys = {"array.rows": 2, "array.columns": 4, "output.impedance_kohm": impedance_kohm}
-    judge = make_judge(Primary.RA, **keys)
+    judge = make_judge(Afferent.RA, **keys)
     every = np.array(list(itertools.product((1, 0, -1), repeat=8)), np.int8)
     shared = 0
     for count in (1, 2):
@@ -216,7 +218,7 @@ def test_what_any_assignment_can_do_is_found(make_judge, impedance_kohm):
 
 def test_more_steps_break_bounds_less(make_judge):
     level = scattered(8, 5)
-    search = SwitchedSearch(make_judge(Primary.SAI), level, FrameBounds(), 50.0)
+    search = SwitchedSearch(make_judge(Afferent.SAI), level, FrameBounds(), 50.0)
     broken = [broken_by(search.best(steps).figures, FrameBounds()) for steps in (0, 1, 5)]
     assert broken == sorted(broken, reverse=True)
     assert broken[0] > broken[2]
@@ -224,9 +226,9 @@ def test_more_steps_break_bounds_less(make_judge):
 
 def test_a_point_that_breaks_its_bound_stands_alone_with_its_own_kernel():
     mine = load_profile("smarttouch-4x4")
-    kernels = np.asarray(load_bank(mine).kernels(Primary.SAI), np.float64)
-    receptor = load_bank(mine).receptor[Primary.SAI]
-    judge = FrameJudge(mine, Primary.SAI, full_wish(mine, Primary.SAI, kernels, receptor))
+    kernels = np.asarray(load_bank(mine).kernels(Afferent.SAI), np.float64)
+    receptor = load_bank(mine).receptor[Afferent.SAI]
+    judge = FrameJudge(mine, Afferent.SAI, full_wish(mine, Afferent.SAI, kernels, receptor))
     level = 0.6 * level_of([0, 15], 16)
     for slot in plan_switched_slots(judge, level, FrameBounds(0.01, 0.01), None, 2.4 * kernels):
         assert not slot.kept
@@ -237,12 +239,12 @@ def test_a_point_that_breaks_its_bound_stands_alone_with_its_own_kernel():
 
 
 def test_what_no_slot_can_be_is_said(make_judge, profile):
-    judge = make_judge(Primary.RA, **{"output.masked": [3]})
+    judge = make_judge(Afferent.RA, **{"output.masked": [3]})
     with raises(DesignError, about="site", problem="masked", value=3, electrode=3):
         plan_switched_slots(judge, level_of([3, 9]), FrameBounds())
     with raises(DesignError, about="slot", problem="empty"):
         SwitchedSearch(judge, np.zeros(64), FrameBounds())
-    weighted = FrameJudge(profile, Primary.RA, np.ones(64))
+    weighted = FrameJudge(profile, Afferent.RA, np.ones(64))
     with raises(DesignError, about="output.kind", value="weighted"):
         SwitchedSearch(weighted, level_of([3]), FrameBounds())
     assert plan_switched_slots(judge, np.zeros(64), FrameBounds()) == []

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from smarttouch.errors import ExperimentError
 from smarttouch.psychophysics.fitting.answers import Counts
 from smarttouch.psychophysics.fitting.bootstrap import percentiles
-from smarttouch.psychophysics.fitting.fit import How, fit, how_sure
+from smarttouch.psychophysics.fitting.fit import BootstrapOptions, fit, how_sure
 from smarttouch.psychophysics.fitting.likelihood import bounds_of, log_likelihood, maximize
 from smarttouch.psychophysics.fitting.posterior import credible_interval
 from smarttouch.psychophysics.fitting.psychometric import Model, Parameters, Shape
@@ -201,7 +201,7 @@ def test_large_samples_give_the_truth(shape):
 
 
 def wide(counts, model=None, **how):
-    return how_sure(fit(counts, model or Model()), How(**how))
+    return how_sure(fit(counts, model or Model()), BootstrapOptions(**how))
 
 
 def test_intervals_are_the_seeds_and_shrink_with_trials():

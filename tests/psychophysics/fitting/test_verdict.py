@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.psychophysics.fitting.answers import Answers, usual_model
-from smarttouch.psychophysics.fitting.fit import How
+from smarttouch.psychophysics.fitting.fit import BootstrapOptions
 from smarttouch.psychophysics.fitting.psychometric import Model, Shape
 from smarttouch.psychophysics.fitting.verdict import POOR, estimate, judge
 from smarttouch.psychophysics.procedures.constant import ConstantStimuli, ratio_pairs
 
 from ..simulated import Subject, answer_all, as_answers, of_counts
 
-HOW = How(samples=120)
+HOW = BootstrapOptions(samples=120)
 RATIO = 2 ** (np.arange(-9, 10, 2) / 9)
 
 
@@ -183,7 +183,7 @@ def test_nothing_crashes_it(trials, standard, guess):
     answers = Answers(standard, comparison, success, interval.astype(np.int64))
     if not comparison.any():
         answers = Answers(standard, comparison + 1, success, interval.astype(np.int64))
-    found = judge(answers, usual_model([answers], guess=guess), How(samples=20))
+    found = judge(answers, usual_model([answers], guess=guess), BootstrapOptions(samples=20))
     assert (found.verdict is None) == (found.threshold is not None) == (not found.reason)
     if found.threshold is not None:
         assert found.threshold.low <= found.threshold.high

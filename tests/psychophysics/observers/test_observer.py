@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import ExperimentError
 from smarttouch.physiology.receptors import sensitivity
-from smarttouch.primary import Primary
 from smarttouch.psychophysics.observers.observer import (
     GRATING_LIMIT_MM,
     Interval,
@@ -22,7 +22,7 @@ from smarttouch.psychophysics.observers.percept import FrequencySense, Recruitme
 
 from ...raising import raises
 
-RA, SAI, PC = Primary
+RA, SAI, PC = Afferent
 MIDDLE = 27
 
 
@@ -30,8 +30,8 @@ MIDDLE = 27
 def pulse(profile, bank):
     """Return a maker of one pulse's currents, (E,) µA, from the kernels of the bank."""
 
-    def make(primary=RA, site=MIDDLE, level=1.0):
-        current_ua = 1000 * level * profile.full_ma[site] * bank.kernels(primary)[site]
+    def make(afferent=RA, site=MIDDLE, level=1.0):
+        current_ua = 1000 * level * profile.full_ma[site] * bank.kernels(afferent)[site]
         return np.rint(current_ua).astype(np.int16)
 
     return make
@@ -41,9 +41,9 @@ def pulse(profile, bank):
 def train(pulse):
     """Return a maker of an interval: pulses of one kind at a frequency."""
 
-    def make(hz, primary=RA, site=MIDDLE, level=1.0, seconds=0.5, width_us=200):
+    def make(hz, afferent=RA, site=MIDDLE, level=1.0, seconds=0.5, width_us=200):
         time_s = np.arange(0, seconds, 1 / hz)
-        current = np.tile(pulse(primary, site, level), (len(time_s), 1))
+        current = np.tile(pulse(afferent, site, level), (len(time_s), 1))
         return Interval(time_s, np.full(len(time_s), width_us, np.float32), current)
 
     return make
@@ -185,14 +185,14 @@ class TestTheThresholdsOfThePaper:
         assert subject.frequency.weber_fraction(150, ratio) == math.inf
 
     @pytest.mark.parametrize(
-        ("primary", "standard_hz"), [(RA, 30), (RA, 60), (RA, 75), (PC, 75), (PC, 100)]
+        ("afferent", "standard_hz"), [(RA, 30), (RA, 60), (RA, 75), (PC, 75), (PC, 100)]
     )
-    def test_trials_find_what_the_closed_form_says(self, observer, train, primary, standard_hz):
+    def test_trials_find_what_the_closed_form_says(self, observer, train, afferent, standard_hz):
         subject = observer(seed=7, lapse=0.0)
-        ratio = subject.ratio(primary, MIDDLE)
+        ratio = subject.ratio(afferent, MIDDLE)
         weber = subject.frequency.weber_fraction(standard_hz, ratio)
-        standard = train(standard_hz, primary)
-        comparison = train(standard_hz * (1 + weber), primary)
+        standard = train(standard_hz, afferent)
+        comparison = train(standard_hz * (1 + weber), afferent)
         right = share(1000, lambda: subject.respond("faster", [standard, comparison], "12"), "2")
         right += share(1000, lambda: subject.respond("faster", [comparison, standard], "12"), "1")
         assert right / 2 == pytest.approx(0.75, abs=0.035)

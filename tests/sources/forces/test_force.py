@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.sources.forces.force import RecordedForce, open_force
 
 from ...raising import raises
@@ -35,13 +35,13 @@ def test_fixed_force(profile, text, force_n):
 
 @pytest.mark.parametrize("text", ["", "x", "-0.1", "20.1", "nan", "inf", "0.5 N"])
 def test_what_is_no_fixed_force(profile, text):
-    with raises(SensorError, about="force", problem="impossible", value=text, allowed=20):
+    with raises(SourceError, about="force", problem="impossible", value=text, allowed=20):
         open_force(f"fixed:{text}", profile)
 
 
 def test_unknown_kinds_of_force(profile):
     known = {"fixed", "hx711", "loadcell", "recorded"}.issubset
-    with raises(SensorError, about="force", problem="unknown", value="spring:1", allowed=known):
+    with raises(SourceError, about="force", problem="unknown", value="spring:1", allowed=known):
         open_force("spring:1", profile)
 
 
@@ -76,18 +76,18 @@ def test_a_recorded_path_is_a_recorded_force_too(recorded):
     ],
 )
 def test_bad_records(recorded, text, about, problem, value):
-    with raises(SensorError, about=about, problem=problem, value=value) as caught:
+    with raises(SourceError, about=about, problem=problem, value=value) as caught:
         recorded(text)
     assert "force.csv" in str(caught.value)
 
 
 def test_the_columns_a_record_needs(recorded):
-    with raises(SensorError, about="columns", allowed=("time_s", "force_n")):
+    with raises(SourceError, about="columns", allowed=("time_s", "force_n")):
         recorded("time,force\n")
 
 
 def test_a_force_that_is_no_finger_s_is_said_with_its_line(recorded):
-    with raises(SensorError, about="force_n", allowed=100) as caught:
+    with raises(SourceError, about="force_n", allowed=100) as caught:
         recorded(HEADER + "0,1\n1,150\n")
     assert "line 3" in str(caught.value)
 
@@ -100,7 +100,7 @@ def test_no_record(tmp_path, profile):
         (tmp_path, "folder"),
         (binary, "not UTF-8"),
     ):
-        with raises(SensorError, about="file", problem=problem, value=path):
+        with raises(SourceError, about="file", problem=problem, value=path):
             open_force(f"recorded:{path}", profile)
 
 
@@ -110,7 +110,7 @@ def test_no_text_crashes_the_record(tmp_path_factory, text):
     file.write_text(text, encoding="utf-8", errors="replace", newline="")
     try:
         source = RecordedForce(file)
-    except SensorError:
+    except SourceError:
         return
     force_n = source.read(0)
     assert math.isnan(force_n) or force_n >= 0

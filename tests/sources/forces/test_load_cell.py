@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.errors import SensorError
+from smarttouch.errors import SourceError
 from smarttouch.sources.forces import load_cell
 from smarttouch.sources.forces.force import open_force
 from smarttouch.sources.forces.load_cell import open_cell
@@ -21,7 +21,7 @@ from smarttouch.sources.forces.readings import (
     TextReadings,
     parse_line,
 )
-from smarttouch.sources.notes import Episodes, StandingNotes
+from smarttouch.sources.notes import DeviceWarnings, OutageTracker
 from smarttouch.sources.sensor_protocol import encode_force, encode_info
 from smarttouch.wire.pty_line import PtyLine
 
@@ -251,7 +251,7 @@ class TestWatch:
 
 def test_notes_stand_beside_those_of_others():
     notes = ["before"]
-    said = StandingNotes(notes)
+    said = DeviceWarnings(notes)
     said.put("a", "first")
     notes.append("between")
     said.put("b", "other")
@@ -261,7 +261,7 @@ def test_notes_stand_beside_those_of_others():
 
 def test_what_never_was_is_never_noted():
     notes = []
-    Episodes(StandingNotes(notes), "words").update(False, 5)
+    OutageTracker(DeviceWarnings(notes), "words").update(False, 5)
     assert notes == []
 
 
@@ -336,7 +336,7 @@ def test_newtons_and_raw_readings_from_a_port(make_cell, in_grams, kind, data):
         until(lambda: seen.update(raw.collect(0.3)) or seen == {50, 51})
         cell.data = lambda number: b""
         mute = {"problem": "mute", "value": cell.line.name, "allowed": 0.05}
-        with raises(SensorError, about="port", **mute):
+        with raises(SourceError, about="port", **mute):
             [raw.collect(0.05) for _ in range(3)]
 
 
@@ -381,7 +381,7 @@ def test_the_curve(make_cell, profile, changed, curve, reading, force_n):
 
 def test_a_profile_without_a_curve(profile):
     remedy = "smarttouch calibrate force"
-    with raises(SensorError, about="force.curve", value=profile.name, remedy=remedy):
+    with raises(SourceError, about="force.curve", value=profile.name, remedy=remedy):
         open_force("hx711:/dev/nowhere", profile)
 
 
@@ -397,7 +397,7 @@ def test_a_profile_without_a_curve(profile):
     ],
 )
 def test_what_cannot_be_opened(url, about, problem, value):
-    with raises(SensorError, about=about, problem=problem, value=value):
+    with raises(SourceError, about=about, problem=problem, value=value):
         open_cell(url)
 
 
@@ -412,6 +412,6 @@ def test_a_cell_from_which_nothing_comes(make_cell, monkeypatch, data, attribute
     monkeypatch.setattr(load_cell, "FIRST_READING_S", 0.3)
     threads = threading.active_count()
     cell = make_cell(lambda number: data)
-    with raises(SensorError, about="port", value=cell.line.name, **attributes):
+    with raises(SourceError, about="port", value=cell.line.name, **attributes):
         open_cell(f"hx711:{cell.line.name}")
     assert threading.active_count() == threads + 1

@@ -24,7 +24,7 @@ _FLOWS_UA = 0.5
 
 
 @dataclass
-class Books:
+class DeliveryLog:
     """Counters, maxima and state; with a folder they are kept on disk as well."""
 
     electrodes: int

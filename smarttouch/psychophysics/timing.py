@@ -6,7 +6,7 @@ from smarttouch.errors import ExperimentError
 
 
 @dataclass(frozen=True)
-class Course:
+class TrialTiming:
     """Timing of a trial.
 
     Attributes

@@ -12,7 +12,7 @@ _ROUNDING = 1 + 1e-6
 """Tolerance for rounding, as a slide ends at exactly this distance."""
 
 
-class Steady:
+class Deadband:
     """Place that follows another as a block follows a rubber band: it sticks, then slides behind.
 
     Once the place has stood still for one look, its jumping to and fro by one

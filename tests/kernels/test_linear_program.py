@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from smarttouch.kernels import programme
-from smarttouch.kernels.programme import Programme
+from smarttouch.kernels import program
+from smarttouch.kernels.linear_program import LinearProgram
 
 
 def random_programme(seed, rows=120, unknowns=6):
@@ -17,7 +17,7 @@ def random_programme(seed, rows=120, unknowns=6):
     return (
         coefficients,
         aim,
-        Programme(coefficients, np.ones(rows), np.zeros(rows), aim, size, (size,)),
+        LinearProgram(coefficients, np.ones(rows), np.zeros(rows), aim, size, (size,)),
     )
 
 
@@ -39,7 +39,7 @@ def test_linprog_agrees(seed):
 
 def test_what_cannot_be_reached_is_infinite():
     even = np.ones((1, 4))
-    unreachable = Programme(
+    unreachable = LinearProgram(
         np.eye(4), np.ones(4), np.zeros(4), even, np.ones(4), (np.ones(4),)
     )  # fmt: skip
     assert unreachable.most_selective() == np.inf
@@ -56,7 +56,7 @@ def test_only_the_optimum_is_proven():
 def test_an_answer_that_is_not_proven_is_sought_anew(monkeypatch):
     _, _, usual = random_programme(2)
     expected, asked = usual.most_selective(), []
-    monkeypatch.setattr(Programme, "_proven", lambda *_: bool(asked.append(1)))
+    monkeypatch.setattr(LinearProgram, "_proven", lambda *_: bool(asked.append(1)))
     _, _, doubted = random_programme(2)
     assert doubted.most_selective() == pytest.approx(expected, abs=1e-9)
     assert asked == [1], "the cold answer is believed"
@@ -65,6 +65,6 @@ def test_an_answer_that_is_not_proven_is_sought_anew(monkeypatch):
 def test_a_simplex_that_runs_in_circles_gives_way(monkeypatch):
     _, _, usual = random_programme(3)
     expected = usual.most_selective()
-    monkeypatch.setattr(programme, "_PATIENCE", 0)
+    monkeypatch.setattr(program, "_PATIENCE", 0)
     _, _, stuck = random_programme(3)
     assert stuck.most_selective() == pytest.approx(expected, abs=1e-6)

@@ -41,7 +41,7 @@ _RESCUES: tuple[Options, ...] = (
 """Solver options to try one after the other, from a cold start, if an answer is not confirmed."""
 
 
-class Programme:
+class LinearProgram:
     """Minimize t such that rows·w ≤ slope·t + bound, aims·w ≥ 1, Σw = 0.
 
     Parameters

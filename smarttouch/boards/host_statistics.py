@@ -3,11 +3,11 @@
 import numpy as np
 
 from smarttouch.boards.board import BoardReport
-from smarttouch.stimulation.ledger import ChargeLedger
+from smarttouch.stimulation.ledger import ChargeBalance
 from smarttouch.stimulation.sequence import ScanSequence
 
 
-class HostBooks:
+class HostStatistics:
     """Delivery statistics kept by the host.
 
     Parameters
@@ -19,7 +19,7 @@ class HostBooks:
     def __init__(self, electrodes: int) -> None:
         self._sequences = self._slots = self._pulses = self._most_pulses = 0
         self._current_ma = self._charge_uc = self._net_uc = self._unsure_uc = 0.0
-        self._ledger = ChargeLedger(electrodes)
+        self._ledger = ChargeBalance(electrodes)
 
     def add(
         self, sequence: ScanSequence, times: int = 1, again: bool = False, most: int | None = None

@@ -3,7 +3,7 @@
 from enum import IntEnum, StrEnum
 
 
-class Primary(IntEnum):
+class Afferent(IntEnum):
     """One tactile primary color (Kajimoto et al., Section I and Fig. 2).
 
     The value is the row of that primary in every ``(3, E)`` array.
@@ -32,7 +32,7 @@ class Mode(StrEnum):
     """Each class as stimuli have it: for sources that give these and no images."""
 
     @property
-    def primaries(self) -> tuple[Primary, ...]:
+    def afferents(self) -> tuple[Afferent, ...]:
         if self is Mode.COLOR:
-            return tuple(Primary)
-        return (Primary.RA, Primary.SAI) if self is Mode.NATURAL else (Primary[self.name],)
+            return tuple(Afferent)
+        return (Afferent.RA, Afferent.SAI) if self is Mode.NATURAL else (Afferent[self.name],)

@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.books import Books, read_delivered, read_slots, read_state
+from smarttouch.boards.emulator.delivery_log import (
+    DeliveryLog,
+    read_delivered,
+    read_slots,
+    read_state,
+)
 from smarttouch.boards.emulator.skin import Delivered
 
 
@@ -15,7 +20,7 @@ def enter(books, current_ua, width_us=100, residual_uc=0.0, **other):
 
 
 def test_what_is_read_is_what_was_entered(tmp_path):
-    books = Books(3, tmp_path)
+    books = DeliveryLog(3, tmp_path)
     enter(books, [300.4, -100, -200.4], residual_uc=-0.001)
     books.write()
     enter(books, [40_000, -20_000, -20_000])
@@ -51,15 +56,15 @@ def test_what_is_read_is_what_was_entered(tmp_path):
     ],
 )
 def test_unsafe_is_what_flowed_above_a_safe_value(current_ua, width_us, unsafe):
-    assert enter(Books(2), [current_ua, -current_ua], width_us).unsafe == unsafe
+    assert enter(DeliveryLog(2), [current_ua, -current_ua], width_us).unsafe == unsafe
 
 
 def test_two_pulses_of_a_slot_count_as_one_slot():
-    books = Books(2)
+    books = DeliveryLog(2)
     enter(books, [100, -100], residual_uc=0.5, more=True)
     enter(books, [-100, 100], residual_uc=0.25)
     assert (books.slots, books.pulses, books.max_net_charge_uc) == (1, 4, 0.25)
 
 
 def test_what_rounds_to_nothing_is_no_pulse():
-    assert enter(Books(3), [0.4, -0.4, 0]).pulses == 0
+    assert enter(DeliveryLog(3), [0.4, -0.4, 0]).pulses == 0

@@ -9,26 +9,26 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.afferent import Afferent
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.primary import Primary
 from smarttouch.profile import Profile
 from smarttouch.vibrotactile.sites import stimulated
 
 
 @dataclass(frozen=True, eq=False)
-class PacinianPrice:
+class PacinianCrosstalk:
     """Crosstalk of PC pulses into other classes.
 
     Attributes
     ----------
     times : ndarray, (S,) float64
         Activating function at the worst node of another class over that at PC's, by electrode.
-    worst : tuple of Primary, (S,)
+    worst : tuple of Afferent, (S,)
         Class of that node.
     """
 
     times: NDArray[np.float64]
-    worst: tuple[Primary, ...]
+    worst: tuple[Afferent, ...]
 
     @property
     def mean(self) -> float:
@@ -36,7 +36,7 @@ class PacinianPrice:
         return float(self.times.mean())
 
     def __str__(self) -> str:
-        names = " or ".join(each.name for each in Primary if each in self.worst)
+        names = " or ".join(each.name for each in Afferent if each in self.worst)
         return (
             f"PC pulses also reach {names}, {self.mean:.1f} times as strongly as PC (mean of "
             f"{len(self.times)} electrodes, at most {self.times.max():.1f}): current cannot drive "
@@ -46,10 +46,10 @@ class PacinianPrice:
 
 def pacinian_price(
     profile: Profile, bank: KernelBank, sites: NDArray[np.intp]
-) -> PacinianPrice | None:
+) -> PacinianCrosstalk | None:
     """Return the crosstalk of PC stimulation at sites, (S,); None where it cannot be driven."""
-    places = stimulated(profile, Primary.PC, sites)
-    if Primary.PC not in bank.weights or not len(places):
+    places = stimulated(profile, Afferent.PC, sites)
+    if Afferent.PC not in bank.weights or not len(places):
         return None
-    worst = tuple(Primary(int(each)) for each in bank.worst_class[Primary.PC][places])
-    return PacinianPrice(np.asarray(bank.worst_other[Primary.PC][places], np.float64), worst)
+    worst = tuple(Afferent(int(each)) for each in bank.worst_class[Afferent.PC][places])
+    return PacinianCrosstalk(np.asarray(bank.off_target[Afferent.PC][places], np.float64), worst)
