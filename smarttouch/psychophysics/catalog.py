@@ -275,12 +275,12 @@ def _letters(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design
 
 
 CATALOG = {
-    "frequency": Experiment("which of two trains is faster (paper, III-C)", ADAPTIVE, 1.0, _frequency),
+    "frequency": Experiment("which of two is faster (paper, III-C)", ADAPTIVE, 1.0, _frequency),
     "detection": Experiment("is it felt: threshold current, mA", ADAPTIVE, 0.5, _detection),
     "discomfort": Experiment("when is a rising current enough, mA", (LIMITS,), 10.0, _discomfort),
-    "two-point": Experiment("which of two had two points: distance, mm", (CONSTANT,), 0.5, _two_point),
+    "two-point": Experiment("which had two points: distance, mm", (CONSTANT,), 0.5, _two_point),
     "localization": Experiment(
-        "was the second point left or right: distance, mm", (CONSTANT,), 0.5, _localization
+        "was the second left or right: distance, mm", (CONSTANT,), 0.5, _localization
     ),
     "letters": Experiment("which letter was drawn", (CONSTANT,), 1.0, _letters),
 }  # fmt: skip

@@ -129,8 +129,8 @@ class Certainty:
         """Return the bounds for levels from ``faintest`` to 1 and targets at ``aim`` of theirs.
 
         Rounding as `round_charge_balanced` does it: what all electrodes up to one carry together
-        is off by half a µA at most, so that each row of a field is off by no more than half of what it
-        differs from electrode to electrode, added up.
+        is off by half a µA at most, so that each row of a field is off by no more than half of
+        what it differs from electrode to electrode, added up.
         """
         judge = kernels.operator.judge
         rows = judge.target[kernels.sites]
