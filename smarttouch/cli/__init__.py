@@ -30,6 +30,7 @@ from smarttouch.cli.stop import stop
 from smarttouch.errors import SmartTouchError, TableError
 from smarttouch.stopping import RunStopped
 from smarttouch.terminal import guarded_output
+from smarttouch.version import __version__
 
 _FEWEST_FILES = 64
 
@@ -72,9 +73,7 @@ experiment.command()(fit)
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
-
-        print(f"smarttouch {version('smarttouch')}")
+        print(f"smarttouch {__version__}")
         raise typer.Exit
 
 

@@ -1,5 +1,6 @@
 """Common style of all figures: colors for color-blind readers, axes, and file formats."""
 
+import sys
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +23,7 @@ FORMATS = ("png", "pdf", "svg")
 
 
 def new_figure(width_in: float, height_in: float) -> "Figure":
-    """Return an empty figure.
+    """Return an empty figure; one of pyplot where a program or notebook has imported that.
 
     Raises
     ------
@@ -38,7 +39,10 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
             problem="missing",
             remedy="pip install 'smarttouch[plot]'",
         ) from None
-    return Figure(figsize=(width_in, height_in), layout="constrained")
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    make: Any = Figure if pyplot is None else pyplot.figure
+    figure: Figure = make(figsize=(width_in, height_in), layout="constrained")
+    return figure
 
 
 def require_drawable(path: Path) -> None:
