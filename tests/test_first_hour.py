@@ -16,14 +16,9 @@ def run(line, folder):
     """Run a line of the page by the Python of this test."""
     words = re.findall(r'"[^"]*"|\S+', line)
     program, *rest = (word.strip('"') for word in words)
-    here = ["-m", AS_MODULES[program]] if program in AS_MODULES else []
+    here = [] if program == "python" else ["-m", program]
     return subprocess.run(
-        [
-            sys.executable,
-            *here,
-            *rest,
-            *(["-p", "no:cacheprovider"] if program == "pytest" else []),
-        ],
+        [sys.executable, *here, *rest],
         cwd=folder,
         env=os.environ | {"XDG_CACHE_HOME": str(folder / "cache"), "MPLBACKEND": "agg"},
         stdin=subprocess.DEVNULL,
