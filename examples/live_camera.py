@@ -9,6 +9,7 @@ films a page by moving a window over it.
 
 import cv2
 import matplotlib.pyplot as plt
+import numpy as np
 
 import smarttouch as st
 from smarttouch.documents.printed_text import print_text
@@ -18,13 +19,16 @@ class Film:
     """Stands in for ``cv2.VideoCapture(0)``: a camera that pans over a printed line."""
 
     def __init__(self, text):
-        self.grey, self.left = print_text(text).grey, 0
+        grey = print_text(text).grey
+        rows, columns = (np.flatnonzero((grey < 200).any(axis=axis)) for axis in (1, 0))
+        line = grey[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+        self.grey, self.left = np.pad(line, (10, len(line)), constant_values=255), 0
 
     def read(self):
         """Return whether there is a frame, and the frame, as OpenCV does."""
         height = self.grey.shape[0]
         window = self.grey[:, self.left : self.left + height]
-        self.left += 2
+        self.left += 1
         if window.shape[1] < height:
             return False, None
         return True, cv2.cvtColor(window, cv2.COLOR_GRAY2BGR)

@@ -143,7 +143,9 @@ activation = middle.tactile.activation[st.Afferent.RA].reshape(5, 5)
 touched.imshow(activation, cmap="Greys", vmin=0, vmax=1)
 touched.set_title("tactile image, RA")
 most_ma = np.abs(middle.sequence.current_ua).max() / 1000
-image = sent.imshow(middle.sequence.current_ua / 1000, cmap="PuOr_r", vmin=-most_ma, vmax=most_ma)
+image = sent.imshow(
+    middle.sequence.current_ua / 1000, cmap="PuOr_r", vmin=-most_ma, vmax=most_ma, aspect="auto"
+)
 sent.set(title="sequence", xlabel="electrode", ylabel="slot")
 figure.colorbar(image, label="mA, cathodic positive")
 plt.show()

@@ -82,9 +82,11 @@ with board:
         print(error)
 
 # %%
-# Intensity rises from zero in every run: the strongest current of each sequence.
-strongest_ma = [np.abs(each.current_ua).max(initial=0) / 1000 for each in board.sequences]
-figure, axes = plt.subplots(figsize=(6, 2.4), layout="constrained")
-axes.plot([each.time_ns / 1e9 for each in board.sequences], strongest_ma, ".")
-axes.set(xlabel="time (s)", ylabel="strongest current (mA)")
+# The sequence with most slots, as the board got it.
+current_ma = sequence.current_ua / 1000
+most_ma = np.abs(current_ma).max()
+figure, axes = plt.subplots(figsize=(7, 2.4), layout="constrained")
+drawn = axes.imshow(current_ma, cmap="PuOr_r", vmin=-most_ma, vmax=most_ma, aspect="auto")
+axes.set(xlabel="electrode", ylabel="slot")
+figure.colorbar(drawn, label="mA, cathodic positive")
 plt.show()

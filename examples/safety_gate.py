@@ -49,12 +49,27 @@ for name, each in wrong.items():
         else:
             raise AssertionError(f"{name} was sent")
 
+
 # %%
-# In a run intensity rises from nothing, and the currents with it.
+# In a run intensity rises from nothing, and the currents with it, however hard the finger presses.
+class Disc(st.OpticalSource):
+    """A black disc under a finger that presses from 0.2 to 1.4 s."""
+
+    knows_force = True
+
+    def read(self, time_ns):
+        if time_ns >= 1.6e9:
+            return None
+        place = np.arange(64) - 31.5
+        disc = np.where(np.hypot(place, place[:, None]) < 20, 20, 230).astype(np.uint8)
+        self.frames += 1
+        force_n = 1.0 if 0.2e9 <= time_ns < 1.4e9 else 0.0
+        return st.Frame(disc, time_ns, force_n=force_n, number=self.frames - 1)
+
+
 results = []
-source = st.open_source("text:touch", profile, speed_mm_s=60)
 with st.open_display("simulated:", profile) as display:
-    st.run(source, display, mode="RA", listeners=[results.append])
+    st.run(Disc("a disc"), display, mode="RA", listeners=[results.append])
 figure, axes = plt.subplots(figsize=(6, 2.4), layout="constrained")
 time_s = [each.input.time_ns / 1e9 for each in results]
 axes.plot(time_s, [each.felt_ma.max() for each in results], ".", label="strongest point")

@@ -35,5 +35,7 @@ for name, cathodic, color in (("cathodic", True, CATHODIC), ("anodic", False, AN
     )
 axes.axhline(profile.limits.current_ma, color="#707070", ls=":", label="limit of the profile")
 axes.set(xlabel="pulse width (µs)", ylabel="threshold (mA)", yscale="log")
+axes.set_yticks([2, 5, 10], ["2", "5", "10"])
+axes.minorticks_off()
 axes.legend(frameon=False, fontsize=8)
 plt.show()

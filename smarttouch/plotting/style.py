@@ -12,12 +12,15 @@ from smarttouch.files import write_bytes
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CATHODIC, ANODIC = "#d55e00", "#0072b2"
+CATHODIC, ANODIC = "#b35806", "#542788"
+"""Colors of `SIGNED_MAP`, in which no class of afferents is drawn."""
 CLASS_COLORS = {Afferent.RA: "#d55e00", Afferent.SAI: "#0072b2", Afferent.PC: "#009e73"}
 """Colors of Okabe and Ito's set (2008)."""
 SIGNED_MAP = "PuOr_r"
 """Color map: orange for cathodic or depolarizing, purple for the other sign."""
 GREY = "#707070"
+DPI = 200
+"""Resolution of figures in pixels, which their files say."""
 
 FORMATS = ("png", "pdf", "svg")
 
@@ -82,6 +85,9 @@ def save(figure: "Figure", path: Path) -> None:
         If that is none of `FORMATS`, or the file cannot be written.
     """
     require_drawable(path)
+    from matplotlib import rc_context
+
     content = BytesIO()
-    figure.savefig(content, dpi=200, format=path.suffix.removeprefix("."))
+    with rc_context({"svg.fonttype": "none"}):  # text stays text, to be searched and edited
+        figure.savefig(content, dpi=DPI, format=path.suffix.removeprefix("."))
     write_bytes(path, content.getvalue())
