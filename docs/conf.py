@@ -26,7 +26,7 @@ extensions = [
 ]
 exclude_patterns = ["_templates", "_ext"]
 templates_path = ["_templates"]
-nitpicky = False
+default_role = "py:obj"
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "fieldlist"]
 myst_heading_anchors = 3
@@ -44,9 +44,8 @@ html_theme_options = {
     "show_toc_level": 2,
     "footer_start": ["copyright"],
     "footer_end": [],
-    "secondary_sidebar_items": ["page-toc", "sg_download_links"],
 }
-html_sidebars = {"index": [], "glossary": []}
+html_sidebars = {"index": []}
 html_show_sourcelink = False
 
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
@@ -69,5 +68,5 @@ sphinx_gallery_conf = {
     "show_memory": False,
     "show_signature": False,
     "remove_config_comments": True,
-    "download_all_examples": True,
+    "default_thumb_file": str(HERE / "pictures" / "felt.png"),
 }
