@@ -1,7 +1,6 @@
 """The command line: one module per command, heavy imports only inside them."""
 
 import os
-import resource
 import sys
 from collections.abc import Callable
 from typing import Annotated
@@ -28,6 +27,7 @@ from smarttouch.cli.replay import replay
 from smarttouch.cli.sensor import sensor
 from smarttouch.cli.stop import stop
 from smarttouch.errors import SmartTouchError, TableError
+from smarttouch.posix import resource
 from smarttouch.stopping import RunStopped
 from smarttouch.terminal import guarded_output
 from smarttouch.version import __version__
@@ -143,6 +143,8 @@ def _outcome(error: BaseException) -> int:
 
 def _require_files() -> None:
     """Raise if this process may open fewer files than the libraries alone need."""
+    if resource is None:
+        return
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     if most < _FEWEST_FILES:
         raise SmartTouchError(
