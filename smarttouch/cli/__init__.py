@@ -24,6 +24,7 @@ from smarttouch.cli.profiles import profiles
 from smarttouch.cli.read import read
 from smarttouch.cli.recordings import recordings
 from smarttouch.cli.replay import replay
+from smarttouch.cli.report import report
 from smarttouch.cli.sensor import sensor
 from smarttouch.cli.stop import stop
 from smarttouch.errors import SmartTouchError, TableError
@@ -39,7 +40,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
     "Read, Braille": {"read": read, "braille": braille, "legibility": legibility},
     "Calibrate": {"calibrate": calibrate},
     "Experiment": {"experiment": experiment},
-    "Boards, sensors": {"boards": boards, "board": board, "sensor": sensor},
+    "Boards, sensors": {"boards": boards, "board": board, "sensor": sensor, "report": report},
     "Recordings": {"replay": replay, "recordings": recordings},
     "Design": {"profiles": profiles, "design": design, "figures": figures},
 }
