@@ -30,7 +30,7 @@ def live(
         ),
     ] = None,
     mode: ModeOption = "RA",
-    rate: RateOption = None,
+    rate_hz: RateOption = None,
     seed: Annotated[
         int | None, typer.Option(metavar="N", min=0, help="Of the finger's and sensor's noise.")
     ] = None,
@@ -54,7 +54,7 @@ def live(
     chosen, outputs = run.load_profile(), run.outputs()
     config = run.config(
         parse_mode(mode),
-        rate_hz=rate,
+        rate_hz=rate_hz,
         light_on_dark=light_on_dark,
         seed=seed or 0,
         tone=used_tone(settings),

@@ -176,13 +176,13 @@ def look_at_page(url: str, profile: Profile, rows: int, columns: int) -> Look:
     Raises
     ------
     SourceError
-        If there is no such sensor, or it cannot be asked for any time.
+        If there is no such source, or it cannot be asked for any time.
     """
     kind = url.partition(":")[0]
     if kind not in ("page", "text"):
         raise SourceError(
-            f"--sensor {url!r}: an emulated array looks at page:FILE or text:STRING",
-            about="--sensor",
+            f"source {url!r}: an emulated array looks at page:FILE or text:STRING",
+            about="url",
             problem="unknown",
             value=url,
             allowed=("page", "text"),

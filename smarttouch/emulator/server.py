@@ -216,11 +216,11 @@ class Server:
     def _add(self, fault: Event) -> None:
         if fault.kind == "unplug" and not self._line.keeps_name:
             raise SourceError(
-                "the port's name would change: start it with --event '0 unplug 0'",
+                "the port's name would change: start it with the event '0 unplug 0'",
                 about="event",
                 problem="impossible",
                 value=fault.kind,
-                remedy="--event",
+                remedy="event 0 unplug 0",
             )
         self._faults.append(fault)
 

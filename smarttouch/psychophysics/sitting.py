@@ -92,8 +92,8 @@ def parse_standards(text: str | None) -> tuple[float, ...] | None:
     except ValueError:
         standards = ()
     if not standards or not all(0 < each < 1e6 for each in standards):
-        message = f"--standards {text!r} is not understood: give frequencies in Hz, as in 15,30,45"
-        raise SmartTouchError(message, about="--standards", problem="malformed", value=text)
+        message = f"standards {text!r} are not understood: give frequencies in Hz, as in 15,30,45"
+        raise SmartTouchError(message, about="standards", problem="malformed", value=text)
     return tuple(dict.fromkeys(standards))
 
 
@@ -107,17 +107,17 @@ def usual_name(
     SmartTouchError
         If a name cannot be part of a file's, or the seed is negative.
     """
-    for option, name in (("--participant", participant), ("--session", session)):
+    for parameter, name in (("participant", participant), ("session", session)):
         if any(not (each.isalnum() or each in "-_.") for each in name):
             raise SmartTouchError(
-                f"{option} {name!r} becomes part of a file's name: use letters, digits, - and _",
-                about=option,
+                f"{parameter} {name!r} becomes part of a file's name: use letters, digits, - and _",
+                about=parameter,
                 problem="malformed",
                 value=name,
             )
     if seed is not None and seed < 0:
-        message = f"--seed {seed} must be 0 or more"
-        raise SmartTouchError(message, about="--seed", value=seed, allowed=0)
+        message = f"the seed {seed} must be 0 or more"
+        raise SmartTouchError(message, about="seed", value=seed, allowed=0)
     named = "-".join(each for each in (participant, session, experiment) if each)
     usual = zlib.crc32(f"{participant}/{session}".encode()) % 10_000
     return named, usual if seed is None else seed

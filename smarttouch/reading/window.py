@@ -78,5 +78,5 @@ def require_rows(profile: Profile, note: Callable[[str], None]) -> None:
     if rows < ENOUGH_ROWS:
         note(
             f"{profile.name} has {rows} rows of electrodes: many letters cannot be told apart on "
-            f"fewer than {ENOUGH_ROWS}, read --as braille"
+            f"fewer than {ENOUGH_ROWS}, read Braille instead"
         )

@@ -65,7 +65,7 @@ def open_frames(
     if not 0 < rate_hz <= FASTEST_HZ:
         raise SourceError(
             f"{rate_hz:g} images a second cannot be: give above 0, at most {FASTEST_HZ:g}",
-            about="--fps",
+            about="fps",
             value=rate_hz,
             allowed=FASTEST_HZ,
         )

@@ -83,7 +83,7 @@ class ScanScheduler:
                 raise ScheduleError(
                     f"one rate of {rate_hz:g} Hz is not for several classes at once: set "
                     "pulse.ra_rate_hz and pulse.sai_rate_hz of the profile",
-                    about="rate",
+                    about="rate_hz",
                     problem="conflict",
                     value=rate_hz,
                     remedy="pulse.ra_rate_hz",
@@ -102,7 +102,7 @@ class ScanScheduler:
                 raise ScheduleError(
                     f"a rate of {each_hz:g} Hz is not possible: it must be at least "
                     f"{_SLOWEST_HZ:g} Hz and at most the profile's limit of {limits.rate_hz:g} Hz",
-                    about="rate",
+                    about="rate_hz",
                     problem="out of range",
                     value=each_hz,
                     allowed=(_SLOWEST_HZ, limits.rate_hz),
