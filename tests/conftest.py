@@ -137,7 +137,7 @@ def make_bank():
     from smarttouch.kernels.bank import KernelBank
 
     def make(weights, receptor):
-        figures = ("worst_other", "worst_class", "own_spill", "gap", "seconds")
+        figures = ("off_target", "worst_class", "spill", "gap", "seconds")
         nothing = {name: {Afferent.RA: np.zeros(len(weights))} for name in figures}
         return KernelBank({Afferent.RA: weights}, receptor={Afferent.RA: receptor}, **nothing)
 

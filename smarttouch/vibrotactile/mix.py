@@ -141,12 +141,12 @@ def mix_colors(
     >>> from smarttouch.vibrotactile.mix import mix_colors
     >>> from smarttouch.vibrotactile.spec import open_trace
     >>> from smarttouch.kernels.bank import load_bank
-    >>> from smarttouch.afferent import Primary
+    >>> from smarttouch.afferent import Afferent
     >>> from smarttouch.profile import load_profile
     >>> profile = load_profile("electric-mouse")
     >>> trace = open_trace("tone:30Hz,8um+press:0.45N", seconds=1.0)
     >>> mixture = mix_colors(trace, profile, load_bank(profile))
-    >>> [mixture.pulses(each) for each in Primary]  # RA, SAI, PC
+    >>> [mixture.pulses(each) for each in Afferent]  # RA, SAI, PC
     [29, 24, 0]
     >>> mixture.stimuli[0].activation.shape
     (3, 64)

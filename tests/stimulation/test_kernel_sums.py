@@ -41,7 +41,7 @@ def test_without_a_judge_for_each_frame_currents_are_the_same(slots, judged, int
         assert np.array_equal(found.site, expected.site)
         assert np.array_equal(found.proof.points, expected.proof.points)
         several = found.proof.points > 1
-        for name in ("worst_other", "worst_spill"):
+        for name in ("off_target", "spill"):
             stated, true = getattr(found.proof, name), getattr(expected.proof, name)
             assert np.array_equal(stated[~several], true[~several])
             assert (stated[several] >= true[several]).all()

@@ -39,7 +39,7 @@ class Got:
 
 
 def feel(spec, profile, bank, seconds=2.0, shaking=None, **options):
-    """Return what each class got, by Primary, and the sensor that asked for it.
+    """Return what each class got, by afferent class, and the sensor that asked for it.
 
     What ``shaking``, a board of vibrators, is to do it is told.
     """

@@ -62,7 +62,7 @@ def test_the_bounds_are_reached_by_a_subset(make_operator, afferent, step):
         own = judge.own(one.kernels)
         far = np.array([judge.far(np.array([site])) for site in one.sites])
         # All that are on lie far from the node, else it would be no spill.
-        for name, each in (("worst_other", field), ("worst_spill", np.where(far, own, 0))):
+        for name, each in (("off_target", field), ("spill", np.where(far, own, 0))):
             node = np.maximum(each, 0).sum(axis=0).argmax()
             on = each[:, node] > 0
             level = np.zeros(64)

@@ -121,7 +121,7 @@ def test_each_bound_counts(make_operator):
     good = replace(good, off_target=0.1, spill=0.1, weakest=1.0, strongest=1.0, total_ma=5.0)
     assert keeps(judge, good, FrameBounds(), current, 10.0)
     for bad in (
-        {"worst_other": 0.31}, {"worst_spill": 0.31}, {"weakest": 0.94}, {"strongest": 1.06},
+        {"off_target": 0.31}, {"spill": 0.31}, {"weakest": 0.94}, {"strongest": 1.06},
         {"total_ma": 10.1},
     ):  # fmt: skip
         assert not keeps(judge, replace(good, **bad), FrameBounds(), current, 10.0)
