@@ -124,7 +124,7 @@ class BrailleError(SmartTouchError):
 
 
 class ReadingError(SmartTouchError):
-    """What was asked cannot be read with a fingertip, or not by machine."""
+    """A text cannot be read with a fingertip, or not by machine."""
 
 
 class ExperimentError(SmartTouchError):

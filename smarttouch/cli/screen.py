@@ -198,7 +198,7 @@ def _grey(image: NDArray[np.uint8]) -> Text:
 
 
 class _ArrayLayout:
-    """Where each electrode stands on a canvas of characters, whatever its array."""
+    """Place of each electrode on a canvas of characters, whatever its array."""
 
     def __init__(self, profile: Profile) -> None:
         position = profile.electrodes.position_mm

@@ -45,7 +45,7 @@ class SourceOptions(OptionGroup):
 
 @dataclass(frozen=True, kw_only=True)
 class DocumentOptions(OptionGroup):
-    """What is known of a document that is read."""
+    """Options of a document that is read."""
 
     pages: Annotated[
         str | None,
@@ -102,7 +102,7 @@ TableOption = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class FeelOptions(OptionGroup):
-    """How what is read is felt."""
+    """Options of the letters or cells that are felt."""
 
     kind: Annotated[
         str,

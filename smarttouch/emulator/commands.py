@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from smarttouch.emulator.server import LineStatistics
 
 _ELECTRODES = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
-"""How many each board has if nothing is said."""
+"""Usual number of electrodes of each board."""
 _MOST_ELECTRODES = {"link": 1024, "kajimoto61": 61, "etactilekit": 255}
 """Of a link board because the skin between them takes the square of that."""
 _RATE_HZ = {"serial-array": 200.0, "hx711": 80.0, "loadcell": 80.0}

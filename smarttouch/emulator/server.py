@@ -31,10 +31,10 @@ from smarttouch.wire.tcp_line import TcpLine
 
 FAULTS = dict.fromkeys(("garbage", "nan", "freeze", "silent", "unplug"), "[SECONDS]")
 FIRST_HOST_S = 8.0
-"""How much longer than its lingering it waits for the first host."""
+"""Time beyond its lingering that it waits for the first host."""
 _WRITE_EVERY_NS = 50_000_000
 _FULL_WAIT_S = 0.0005
-"""How soon the rest of a message is tried again."""
+"""Time after which the rest of a message is tried again."""
 
 
 @dataclass

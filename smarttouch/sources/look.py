@@ -12,12 +12,12 @@ from smarttouch.sources.source import Source
 from smarttouch.sources.stimulus import Input
 
 ASKED_HZ = 100.0
-"""How often a source is read."""
+"""Rate at which a source is read."""
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """What a source gave.
+    """Account of what a source gave.
 
     Attributes
     ----------

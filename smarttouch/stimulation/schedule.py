@@ -36,7 +36,7 @@ class ScanScheduler:
     afferents : tuple of Afferent
         Classes to use; each of several has its own pulse rate.
     rate_hz : float, Hz, optional
-        Sequences a second asked for, with one primary; with several, the
+        Sequences a second asked for, with one class; with several, the
         profile says how often each pulses.
     timing : ScanTiming, optional
         Scan timing fixed by the board; none if not given.
