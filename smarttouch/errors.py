@@ -104,7 +104,7 @@ class SavedRunError(TableError):
 
 
 class SourceError(SmartTouchError):
-    """A source of frames cannot be opened or has failed."""
+    """A source of frames, stimuli or force cannot be opened or has failed."""
 
 
 # The name that plug-ins of the first version import.

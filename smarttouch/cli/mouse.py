@@ -26,7 +26,7 @@ def mouse(
         typer.Option(
             metavar="URL",
             help="How the hand moves: sweep: (a virtual one), sweep:ROUNDS, evdev:DEVICE (a "
-            "mouse), window: (the pointer), path:CSV, or a sensor's pose, as camera:0.",
+            "mouse), window: (the pointer), path:CSV, or a source's pose, as camera:0.",
         ),
     ] = "sweep:",
     speed_mm_s: Annotated[
@@ -102,7 +102,7 @@ def mouse(
                 surface, motion, own, speed_mm_s=speed_mm_s, seed=seed, cpi=cpi, grab=grab or None
             )
         )
-        sensor = MouseSource(
+        source = MouseSource(
             surface,
             moves,
             chosen,
@@ -112,6 +112,6 @@ def mouse(
             scale,
             press_n(chosen) if run.pressed else None,
         )
-        sensor.url = texture
+        source.url = texture
         force = run.open_force(chosen, stack)
-        run_in_terminal(sensor, run.display(chosen), config, outputs, force=force)
+        run_in_terminal(source, run.display(chosen), config, outputs, force=force)

@@ -34,7 +34,7 @@ def read(
     ] = False,
     follow: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="A sensor that tells where the finger is on the page."),
+        typer.Option(metavar="URL", help="A source that tells where the finger is on the page."),
     ] = None,
     board: Annotated[
         str | None,
@@ -81,15 +81,15 @@ def read(
             cursor = SweepingCursor(feed, motion, press_n(chosen), pause_s, wait)
         else:
             cursor = FollowingCursor(feed, stack.enter_context(open_source(follow, own)))
-        sensor = ReadingSource(text.title, chosen, feed, cursor)
-        sensor.url, sensor.notes = source, notes
+        reading = ReadingSource(text.title, chosen, feed, cursor)
+        reading.url, reading.notes = source, notes
         force = run.open_force(chosen, stack)
         run_in_terminal(
-            sensor,
+            reading,
             run.display(chosen),
             config,
             outputs,
             force=force,
-            keys=sensor.keys,
+            keys=reading.keys,
             keys_help="← →  line    r  again    ",
         )

@@ -82,7 +82,7 @@ def load_page(path: Path, dpi: float | None = None, page_width_mm: float | None 
         grey, mm_per_pixel = read_grey(path, image, dpi, page_width_mm)
     if mm_per_pixel is None:
         message = f"{path} does not say how large it is: give {_SCALE}"
-        raise PageError(message, about="scale", problem="missing", value=path, remedy=_SCALE)
+        raise PageError(message, about="size_mm", problem="missing", value=path, remedy=_SCALE)
     height, width = grey.shape
     require_size_mm(str(path), width * mm_per_pixel, height * mm_per_pixel)
     return Page(grey, mm_per_pixel)

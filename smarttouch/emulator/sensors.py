@@ -189,11 +189,11 @@ def look_at_page(url: str, profile: Profile, rows: int, columns: int) -> Look:
         )
     shape = {"sensor_rows": rows, "sensor_columns": columns}
     optics = profile.optics.model_copy(update=shape)
-    sensor = open_source(url, profile.model_copy(update={"optics": optics}))
-    lasts_ns = round(1e9 * (sensor.duration_s or 1.0))
+    source = open_source(url, profile.model_copy(update={"optics": optics}))
+    lasts_ns = round(1e9 * (source.duration_s or 1.0))
 
     def look(time_s: float) -> NDArray[np.uint8]:
-        frame = sensor.read(round(time_s * 1e9) % lasts_ns)
+        frame = source.read(round(time_s * 1e9) % lasts_ns)
         assert isinstance(frame, Frame)
         return frame.image
 

@@ -199,7 +199,8 @@ class PerceptThresholds(Table):
     """Shift of the place where SAI is felt, right of and below the stimulated point."""
     pc_shift_mm: tuple[Number, Number] = (0.0, 0.0)
     """Shift of the place where PC is felt, right of and below the stimulated point: at the
-    receptor, not where its axon was hit (paper, Section III-B.4: PC 1 to 3 mm toward the fingertip)."""
+    receptor, not where its axon was hit (paper, Section III-B.4: PC 1 to 3 mm toward the
+    fingertip)."""
 
 
 class Calibrated(Table):

@@ -40,18 +40,18 @@ class ExperimentSession:
     course: TrialTiming
     path: Path
 
-    def sensor(self, pressing_n: float | None, *, in_real_time: bool) -> ExperimentSource:
+    def source(self, pressing_n: float | None, *, in_real_time: bool) -> ExperimentSource:
         """Return the source of its stimuli; force is made up if it is given."""
         clock = MonotonicClock() if in_real_time else None
-        sensor = ExperimentSource(self.session, self.profile, self.course, pressing_n, clock)
-        sensor.url = f"experiment:{self.session.title}"
-        return sensor
+        source = ExperimentSource(self.session, self.profile, self.course, pressing_n, clock)
+        source.url = f"experiment:{self.session.title}"
+        return source
 
-    def subject(self, sensor: ExperimentSource, simulate: str, seed: int) -> Subject:
+    def subject(self, source: ExperimentSource, simulate: str, seed: int) -> Subject:
         """Return a listener who answers in place of a person."""
         drawn = getattr(self.made.task, "drawn", None)
         observer = make_observer(simulate, self.profile, seed + self.session.resumed, drawn)
-        return Subject(sensor, observer)
+        return Subject(source, observer)
 
     def before(self) -> Iterator[str]:
         """Yield lines on it before it goes on."""

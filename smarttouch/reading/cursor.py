@@ -186,7 +186,7 @@ class SweepingCursor:
 
 
 class FollowingCursor:
-    """Cursor at a live sensor's position on the page.
+    """Cursor at a live source's position on the page.
 
     Parameters
     ----------

@@ -75,10 +75,10 @@ def open_frames(
 def _open(clip: Clip, profile: Profile, unpaced: bool) -> OpticalSource:
     if unpaced:
         return UnpacedClip(clip, profile)
-    sensor = LiveSource(PacedClip(clip), profile)
+    source = LiveSource(PacedClip(clip), profile)
     if clip.count:
-        sensor.duration_s = clip.count / clip.rate_hz
-    return sensor
+        source.duration_s = clip.count / clip.rate_hz
+    return source
 
 
 class PacedClip(ImageDevice):

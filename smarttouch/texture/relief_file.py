@@ -129,7 +129,7 @@ def _load_array(
 
 def _unscaled(path: Path) -> PageError:
     message = f"{path} does not say how large it is: give {_SCALE}"
-    return PageError(message, about="scale", problem="missing", value=path, remedy=_SCALE)
+    return PageError(message, about="size_mm", problem="missing", value=path, remedy=_SCALE)
 
 
 def _like(values: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:

@@ -163,7 +163,7 @@ def test_a_person_answers_by_key_and_ends_with_ctrl_c(start_at_a_terminal, tmp_p
     assert "(Ctrl-C)" in out
     # Whoever answers sees the question, and nothing that would tell the answer.
     assert "1 or 2" in out
-    for telling in ("RA electrodes", "slots,", "sensor sees", "comparison", "second after"):
+    for telling in ("RA electrodes", "slots,", "source sees", "comparison", "second after"):
         assert telling not in out
     assert re.search(r"\b\d+ of 100\b", out)
     figures = json.loads((tmp_path / "run.json").read_text())

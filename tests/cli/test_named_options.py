@@ -1,6 +1,7 @@
 """The option behind the parameter that an error of the library names."""
 
 import pytest
+from PIL import Image
 
 from .conftest import refused
 
@@ -15,6 +16,7 @@ from .conftest import refused
         ("mouse --texture text:a --dpi 300 --board memory:", "--dpi, --width-mm"),
         ("mouse --width-mm 0 --texture text:a --board memory:", "--width-mm"),
         ("mouse --rate 300 --board memory:", "--rate"),
+        ("mouse --texture page.png --board memory:", "--dpi, --width-mm"),
         ("read text:hi --pause -1 --board memory:", "--pause"),
         ("calibrate registration --dot-pitch-mm 0", "--dot-pitch-mm"),
         ("calibrate force --simulate --output run.txt", "--output"),
@@ -22,7 +24,8 @@ from .conftest import refused
         ("sensor emulate serial-array --sensor camera:0", "--sensor"),
     ],
 )
-def test_options_end_the_sentence(program_here, arguments, options):
+def test_options_end_the_sentence(program_here, tmp_path, arguments, options):
+    Image.new("L", (20, 20)).save(tmp_path / "page.png")
     done = program_here(*arguments.split(" "))
     refused(done)
     assert done.stderr.endswith(f" ({options})\n")

@@ -96,7 +96,7 @@ def test_pixels_become_square(picture, tmp_path, stated, shape, mm_per_pixel):
 def test_resolutions_that_are_not_believed(picture, tmp_path, stated):
     path = tmp_path / "page.tif"
     picture.save(path, dpi=stated)
-    with raises(PageError, about="scale", problem="missing", value=path):
+    with raises(PageError, about="size_mm", problem="missing", value=path):
         load_page(path)
 
 
@@ -178,7 +178,7 @@ def test_without_a_scale(picture, tmp_path):
     path = tmp_path / "page.png"
     picture.save(path)
     remedy = "dpi or page_width_mm"
-    with raises(PageError, about="scale", problem="missing", value=path, remedy=remedy):
+    with raises(PageError, about="size_mm", problem="missing", value=path, remedy=remedy):
         load_page(path)
 
 
