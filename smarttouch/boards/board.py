@@ -174,10 +174,10 @@ class Board(Timely, ABC):
         if sequence.vibration is not None and not self.capabilities.vibrates:
             raise BoardError(
                 "the sequence asks for mechanical vibration, and this board has no vibrators: "
-                "give --vibrators",
+                "give it some",
                 about="vibration",
                 problem="impossible",
-                remedy="--vibrators",
+                remedy="vibrators",
             )
         if sequence.recharge_ua is not None and not self.capabilities.recharges:
             raise BoardError(

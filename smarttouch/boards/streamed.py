@@ -83,12 +83,12 @@ class StreamedBoard(Board):
         if output is not None and output.kind != "one-against-all":
             raise BoardError(
                 f"a {self.kind} board is one-against-all, the profile needs {output.kind}: use "
-                f"--profile {self.default_profile}",
+                f"the profile {self.default_profile}",
                 about="output.kind",
                 problem="conflict",
                 value=output.kind,
                 allowed="one-against-all",
-                remedy=f"--profile {self.default_profile}",
+                remedy=f"profile {self.default_profile}",
             )
         self._port_name = port
         self._number = 0

@@ -21,7 +21,7 @@ from smarttouch.errors import BoardStoppedError, CalibrationError
 
 @dataclass(frozen=True, kw_only=True)
 class ThresholdProcedure:
-    """What is to be measured, and how.
+    """Measurement of thresholds: its board, its electrodes and its method.
 
     Attributes
     ----------

@@ -21,6 +21,7 @@ from smarttouch.cli.figures import figures
 from smarttouch.cli.legibility import legibility
 from smarttouch.cli.live import live
 from smarttouch.cli.mouse import mouse
+from smarttouch.cli.named_options import named_options
 from smarttouch.cli.profiles import profiles
 from smarttouch.cli.read import read
 from smarttouch.cli.recordings import recordings
@@ -126,8 +127,10 @@ def _outcome(error: BaseException) -> int:
         # Whoever read our output has gone; there is nobody to tell.
         return 1
     if isinstance(error, SmartTouchError):
-        for sentence in error.sentences if isinstance(error, TableError) else (str(error),):
+        *others, last = error.sentences if isinstance(error, TableError) else (str(error),)
+        for sentence in others:
             _say(sentence)
+        _say(last + named_options(error, app))
     elif isinstance(error, MemoryError):
         _say("the memory of this machine does not suffice: give less at once")
     elif isinstance(error, OSError):

@@ -140,7 +140,7 @@ def registration(
     yes: _Yes = False,
     simulate: _Simulate = False,
 ) -> None:
-    """Where in the sensor's image each electrode's point lies, by a printed target."""
+    """Place of each electrode's point in the sensor's image, by a printed target."""
     from smarttouch.calibrate.frames import images_of
     from smarttouch.calibrate.register import register
     from smarttouch.calibrate.tables import show_registration

@@ -64,9 +64,11 @@ def run_listed(
         bool, typer.Option("--two-intervals", help="Detection: in which of two, not yes or no.")
     ] = False,
     site: _Site = None,
-    rate: Annotated[
+    rate_hz: Annotated[
         float | None,
-        typer.Option(metavar="HZ", help="Of pulses, where it is not what is asked about."),
+        typer.Option(
+            "--rate", metavar="HZ", help="Of pulses, where it is not what is asked about."
+        ),
     ] = None,
     train_s: Annotated[float | None, typer.Option(metavar="S", help="Length of trains.")] = None,
     gap_s: Annotated[float, typer.Option(metavar="S", help="Between two intervals.")] = 0.5,
@@ -122,8 +124,8 @@ def run_listed(
     named = f"{name}-{afferent.name}"
     stem, order = usual_name(named, participant, session, seed)
     wanted = ExperimentOptions(
-        afferent, procedure, parse_standards(standards), repetitions, trials, site, train_s, rate,
-        letters, two_intervals, order,
+        afferent, procedure, parse_standards(standards), repetitions, trials, site, train_s,
+        rate_hz, letters, two_intervals, order,
     )  # fmt: skip
     made = design(name, chosen, wanted)
     # Nobody is there who could press harder, or turn the intensity up.
@@ -153,7 +155,9 @@ def free(
     run: RunOptions,
     mode: _Mode = "RA",
     site: _Site = None,
-    rate: Annotated[float, typer.Option(metavar="HZ", help="Of pulses, 10 to 200.")] = 50.0,
+    rate_hz: Annotated[
+        float, typer.Option("--rate", metavar="HZ", help="Of pulses, 10 to 200.")
+    ] = 50.0,
     knob: Annotated[
         str | None,
         typer.Option(metavar="URL", help="Moved away from you: stronger. evdev:, window:, ..."),
@@ -181,4 +185,4 @@ def free(
         # By hand from nothing here too.
         run = replace(run, intensity=0.0)
     run = replace(run, subject=run.subject or participant)
-    free_run(run, load_profile(profile), parse_afferent(mode), site, rate, knob, output)
+    free_run(run, load_profile(profile), parse_afferent(mode), site, rate_hz, knob, output)

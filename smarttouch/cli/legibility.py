@@ -57,7 +57,7 @@ def legibility(
     notes: list[str] = []
     text = Source(source, document.look(), notes.append)
     wanted = feel.wanted()
-    motion = wanted.motion(chosen, feel.speed)
+    motion = wanted.motion(chosen, feel.speed_mm_s)
     with bank_progress(quiet) as progress:
         bank = load_bank(chosen, progress)
     sharing = RunConfig(scan=parse_choice("--scan", scan, SCANS)).sharing(chosen)

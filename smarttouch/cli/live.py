@@ -1,4 +1,4 @@
-"""``smarttouch live``: from a sensor to current in the skin."""
+"""``smarttouch live``: from a source to current in the skin."""
 
 from typing import Annotated
 
@@ -30,9 +30,9 @@ def live(
         ),
     ] = None,
     mode: ModeOption = "RA",
-    rate: RateOption = None,
+    rate_hz: RateOption = None,
     seed: Annotated[
-        int | None, typer.Option(metavar="N", min=0, help="Of the finger's and sensor's noise.")
+        int | None, typer.Option(metavar="N", min=0, help="Of the finger's and source's noise.")
     ] = None,
     light_on_dark: Annotated[
         bool,
@@ -43,7 +43,7 @@ def live(
     save: SaveOption = None,
     settings: UseOption = None,
 ) -> None:
-    """Let a finger feel what a sensor sees, until it ends, a key or Ctrl-C."""
+    """Let a finger feel what a source sees, until it ends, a key or Ctrl-C."""
     import contextlib
 
     from smarttouch.cli.files import parse_mode
@@ -54,7 +54,7 @@ def live(
     chosen, outputs = run.load_profile(), run.outputs()
     config = run.config(
         parse_mode(mode),
-        rate_hz=rate,
+        rate_hz=rate_hz,
         light_on_dark=light_on_dark,
         seed=seed or 0,
         tone=used_tone(settings),

@@ -26,11 +26,12 @@ def mouse(
         typer.Option(
             metavar="URL",
             help="How the hand moves: sweep: (a virtual one), sweep:ROUNDS, evdev:DEVICE (a "
-            "mouse), window: (the pointer), path:CSV, or a sensor's pose, as camera:0.",
+            "mouse), window: (the pointer), path:CSV, or a source's pose, as camera:0.",
         ),
     ] = "sweep:",
-    speed: Annotated[
-        float | None, typer.Option(metavar="MM/S", help="Of the virtual hand; 40 if not given.")
+    speed_mm_s: Annotated[
+        float | None,
+        typer.Option("--speed", metavar="MM/S", help="Of the virtual hand; 40 if not given."),
     ] = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Let the virtual hand tremble, always the same way.")
@@ -59,10 +60,13 @@ def mouse(
     mode: Annotated[
         str, typer.Option("--mode", metavar="RA|SAI|PC", help="Which class feels the ridges.")
     ] = "RA",
-    rate: Annotated[float, typer.Option(metavar="HZ", help="Frames a second.")] = 100.0,
-    fastest: Annotated[
+    rate_hz: Annotated[
+        float, typer.Option("--rate", metavar="HZ", help="Frames a second.")
+    ] = 100.0,
+    fastest_hz: Annotated[
         float | None,
         typer.Option(
+            "--fastest",
             metavar="HZ",
             help="Most pulses a second of an electrode; 100 if none, at most half the frames.",
         ),
@@ -95,19 +99,19 @@ def mouse(
     with contextlib.ExitStack() as stack:
         moves = stack.enter_context(
             open_motion_over(
-                surface, motion, own, speed_mm_s=speed, seed=seed, cpi=cpi, grab=grab or None
+                surface, motion, own, speed_mm_s=speed_mm_s, seed=seed, cpi=cpi, grab=grab or None
             )
         )
-        sensor = MouseSource(
+        source = MouseSource(
             surface,
             moves,
             chosen,
             parse_mode(mode),
-            rate,
-            fastest,
+            rate_hz,
+            fastest_hz,
             scale,
             press_n(chosen) if run.pressed else None,
         )
-        sensor.url = texture
+        source.url = texture
         force = run.open_force(chosen, stack)
-        run_in_terminal(sensor, run.display(chosen), config, outputs, force=force)
+        run_in_terminal(source, run.display(chosen), config, outputs, force=force)

@@ -28,13 +28,13 @@ def read(
         ),
     ],
     lines: Annotated[int, typer.Option(help="Lines of Braille under the finger at once.")] = 1,
-    pause: Annotated[float, typer.Option(metavar="S", help="After each line.")] = 1.0,
+    pause_s: Annotated[float, typer.Option("--pause", metavar="S", help="After each line.")] = 1.0,
     wait: Annotated[
         bool, typer.Option("--wait", help="After each line, until the right arrow is pressed.")
     ] = False,
     follow: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="A sensor that tells where the finger is on the page."),
+        typer.Option(metavar="URL", help="A source that tells where the finger is on the page."),
     ] = None,
     board: Annotated[
         str | None,
@@ -44,7 +44,7 @@ def read(
         ),
     ] = None,
     mode: ModeOption = "RA",
-    rate: RateOption = None,
+    rate_hz: RateOption = None,
 ) -> None:
     """Read a page with a fingertip, line by line.
 
@@ -68,28 +68,28 @@ def read(
     own = run.load_profile()
     chosen, outputs = profile_for_reading(own), run.outputs()
     wanted = feel.wanted(lines)
-    motion = wanted.motion(chosen, feel.speed, rate)
+    motion = wanted.motion(chosen, feel.speed_mm_s, rate_hz)
     notes: list[str] = []
     text = Source(source, document.look(scale_matters=follow is not None), notes.append)
-    config = run.config(parse_mode(mode), rate_hz=rate, tone=wanted.tone)
+    config = run.config(parse_mode(mode), rate_hz=rate_hz, tone=wanted.tone)
     with contextlib.ExitStack() as stack:
         feed = LineFeed(wanted.lines(text, chosen))
         stack.callback(feed.close)
         first_line_awaited(feed.start(), run.quiet)
         cursor: Cursor
         if follow is None:
-            cursor = SweepingCursor(feed, motion, press_n(chosen), pause, wait)
+            cursor = SweepingCursor(feed, motion, press_n(chosen), pause_s, wait)
         else:
             cursor = FollowingCursor(feed, stack.enter_context(open_source(follow, own)))
-        sensor = ReadingSource(text.title, chosen, feed, cursor)
-        sensor.url, sensor.notes = source, notes
+        reading = ReadingSource(text.title, chosen, feed, cursor)
+        reading.url, reading.notes = source, notes
         force = run.open_force(chosen, stack)
         run_in_terminal(
-            sensor,
+            reading,
             run.display(chosen),
             config,
             outputs,
             force=force,
-            keys=sensor.keys,
+            keys=reading.keys,
             keys_help="← →  line    r  again    ",
         )

@@ -70,7 +70,7 @@ class RunOptions(OptionGroup):
         typer.Option(
             metavar="URL",
             rich_help_panel=FINGER,
-            help="hx711:PORT, loadcell:PORT, recorded:CSV, fixed:N; else what sensor or board say.",
+            help="hx711:PORT, loadcell:PORT, recorded:CSV, fixed:N; else what source or board say.",
         ),
     ] = None
     intensity: Annotated[

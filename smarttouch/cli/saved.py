@@ -10,9 +10,6 @@ if TYPE_CHECKING:
     from smarttouch.running.config import RunConfig
     from smarttouch.running.saved import SavedRun
 
-_RENAMED = {"speed": "speed_mm_s"}
-"""Options of the command line, and what sources call them."""
-
 
 def _use(context: typer.Context, name: str | None) -> str | None:
     """Let kept settings stand for the options that are not given."""
@@ -42,7 +39,6 @@ UseOption = Annotated[
 def as_options(saved: "SavedRun") -> dict[str, Any]:
     """Return kept settings by the names of options."""
     config, options = saved.config, dict(saved.source_options)
-    options |= {new: options.pop(old) for new, old in _RENAMED.items() if old in options}
     if isinstance(size := options.get("size"), tuple):
         options["size"] = "x".join(map(str, size))
     names = (
@@ -51,7 +47,7 @@ def as_options(saved: "SavedRun") -> dict[str, Any]:
     )  # fmt: skip
     given = {
         "source": saved.source,
-        "rate": config.rate_hz,
+        "rate_hz": config.rate_hz,
         "seed": config.seed or None,
         **{name: getattr(saved, name) for name in ("board", "vibrators", "force", "profile")},
         **{name: getattr(config, name) for name in names},
@@ -72,7 +68,7 @@ def keep(
     used: str | None,
     run: "RunOptions",
     config: "RunConfig",
-    sensor: str | None,
+    source: str | None,
     options: dict[str, Any],
 ) -> None:
     """Keep settings under a name, if one is given; those that are used may be replaced."""
@@ -81,7 +77,7 @@ def keep(
     from smarttouch.running.saved import SavedRun, save_run
 
     saved = SavedRun(
-        source=sensor,
+        source=source,
         board=run.board,
         vibrators=run.vibrators,
         force=run.force,

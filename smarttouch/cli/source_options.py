@@ -23,7 +23,7 @@ class SourceOptions(OptionGroup):
 
     dpi: Annotated[float | None, typer.Option(hidden=True)] = None
     page_width_mm: Annotated[float | None, typer.Option(hidden=True)] = None
-    speed: Annotated[float | None, typer.Option(hidden=True)] = None
+    speed_mm_s: Annotated[float | None, typer.Option("--speed", hidden=True)] = None
     path: Annotated[Path | None, typer.Option(hidden=True)] = None
     size: Annotated[str | None, typer.Option(hidden=True)] = None
     exposure: Annotated[float | None, typer.Option(hidden=True)] = None
@@ -37,7 +37,6 @@ class SourceOptions(OptionGroup):
         from smarttouch.url_options import parse_size
 
         found = {each.name: getattr(self, each.name) for each in fields(self)}
-        found["speed_mm_s"] = found.pop("speed")
         found["unpaced"] = self.unpaced or None
         if self.size is not None:
             found["size"] = parse_size(self.size, SmartTouchError, "--size")
@@ -46,7 +45,7 @@ class SourceOptions(OptionGroup):
 
 @dataclass(frozen=True, kw_only=True)
 class DocumentOptions(OptionGroup):
-    """What is known of a document that is read."""
+    """Options of a document that is read."""
 
     pages: Annotated[
         str | None,
@@ -103,7 +102,7 @@ TableOption = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class FeelOptions(OptionGroup):
-    """How what is read is felt."""
+    """Options of the letters or cells that are felt."""
 
     kind: Annotated[
         str,
@@ -138,9 +137,10 @@ class FeelOptions(OptionGroup):
         float | None,
         typer.Option(metavar="DEG", rich_help_panel=_FEEL, help="Of the light on raised dots."),
     ] = None
-    speed: Annotated[
+    speed_mm_s: Annotated[
         float | None,
         typer.Option(
+            "--speed",
             metavar="MM/S",
             rich_help_panel=_FEEL,
             help="Of the text under the finger; four pulses a pitch if none.",

@@ -48,7 +48,7 @@ def design_kernel(
     Parameters
     ----------
     problem : Problem
-        Rows of the primary and profile.
+        Rows of the class and profile.
     site : int
         Electrode over the target.
     spill : float, optional

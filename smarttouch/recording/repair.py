@@ -91,11 +91,11 @@ def repair(path: Path, output: Path | None = None) -> Repaired:
             writer.finish()
     except FileExistsError:
         raise RecordingError(
-            f"{output} exists: give another name with --output",
+            f"{output} exists: give another file",
             about="file",
             problem="exists",
             value=output,
-            remedy="--output",
+            remedy="output",
         ) from None
     except OSError as error:
         raise unwritable(RecordingError, output, error) from None

@@ -72,7 +72,7 @@ class Display(Closing):
                 about="board",
                 problem="conflict",
                 value=url,
-                remedy="--vibrators",
+                remedy="vibrators",
             )
         self.board: Board = board
 

@@ -253,7 +253,7 @@ class Runner:
                 "an intensity, for example 0.3",
                 about="intensity",
                 problem="missing",
-                remedy="--intensity",
+                remedy="intensity",
             )
 
     def _require_force(self) -> None:
@@ -265,7 +265,7 @@ class Runner:
                 "fixed:0.5 (N)",
                 about="force",
                 problem="missing",
-                remedy="--force",
+                remedy="force",
             )
 
     def _warn_of_simulation(self, profile: Profile) -> None:

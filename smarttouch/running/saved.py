@@ -124,7 +124,7 @@ def load_run(name: str | Path) -> SavedRun:
         known = saved_runs()
         raise SavedRunError(
             f"no settings are kept as {name!r}: choose "
-            + (" or ".join(known) if known else "some options, and keep them with --save"),
+            + (" or ".join(known) if known else "some settings, and keep them"),
             about="name",
             problem="unknown",
             value=name,

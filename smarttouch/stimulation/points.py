@@ -39,7 +39,7 @@ class Slots(NamedTuple):
 
 
 class PointSlots:
-    """Factory of the slots of one primary.
+    """Factory of the slots of one class.
 
     Parameters
     ----------

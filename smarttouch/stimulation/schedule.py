@@ -36,7 +36,7 @@ class ScanScheduler:
     afferents : tuple of Afferent
         Classes to use; each of several has its own pulse rate.
     rate_hz : float, Hz, optional
-        Sequences a second asked for, with one primary; with several, the
+        Sequences a second asked for, with one class; with several, the
         profile says how often each pulses.
     timing : ScanTiming, optional
         Scan timing fixed by the board; none if not given.
@@ -83,7 +83,7 @@ class ScanScheduler:
                 raise ScheduleError(
                     f"one rate of {rate_hz:g} Hz is not for several classes at once: set "
                     "pulse.ra_rate_hz and pulse.sai_rate_hz of the profile",
-                    about="rate",
+                    about="rate_hz",
                     problem="conflict",
                     value=rate_hz,
                     remedy="pulse.ra_rate_hz",
@@ -102,7 +102,7 @@ class ScanScheduler:
                 raise ScheduleError(
                     f"a rate of {each_hz:g} Hz is not possible: it must be at least "
                     f"{_SLOWEST_HZ:g} Hz and at most the profile's limit of {limits.rate_hz:g} Hz",
-                    about="rate",
+                    about="rate_hz",
                     problem="out of range",
                     value=each_hz,
                     allowed=(_SLOWEST_HZ, limits.rate_hz),

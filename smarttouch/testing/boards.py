@@ -28,7 +28,7 @@ UNSAFE = {
 
 
 class BoardContract:
-    """What every board keeps: subclass it as ``TestMine``, with `make`.
+    """Contract of every board: subclass it as ``TestMine``, with `make`.
 
     Attributes
     ----------

@@ -45,8 +45,8 @@ def open_texture(
     kind, _, rest = spec.partition(":")
     if kind == "grating" and ":" in spec:
         given = {
-            "--dpi": dpi, "--width-mm": width_mm, "--grain-mm": grain_mm, "--tiled": tiled,
-            "--light-on-dark": light_on_dark,
+            "dpi": dpi, "width_mm": width_mm, "grain_mm": grain_mm, "tiled": tiled,
+            "light_on_dark": light_on_dark,
         }  # fmt: skip
         for name, value in given.items():
             if value:
@@ -55,9 +55,8 @@ def open_texture(
         return _grating(spec, rest)
     if kind == "text" and ":" in spec:
         if dpi is not None:
-            message = "--dpi is for images, and a text is printed anew: give --width-mm"
-            about, remedy = "--dpi", "--width-mm"
-            raise PageError(message, about=about, problem="conflict", value=dpi, remedy=remedy)
+            message = "dpi is for images, and a text is printed anew: give its width"
+            raise PageError(message, about="dpi", problem="conflict", value=dpi, remedy="width_mm")
         heights = print_heights(rest, width_mm)
     else:
         heights = load_heights(Path(spec), dpi, width_mm)

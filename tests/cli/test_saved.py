@@ -97,7 +97,7 @@ def test_every_setting_has_its_option():
                  source_options=options, config=config)
     )  # fmt: skip
     assert given.keys() <= inspect.signature(live).parameters.keys()
-    assert (given["size"], given["speed"], given["source"]) == ("640x480", 20.0, "a:")
+    assert (given["size"], given["speed_mm_s"], given["source"]) == ("640x480", 20.0, "a:")
     # Intensity is never kept, and a tone has no option: `live` takes it from the file.
-    known = {"rate_hz": "rate"} | dict.fromkeys(("intensity", "tone"), "mode")
+    known = dict.fromkeys(("intensity", "tone"), "mode")
     assert {known.get(each.name, each.name) for each in fields(RunConfig)} <= given.keys()

@@ -164,6 +164,6 @@ def test_boards_without_vibrators_refuse_vibration(profile, bank):
     pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.COLOR, scan="points"), vibrated=True)
     with (
         make_board("memory:", SafetyLimits.of(profile)) as board,
-        raises(BoardError, about="vibration", remedy="--vibrators"),
+        raises(BoardError, about="vibration", remedy="vibrators"),
     ):
         board.send(pipeline.process(asking({})).sequence)

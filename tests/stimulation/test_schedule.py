@@ -107,7 +107,7 @@ def test_switched_boards_never_lose_an_electrode_to_rounding():
 @pytest.mark.parametrize("rate", [0, -1, 1000, float("nan")])
 def test_impossible_rates(profile, bank, rate):
     same = pytest.approx(rate, nan_ok=True)
-    with raises(ScheduleError, about="rate", problem="out of range", value=same):
+    with raises(ScheduleError, about="rate_hz", problem="out of range", value=same):
         ScanScheduler(profile, bank, (Afferent.RA,), rate)
 
 
