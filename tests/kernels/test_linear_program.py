@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from smarttouch.kernels import program
+from smarttouch.kernels import linear_program
 from smarttouch.kernels.linear_program import LinearProgram
 
 
@@ -65,6 +65,6 @@ def test_an_answer_that_is_not_proven_is_sought_anew(monkeypatch):
 def test_a_simplex_that_runs_in_circles_gives_way(monkeypatch):
     _, _, usual = random_programme(3)
     expected = usual.most_selective()
-    monkeypatch.setattr(program, "_PATIENCE", 0)
+    monkeypatch.setattr(linear_program, "_PATIENCE", 0)
     _, _, stuck = random_programme(3)
     assert stuck.most_selective() == pytest.approx(expected, abs=1e-6)

@@ -622,12 +622,12 @@ def test_on_a_finger_somebody_must_say_how_strong(monkeypatch, pipeline, board):
     assert intensities(board) == [0] * 5
 
 
-@pytest.mark.parametrize(("on_a_finger", "waits_for_nothing"), [(0, 0), (1, 0), (1, 1)])
+@pytest.mark.parametrize(("on_a_finger", "simulated_time"), [(0, 0), (1, 0), (1, 1)])
 def test_priority_is_for_boards_whose_time_passes(
     pipeline, board, monkeypatch, on_a_finger, simulated_time
 ):
     monkeypatch.setattr(type(board), "on_a_finger", bool(on_a_finger))
-    monkeypatch.setattr(type(board), "waits_for_nothing", bool(simulated_time))
+    monkeypatch.setattr(type(board), "simulated_time", bool(simulated_time))
     taken = []
 
     @contextmanager
