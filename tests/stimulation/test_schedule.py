@@ -222,7 +222,7 @@ def test_proofs_stay_with_their_slots_where_classes_are_joined(profile, bank, sh
     for part in parts:
         mine = slice(slot, slot := slot + part.slots)
         points, other, spill = (
-            getattr(joined.proof, name)[mine] for name in ("points", "worst_other", "worst_spill")
+            getattr(joined.proof, name)[mine] for name in ("points", "off_target", "spill")
         )
         if part.proof is None:
             assert not points.any()
