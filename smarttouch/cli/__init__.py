@@ -4,7 +4,8 @@ import os
 import resource
 import sys
 from collections.abc import Callable
-from typing import Annotated
+from functools import cache
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -104,10 +105,16 @@ def main() -> None:
             sys.exit(status)
 
 
+@cache
+def _built() -> Callable[..., Any]:
+    """Return the command line, built once however often a process runs it."""
+    return typer.main.get_command(app)
+
+
 def _run() -> int:
     try:
         _require_files()
-        app(prog_name="smarttouch")
+        _built()(prog_name="smarttouch")
     except SystemExit as ended:
         return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
     except RunStopped as stopped:

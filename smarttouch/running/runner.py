@@ -164,7 +164,10 @@ class Runner:
     def _run_on_board(self, context: RunContext, pipeline: Pipeline) -> BoardReport:
         """Open the board, run, and return its account; it is closed, at zero, after that."""
         board, profile = context.board, context.profile
-        with steady_environment(pipeline), self._opened(self._stop):
+        with (
+            steady_environment(pipeline, board.simulated_time),
+            self._opened(self._stop),
+        ):
             self._require_force()
             self._warn_of_simulation(profile)
             regulator = make_regulator(board, profile, self.config, self._advise)

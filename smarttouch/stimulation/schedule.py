@@ -46,6 +46,9 @@ class ScanScheduler:
         Whether mechanical vibrators do what PC is to feel, and no current.
     sharing : SlotPolicy
         Classes whose points share a slot where their currents leave one another alone.
+    frames : dict, optional
+        Slots by classes that other schedulers of this profile, bank and sharing have made; what
+        is missing is made and added.
 
     Attributes
     ----------
@@ -69,6 +72,7 @@ class ScanScheduler:
         softness: float = 1.0,
         vibrated: bool = False,
         sharing: SlotPolicy = NO_SHARING,
+        frames: dict[tuple[Afferent, ...], FrameSlots] | None = None,
     ) -> None:
         timing = ScanTiming() if timing is None else timing
         timing.check(profile)
@@ -120,9 +124,11 @@ class ScanScheduler:
         ]
         if sharing.planned and {(each,) for each in _BOTH} <= set(shared):
             shared.append(_BOTH)
-        self._frames = {
-            classes: FrameSlots(profile, bank, classes, sharing.planned) for classes in shared
-        }
+        frames = {} if frames is None else frames
+        for classes in shared:
+            if classes not in frames:
+                frames[classes] = FrameSlots(profile, bank, classes, sharing.planned)
+        self._frames = {classes: frames[classes] for classes in shared}
         self.asked_us = 0
         self._first = driven[0]
         self._softness = softness
