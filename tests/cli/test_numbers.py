@@ -21,10 +21,11 @@ NUMBERS = (
     "1e400", "", " ", "9" * 30, "-" + "9" * 30, "9" * 5000, "2147483648", "65536", "１",
 )  # fmt: skip
 
+SMALL = "--profile smarttouch-4x4"
 PAGE = "--seconds 0.2 --board memory: --quiet"
 BASES = {
-    "live": f"live --sensor text:i {PAGE}",
-    "read": f"read text:i {PAGE}",
+    "live": f"live --sensor text:i {SMALL} {PAGE}",
+    "read": f"read text:i {SMALL} {PAGE}",
     "braille": "braille hello",
     "legibility": "legibility text:touch",
     "mouse": f"mouse --texture text:I {PAGE}",
@@ -49,7 +50,9 @@ BASES = {
     "calibrate thresholds": (
         "calibrate thresholds --simulate --electrodes 0 --output mine.toml --overwrite"
     ),
-    "calibrate contact": "calibrate contact --board emulator: --output mine.toml --overwrite",
+    "calibrate contact": (
+        f"calibrate contact --board emulator: {SMALL} --output contact.toml --overwrite"
+    ),
 }
 """A command line of each command that has numbers, to which one is added."""
 
