@@ -4,7 +4,6 @@ import contextlib
 import os
 import select
 import subprocess
-import sys
 import threading
 import time
 import tty
@@ -20,6 +19,8 @@ from smarttouch.realtime import prioritized
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from tests.boards.fresh import fresh_state
+
+from ..forks import EMULATOR, Forked
 
 SECOND = 10**9
 
@@ -86,11 +87,9 @@ def start_emulator():
     started = []
 
     def start(*arguments, electrodes=8, output="weighted", protocol="link"):
-        process = subprocess.Popen(
+        process = Forked(
             [
-                sys.executable,
-                "-m",
-                "smarttouch.emulator",
+                *EMULATOR,
                 "board",
                 protocol,
                 "--port-only",

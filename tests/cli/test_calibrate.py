@@ -4,7 +4,6 @@ import math
 import os
 import re
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from smarttouch.errors import BoardError, CalibrationError, ProfileError, Source
 from smarttouch.profile import load_profile
 from smarttouch.sources.flat_field import FlatField
 
+from ..forks import EMULATOR, Forked
 from .conftest import says
 
 
@@ -142,9 +142,8 @@ def test_a_target_alone(run, tmp_path):
 @pytest.fixture
 def load_cell(monkeypatch):
     """An emulated cell on a serial line; who is asked for a weight lays it on."""
-    with subprocess.Popen(
-        [sys.executable, "-m", "smarttouch.emulator", "sensor", "loadcell", "--rate=400",
-         "--port-only", "--linger=2"],
+    with Forked(
+        [*EMULATOR, "sensor", "loadcell", "--rate=400", "--port-only", "--linger=2"],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     ) as process:  # fmt: skip
         port = process.stdout.readline().strip()

@@ -57,12 +57,12 @@ def test_a_source_by_either_name(program_here, option):
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_a_text_from_standard_input():
+def test_a_text_from_standard_input(program):
     given = as_module("braille", "-", given="hello")
-    assert given.stdout == as_module("braille", "hello").stdout
-    read = as_module("read", "-", "--board", "memory:", "--seconds", "0.2", given="hello")
+    assert given.stdout == program("braille", "hello").stdout
+    read = program("read", "-", "--board", "memory:", "--seconds", "0.2", given="hello")
     assert (read.returncode, read.stderr) == (0, "")
-    assert as_module("braille", "-", given="").returncode == 2
+    assert program("braille", "-", given="").returncode == 2
 
 
 class Context:

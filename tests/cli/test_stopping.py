@@ -4,7 +4,6 @@ import contextlib
 import os
 import re
 import signal
-import subprocess
 import termios
 import time
 from pathlib import Path
@@ -14,7 +13,7 @@ import pytest
 from smarttouch.boards.emulator.delivery_log import read_state
 from smarttouch.wire.pty_line import PtyLine
 
-from .conftest import PROGRAM
+from ..forks import PROGRAM, Forked
 
 pytestmark = pytest.mark.realtime
 
@@ -73,7 +72,7 @@ def test_a_stop_while_a_board_is_being_opened(start_program, deaf):
 def test_a_program_that_was_started_before_a_stop_drives_nothing(start_program, program_here, deaf):
     """Stopped while it imports, when nobody can know of it yet."""
     port, written = deaf
-    process = start_program("live", "--board", f"link:{port}", "--intensity", "1")
+    process = start_program("live", "--board", f"link:{port}", "--intensity", "1", real=True)
     process.send_signal(signal.SIGSTOP)
     time.sleep(0.02)
     assert not re.search(r"\d", program_here("stop").stdout)
@@ -107,7 +106,7 @@ def test_a_terminal_that_has_stopped_reading_keeps_nobody(
 ):
     keys, terminal = stuck_terminal
     emulator, port, books = start_emulator()
-    process = subprocess.Popen(
+    process = Forked(
         [PROGRAM, "live", "--board", f"link:{port}", "--json", "run.json"],
         cwd=tmp_path, stdin=terminal, stdout=terminal, stderr=terminal,
     )  # fmt: skip
