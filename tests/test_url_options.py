@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.boards.board import make_board
+from smarttouch.boards.open import make_board
 from smarttouch.errors import BoardError, PageError, SourceError
 from smarttouch.profile import load_profile
 from smarttouch.sources import open_source

@@ -135,7 +135,7 @@ class RunOptions(OptionGroup):
     @property
     def on_a_finger(self) -> bool:
         """Whether there may be a finger on the board."""
-        from smarttouch.boards.board import may_touch_a_finger
+        from smarttouch.boards.open import may_touch_a_finger
 
         return may_touch_a_finger(self.board_url)
 
@@ -146,7 +146,7 @@ class RunOptions(OptionGroup):
 
     def load_profile(self) -> "Profile":
         """Return the profile that was asked for, or the board's usual one."""
-        from smarttouch.boards.board import default_profile
+        from smarttouch.boards.open import default_profile
         from smarttouch.profile import load_profile
 
         return load_profile(self.profile or default_profile(self.board_url))
