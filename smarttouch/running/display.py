@@ -76,6 +76,8 @@ class Display(Closing):
                 remedy="--vibrators",
             )
         self.board: Board = board
+        self.notes_told = 0
+        """Number of the board's notes that earlier runs have reported."""
 
     @property
     def on_a_finger(self) -> bool:
