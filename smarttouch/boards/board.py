@@ -1,8 +1,6 @@
 """Interface and safety gate of every display board."""
 
-import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from types import TracebackType
 from typing import Any, ClassVar, Self, final
 
@@ -28,10 +26,6 @@ __all__ = [
     "Capabilities",
     "Polarity",
 ]
-
-LONGEST_REPEAT = 0xFFFF
-SLOW_ANSWER_S = 0.008
-"""Round trip above which a line is slow: FTDI chips delay input by 16 ms by default."""
 
 
 class Board(Timely, ABC):
@@ -157,37 +151,8 @@ class Board(Timely, ABC):
         self._due_ns = self.clock.now_ns() if due_ns is None else due_ns
         self._require_open("sending")
         self._go_on_unless_stopped()
-        if sequence.electrodes != self.capabilities.electrodes:
-            raise BoardError(
-                f"the sequence is for {sequence.electrodes} electrodes, the board has "
-                f"{self.capabilities.electrodes}: use the profile of this board",
-                about="electrodes",
-                problem="conflict",
-                value=sequence.electrodes,
-                allowed=self.capabilities.electrodes,
-            )
-        if sequence.vibration is not None and not self.capabilities.vibrates:
-            raise BoardError(
-                "the sequence asks for mechanical vibration, and this board has no vibrators: "
-                "give --vibrators",
-                about="vibration",
-                problem="impossible",
-                remedy="--vibrators",
-            )
-        if sequence.recharge_ua is not None and not self.capabilities.recharges:
-            raise BoardError(
-                "the sequence ends with a recharge phase, and this board makes none: leave it out",
-                about="recharge_ua",
-                problem="impossible",
-            )
-        if not 1 <= times <= LONGEST_REPEAT:
-            raise BoardError(
-                f"{times} repetitions are not possible: from 1 to {LONGEST_REPEAT}",
-                about="times",
-                problem="too few" if times < 1 else "too many",
-                value=times,
-                allowed=LONGEST_REPEAT,
-            )
+        # By the class: nothing of a driver stands in its place.
+        Capabilities.require(self.capabilities, sequence, times)
         proved = self._gate.prove(sequence, times)
         try:
             self._refuse_late(self._due_ns)
@@ -268,19 +233,6 @@ class Board(Timely, ABC):
         if not self._opened:
             raise BoardError(
                 f"the board is not open: open it before {what}", about="board", problem="closed"
-            )
-
-    def _note_round_trip(self, ask: Callable[[], object]) -> None:
-        """Time a query; add a note if the line delays answers."""
-        times_s = []
-        for _ in range(3):
-            start = time.perf_counter()
-            ask()
-            times_s.append(time.perf_counter() - start)
-        if min(times_s) > SLOW_ANSWER_S:
-            self.notes.append(
-                f"the board answers after {1000 * min(times_s):.0f} ms: if its USB chip is an "
-                "FTDI, set the port's latency timer to 1 ms"
             )
 
     @final
