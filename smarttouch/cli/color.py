@@ -9,12 +9,15 @@ import typer
 from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
+from smarttouch.cli.saved import SavedSettings
 
 
 @drives_a_board
 @takes_options(scan="points")
 def color(
+    context: typer.Context,
     run: RunOptions,
+    saved: SavedSettings,
     source: Annotated[
         str,
         typer.Argument(
@@ -107,6 +110,7 @@ def color(
         sensor.notes.append(str(price))
     with contextlib.ExitStack() as stack:
         force = run.open_force(chosen, stack)
+        saved.keep(context)
         run_in_terminal(sensor, display, config, outputs, force=force)
     if json_file is not None:
         _add(json_file, as_figures(answers, mixture, sensor, price))

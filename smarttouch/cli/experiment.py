@@ -8,6 +8,7 @@ import typer
 from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
+from smarttouch.cli.saved import SavedSettings
 
 experiment = typer.Typer(
     help="Psychophysics: what a finger can tell of pulses (paper, Section III).",
@@ -41,7 +42,9 @@ def list_all() -> None:
 @drives_a_board
 @takes_options(scan="points")
 def run_listed(
+    context: typer.Context,
     run: RunOptions,
+    saved: SavedSettings,
     name: Annotated[str, typer.Argument(metavar="NAME", help="See smarttouch experiment list.")],
     mode: _Mode = "RA",
     procedure: Annotated[
@@ -141,6 +144,7 @@ def run_listed(
         open_sitting(made, chosen, course, about, path, overwrite=overwrite) as sitting,
         contextlib.ExitStack() as stack,
     ):
+        saved.keep(context)
         if run.record is not None and sitting.session.resumed:
             run = replace(run, record=numbered(run.record))
         sit(sitting, run, config, run.open_force(chosen, stack), simulate)

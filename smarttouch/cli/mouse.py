@@ -7,12 +7,15 @@ import typer
 from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
+from smarttouch.cli.saved import SavedSettings
 
 
 @drives_a_board
 @takes_options(scan="points")
 def mouse(
+    context: typer.Context,
     run: RunOptions,
+    saved: SavedSettings,
     texture: Annotated[
         str,
         typer.Option(
@@ -110,4 +113,5 @@ def mouse(
         )
         sensor.url = texture
         force = run.open_force(chosen, stack)
+        saved.keep(context)
         run_in_terminal(sensor, run.display(chosen), config, outputs, force=force)

@@ -8,6 +8,7 @@ from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.options import ModeOption, RateOption
 from smarttouch.cli.run_options import RunOptions
+from smarttouch.cli.saved import SavedSettings, use_option
 from smarttouch.cli.source_options import DocumentOptions, FeelOptions
 from smarttouch.cli.standard_input import or_standard_input
 
@@ -17,7 +18,9 @@ from smarttouch.cli.standard_input import or_standard_input
 def read(
     feel: FeelOptions,
     document: DocumentOptions,
+    context: typer.Context,
     run: RunOptions,
+    saved: SavedSettings,
     source: Annotated[
         str,
         typer.Argument(
@@ -45,6 +48,7 @@ def read(
     ] = None,
     mode: ModeOption = "RA",
     rate: RateOption = None,
+    settings: Annotated[str | None, use_option("--settings")] = None,
 ) -> None:
     """Read a page with a fingertip, line by line.
 
@@ -84,6 +88,7 @@ def read(
         sensor = ReadingSource(text.title, chosen, feed, cursor)
         sensor.url, sensor.notes = source, notes
         force = run.open_force(chosen, stack)
+        saved.keep(context)
         run_in_terminal(
             sensor,
             run.display(chosen),
