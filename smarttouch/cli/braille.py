@@ -92,14 +92,15 @@ def braille(
 
 def _seen(source: str, table: str, document: DocumentOptions) -> "Loaded | None":
     """Return what an image or a PDF shows, as cells; None for anything else."""
-    if Path(source).suffix.lower() not in _DOCUMENTS:
+    place, how = document.look(source)
+    if Path(place).suffix.lower() not in _DOCUMENTS:
         return None
     from smarttouch.braille.source import Loaded
     from smarttouch.reading.braille import Braille
     from smarttouch.reading.source import Source
 
     notes: list[str] = []
-    shown = Source(source, document.look(), notes.append)
+    shown = Source(place, how, notes.append)
     return Loaded(Braille(table).paragraphs(shown), None, notes)
 
 

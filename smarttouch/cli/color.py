@@ -48,8 +48,7 @@ def color(
 ) -> None:
     """Split a vibration into what RA, SAI and PC answer, and let the finger feel it mixed again.
 
-    It lasts 2 s, or as long as its file. The first half second is weaker: intensity rises as in
-    every run.
+    It lasts 2 s, or as long as its file; intensity rises in the first half second.
     """
     import contextlib
 

@@ -59,7 +59,7 @@ def use_option(*names: str) -> Any:
         metavar="NAME",
         is_eager=True,
         callback=_use,
-        help="Settings kept before; options given beside it win.",
+        help="Use kept settings; given options win.",
     )
 
 
@@ -69,7 +69,7 @@ class SavedSettings(OptionGroup):
 
     save: Annotated[
         str | None,
-        typer.Option("--save", metavar="NAME", help="Keep these settings, all but the intensity."),
+        typer.Option("--save", metavar="NAME", help="Keep settings, but the intensity."),
     ] = None
     settings: Annotated[str | None, use_option("--settings", "--as")] = None
 
@@ -133,7 +133,9 @@ def _from_anywhere(key: str, value: Any) -> Any:
         return str(value.absolute())
     if key not in _PLACES or not isinstance(value, str):
         return value
-    return str(Path(value).absolute()) if Path(value).is_file() else from_anywhere(value)
+    # Options may stand behind its name.
+    file = any(Path(each).is_file() for each in (value, value.rpartition("?")[0]))
+    return str(Path(value).absolute()) if file else from_anywhere(value)
 
 
 def _require_kept_source(context: typer.Context) -> None:
