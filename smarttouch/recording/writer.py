@@ -15,7 +15,7 @@ from mcap.records import ChunkIndex
 from mcap.writer import Writer
 
 from smarttouch.errors import RecordingError
-from smarttouch.files import sync_folder
+from smarttouch.files import sync_folder, unwritable
 from smarttouch.recording.encoder import Message, StepEncoder
 from smarttouch.recording.schemas import FORMAT, METADATA, SCHEMAS, schema
 from smarttouch.running.step import StepResult
@@ -59,12 +59,7 @@ class RecordingWriter:
         except FileExistsError:
             raise name_taken(path) from None
         except OSError as error:
-            raise RecordingError(
-                f"cannot record to {path}: {error.strerror}",
-                about="file",
-                problem="unwritable",
-                value=path,
-            ) from None
+            raise unwritable(RecordingError, path, error) from None
         self._path = path
         self._started_unix_ns = started_unix_ns
         self._failure: Exception | None = None
