@@ -197,11 +197,6 @@ class SimulatedObserver:
         guess = self.guess if task == "felt" else 0.0
         return guess + (1 - guess - self.lapse) * found
 
-    def chance_apart(self, distance_mm: float) -> float:
-        """Return the probability that places or distances so different are put in order."""
-        chance = float(ndtr(distance_mm / (math.sqrt(2) * self.place_mm)))
-        return self.lapse / 2 + (1 - self.lapse) * chance
-
     # -- the tasks ---------------------------------------------------------
 
     def _judge(self, task: str) -> Callable[[Sequence[Interval]], str | None]:
