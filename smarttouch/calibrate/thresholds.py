@@ -3,7 +3,8 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from smarttouch.boards.board import Board, make_board
+from smarttouch.boards.board import Board
+from smarttouch.boards.open import make_board
 from smarttouch.calibrate.found import filled, sentence
 from smarttouch.calibrate.limits import Thresholds
 from smarttouch.calibrate.profile_file import ProfileFile

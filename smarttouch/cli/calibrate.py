@@ -33,7 +33,7 @@ class CalibrationOptions(OptionGroup):
 
     def start(self, board_url: str) -> str:
         """Return the profile to start from; a board's usual one if none was given."""
-        from smarttouch.boards.board import default_profile
+        from smarttouch.boards.open import default_profile
 
         return self.profile or default_profile(board_url)
 
@@ -46,7 +46,7 @@ class CalibrationOptions(OptionGroup):
 
     def file(self, part: str, simulated: bool, board_url: str | None = None) -> "ProfileFile":
         """Return the profile on its way from one file to another."""
-        from smarttouch.boards.board import default_profile
+        from smarttouch.boards.open import default_profile
         from smarttouch.calibrate.profile_file import file_to_calibrate
         from smarttouch.cli.profiles import tell_changes
         from smarttouch.errors import CalibrationError

@@ -9,12 +9,15 @@ import typer
 from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
+from smarttouch.cli.saved import SavedSettings
 
 
 @drives_a_board
 @takes_options(scan="points")
 def color(
+    context: typer.Context,
     run: RunOptions,
+    saved: SavedSettings,
     source: Annotated[
         str,
         typer.Argument(
@@ -45,8 +48,7 @@ def color(
 ) -> None:
     """Split a vibration into what RA, SAI and PC answer, and let the finger feel it mixed again.
 
-    It lasts 2 s, or as long as its file. The first half second is weaker: intensity rises as in
-    every run.
+    It lasts 2 s, or as long as its file; intensity rises in the first half second.
     """
     import contextlib
 
@@ -107,6 +109,7 @@ def color(
         vibration.notes.append(str(price))
     with contextlib.ExitStack() as stack:
         force = run.open_force(chosen, stack)
+        saved.keep(context)
         run_in_terminal(vibration, display, config, outputs, force=force)
     if json_file is not None:
         _add(json_file, as_figures(answers, mixture, vibration, price))

@@ -23,7 +23,7 @@ from smarttouch.reading.window import pixel_of, press_n
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.runner import Runner
-from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy
+from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from pathlib import Path
 from smarttouch.errors import RecordingError
 from smarttouch.files import unwritable
 from smarttouch.recording.reader import Recording
-from smarttouch.recording.recorder import new_writer
 from smarttouch.recording.schemas import LAST, METADATA
+from smarttouch.recording.writer import new_writer
 from smarttouch.version import __version__
 
 

@@ -10,11 +10,12 @@ from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
 from smarttouch.stimulation.exposure import BURST_US, Load, shortest_period_us
-from smarttouch.stimulation.frames import NO_SHARING, FrameSlots, SlotPolicy
+from smarttouch.stimulation.frames import FrameSlots
 from smarttouch.stimulation.limits import SafetyLimits
-from smarttouch.stimulation.points import PointSlots, Slots, constant_us
+from smarttouch.stimulation.points import PointSlots, Slots, constant_us, joined
 from smarttouch.stimulation.rates import PulseRates, rate_share
-from smarttouch.stimulation.sequence import ScanSequence, SelectivityReport
+from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 from smarttouch.stimulation.sums import SlotAdder, common_us
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.tactile_image import TactileImage
@@ -184,7 +185,7 @@ class ScanScheduler:
             due, self.asked_us = self._active(image.activation, image.period_us), image.period_us
         # None is due where the rate has fallen since this time was set.
         parts = self._parts(due or (self._first,), image, intensity if due else 0.0)
-        site, current_ua, width_us, proof = parts[0] if len(parts) == 1 else _joined(parts)
+        site, current_ua, width_us, proof = parts[0] if len(parts) == 1 else joined(parts)
         period_us = max(self._timing.possible_period_us(self.asked_us), self._shortest_us(width_us))
         if period_us < self._full_us:
             needed_us = self._exposed_us(current_ua, width_us)
@@ -304,19 +305,3 @@ class ScanScheduler:
         mean_us = pulses_us / slots if slots else 0.0
         shortest = timing.shortest_period_us(slots, self._electrodes, mean_us, self._discharge_us)
         return max(shortest, timing.possible_period_us(pulses_us / self._duty))
-
-
-def _joined(parts: list[Slots]) -> Slots:
-    """Return the slots of several classes one after another."""
-    site = np.concatenate([each.site for each in parts])
-    current_ua = np.concatenate([each.current_ua for each in parts])
-    width_us = np.concatenate([each.width_us for each in parts])
-    proof = None
-    if any(each.proof is not None for each in parts):
-        proofs = [each.proof or SelectivityReport.of_nothing(len(each.site)) for each in parts]
-        proof = SelectivityReport(
-            np.concatenate([each.points for each in proofs]),
-            np.concatenate([each.off_target for each in proofs]),
-            np.concatenate([each.spill for each in proofs]),
-        )
-    return Slots(site, current_ua, width_us, proof)

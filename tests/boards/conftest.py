@@ -11,7 +11,8 @@ import tty
 import numpy as np
 import pytest
 
-from smarttouch.boards.board import Board, make_board
+from smarttouch.boards.board import Board
+from smarttouch.boards.open import make_board
 from smarttouch.boards.probe import one_each
 from smarttouch.errors import BoardRestartedError
 from smarttouch.profile.device import Output

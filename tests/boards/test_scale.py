@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.boards.board import make_board
 from smarttouch.boards.etactilekit_wire import ModeCodec
+from smarttouch.boards.open import make_board
 from smarttouch.boards.probe import one_each
 from smarttouch.boards.scale import BAND, NOMINAL_UA, check_reading, scale_of
 from smarttouch.errors import BoardError

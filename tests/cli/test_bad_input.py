@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.boards.board import make_board
+from smarttouch.boards.open import make_board
 from smarttouch.errors import (
     BoardError,
     DesignError,

@@ -11,9 +11,11 @@ from pathlib import Path
 import pytest
 
 from smarttouch.boards.emulator.delivery_log import read_state
+from smarttouch.running.announced import announced, running
 from smarttouch.wire.pty_line import PtyLine
 
 from ..forks import PROGRAM, Forked
+from .conftest import refused, says
 
 pytestmark = pytest.mark.realtime
 
@@ -125,3 +127,21 @@ def test_a_terminal_that_has_stopped_reading_keeps_nobody(
     state = read_state(books)
     assert (state["state"], state["reason"]) == ("shorted", "stop")
     assert (tmp_path / "run.json").exists()
+
+
+def test_without_a_place_for_the_mark_runs_are_stopped_and_it_is_told(tmp_path, program_here):
+    folder = tmp_path / "state" / "smarttouch"
+    (folder / "stopped").mkdir(parents=True)
+    (folder / "stopped" / "full").write_text("")
+    child = os.fork()
+    if child == 0:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        with announced():
+            signal.pause()
+        os._exit(1)
+    while not running():
+        time.sleep(0.005)
+    # Reaped, or it would be a run until we end.
+    done = program_here("stop")
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGTERM
+    says(about="file", problem="unwritable", value=folder / "stopped")(refused(done))

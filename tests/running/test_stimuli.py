@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.afferent import Afferent, Mode
-from smarttouch.boards.board import make_board
+from smarttouch.boards.open import make_board
 from smarttouch.errors import BoardError, SafetyError, ScheduleError
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile

@@ -13,10 +13,10 @@ from smarttouch.afferent import Afferent
 from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import design_bank, load_bank
 from smarttouch.profile import list_profiles, load_profile
-from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy
 from smarttouch.stimulation.points import felt_at, spread_order
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.stimulation.schedule import ScanScheduler
+from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.tactile_image import TactileImage
 
