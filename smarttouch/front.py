@@ -194,7 +194,7 @@ def load_kernels(profile: Profile) -> KernelBank:
     --------
     >>> import smarttouch as st
     >>> kernels = st.load_kernels(st.load_profile("electric-mouse"))
-    >>> kernels.weights[st.Primary.RA].shape
+    >>> kernels.weights[st.Afferent.RA].shape
     (64, 64)
     """
     return load_bank(profile)
@@ -220,7 +220,7 @@ def design_kernel(profile: Profile, afferent: Afferent | str, site: int) -> Kern
     --------
     >>> import smarttouch as st
     >>> kernel = st.design_kernel(st.load_profile("line-8"), "RA", 3)
-    >>> bool(kernel.worst_other < 0.3)
+    >>> bool(kernel.off_target < 0.3)
     True
     """
     afferent = afferent if isinstance(afferent, Afferent) else Afferent[afferent]
