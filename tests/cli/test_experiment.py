@@ -70,7 +70,7 @@ def test_a_simulated_session_is_kept_and_gone_on_with(program_here, tmp_path):
 
 def test_a_killed_session_goes_on_and_has_each_trial_once(start_program, program_here, tmp_path):
     killed, whole = tmp_path / "killed.csv", tmp_path / "whole.csv"
-    many = (*SIMULATED, "--repetitions", "6")
+    many = (*SIMULATED, "--repetitions", "4")
     process = start_program(*many, "--output", killed)
     while process.poll() is None and not (killed.exists() and killed.read_bytes().count(b"\n") > 3):
         time.sleep(0.01)
@@ -78,8 +78,8 @@ def test_a_killed_session_goes_on_and_has_each_trial_once(start_program, program
     process.wait()
     left = len(read_rows(killed))
     rest = program_here(*many, "--output", killed)
-    assert 3 <= left < 60
-    assert f" {left + 1} of 60" in rest.stdout.splitlines()[0]
+    assert 3 <= left < 40
+    assert f" {left + 1} of 40" in rest.stdout.splitlines()[0]
     program_here(*many, "--output", whole)
     assert shown(killed) == shown(whole)
 

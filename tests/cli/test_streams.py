@@ -19,7 +19,7 @@ from smarttouch.resources import data_folder
 from ..forks import PROGRAM, Forked
 
 GOLDEN = Path(__file__).parent.parent / "recording" / "goldens" / "ra.mcap"
-SHORT = "live --sensor text:i --seconds 0.2 --board simulated:"
+SHORT = "live --sensor text:i --profile smarttouch-4x4 --seconds 0.2 --board simulated:"
 EVIL = "a\x1b]0;owned\x07\x1b[31m\x9b5m\u202eb"
 SHOWN = "a␛]0;owned␛[31m�5m�b"
 """As it is shown; rich drops the bell before we see it."""
@@ -57,7 +57,7 @@ def test_closed_streams_lead_nowhere(shell, tmp_path, closed):
     assert (done.returncode, done.stderr) == (0, b"")
     assert Recording(tmp_path / "r.mcap").whole
     assert check_recording(tmp_path / "r.mcap").exact
-    done = shell(f"smarttouch live --intensity 1 --board link:/dev/nothing {closed}")
+    done = shell(f"smarttouch {SHORT} --intensity 1 --board link:/dev/nothing {closed}")
     assert done.returncode == 2
     assert (b"/dev/nothing" in done.stderr) == ("2>&-" not in closed)
     assert b"Traceback" not in done.stderr
@@ -79,7 +79,7 @@ def test_a_full_disk_behind_standard_output(tmp_path, command):
             stdin=subprocess.DEVNULL, stdout=full, stderr=subprocess.PIPE,
         ) as process,
     ):  # fmt: skip
-        _, said = process.communicate(timeout=100)
+        said = process.communicate(timeout=100)[1]
     assert "standard output" in refused(process.returncode, said)
 
 
@@ -93,9 +93,14 @@ def test_a_full_disk_behind_a_file(program_here, option):
     assert os.strerror(errno.ENOSPC) in done.stderr
 
 
-def test_errors_that_cannot_be_told_change_nothing(shell):
-    done = shell("smarttouch live --intensity 1 --board link:/dev/nothing 2> /dev/full")
-    assert (done.returncode, done.stdout) == (2, b"")
+def test_errors_that_cannot_be_told_change_nothing():
+    command = [PROGRAM, *["live", "--intensity", "1", "--board", "link:/dev/nothing"]]
+    with (
+        Path("/dev/full").open("w") as full,
+        Forked(command, stdout=subprocess.PIPE, stderr=full) as process,
+    ):
+        said = process.communicate(timeout=100)[0]
+    assert (process.returncode, said) == (2, b"")
 
 
 def test_whoever_reads_has_gone(shell):
