@@ -1,12 +1,12 @@
-"""The tactile primary colors: the afferent classes a display mixes."""
+"""Classes of afferents, the tactile primary colors that a display mixes."""
 
 from enum import IntEnum, StrEnum
 
 
 class Afferent(IntEnum):
-    """One tactile primary color (Kajimoto et al., Section I and Fig. 2).
+    """Class of afferents, a tactile primary color (Kajimoto et al., Section I and Fig. 2).
 
-    The value is the row of that primary in every ``(3, E)`` array.
+    The value is the row of that class in every ``(3, E)`` array.
     """
 
     RA = 0

@@ -15,8 +15,8 @@ class SmartTouchError(Exception):
     message : str
         One sentence: what is wrong, which number, what to do.
     about : str
-        Name of what is wrong: a key of a profile, an option, a limit, a parameter, or "file",
-        "port", "board" and the like.
+        Name of what is wrong: a parameter, a key of a profile, a limit, or "file", "port",
+        "board" and the like.
     problem : str
         Kind of problem: "missing", "unknown", "too large" ….
     value : object
@@ -24,7 +24,8 @@ class SmartTouchError(Exception):
     allowed : object
         Allowed value: a number, or the names to choose from.
     remedy : str
-        The key, option or command that mends it.
+        The parameter, key or command that mends it, and what it is to be: "overwrite or output",
+        "profile line-8".
     slot, electrode : int or None
         Place of the problem, if it has one.
     """
@@ -103,11 +104,15 @@ class SavedRunError(TableError):
 
 
 class SourceError(SmartTouchError):
-    """A source of frames cannot be opened or has failed."""
+    """A source of frames, stimuli or force cannot be opened or has failed."""
+
+
+# The name that plug-ins of the first version import.
+SensorError = SourceError
 
 
 class SourceLostError(SourceError):
-    """A sensor is gone that was there; it may come back."""
+    """A source is gone that was there; it may come back."""
 
 
 class PageError(SmartTouchError):
@@ -119,7 +124,7 @@ class BrailleError(SmartTouchError):
 
 
 class ReadingError(SmartTouchError):
-    """What was asked cannot be read with a fingertip, or not by machine."""
+    """A text cannot be read with a fingertip, or not by machine."""
 
 
 class ExperimentError(SmartTouchError):

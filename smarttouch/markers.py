@@ -78,8 +78,8 @@ class Markers(Listener):
         except (RuntimeError, OSError) as error:
             raise MarkersError(
                 f"the Lab Streaming Layer makes no outlet: {error}; check the network, or leave "
-                "out --markers",
-                about="--markers",
+                "the markers out",
+                about="markers",
                 problem="impossible",
             ) from None
 
@@ -184,7 +184,7 @@ def _import_pylsl() -> Any:
     except RuntimeError:
         raise MarkersError(
             "markers need liblsl, which pylsl has not found: install it (https://labstreaminglayer.org)"
-            ", or leave out --markers",
+            ", or leave the markers out",
             about="liblsl",
             problem="missing",
             remedy="https://labstreaminglayer.org",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 MOST_WAITING = 1 << 18
 """Bytes that wait for a terminal; what comes beyond is dropped."""
 LAST_WORDS_S = 0.2
-"""How long the end of a run that was stopped waits for a terminal."""
+"""Longest time that the end of a stopped run waits for a terminal."""
 _STEP_S = 0.05
 
 

@@ -55,7 +55,7 @@ class FeltPicture(Listener):
                 about="felt",
                 problem="conflict",
                 allowed=("emulator:", "simulated:"),
-                remedy="--board emulator:",
+                remedy="board emulator:",
             )
         own = getattr(run.source, "drawing", None)
         if own is not None:

@@ -86,7 +86,7 @@ class Output:
             if self._name:
                 raise SmartTouchError(
                     f"cannot write to {self._name}: {error.strerror}",
-                    about="output",
+                    about="stream",
                     problem="unwritable",
                     value=self._name,
                 ) from None

@@ -60,6 +60,26 @@ def read_options(
     return place, found
 
 
+def joined_options(
+    url: str, given: dict[str, Any], told: dict[str, Any], error: type[SmartTouchError]
+) -> dict[str, Any]:
+    """Return the options that were given beside a URL and those told in it, together.
+
+    Raises
+    ------
+    SmartTouchError
+        Of the type given, if one is in both.
+    """
+    if twice := sorted(given.keys() & told.keys()):
+        raise error(
+            f"{twice[0]} is given in {url!r} and beside it: leave one out",
+            about=twice[0],
+            problem="conflict",
+            value=(told[twice[0]], given[twice[0]]),
+        )
+    return given | told
+
+
 def parse_size(text: str, error: type[SmartTouchError], about: str) -> tuple[int, int]:
     """Return width and height, as in 640x480."""
     found = re.fullmatch("([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", text.lower())

@@ -2,6 +2,7 @@
 
 import fcntl
 import gc
+import subprocess
 import sys
 from types import SimpleNamespace
 
@@ -15,6 +16,7 @@ from smarttouch.profile import DEFAULT_PROFILE, load_profile
 from smarttouch.realtime import prioritized
 from smarttouch.sources.frame import Frame, Pose
 
+from .forks import Forked
 from .safety.watch import Watch
 
 # How long an example takes says how busy the machine is, and nothing of the code.
@@ -87,6 +89,16 @@ def one_thread():
         patch.setenv("OPENCV_FOR_THREADS_NUM", "1")
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def forked_boards(one_thread):
+    """Let each ``emulator:`` of this process start a fork."""
+    with pytest.MonkeyPatch.context() as patch:
+        forking = SimpleNamespace(**vars(subprocess) | {"Popen": Forked})
+        patch.setattr("smarttouch.boards.emulator.driver.subprocess", forking)
+        yield
+    Forked.end()
 
 
 @pytest.fixture(scope="session", autouse=True)

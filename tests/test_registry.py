@@ -6,8 +6,9 @@ from importlib.metadata import entry_points
 
 import pytest
 
-from smarttouch.boards.board import Board, default_profile, make_board, may_touch_a_finger
+from smarttouch.boards.board import Board
 from smarttouch.boards.memory import MemoryBoard
+from smarttouch.boards.open import default_profile, make_board, may_touch_a_finger
 from smarttouch.errors import BoardError, SmartTouchError, SourceError
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.registry import fault_of, find_opener, known_names

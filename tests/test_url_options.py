@@ -7,12 +7,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.boards.board import make_board
+from smarttouch.boards.open import make_board
+from smarttouch.cli.source_options import DocumentOptions
 from smarttouch.errors import BoardError, PageError, SourceError
 from smarttouch.profile import load_profile
 from smarttouch.sources import open_source
 from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.texture.motion import open_motion
+from smarttouch.texture.textures import open_texture
 from smarttouch.url_options import parse_size, read_options
+
+from .raising import raises
 
 
 def opener(
@@ -115,3 +120,42 @@ def test_sizes_that_are_none(text):
     with pytest.raises(SourceError) as raised:
         parse_size(text, SourceError, "--size")
     assert (raised.value.about, raised.value.value) == ("--size", text)
+
+
+def test_a_motion_with_its_options():
+    told, given = (
+        open_motion("sweep:2?speed_mm_s=20&seed=3"),
+        open_motion("sweep:2", speed_mm_s=20.0, seed=3),
+    )
+    for time_ns in (0, 100_000_000, 1_000_000_000):
+        assert told.read(time_ns) == given.read(time_ns)
+    with raises(SourceError, about="speed_mm_s", problem="conflict", value=(20.0, 30.0)):
+        open_motion("sweep:?speed_mm_s=20", speed_mm_s=30.0)
+    with raises(SourceError, about="?span_mm", problem="unknown"):
+        open_motion("sweep:?span_mm=20x30")
+
+
+def test_a_texture_with_its_options(tmp_path):
+    path = tmp_path / "wood.png"
+    Image.fromarray(np.tile(np.arange(64, dtype=np.uint8), (32, 1))).save(path)
+    told = open_texture(f"{path}?dpi=254&tiled&light_on_dark")
+    given = open_texture(str(path), dpi=254.0, tiled=True, light_on_dark=True)
+    assert told.size_mm == given.size_mm
+    assert open_texture(f"{path}?width_mm=5").size_mm == pytest.approx((5.0, 2.5))
+    with raises(PageError, about="dpi", problem="conflict", value=(254.0, 300.0)):
+        open_texture(f"{path}?dpi=254", dpi=300.0)
+
+
+def test_a_document_with_its_options(tmp_path):
+    path = tmp_path / "page.png"
+    path.write_bytes(b"")
+    place, how = DocumentOptions(pages="2").look(f"{path}?dpi=300&languages=deu&light_on_dark=0")
+    assert place == str(path)
+    assert (how.dpi, how.languages, how.light_on_dark, how.pages) == (300, "deu", False, "2")
+    with raises(PageError, about="dpi", problem="conflict", value=(300.0, 200.0)):
+        DocumentOptions(dpi=200.0).look(f"{path}?dpi=300")
+    # A password is kept with no settings and told by no recording, as names are.
+    with raises(PageError, about="?password", problem="unknown"):
+        DocumentOptions().look(f"{path}?password=secret")
+    assert DocumentOptions().look("text:what?dpi=3")[0] == "text:what?dpi=3"
+    assert DocumentOptions().look("text:a")[1].languages == "eng"

@@ -1,8 +1,6 @@
 """Interface and safety gate of every display board."""
 
-import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from types import TracebackType
 from typing import Any, ClassVar, Self, final
 
@@ -12,16 +10,14 @@ from numpy.typing import NDArray
 from smarttouch.boards.capabilities import BOTH, BoardReport, Capabilities, Polarity
 from smarttouch.boards.impedance import Impedance
 from smarttouch.boards.timely import Timely
-from smarttouch.clock import MonotonicClock
 from smarttouch.errors import BoardError, BoardRestartedError, LineLostError, SequenceLateError
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.profile.device import Output
-from smarttouch.registry import final_names, find_opener, replaced_finals
+from smarttouch.registry import replaced_finals
 from smarttouch.stimulation.exposure import Dose
 from smarttouch.stimulation.safety import Now, SafetyGate, SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.timing import ScanTiming
-from smarttouch.url_options import read_options
 
 __all__ = [
     "BOTH",
@@ -29,14 +25,7 @@ __all__ = [
     "BoardReport",
     "Capabilities",
     "Polarity",
-    "default_profile",
-    "make_board",
-    "may_touch_a_finger",
 ]
-
-LONGEST_REPEAT = 0xFFFF
-SLOW_ANSWER_S = 0.008
-"""Round trip above which a line is slow: FTDI chips delay input by 16 ms by default."""
 
 
 class Board(Timely, ABC):
@@ -162,37 +151,8 @@ class Board(Timely, ABC):
         self._due_ns = self.clock.now_ns() if due_ns is None else due_ns
         self._require_open("sending")
         self._go_on_unless_stopped()
-        if sequence.electrodes != self.capabilities.electrodes:
-            raise BoardError(
-                f"the sequence is for {sequence.electrodes} electrodes, the board has "
-                f"{self.capabilities.electrodes}: use the profile of this board",
-                about="electrodes",
-                problem="conflict",
-                value=sequence.electrodes,
-                allowed=self.capabilities.electrodes,
-            )
-        if sequence.vibration is not None and not self.capabilities.vibrates:
-            raise BoardError(
-                "the sequence asks for mechanical vibration, and this board has no vibrators: "
-                "give --vibrators",
-                about="vibration",
-                problem="impossible",
-                remedy="--vibrators",
-            )
-        if sequence.recharge_ua is not None and not self.capabilities.recharges:
-            raise BoardError(
-                "the sequence ends with a recharge phase, and this board makes none: leave it out",
-                about="recharge_ua",
-                problem="impossible",
-            )
-        if not 1 <= times <= LONGEST_REPEAT:
-            raise BoardError(
-                f"{times} repetitions are not possible: from 1 to {LONGEST_REPEAT}",
-                about="times",
-                problem="too few" if times < 1 else "too many",
-                value=times,
-                allowed=LONGEST_REPEAT,
-            )
+        # By the class: nothing of a driver stands in its place.
+        Capabilities.require(self.capabilities, sequence, times)
         proved = self._gate.prove(sequence, times)
         try:
             self._refuse_late(self._due_ns)
@@ -275,19 +235,6 @@ class Board(Timely, ABC):
                 f"the board is not open: open it before {what}", about="board", problem="closed"
             )
 
-    def _note_round_trip(self, ask: Callable[[], object]) -> None:
-        """Time a query; add a note if the line delays answers."""
-        times_s = []
-        for _ in range(3):
-            start = time.perf_counter()
-            ask()
-            times_s.append(time.perf_counter() - start)
-        if min(times_s) > SLOW_ANSWER_S:
-            self.notes.append(
-                f"the board answers after {1000 * min(times_s):.0f} ms: if its USB chip is an "
-                "FTDI, set the port's latency timer to 1 ms"
-            )
-
     @final
     def stop(self) -> None:
         """Put all electrodes at zero now, from any thread; nothing can be sent after."""
@@ -363,71 +310,3 @@ class Board(Timely, ABC):
             # The first fault is the one to report.
             if error is None:
                 raise
-
-
-def make_board(
-    url: str, limits: SafetyLimits, output: Output | None = None, **options: Any
-) -> Board:
-    """Return the driver for a board's URL, not opened yet.
-
-    Options of the driver may stand in the URL, as in ``emulator:?books=FOLDER``.
-
-    Raises
-    ------
-    BoardError
-        If no driver has that name, it has no such option, or that of another package does not
-        keep the contract.
-    """
-    opener, rest = _find(url)
-    rest, told = read_options(opener, rest, BoardError, but=("output",))
-    board: Board = opener(rest, limits, output, **{**told, **options})
-    require_gate(board, limits)
-    return board
-
-
-def require_gate(board: Board, limits: SafetyLimits) -> None:
-    """Raise unless a board has the gate of these limits, on the machine's clock.
-
-    Raises
-    ------
-    BoardError
-        If its driver has other limits, another gate, or something in place of a method that
-        is final; or if there may be a finger on it and it has another clock.
-    """
-    kind = type(board)
-    gate = getattr(board, "_gate", None)
-    about = ""
-    if type(gate) is not SafetyGate or "prove" in vars(gate):
-        about, remedy = "gate", "leave _gate as it is"
-    elif gate.limits is not limits:
-        about, remedy = "limits", "hand those that it is given to super().__init__"
-    elif put := [name for name in final_names(Board) if name in vars(board)]:
-        about, remedy = put[0], "implement the underscored methods of Board instead"
-    elif (
-        # Only where no finger can be is time what sequences claim.
-        board.on_a_finger
-        and kind.__module__.partition(".")[0] != "smarttouch"
-        and (kind._time is not Board._time or type(board.clock) is not MonotonicClock)
-    ):
-        about, remedy = "clock", "leave _time and _clock as they are"
-    if about:
-        raise BoardError(
-            f"{kind.__name__} goes around the safety gate by its {about}: {remedy}",
-            about=about,
-            problem="replaced",
-            value=kind.__name__,
-        )
-
-
-def may_touch_a_finger(url: str) -> bool:
-    """Return whether there may be a finger on the board of a URL."""
-    return bool(getattr(_find(url)[0], "on_a_finger", True))
-
-
-def default_profile(url: str) -> str:
-    """Return the name of the shipped profile that goes with a board's URL."""
-    return str(getattr(_find(url)[0], "default_profile", DEFAULT_PROFILE))
-
-
-def _find(url: str) -> tuple[Callable[..., Any], str]:
-    return find_opener("smarttouch.boards", url, BoardError, Board, ("rest", "limits", "output"))

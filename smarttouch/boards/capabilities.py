@@ -4,7 +4,11 @@ from dataclasses import dataclass
 from itertools import compress
 from typing import Literal
 
+from smarttouch.errors import BoardError
+from smarttouch.stimulation.sequence import ScanSequence
+
 Polarity = Literal["anodic", "cathodic"]
+LONGEST_REPEAT = 0xFFFF
 BOTH: tuple[Polarity, ...] = ("anodic", "cathodic")
 
 
@@ -35,6 +39,47 @@ class Capabilities:
     """Whether it can end a scan with a recharge phase."""
     kept_ms: float | None = None
     """Longest time from the end of this program to zero, if a keeper process ensures that."""
+
+    def require(self, sequence: ScanSequence, times: int) -> None:
+        """Raise unless the board can deliver a sequence a number of times.
+
+        Raises
+        ------
+        BoardError
+            If it is of another size, needs something that the board has not, or is repeated
+            too often.
+        """
+        if sequence.electrodes != self.electrodes:
+            raise BoardError(
+                f"the sequence is for {sequence.electrodes} electrodes, the board has "
+                f"{self.electrodes}: use the profile of this board",
+                about="electrodes",
+                problem="conflict",
+                value=sequence.electrodes,
+                allowed=self.electrodes,
+            )
+        if sequence.vibration is not None and not self.vibrates:
+            raise BoardError(
+                "the sequence asks for mechanical vibration, and this board has no vibrators: "
+                "give it some",
+                about="vibration",
+                problem="impossible",
+                remedy="vibrators",
+            )
+        if sequence.recharge_ua is not None and not self.recharges:
+            raise BoardError(
+                "the sequence ends with a recharge phase, and this board makes none: leave it out",
+                about="recharge_ua",
+                problem="impossible",
+            )
+        if not 1 <= times <= LONGEST_REPEAT:
+            raise BoardError(
+                f"{times} repetitions are not possible: from 1 to {LONGEST_REPEAT}",
+                about="times",
+                problem="too few" if times < 1 else "too many",
+                value=times,
+                allowed=LONGEST_REPEAT,
+            )
 
     def describe(self) -> list[tuple[str, str]]:
         """Return the capabilities as names and values, for display."""

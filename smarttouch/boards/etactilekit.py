@@ -11,24 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards.board import BOTH, Capabilities
+from smarttouch.boards.etactilekit_pulses import LARGEST, Settings, settings_of, slots_of
 from smarttouch.boards.etactilekit_step import MARGIN_NS, Shown, SteppedKit
 from smarttouch.boards.etactilekit_wire import (
     COMPLIANCE_V,
     DUMMY_KOHM,
-    LARGEST,
     NO_SENSE,
     SENSE_COUNTS,
     SENSE_US,
     VOLTS_PER_COUNT,
-    Settings,
-    settings_of,
-    slots_of,
 )
 from smarttouch.boards.impedance import Impedance, judge
 from smarttouch.boards.kept_board import KEPT_MS
 from smarttouch.boards.probe import one_each
 from smarttouch.boards.scale import scale_of
 from smarttouch.boards.scan_lock import ScanLock
+from smarttouch.boards.slow_line import slow_line_notes
 from smarttouch.boards.streamed import Job
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
@@ -77,7 +75,7 @@ class ETactileKitBoard(SteppedKit):
         self._on_board, self._settings, self._before = b"", None, None
         self._waits = firmware != "newest"
         self._zero()
-        self._note_round_trip(lambda: self._exchange(b""))
+        self.notes += slow_line_notes(lambda: self._exchange(b""))
         one_height = ", a scan for each height" if firmware == "936c6c0" else ""
         self.capabilities = Capabilities(
             electrodes=self._gate.limits.electrodes,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards.etactilekit_line import ETactileKitLine
-from smarttouch.boards.etactilekit_wire import SHORTEST_US, Settings
+from smarttouch.boards.etactilekit_pulses import SHORTEST_US, Settings
 from smarttouch.boards.scan_lock import WIDEST, ScanLock, Span
 from smarttouch.boards.single_source import one_against_all
 from smarttouch.boards.streamed import Job

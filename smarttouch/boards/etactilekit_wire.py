@@ -25,31 +25,21 @@ make none), and with `HeightCodec` the answer says that all has arrived, not wha
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.boards.etactilekit_pulses import Settings, heights
 from smarttouch.boards.scale import Scale
-from smarttouch.boards.single_source import one_against_all
-from smarttouch.errors import BoardError
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
-UA_PER_COUNT = 9.99
-"""Nominal scale; the firmware does not cap 4095 counts, which are 41 mA."""
-LARGEST = 1000
-"""Counts, about 10 mA: nothing above leaves this host, whatever the limits. Its firmware does not
-cap 4095 counts, which are 41 mA."""
 VOLTS_PER_COUNT = 0.0893
 DUMMY_KOHM = 66.0
 """Load fitted in parallel with the skin; it takes V / 66 kΩ of the current."""
 COMPLIANCE_V = 300.0
 """Limit of its switches (HV513), the largest voltage of a reading."""
-FIRST_COMMAND = 0xF4
-SHORTEST_US = 7
-"""Shortest pulse: switching on and off takes 6.6 µs."""
 SENSE_COUNTS, SENSE_US = 100, 50
 ZEROS = bytes(2 * 255 + 4)
 """Padding longer than the rest of any command."""
@@ -64,25 +54,6 @@ AT_REST = (
 """Puts every published firmware at zero, whichever it is: no electrodes, no sense pulses, no
 height (or the mode 0), the shortest pulses, ten scans a second. No byte of it is a question to,
 or a pattern for, any other board that we know."""
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Settings shared by all slots of a scan."""
-
-    width_us: int
-    discharge_us: int
-    rate_hz: int
-    anodic: bool
-
-    @property
-    def period_ns(self) -> int:
-        """Period of its timer, in whole µs."""
-        return 1_000_000 // self.rate_hz * 1000
-
-    def scan_us(self, outputs: int, slot_extra_us: int) -> int:
-        """Return the duration of a scan."""
-        return outputs * (self.width_us + self.discharge_us + slot_extra_us)
 
 
 class Codec(ABC):
@@ -120,7 +91,7 @@ class Codec(ABC):
         limits: SafetyLimits,
     ) -> bytes:
         """Return what a sequence asks of the outputs; raise BoardError if it is impossible."""
-        electrode, counts = _counts(sequence, scale, limits)
+        electrode, counts = heights(sequence, scale, limits)
         return self._pattern(wiring[electrode], counts)
 
     @abstractmethod
@@ -265,77 +236,3 @@ class HeightCodec(Codec):
 
     def is_answer(self, answer: bytes) -> bool:
         return len(answer) == self.answer_bytes
-
-
-def settings_of(sequence: ScanSequence) -> Settings:
-    """Return the settings of a sequence.
-
-    Raises
-    ------
-    BoardError
-        If its slots want more than one polarity or width, or one that is out of reach.
-    """
-    _, current_ua = one_against_all(sequence)
-    if len(np.unique(np.sign(current_ua))) > 1:
-        raise BoardError(
-            "some slots are anodic, some cathodic, and this board has one polarity for all: "
-            "send them as two sequences",
-            about="current_ua",
-            problem="conflict",
-        )
-    if sequence.slots and np.ptp(sequence.width_us):
-        raise BoardError(
-            f"slots of {int(sequence.width_us.min())} to {int(sequence.width_us.max())} µs in "
-            "one sequence, and this board has one pulse width for all",
-            about="width_us",
-            problem="conflict",
-        )
-    width = int(sequence.width_us.max(initial=0))
-    if sequence.slots and width < SHORTEST_US:
-        raise BoardError(
-            f"pulses of {width} µs are too short: at least {SHORTEST_US} µs",
-            about="width_us",
-            problem="too small",
-            value=width,
-            allowed=SHORTEST_US,
-        )
-    discharge = int(sequence.discharge_us.max(initial=0))
-    if discharge >= FIRST_COMMAND:
-        raise BoardError(
-            f"a discharge of {discharge} µs is too long: at most {FIRST_COMMAND - 1}",
-            about="discharge_us",
-            problem="too large",
-            value=discharge,
-            allowed=FIRST_COMMAND - 1,
-        )
-    rate_hz = max(1, round(1e6 / sequence.period_us))
-    return Settings(width, discharge, rate_hz, bool((current_ua < 0).any()))
-
-
-def slots_of(sequence: ScanSequence, chosen: NDArray[np.bool_]) -> ScanSequence:
-    """Return a copy of a sequence with only some of its slots, (S,)."""
-    return replace(
-        sequence,
-        current_ua=sequence.current_ua[chosen],
-        width_us=sequence.width_us[chosen],
-        discharge_us=sequence.discharge_us[chosen],
-        site=sequence.site[chosen],
-        proof=None,
-    )
-
-
-def _counts(
-    sequence: ScanSequence, scale: Scale, limits: SafetyLimits
-) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
-    """Return the electrode of each slot, and its height in counts.
-
-    Neither rounding nor a scale that is wrong may pass the limits.
-    """
-    electrode, current_ua = one_against_all(sequence)
-    most = scale.most_counts(limits, sequence.width_us.max(initial=0))
-    nearest = np.rint(np.abs(current_ua) / scale.measured_ua)
-    counts = np.minimum(np.minimum(nearest, most[electrode]), LARGEST).astype(np.uint16)
-    # A byte that looks like a command would be one, if that before it were lost.
-    low = counts & 0xFF
-    counts -= np.where(low >= FIRST_COMMAND, low - (FIRST_COMMAND - 1), 0).astype(np.uint16)
-    return electrode, counts

@@ -75,12 +75,12 @@ class Kajimoto61Board(StreamedBoard):
         if limits.electrodes != ELECTRODES:
             raise BoardError(
                 f"a kajimoto61 board has {ELECTRODES} electrodes, the profile "
-                f"{limits.electrodes}: use --profile {self.default_profile}",
+                f"{limits.electrodes}: use the profile {self.default_profile}",
                 about="electrodes",
                 problem="conflict",
                 value=limits.electrodes,
                 allowed=ELECTRODES,
-                remedy=f"--profile {self.default_profile}",
+                remedy=f"profile {self.default_profile}",
             )
         self._scale = scale_of(self.kind, None if output is None else output.ua_per_count)
         self.ua_per_count = self._scale.measured_ua

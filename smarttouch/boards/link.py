@@ -11,13 +11,15 @@ from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.impedance import SATURATED, Impedance, judge
 from smarttouch.boards.link_line import ANSWER_S, LinkLine
-from smarttouch.boards.link_protocol import Feature, Kind, Message, Refusal
+from smarttouch.boards.link_offer import accepted, malformed
+from smarttouch.boards.link_protocol import Kind, Message, Refusal
 from smarttouch.boards.link_sequence import decode_volts, encode_sequence
 from smarttouch.boards.pairs import measure_in_pairs
 from smarttouch.boards.probe import probe_sequences
 from smarttouch.boards.recovery import start_anew
+from smarttouch.boards.slow_line import slow_line_notes
 from smarttouch.clock import LATE_NS
-from smarttouch.errors import BoardError, LineLostError, OtherDeviceError
+from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.limits import parts_per_billion
 from smarttouch.stimulation.rise import Rise
@@ -245,87 +247,18 @@ class LinkBoard(Board):
 
     def _shake_hands(self, known: Capabilities | None) -> None:
         self._line.begin(lambda offer: self._take_offer(offer, known), self._stopped)
-        self._note_round_trip(self._status)
+        self.notes += slow_line_notes(self._status)
 
     def _take_offer(self, answer: Message, known: Capabilities | None) -> None:
-        """Take a board's capabilities; raise before a wrong board receives more than HELLO."""
-        name = self._line.name
-        if answer.version != protocol.VERSION:
-            raise BoardError(
-                f"the board at {name} speaks link version {answer.version}, this "
-                f"program {protocol.VERSION}: bring both to the same",
-                about="version",
-                problem="conflict",
-                value=answer.version,
-                allowed=protocol.VERSION,
-            )
-        head = protocol.CAPABILITIES.size
-        if len(answer.payload) < head:
-            raise self._nonsense()
-        electrodes, output, features, current_ua, slots, zero_ms, volts = (
-            protocol.CAPABILITIES.unpack_from(answer.payload)
+        self._kind, self.capabilities = accepted(
+            answer, self._line.name, self._gate.limits.electrodes, self._output, known
         )
-        if output >= len(protocol.OUTPUTS):
-            raise BoardError(
-                f"the board at {name} has outputs of unknown kind {output}",
-                about="output.kind",
-                problem="unknown",
-                value=output,
-                allowed=protocol.OUTPUTS,
-            )
-        self._kind = protocol.OUTPUTS[output]
-        self.capabilities = Capabilities(
-            electrodes=electrodes,
-            output=self._kind,
-            max_current_ma=current_ua / 1000,
-            max_slots=slots,
-            time_to_zero_ms=zero_ms,
-            firmware=answer.payload[head:].decode("utf-8", "replace"),
-            measures=bool(features & Feature.VOLTAGE),
-            force=bool(features & Feature.FORCE),
-            compliance_v=float(volts) or None,
-            recharges=bool(features & Feature.RECHARGE),
-        )
-        if known not in (None, self.capabilities):
-            raise OtherDeviceError(
-                f"the board at {name} now is another: only HELLO was sent to it",
-                about="board",
-                problem="another",
-                value=name,
-            )
-        wanted = self._gate.limits.electrodes
-        if electrodes != wanted:
-            raise BoardError(
-                f"the board at {name} has {electrodes} electrodes, the profile "
-                f"{wanted}: use the profile of this board",
-                about="electrodes",
-                problem="conflict",
-                value=wanted,
-                allowed=electrodes,
-            )
-        if self._output is not None and self._output.kind != self.capabilities.output:
-            raise BoardError(
-                f"the board at {name} is {self.capabilities.output}, the profile needs "
-                f"{self._output.kind}: use the profile of this board",
-                about="output.kind",
-                problem="conflict",
-                value=self._output.kind,
-                allowed=self.capabilities.output,
-            )
 
     def _status(self) -> tuple[Any, ...]:
         answer = self._line.ask(Kind.STATUS)
         if len(answer.payload) != protocol.REPORT.size:
-            raise self._nonsense()
+            raise malformed(self._line.name)
         return protocol.REPORT.unpack(answer.payload)
-
-    def _nonsense(self) -> BoardError:
-        return BoardError(
-            f"the board at {self._line.name} answers nonsense: check its firmware",
-            about="board",
-            problem="malformed",
-            value=self._line.name,
-        )
 
     def _hear(self, message: Message) -> None:
         """Handle an unrequested packet."""

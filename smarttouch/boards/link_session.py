@@ -65,7 +65,7 @@ class HostSession:
         if self._sent == LAST_NUMBER:
             raise LineLostError(
                 f"the session of {LAST_NUMBER} packets is over",
-                about="session",
+                about="packets",
                 problem="too many",
                 allowed=LAST_NUMBER,
             )

@@ -108,7 +108,7 @@ def check_reading(volts: float, ohm: float, current_ma: float) -> float:
     BoardError
         If the reading is impossible, or too far off, with the likely mistake.
     """
-    for what, value in (("--ohm", ohm), ("--current-ma", current_ma)):
+    for what, value in (("ohm", ohm), ("current_ma", current_ma)):
         if not 0 < value < math.inf:
             raise BoardError(
                 f"{what} {value:g} must be above 0 and finite",

@@ -4,6 +4,7 @@ import contextlib
 import threading
 import time
 from abc import abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -83,12 +84,12 @@ class StreamedBoard(Board):
         if output is not None and output.kind != "one-against-all":
             raise BoardError(
                 f"a {self.kind} board is one-against-all, the profile needs {output.kind}: use "
-                f"--profile {self.default_profile}",
+                f"the profile {self.default_profile}",
                 about="output.kind",
                 problem="conflict",
                 value=output.kind,
                 allowed="one-against-all",
-                remedy=f"--profile {self.default_profile}",
+                remedy=f"profile {self.default_profile}",
             )
         self._port_name = port
         self._number = 0
@@ -314,35 +315,32 @@ class StreamedBoard(Board):
             self._news.notify_all()
 
     def _write(self, data: bytes) -> None:
-        assert self._serial is not None
-        try:
-            self._serial.write(data)
-        except LINE_ERRORS as error:
-            raise self._lost(f"cannot be written to ({reason(error)})", "unwritable") from None
+        with self._open_port("cannot be written to", "unwritable") as port:
+            port.write(data)
 
     def _write_in_time(self, data: bytes, due_ns: int) -> bool:
         """Write data that is due at a time, or nothing if that is too long ago."""
-        assert self._serial is not None
-        try:
-            return write_before(self._serial, data, due_ns + LATE_NS, self._clock.now_ns)
-        except LINE_ERRORS as error:
-            raise self._lost(f"cannot be written to ({reason(error)})", "unwritable") from None
+        with self._open_port("cannot be written to", "unwritable") as port:
+            return write_before(port, data, due_ns + LATE_NS, self._clock.now_ns)
 
     def _read(self, count: int, within_s: float) -> bytes:
         """Return as many bytes as come in time, at most ``count``."""
-        assert self._serial is not None
-        try:
-            self._serial.timeout = within_s
-            return bytes(self._serial.read(count))
-        except LINE_ERRORS as error:
-            raise self._lost(f"has vanished ({reason(error)})", "gone") from None
+        with self._open_port("has vanished", "gone") as port:
+            port.timeout = within_s
+            return bytes(port.read(count))
 
     def _flush(self) -> None:
+        with self._open_port("has vanished", "gone") as port:
+            port.reset_input_buffer()
+
+    @contextlib.contextmanager
+    def _open_port(self, what: str, problem: str) -> Iterator[Port]:
+        """Lend the line; raise LineLostError if it fails."""
         assert self._serial is not None
         try:
-            self._serial.reset_input_buffer()
+            yield self._serial
         except LINE_ERRORS as error:
-            raise self._lost(f"has vanished ({reason(error)})", "gone") from None
+            raise self._lost(f"{what} ({reason(error)})", problem) from None
 
     def _fail(self, fault: BoardError) -> None:
         with self._news:

@@ -44,8 +44,8 @@ def walk(
         If the current is out of reach, or the time is none.
     """
     if seconds is not None and not seconds > 0:
-        message = f"--seconds {seconds:g} must be above 0"
-        raise SmartTouchError(message, about="--seconds", value=seconds, allowed=0)
+        message = f"{seconds:g} s for each electrode must be above 0"
+        raise SmartTouchError(message, about="seconds", value=seconds, allowed=0)
     tried = 0
     for site in range(len(profile.electrodes)):
         if site in profile.output.masked:
@@ -83,9 +83,9 @@ def _check(profile: Profile, current_ma: float) -> None:
     full_ma = float(profile.full_ma.max())
     if not 0 < current_ma <= full_ma:
         raise SmartTouchError(
-            f"--current-ma {current_ma:g} must be above 0 and at most the {full_ma:g} mA that the "
+            f"{current_ma:g} mA must be above 0 and at most the {full_ma:g} mA that the "
             "profile calls the strongest comfortable",
-            about="--current-ma",
+            about="current_ma",
             value=current_ma,
             allowed=full_ma,
         )

@@ -79,18 +79,26 @@ def fit_comb(place: NDArray[np.floating[Any]], pitch: float, teeth: Teeth) -> Co
     flat = bins.clip(0, BINS - 1) + BINS * np.arange(steps)[:, None]
     count = np.bincount(flat.ravel(), minlength=BINS * steps).reshape(steps, BINS)
     spectrum = np.fft.rfft(count, axis=1)
-    best = Comb(pitch, usual * pitch, start, -np.inf)
-    for stretch in _STRETCHES:
-        template, doubt = _template(teeth, steps, stretch)
-        gain = np.fft.irfft(spectrum * template, n=BINS, axis=1) - doubt
-        row, phase = divmod(int(gain.argmax()), BINS)
-        if gain[row, phase] > best.gain:
-            first = start + (phase + 0.5) / BINS * period[row]
-            best = Comb(stretch * pitch, float(period[row]), float(first), float(gain[row, phase]))
-    return best
+    template, doubt = _templates(teeth, steps)
+    gain = np.fft.irfft(spectrum * template, n=BINS) - doubt
+    stretch, row, phase = np.unravel_index(int(gain.argmax()), gain.shape)
+    return Comb(
+        _STRETCHES[stretch] * pitch,
+        float(period[row]),
+        float(start + (phase + 0.5) / BINS * period[row]),
+        float(gain[stretch, row, phase]),
+    )
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
+def _templates(
+    teeth: Teeth, steps: int
+) -> tuple[NDArray[np.complexfloating[Any, Any]], NDArray[np.floating[Any]]]:
+    """Return `_template` of every stretch, stacked."""
+    gains, doubts = zip(*(_template(teeth, steps, each) for each in _STRETCHES), strict=True)
+    return np.array(gains), np.array(doubts)
+
+
 def _template(
     teeth: Teeth, steps: int, stretch: float
 ) -> tuple[NDArray[np.complexfloating[Any, Any]], NDArray[np.floating[Any]]]:

@@ -139,7 +139,7 @@ def parse_grams(text: str) -> list[float]:
         grams = [math.nan]
     if not all(0 <= each < math.inf for each in grams):
         message = f"weights {text!r} are not understood: give grams like 0,20,50,100"
-        raise CalibrationError(message, about="--weights", problem="malformed", value=text)
+        raise CalibrationError(message, about="weights", problem="malformed", value=text)
     return grams
 
 
@@ -158,12 +158,12 @@ def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
     if len(good) < FEWEST_READINGS or len(good) < (1 - MOST_MISSING) * len(raw):
         raise CalibrationError(
             f"{len(good)} of {len(raw)} readings at {grams:g} g are numbers, {FEWEST_READINGS} "
-            "and half of all are needed: check the cell's connections, or give more --seconds",
+            "and half of all are needed: check the cell's connections, or read for more seconds",
             about="readings",
             problem="too few",
             value=len(good),
             allowed=FEWEST_READINGS,
-            remedy="--seconds",
+            remedy="seconds",
         )
     middle = float(np.median(good))
     spread = 1.4826 * float(np.median(np.abs(good - middle)))

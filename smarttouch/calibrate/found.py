@@ -29,17 +29,17 @@ def parse_electrodes(text: str | None, profile: Profile) -> list[int]:
         found = re.fullmatch("([0-9]{1,6})(?:-([0-9]{1,6}))?", part.strip())
         if found is None:
             raise CalibrationError(
-                f"--electrodes {text!r} is not understood: give numbers and ranges like 0-7,12",
-                about="--electrodes",
+                f"electrodes {text!r} are not understood: give numbers and ranges like 0-7,12",
+                about="electrodes",
                 problem="malformed",
                 value=text,
             )
         low, high = int(found[1]), int(found[2] or found[1])
         if not low <= high < count:
             raise CalibrationError(
-                f"--electrodes {part.strip()} is out of range: {profile.name} has electrodes 0 to "
+                f"electrode {part.strip()} is out of range: {profile.name} has electrodes 0 to "
                 f"{count - 1}",
-                about="--electrodes",
+                about="electrodes",
                 problem="unknown",
                 value=part.strip(),
                 allowed=count - 1,
@@ -48,8 +48,8 @@ def parse_electrodes(text: str | None, profile: Profile) -> list[int]:
     masked = sorted(set(chosen) & set(profile.output.masked))
     if masked:
         raise CalibrationError(
-            f"electrode {masked[0]} is masked in {profile.name}: leave it out of --electrodes",
-            about="--electrodes",
+            f"electrode {masked[0]} is masked in {profile.name}: leave it out",
+            about="electrodes",
             problem="masked",
             value=masked[0],
             electrode=masked[0],

@@ -1,4 +1,4 @@
-"""Collection of a given number of images from a sensor."""
+"""Collection of a given number of images from a source."""
 
 import time
 
@@ -13,12 +13,12 @@ from smarttouch.sources.source import Source
 Images = list[NDArray[np.uint8]]
 
 SILENCE_S = 5.0
-"""Longest time without a new image, after which the sensor has ended."""
+"""Longest time without a new image, after which the source has ended."""
 _LOOK_S = 0.002
 
 
 def images_of(url: str, profile: Profile, count: int, *, corrected: bool) -> Images:
-    """Return the next images of a sensor by its URL; with the profile's flat field, or without.
+    """Return the next images of a source by its URL; with the profile's flat field, or without.
 
     Raises
     ------
@@ -32,20 +32,20 @@ def images_of(url: str, profile: Profile, count: int, *, corrected: bool) -> Ima
         return collect_images(source, count)
 
 
-def collect_images(sensor: Source, count: int) -> Images:
-    """Return the next images of a sensor, each once; fewer where it ends before.
+def collect_images(source: Source, count: int) -> Images:
+    """Return the next images of a source, each once; fewer where it ends before.
 
     Raises
     ------
     CalibrationError
-        If none came, or the sensor fell silent.
+        If none came, or the source fell silent.
     """
     images: Images = []
     seen: set[int] = set()
     start = time.perf_counter_ns()
     last = time.monotonic()
     while len(images) < count:
-        frame = sensor.read(time.perf_counter_ns() - start)
+        frame = source.read(time.perf_counter_ns() - start)
         if frame is None:
             break
         if frame.number not in seen and not frame.stale and frame.image is not None:
@@ -54,8 +54,8 @@ def collect_images(sensor: Source, count: int) -> Images:
             last = time.monotonic()
         elif time.monotonic() - last > SILENCE_S:
             raise CalibrationError(
-                f"{sensor.title} gave {len(images)} of {count} frames, and none for "
-                f"{SILENCE_S:g} s: check the sensor",
+                f"{source.title} gave {len(images)} of {count} frames, and none for "
+                f"{SILENCE_S:g} s: check the source",
                 about="frames",
                 problem="late",
                 value=len(images),
@@ -65,7 +65,7 @@ def collect_images(sensor: Source, count: int) -> Images:
             time.sleep(_LOOK_S)
     if not images:
         raise CalibrationError(
-            f"{sensor.title} gave no frames: check the sensor",
+            f"{source.title} gave no frames: check the source",
             about="frames",
             problem="missing",
             value=0,

@@ -147,7 +147,7 @@ class AscendingLimits:
             return
         if pressed:
             self._press()
-        elif self._at_ceiling() > round(CEILING_S / TICK_S):
+        elif self._held_at_ceiling():
             self._end(self.ceiling_ma if self.felt else float("nan"))
 
     def restart(self) -> None:
@@ -197,9 +197,10 @@ class AscendingLimits:
     def _hurried(self) -> bool:
         return len(self._levels) - self._felt_at < round(HURRIED_S / TICK_S)
 
-    def _at_ceiling(self) -> int:
-        held = self._levels[-1 - round(CEILING_S / TICK_S) - 1 :]
-        return sum(level >= self.ceiling_ma for level in held)
+    def _held_at_ceiling(self) -> bool:
+        """Return whether levels, which never fall in a run, have long been the highest."""
+        steps = round(CEILING_S / TICK_S)
+        return len(self._levels) > steps and self._levels[-1 - steps] >= self.ceiling_ma
 
     def _end(self, comfort_ma: float) -> None:
         self.runs.append(Run(self._threshold_ma, comfort_ma))

@@ -70,12 +70,12 @@ def measure_optics(dark: Images, white: Images) -> OpticsFound:
     if after > MOST_UNEVEN:
         raise CalibrationError(
             f"blank paper is still uneven by {after:.1%} after correction, above "
-            f"{MOST_UNEVEN:.0%}: use blank paper, hold it still, and give more --frames",
+            f"{MOST_UNEVEN:.0%}: use blank paper, hold it still, and give more frames",
             about="unevenness",
             problem="too large",
             value=after,
             allowed=MOST_UNEVEN,
-            remedy="--frames",
+            remedy="frames",
         )
     stack = np.stack(list(white)).astype(np.float32)
     noise = float(np.median(stack.std(axis=0, ddof=1))) if len(stack) > 1 else float("nan")

@@ -70,12 +70,12 @@ class ProfileFile:
         self._overwrite = overwrite
         if output.suffix != ".toml":
             raise CalibrationError(
-                f"--output {output} must end in .toml",
+                f"the new profile {output} must end in .toml",
                 about="file",
                 problem="ending",
                 value=output,
                 allowed=(".toml",),
-                remedy="--output",
+                remedy="output",
             )
         if not output.absolute().parent.is_dir():
             raise CalibrationError(
@@ -83,7 +83,7 @@ class ProfileFile:
                 about="file",
                 problem="unwritable",
                 value=output,
-                remedy="--output",
+                remedy="output",
             )
         self._require_free(output)
         self._keep_flat_field()
@@ -158,11 +158,11 @@ class ProfileFile:
             return
         if path.exists() and not self._overwrite:
             raise CalibrationError(
-                f"{path} exists already: give another file, or --overwrite",
+                f"{path} exists already: give another file, or overwrite it",
                 about="file",
                 problem="exists",
                 value=path,
-                remedy="--overwrite",
+                remedy="overwrite",
             )
 
     def _require_unchanged(self) -> None:
@@ -232,33 +232,33 @@ def file_to_calibrate(
     key = None if start is None else difference(file.profile, _begin(profile_path(start))[-1])
     if key is not None:
         raise CalibrationError(
-            f"{output} is there, and differs from {start} in {key}: leave out --profile to go on "
-            "with it, or give another --output",
+            f"{output} is there, and differs from {start} in {key}: go on from "
+            "what is there, or write another file",
             about=key,
             problem="conflict",
             value=output,
             allowed=start,
-            remedy="--output",
+            remedy="output",
         )
     if part in file.profile.calibrated and not overwrite:
         raise CalibrationError(
-            f"{output} has its {part} already: measure again with --overwrite, which keeps the "
-            "rest, or give another --output",
+            f"{output} has its {part} already: overwrite that, which keeps the rest, or "
+            "write another file",
             about=part,
             problem="exists",
             value=output,
-            remedy="--overwrite",
+            remedy="overwrite or output",
         )
     notes = file.profile.calibrated
     measured = [name for name in notes if not notes[name].found.startswith("simulated")]
     if simulated and measured and not overwrite:
         raise CalibrationError(
-            f"{output} has its {measured[0]} from a real finger or sensor: give a simulation "
-            "another --output, or --overwrite",
+            f"{output} has its {measured[0]} from a real finger or sensor: write a "
+            "simulation to another file, or overwrite it",
             about=part,
             problem="simulated",
             value=output,
-            remedy="--output",
+            remedy="output or overwrite",
         )
     return file
 

@@ -21,7 +21,7 @@ from smarttouch.files import (
 
 
 class Progress(Closing):
-    """What has been found so far, in a file beside the profile to come.
+    """Findings until now, in a file beside the profile to come.
 
     Until it is closed no other session can go on with the same file.
 

@@ -140,12 +140,12 @@ def _within(dots: Dots, target: DotTarget) -> Dots:
     if there.sum() < FEWEST_DOTS:
         raise CalibrationError(
             f"{int(there.sum())} dots of the target are seen, {FEWEST_DOTS} are needed: bring more "
-            "of it into view, or print it with a smaller --dot-pitch-mm",
+            "of it into view, or print it with dots closer together",
             about="dots",
             problem="too few",
             value=int(there.sum()),
             allowed=FEWEST_DOTS,
-            remedy="--dot-pitch-mm",
+            remedy="dot_pitch_mm",
         )
     return Dots(dots.pixel[there], dots.cell[there])
 
@@ -216,12 +216,12 @@ def _require_good(found: RegistrationFound) -> None:
     if not worst <= MOST_RESIDUAL:
         raise CalibrationError(
             f"the dots are up to {worst:.2f} of an electrode's pitch from where they should be, "
-            f"above {MOST_RESIDUAL:g}: lay the target flat, check its --dot-pitch-mm and the lens",
+            f"above {MOST_RESIDUAL:g}: lay the target flat, check its dots and the lens",
             about="residual",
             problem="too large",
             value=float(worst),
             allowed=MOST_RESIDUAL,
-            remedy="--dot-pitch-mm",
+            remedy="dot_pitch_mm",
         )
     count = len(found.electrode_pixel)
     if len(found.outside) > MOST_OUTSIDE * count:

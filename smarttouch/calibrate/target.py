@@ -106,14 +106,14 @@ class DotTarget:
         return f"{2 * self.reach * self.pitch_mm:g} mm from first to last dot"
 
 
-def target_for(profile: Profile, pitch_mm: float | None = None) -> DotTarget:
+def target_for(profile: Profile, dot_pitch_mm: float | None = None) -> DotTarget:
     """Return the target for a sensor, with about five dots across its field.
 
     Parameters
     ----------
     profile : Profile
         Its optics give the approximate field of view.
-    pitch_mm : float, optional, mm
+    dot_pitch_mm : float, optional, mm
         Another pitch than the usual one.
 
     Raises
@@ -123,6 +123,7 @@ def target_for(profile: Profile, pitch_mm: float | None = None) -> DotTarget:
     """
     optics = profile.optics
     field_mm = min(optics.field_width_mm, optics.field_height_mm)
+    pitch_mm = dot_pitch_mm
     if pitch_mm is None:
         finest_mm = FEWEST_PIXELS * max(
             optics.field_width_mm / optics.sensor_columns,
@@ -134,20 +135,20 @@ def target_for(profile: Profile, pitch_mm: float | None = None) -> DotTarget:
             raise CalibrationError(
                 f"{optics.sensor_columns} × {optics.sensor_rows} pixels over "
                 f"{optics.field_width_mm:g} × {optics.field_height_mm:g} mm are too coarse for a "
-                "target: set optics.rotation_deg, offset_x_mm and offset_y_mm by hand, or give "
-                "--dot-pitch-mm if the sensor is finer than the profile says",
+                "target: set optics.rotation_deg, offset_x_mm and offset_y_mm by hand, or give the "
+                "pitch of its dots if the sensor is finer than the profile says",
                 about="optics",
                 problem="impossible",
                 value=finest_mm,
                 allowed=field_mm / FEWEST_PITCHES,
-                remedy="--dot-pitch-mm",
+                remedy="dot_pitch_mm",
             )
         pitch_mm = max(wished) if wished else min(fit)
     if not _FINEST_MM <= pitch_mm <= field_mm:
         raise CalibrationError(
-            f"--dot-pitch-mm {pitch_mm:g} must be from {_FINEST_MM:g} to the field of view's "
+            f"{pitch_mm:g} mm between dots must be from {_FINEST_MM:g} to the field of view's "
             f"{field_mm:g} mm",
-            about="--dot-pitch-mm",
+            about="dot_pitch_mm",
             value=pitch_mm,
             allowed=(_FINEST_MM, field_mm),
         )

@@ -3,7 +3,8 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from smarttouch.boards.board import Board, make_board
+from smarttouch.boards.board import Board
+from smarttouch.boards.open import make_board
 from smarttouch.calibrate.found import filled, sentence
 from smarttouch.calibrate.limits import Thresholds
 from smarttouch.calibrate.profile_file import ProfileFile
@@ -21,7 +22,7 @@ from smarttouch.errors import BoardStoppedError, CalibrationError
 
 @dataclass(frozen=True, kw_only=True)
 class ThresholdProcedure:
-    """What is to be measured, and how.
+    """Measurement of thresholds: its board, its electrodes and its method.
 
     Attributes
     ----------

@@ -3,7 +3,8 @@
 import os
 import sys
 from collections.abc import Callable
-from typing import Annotated
+from functools import cache
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -20,6 +21,7 @@ from smarttouch.cli.figures import figures
 from smarttouch.cli.legibility import legibility
 from smarttouch.cli.live import live
 from smarttouch.cli.mouse import mouse
+from smarttouch.cli.named_options import named_options
 from smarttouch.cli.profiles import profiles
 from smarttouch.cli.read import read
 from smarttouch.cli.recordings import recordings
@@ -103,10 +105,16 @@ def main() -> None:
             sys.exit(status)
 
 
+@cache
+def _built() -> Callable[..., Any]:
+    """Return the command line, built once however often a process runs it."""
+    return typer.main.get_command(app)
+
+
 def _run() -> int:
     try:
         _require_files()
-        app(prog_name="smarttouch")
+        _built()(prog_name="smarttouch")
     except SystemExit as ended:
         return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
     except RunStopped as stopped:
@@ -126,8 +134,10 @@ def _outcome(error: BaseException) -> int:
         # Whoever read our output has gone; there is nobody to tell.
         return 1
     if isinstance(error, SmartTouchError):
-        for sentence in error.sentences if isinstance(error, TableError) else (str(error),):
+        *others, last = error.sentences if isinstance(error, TableError) else (str(error),)
+        for sentence in others:
             _say(sentence)
+        _say(last + named_options(error, app))
     elif isinstance(error, MemoryError):
         _say("the memory of this machine does not suffice: give less at once")
     elif isinstance(error, OSError):

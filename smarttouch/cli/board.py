@@ -94,7 +94,7 @@ def try_out(
     """Walk through the electrodes, each against all others, from zero up to a small current."""
     import sys
 
-    from smarttouch.boards.board import may_touch_a_finger
+    from smarttouch.boards.open import may_touch_a_finger
     from smarttouch.boards.walk import walk
     from smarttouch.cli.keyboard import keyboard, read_key
     from smarttouch.errors import SmartTouchError

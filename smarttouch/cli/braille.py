@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smarttouch.cli.option_groups import takes_options
+from smarttouch.cli.saved import SavedSettings
 from smarttouch.cli.source_options import DocumentOptions, TableOption
 from smarttouch.cli.standard_input import or_standard_input
 
@@ -17,7 +18,9 @@ _DOCUMENTS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pdf", ".bmp", ".webp")
 
 @takes_options()
 def braille(
+    context: typer.Context,
     document: DocumentOptions,
+    saved: SavedSettings,
     source: Annotated[
         str | None,
         typer.Argument(
@@ -60,6 +63,7 @@ def braille(
     loaded = loaded or load_cells(source, code, leave_out)
     for note in loaded.notes:
         typer.echo(note, err=True)
+    saved.keep(context)
     if back:
         text = code.to_text("\n".join(loaded.paragraphs)) + "\n"
         if output is None:
@@ -88,14 +92,15 @@ def braille(
 
 def _seen(source: str, table: str, document: DocumentOptions) -> "Loaded | None":
     """Return what an image or a PDF shows, as cells; None for anything else."""
-    if Path(source).suffix.lower() not in _DOCUMENTS:
+    place, how = document.look(source)
+    if Path(place).suffix.lower() not in _DOCUMENTS:
         return None
     from smarttouch.braille.source import Loaded
     from smarttouch.reading.braille import Braille
     from smarttouch.reading.source import Source
 
     notes: list[str] = []
-    shown = Source(source, document.look(), notes.append)
+    shown = Source(place, how, notes.append)
     return Loaded(Braille(table).paragraphs(shown), None, notes)
 
 

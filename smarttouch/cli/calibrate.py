@@ -33,7 +33,7 @@ class CalibrationOptions(OptionGroup):
 
     def start(self, board_url: str) -> str:
         """Return the profile to start from; a board's usual one if none was given."""
-        from smarttouch.boards.board import default_profile
+        from smarttouch.boards.open import default_profile
 
         return self.profile or default_profile(board_url)
 
@@ -46,7 +46,7 @@ class CalibrationOptions(OptionGroup):
 
     def file(self, part: str, simulated: bool, board_url: str | None = None) -> "ProfileFile":
         """Return the profile on its way from one file to another."""
-        from smarttouch.boards.board import default_profile
+        from smarttouch.boards.open import default_profile
         from smarttouch.calibrate.profile_file import file_to_calibrate
         from smarttouch.cli.profiles import tell_changes
         from smarttouch.errors import CalibrationError
@@ -140,7 +140,7 @@ def registration(
     yes: _Yes = False,
     simulate: _Simulate = False,
 ) -> None:
-    """Where in the sensor's image each electrode's point lies, by a printed target."""
+    """Place of each electrode's point in the sensor's image, by a printed target."""
     from smarttouch.calibrate.frames import images_of
     from smarttouch.calibrate.register import register
     from smarttouch.calibrate.tables import show_registration

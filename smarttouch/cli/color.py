@@ -9,12 +9,15 @@ import typer
 from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
+from smarttouch.cli.saved import SavedSettings
 
 
 @drives_a_board
 @takes_options(scan="points")
 def color(
+    context: typer.Context,
     run: RunOptions,
+    saved: SavedSettings,
     source: Annotated[
         str,
         typer.Argument(
@@ -45,8 +48,7 @@ def color(
 ) -> None:
     """Split a vibration into what RA, SAI and PC answer, and let the finger feel it mixed again.
 
-    It lasts 2 s, or as long as its file. The first half second is weaker: intensity rises as in
-    every run.
+    It lasts 2 s, or as long as its file; intensity rises in the first half second.
     """
     import contextlib
 
@@ -98,23 +100,24 @@ def color(
     mixture = mix(answers, trace.duration_s, chosen, bank, places, timing, shaken)
     seconds = None if is_spec(source) else run.seconds
     config = run.config(mixture.mode, seconds=seconds, seed=seed)
-    sensor = ColorSource(source, chosen, mixture, press_n(chosen) if run.pressed else math.nan)
-    sensor.url = source
-    sensor.notes += notes(mixture, answers)
+    vibration = ColorSource(source, chosen, mixture, press_n(chosen) if run.pressed else math.nan)
+    vibration.url = source
+    vibration.notes += notes(mixture, answers)
     price = None
     if mixture.pulses(Afferent.PC):
         price = pacinian_price(chosen, bank, mixture.sites)
-        sensor.notes.append(str(price))
+        vibration.notes.append(str(price))
     with contextlib.ExitStack() as stack:
         force = run.open_force(chosen, stack)
-        run_in_terminal(sensor, display, config, outputs, force=force)
+        saved.keep(context)
+        run_in_terminal(vibration, display, config, outputs, force=force)
     if json_file is not None:
-        _add(json_file, as_figures(answers, mixture, sensor, price))
+        _add(json_file, as_figures(answers, mixture, vibration, price))
     if plot is not None:
         style.save(picture(trace, answers, mixture), plot)
     if not run.quiet:
         print_table(
-            mixture_rows(answers, mixture, sensor),
+            mixture_rows(answers, mixture, vibration),
             ("class", "drive", "share", "fires at", "pulses", "at", "off by, ms"),
             title=f"{source}, at {len(mixture.sites)} sites",
             note="Pulses: sent to each site, and how many a second. Off by: from their own time, "

@@ -8,13 +8,14 @@ import typer
 from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
+from smarttouch.cli.saved import SavedSettings
 
 experiment = typer.Typer(
     help="Psychophysics: what a finger can tell of pulses (paper, Section III).",
     no_args_is_help=True,
 )
 
-_Mode = Annotated[str, typer.Option("--mode", metavar="RA|SAI|PC", help="Which afferents.")]
+_Mode = Annotated[str, typer.Option("--mode", metavar="CLASS", help="RA, SAI or PC.")]
 _Site = Annotated[
     int | None, typer.Option("--site", metavar="N", help="Electrode; in the middle if none.")
 ]
@@ -41,12 +42,14 @@ def list_all() -> None:
 @drives_a_board
 @takes_options(scan="points")
 def run_listed(
+    context: typer.Context,
     run: RunOptions,
+    saved: SavedSettings,
     name: Annotated[str, typer.Argument(metavar="NAME", help="See smarttouch experiment list.")],
     mode: _Mode = "RA",
     procedure: Annotated[
         str | None,
-        typer.Option(metavar="constant|staircase|questplus", help="Which stimulus comes next."),
+        typer.Option(metavar="HOW", help="constant, staircase or questplus."),
     ] = None,
     standards: Annotated[
         str | None, typer.Option(metavar="LIST", help="Of frequency, Hz, as in 15,30,45.")
@@ -58,45 +61,45 @@ def run_listed(
         int | None, typer.Option(metavar="N", min=1, help="Most of each standard (adaptive).")
     ] = None,
     letters: Annotated[
-        str | None, typer.Option(metavar="LIST", help="Of letters, as in AEIOU; A to Z if none.")
+        str | None, typer.Option(metavar="LIST", help="Of letters, as in AEIOU; all if none.")
     ] = None,
     two_intervals: Annotated[
-        bool, typer.Option("--two-intervals", help="Detection: in which of two, not yes or no.")
+        bool, typer.Option("--two-intervals", help="Detection: in which of two.")
     ] = False,
     site: _Site = None,
-    rate: Annotated[
+    rate_hz: Annotated[
         float | None,
-        typer.Option(metavar="HZ", help="Of pulses, where it is not what is asked about."),
+        typer.Option("--rate", metavar="HZ", help="Of pulses, where not asked about."),
     ] = None,
     train_s: Annotated[float | None, typer.Option(metavar="S", help="Length of trains.")] = None,
     gap_s: Annotated[float, typer.Option(metavar="S", help="Between two intervals.")] = 0.5,
     answer_s: Annotated[
-        float, typer.Option(metavar="S", help="Then the trial ends without an answer; 0: never.")
+        float, typer.Option(metavar="S", help="Longest wait for an answer; 0: no end.")
     ] = 10.0,
     participant: _Participant = "",
     session: _Session = "",
     seed: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Of all orders; from participant and session if none."),
+        typer.Option(metavar="N", help="Of orders; by participant if none."),
     ] = None,
     output: _Output = None,
     overwrite: _Overwrite = False,
     simulate: Annotated[
         str | None,
         typer.Option(
-            metavar="model|random|first|silent",
-            help="Who answers instead of a person, on simulated:",
+            metavar="WHO",
+            help="model, random, first or silent, no person.",
         ),
     ] = None,
     board: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="As for live; emulator:, with --simulate simulated:"),
+        typer.Option(metavar="URL", help="As for live; with --simulate simulated:"),
     ] = None,
 ) -> None:
     """Run an experiment of the list; the same command again goes on where it was.
 
-    Keys: the answers that the screen names, r for the trial once more, and those of live: + − for
-    the amplitude, space for a pause, q to go on another time.
+    Keys: the answers that the screen names, r for the trial once more, and those of live; q to
+    go on another time.
     """
     import contextlib
     from dataclasses import replace
@@ -122,8 +125,8 @@ def run_listed(
     named = f"{name}-{afferent.name}"
     stem, order = usual_name(named, participant, session, seed)
     wanted = ExperimentOptions(
-        afferent, procedure, parse_standards(standards), repetitions, trials, site, train_s, rate,
-        letters, two_intervals, order,
+        afferent, procedure, parse_standards(standards), repetitions, trials, site, train_s,
+        rate_hz, letters, two_intervals, order,
     )  # fmt: skip
     made = design(name, chosen, wanted)
     # Nobody is there who could press harder, or turn the intensity up.
@@ -141,6 +144,7 @@ def run_listed(
         open_sitting(made, chosen, course, about, path, overwrite=overwrite) as sitting,
         contextlib.ExitStack() as stack,
     ):
+        saved.keep(context)
         if run.record is not None and sitting.session.resumed:
             run = replace(run, record=numbered(run.record))
         sit(sitting, run, config, run.open_force(chosen, stack), simulate)
@@ -153,7 +157,9 @@ def free(
     run: RunOptions,
     mode: _Mode = "RA",
     site: _Site = None,
-    rate: Annotated[float, typer.Option(metavar="HZ", help="Of pulses, 10 to 200.")] = 50.0,
+    rate_hz: Annotated[
+        float, typer.Option("--rate", metavar="HZ", help="Of pulses, 10 to 200.")
+    ] = 50.0,
     knob: Annotated[
         str | None,
         typer.Option(metavar="URL", help="Moved away from you: stronger. evdev:, window:, ..."),
@@ -181,4 +187,4 @@ def free(
         # By hand from nothing here too.
         run = replace(run, intensity=0.0)
     run = replace(run, subject=run.subject or participant)
-    free_run(run, load_profile(profile), parse_afferent(mode), site, rate, knob, output)
+    free_run(run, load_profile(profile), parse_afferent(mode), site, rate_hz, knob, output)

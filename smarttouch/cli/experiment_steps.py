@@ -44,17 +44,17 @@ def sit(
         say(sitting.after())
         return
     pressing_n = press_n(sitting.profile) if options.pressed else None
-    sensor = sitting.sensor(pressing_n, in_real_time=options.board_url != _SIMULATED)
+    source = sitting.source(pressing_n, in_real_time=options.board_url != _SIMULATED)
     try:
         run_in_terminal(
-            sensor,
+            source,
             options.display(sitting.profile),
             config,
             options.outputs(),
             force=force,
             screen=BlindScreen,
-            keys=sensor.keys,
-            listeners=[sitting.subject(sensor, simulate, config.seed)] if simulate else (),
+            keys=source.keys,
+            listeners=[sitting.subject(source, simulate, config.seed)] if simulate else (),
         )
     finally:
         say(sitting.after())
@@ -81,15 +81,15 @@ def free_run(
             offered = tuple(sorted(load_bank(raised, progress).weights))
         log = stack.enter_context(FreeLog(output or numbered(Path("free.csv"))))
         pressed_n = press_n(raised) if options.pressed else None
-        sensor = FreeSource(raised, offered, log, afferent, site, rate_hz, pressed_n)
-        sensor.url = "experiment:free"
+        source = FreeSource(raised, offered, log, afferent, site, rate_hz, pressed_n)
+        source.url = "experiment:free"
         run_in_terminal(
-            sensor,
+            source,
             options.display(raised),
             options.config(Mode.COLOR),
             options.outputs(),
             force=force,
-            keys=sensor.keys,
+            keys=source.keys,
             keys_help="← →  rate    [ ]  site    1 to 9  mark    ",
             controls=partial(HandControls, knob=knob),
         )

@@ -34,7 +34,7 @@ def parse_choice(option: str, text: str, choices: Iterable[Choice]) -> Choice:
 
 
 def parse_afferent(mode: str) -> Afferent:
-    """Return the primary that ``--mode`` names."""
+    """Return the class of afferents that ``--mode`` names."""
     if mode.upper() not in Afferent.__members__:
         raise not_offered("--mode", mode, Afferent.__members__)
     return Afferent[mode.upper()]

@@ -13,7 +13,7 @@ from smarttouch.posix import termios, tty
 LOST = ""
 """Key that stands for a terminal that is gone."""
 JOIN_S = 0.3
-"""How long the end waits for a key that is being heeded."""
+"""Longest time that the end waits for a key that is being heeded."""
 
 
 _before: list[list[Any]] = []

@@ -19,7 +19,7 @@ def legibility(
         str,
         typer.Argument(
             callback=or_standard_input,
-            metavar="FILE|text:WORDS|-",
+            metavar="FILE",
             help="As for smarttouch read.",
         ),
     ],
@@ -55,9 +55,9 @@ def legibility(
     require_folder(json_file)
     chosen = profile_for_reading(load_profile(profile))
     notes: list[str] = []
-    text = Source(source, document.look(), notes.append)
+    text = Source(*document.look(source), notes.append)
     wanted = feel.wanted()
-    motion = wanted.motion(chosen, feel.speed)
+    motion = wanted.motion(chosen, feel.speed_mm_s)
     with bank_progress(quiet) as progress:
         bank = load_bank(chosen, progress)
     sharing = RunConfig(scan=parse_choice("--scan", scan, SCANS)).sharing(chosen)

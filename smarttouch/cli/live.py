@@ -1,4 +1,4 @@
-"""``smarttouch live``: from a sensor to current in the skin."""
+"""``smarttouch live``: from a source to current in the skin."""
 
 from typing import Annotated
 
@@ -8,7 +8,7 @@ from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.options import ModeOption, RateOption
 from smarttouch.cli.run_options import RunOptions
-from smarttouch.cli.saved import SaveOption, UseOption, keep, used_tone
+from smarttouch.cli.saved import SavedSettings, used_tone
 from smarttouch.cli.source_options import SourceOptions
 from smarttouch.cli.standard_input import or_standard_input
 
@@ -16,8 +16,10 @@ from smarttouch.cli.standard_input import or_standard_input
 @drives_a_board
 @takes_options()
 def live(
+    context: typer.Context,
     run: RunOptions,
     of_source: SourceOptions,
+    saved: SavedSettings,
     source: Annotated[
         str | None,
         typer.Option(
@@ -30,9 +32,9 @@ def live(
         ),
     ] = None,
     mode: ModeOption = "RA",
-    rate: RateOption = None,
+    rate_hz: RateOption = None,
     seed: Annotated[
-        int | None, typer.Option(metavar="N", min=0, help="Of the finger's and sensor's noise.")
+        int | None, typer.Option(metavar="N", min=0, help="Of the finger's and source's noise.")
     ] = None,
     light_on_dark: Annotated[
         bool,
@@ -40,10 +42,8 @@ def live(
             rich_help_panel="The page", show_default=False, help="Print is lighter than paper."
         ),
     ] = False,
-    save: SaveOption = None,
-    settings: UseOption = None,
 ) -> None:
-    """Let a finger feel what a sensor sees, until it ends, a key or Ctrl-C."""
+    """Let a finger feel what a source sees, until it ends, a key or Ctrl-C."""
     import contextlib
 
     from smarttouch.cli.files import parse_mode
@@ -54,10 +54,10 @@ def live(
     chosen, outputs = run.load_profile(), run.outputs()
     config = run.config(
         parse_mode(mode),
-        rate_hz=rate,
+        rate_hz=rate_hz,
         light_on_dark=light_on_dark,
         seed=seed or 0,
-        tone=used_tone(settings),
+        tone=used_tone(saved.settings),
     )
     url = source or f"page:{data_folder('sample_images') / 'page.png'}"
     options = {"seed": seed, **of_source.given()}
@@ -68,5 +68,5 @@ def live(
         force = run.open_force(chosen, stack)
         display = run.display(chosen)
         # All that is kept has been opened once.
-        keep(save, settings, run, config, source, options)
+        saved.keep_run(context, run, config, source, options)
         run_in_terminal(opened, display, config, outputs, force=force)

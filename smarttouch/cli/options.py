@@ -29,6 +29,6 @@ ScanOption = Annotated[
         "--scan",
         metavar="HOW",
         rich_help_panel=BOARD,
-        help="One point in a slot (points), as many as go together (frame), or auto.",
+        help="Slots: points, frame or auto.",
     ),
 ]

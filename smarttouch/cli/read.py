@@ -8,6 +8,7 @@ from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.options import ModeOption, RateOption
 from smarttouch.cli.run_options import RunOptions
+from smarttouch.cli.saved import SavedSettings, use_option
 from smarttouch.cli.source_options import DocumentOptions, FeelOptions
 from smarttouch.cli.standard_input import or_standard_input
 
@@ -17,39 +18,42 @@ from smarttouch.cli.standard_input import or_standard_input
 def read(
     feel: FeelOptions,
     document: DocumentOptions,
+    context: typer.Context,
     run: RunOptions,
+    saved: SavedSettings,
     source: Annotated[
         str,
         typer.Argument(
             callback=or_standard_input,
-            metavar="FILE|text:WORDS|-",
-            help="An image or PDF of a page, a .txt file, Braille (.brf, .pef, a photograph), or "
-            "text: and words; - for standard input.",
+            metavar="FILE",
+            help="Page (image, PDF), .txt, Braille (.brf, .pef, photograph), or text:WORDS; - for "
+            "standard input. Options behind it: dpi, page_width_mm, light_on_dark, languages, as "
+            "in page.pdf?dpi=300&languages=eng+deu.",
         ),
     ],
-    lines: Annotated[int, typer.Option(help="Lines of Braille under the finger at once.")] = 1,
-    pause: Annotated[float, typer.Option(metavar="S", help="After each line.")] = 1.0,
+    lines: Annotated[int, typer.Option(help="Lines of Braille at once.")] = 1,
+    pause_s: Annotated[float, typer.Option("--pause", metavar="S", help="After each line.")] = 1.0,
     wait: Annotated[
-        bool, typer.Option("--wait", help="After each line, until the right arrow is pressed.")
+        bool, typer.Option("--wait", help="After each line, until the right arrow.")
     ] = False,
     follow: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="A sensor that tells where the finger is on the page."),
+        typer.Option(metavar="URL", help="A source that tells where the finger is."),
     ] = None,
     board: Annotated[
         str | None,
         typer.Option(
             metavar="URL",
-            help="As for live; simulated: waits for nothing. With --frames that, else emulator:",
+            help="As for live; with --frames simulated:",
         ),
     ] = None,
     mode: ModeOption = "RA",
-    rate: RateOption = None,
+    rate_hz: RateOption = None,
+    settings: Annotated[str | None, use_option("--settings")] = None,
 ) -> None:
     """Read a page with a fingertip, line by line.
 
-    Keys: right and left arrow for the next line and the one before, r for the line once more, space
-    for a pause; and those of live.
+    Keys: arrows for the next line and the one before, r for once more; and those of live.
     """
     import contextlib
     from dataclasses import replace
@@ -68,28 +72,29 @@ def read(
     own = run.load_profile()
     chosen, outputs = profile_for_reading(own), run.outputs()
     wanted = feel.wanted(lines)
-    motion = wanted.motion(chosen, feel.speed, rate)
+    motion = wanted.motion(chosen, feel.speed_mm_s, rate_hz)
     notes: list[str] = []
-    text = Source(source, document.look(scale_matters=follow is not None), notes.append)
-    config = run.config(parse_mode(mode), rate_hz=rate, tone=wanted.tone)
+    text = Source(*document.look(source, scale_matters=follow is not None), notes.append)
+    config = run.config(parse_mode(mode), rate_hz=rate_hz, tone=wanted.tone)
     with contextlib.ExitStack() as stack:
         feed = LineFeed(wanted.lines(text, chosen))
         stack.callback(feed.close)
         first_line_awaited(feed.start(), run.quiet)
         cursor: Cursor
         if follow is None:
-            cursor = SweepingCursor(feed, motion, press_n(chosen), pause, wait)
+            cursor = SweepingCursor(feed, motion, press_n(chosen), pause_s, wait)
         else:
             cursor = FollowingCursor(feed, stack.enter_context(open_source(follow, own)))
-        sensor = ReadingSource(text.title, chosen, feed, cursor)
-        sensor.url, sensor.notes = source, notes
+        reading = ReadingSource(text.title, chosen, feed, cursor)
+        reading.url, reading.notes = source, notes
         force = run.open_force(chosen, stack)
+        saved.keep(context)
         run_in_terminal(
-            sensor,
+            reading,
             run.display(chosen),
             config,
             outputs,
             force=force,
-            keys=sensor.keys,
+            keys=reading.keys,
             keys_help="← →  line    r  again    ",
         )

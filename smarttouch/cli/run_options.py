@@ -35,7 +35,7 @@ class RunOptions(OptionGroup):
         typer.Option(
             metavar="URL",
             rich_help_panel=BOARD,
-            help="emulator: if none; simulated:, or kajimoto61:, etactilekit:, link: and a port.",
+            help="emulator: if none; simulated:, kajimoto61:, etactilekit:, link: and a port.",
         ),
     ] = None
     vibrators: Annotated[
@@ -60,8 +60,8 @@ class RunOptions(OptionGroup):
         typer.Option(
             "--balance",
             rich_help_panel=BOARD,
-            help="Net charge zero: a weak recharge in each scan; of one source, reversed scans, "
-            "which drive the other class.",
+            help="Net charge zero: a weak recharge; of one source reversed scans, which drive the "
+            "other class.",
         ),
     ] = False
     profile: ProfileOption = None
@@ -70,7 +70,7 @@ class RunOptions(OptionGroup):
         typer.Option(
             metavar="URL",
             rich_help_panel=FINGER,
-            help="hx711:PORT, loadcell:PORT, recorded:CSV, fixed:N; else what sensor or board say.",
+            help="hx711:PORT, loadcell:PORT, recorded:CSV, fixed:N; else what source or board say.",
         ),
     ] = None
     intensity: Annotated[
@@ -78,8 +78,8 @@ class RunOptions(OptionGroup):
         typer.Option(
             metavar="0..1",
             rich_help_panel=FINGER,
-            help="Of the strongest. Real boards begin at 0, and keys raise it up to this (1); "
-            "without a keyboard it must be given, and is reached slowly.",
+            help="Of the strongest. Real boards begin at 0; keys raise it up to this. Without a "
+            "keyboard it must be given, and is reached slowly.",
         ),
     ] = None
     softness: Annotated[
@@ -87,7 +87,7 @@ class RunOptions(OptionGroup):
         typer.Option(
             metavar="0..1",
             rich_help_panel=FINGER,
-            help="SAI pulses at a constant rate (1), or as force has it (0).",
+            help="SAI pulses at one rate (1), or as force has it (0).",
         ),
     ] = None
     seconds: Annotated[float | None, typer.Option(metavar="S", help="Longest run, wall time.")] = (
@@ -102,7 +102,7 @@ class RunOptions(OptionGroup):
         typer.Option(
             metavar="PATH",
             rich_help_panel=KEPT,
-            help="What electrodes do: .gif, .json, or PNG in a folder.",
+            help="What electrodes do: .gif, .json, folder of PNG.",
         ),
     ] = None
     record: Annotated[
@@ -135,7 +135,7 @@ class RunOptions(OptionGroup):
     @property
     def on_a_finger(self) -> bool:
         """Whether there may be a finger on the board."""
-        from smarttouch.boards.board import may_touch_a_finger
+        from smarttouch.boards.open import may_touch_a_finger
 
         return may_touch_a_finger(self.board_url)
 
@@ -146,7 +146,7 @@ class RunOptions(OptionGroup):
 
     def load_profile(self) -> "Profile":
         """Return the profile that was asked for, or the board's usual one."""
-        from smarttouch.boards.board import default_profile
+        from smarttouch.boards.open import default_profile
         from smarttouch.profile import load_profile
 
         return load_profile(self.profile or default_profile(self.board_url))

@@ -1,4 +1,4 @@
-"""The terminal while a finger reads: sensor, electrodes, pressure, rate, limits."""
+"""The terminal while a finger reads: source, electrodes, pressure, rate, limits."""
 
 import sys
 from pathlib import Path
@@ -21,7 +21,7 @@ from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.report import summary_lines
 from smarttouch.running.step import StepResult
 
-_SENSOR_ROWS = 16
+_IMAGE_ROWS = 16
 _REFRESH_PER_S = 10
 _KEYS = (
     "+ −  intensity    0  none    space  pause    m  mode    q, Esc, Ctrl-C  end, all electrodes "
@@ -98,7 +98,7 @@ class Screen(Listener):
         sent = self._latest
         if sent is None:
             return Text("waiting for the first frame")
-        title = "asked for" if sent.step.input.image is None else "sensor sees"
+        title = "asked for" if sent.step.input.image is None else "source sees"
         given = Panel(_given(sent, self._layout), title=title, expand=False)
         electrodes = Panel(
             self._layout.draw(sent.felt_ma / self._full_ma),
@@ -185,8 +185,8 @@ def _given(sent: StepResult, layout: "_ArrayLayout") -> Text:
 def _grey(image: NDArray[np.uint8]) -> Text:
     """Draw an image in half blocks, two rows of pixels to a line."""
     height, width = image.shape
-    columns = max(2, min(64, round(2 * _SENSOR_ROWS * width / height)))
-    small = cv2.resize(image, (columns, 2 * _SENSOR_ROWS), interpolation=cv2.INTER_AREA)
+    columns = max(2, min(64, round(2 * _IMAGE_ROWS * width / height)))
+    small = cv2.resize(image, (columns, 2 * _IMAGE_ROWS), interpolation=cv2.INTER_AREA)
     text = Text()
     for upper, lower in zip(small[::2], small[1::2], strict=True):
         for above, below in zip(upper.tolist(), lower.tolist(), strict=True):
@@ -198,7 +198,7 @@ def _grey(image: NDArray[np.uint8]) -> Text:
 
 
 class _ArrayLayout:
-    """Where each electrode stands on a canvas of characters, whatever its array."""
+    """Place of each electrode on a canvas of characters, whatever its array."""
 
     def __init__(self, profile: Profile) -> None:
         position = profile.electrodes.position_mm

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from smarttouch.reading.printed import RecognitionOptions
     from smarttouch.reading.shapes import Shapes
 
-_PAGE = "The page"
 _FEEL = "How it is felt"
 
 
@@ -23,7 +22,7 @@ class SourceOptions(OptionGroup):
 
     dpi: Annotated[float | None, typer.Option(hidden=True)] = None
     page_width_mm: Annotated[float | None, typer.Option(hidden=True)] = None
-    speed: Annotated[float | None, typer.Option(hidden=True)] = None
+    speed_mm_s: Annotated[float | None, typer.Option("--speed", hidden=True)] = None
     path: Annotated[Path | None, typer.Option(hidden=True)] = None
     size: Annotated[str | None, typer.Option(hidden=True)] = None
     exposure: Annotated[float | None, typer.Option(hidden=True)] = None
@@ -37,7 +36,6 @@ class SourceOptions(OptionGroup):
         from smarttouch.url_options import parse_size
 
         found = {each.name: getattr(self, each.name) for each in fields(self)}
-        found["speed_mm_s"] = found.pop("speed")
         found["unpaced"] = self.unpaced or None
         if self.size is not None:
             found["size"] = parse_size(self.size, SmartTouchError, "--size")
@@ -46,49 +44,35 @@ class SourceOptions(OptionGroup):
 
 @dataclass(frozen=True, kw_only=True)
 class DocumentOptions(OptionGroup):
-    """What is known of a document that is read."""
+    """Options of a document; all but its pages stand behind its name in the help."""
 
     pages: Annotated[
         str | None,
-        typer.Option(metavar="LIST", rich_help_panel=_PAGE, help="As in 1,3-5; all if none."),
+        typer.Option(metavar="LIST", help="Of the file, as in 1,3-5; all if none."),
     ] = None
-    dpi: Annotated[
-        float | None, typer.Option(rich_help_panel=_PAGE, help="Resolution of an image.")
-    ] = None
-    page_width_mm: Annotated[
-        float | None, typer.Option(rich_help_panel=_PAGE, help="Or the width of its page.")
-    ] = None
-    password: Annotated[
-        str | None, typer.Option(rich_help_panel=_PAGE, help="Of an encrypted PDF.")
-    ] = None
-    language: Annotated[
-        str,
-        typer.Option(
-            metavar="NAMES", rich_help_panel=_PAGE, help="Of print, for Tesseract, as in eng+deu."
-        ),
-    ] = "eng"
+    dpi: Annotated[float | None, typer.Option(hidden=True)] = None
+    page_width_mm: Annotated[float | None, typer.Option(hidden=True)] = None
+    password: Annotated[str | None, typer.Option(help="Of an encrypted PDF.")] = None
+    languages: Annotated[str | None, typer.Option("--language", hidden=True)] = None
     light_on_dark: Annotated[
-        bool | None,
-        typer.Option(
-            "--light-on-dark/--dark-on-light",
-            rich_help_panel=_PAGE,
-            help="How the print is; found out if none.",
-        ),
+        bool | None, typer.Option("--light-on-dark/--dark-on-light", hidden=True)
     ] = None
 
-    def look(self, *, scale_matters: bool = False) -> "RecognitionOptions":
-        """Return how to look at the document."""
+    def look(self, source: str, **more: Any) -> "tuple[str, RecognitionOptions]":
+        """Return what to read, and how to look at it; options may stand behind a file's name."""
+        from smarttouch.errors import PageError
         from smarttouch.reading.printed import RecognitionOptions
+        from smarttouch.url_options import joined_options, read_options
 
-        return RecognitionOptions(
-            self.pages,
-            self.dpi,
-            self.page_width_mm,
-            self.password,
-            self.light_on_dark,
-            self.language,
-            scale_matters,
-        )
+        place, told = source, dict[str, Any]()
+        if Path(source.rpartition("?")[0]).is_file():
+            place, told = read_options(
+                RecognitionOptions, source, PageError, but=("password", *more)
+            )
+        own = {each.name: getattr(self, each.name) for each in fields(DocumentOptions)}
+        given = {name: value for name, value in own.items() if value is not None}
+        given = joined_options(source, given, told, PageError)
+        return place, RecognitionOptions(**given, **more)
 
 
 TableOption = Annotated[
@@ -96,34 +80,32 @@ TableOption = Annotated[
     typer.Option(
         metavar="NAME",
         rich_help_panel=_FEEL,
-        help="Braille code; smarttouch braille --tables.",
+        help="Code, of smarttouch braille --tables.",
     ),
 ]
 
 
 @dataclass(frozen=True, kw_only=True)
 class FeelOptions(OptionGroup):
-    """How what is read is felt."""
+    """Options of the letters or cells that are felt."""
 
     kind: Annotated[
         str,
-        typer.Option(
-            "--as", metavar="shapes|braille", rich_help_panel=_FEEL, help="Which of them."
-        ),
+        typer.Option("--as", metavar="WHAT", rich_help_panel=_FEEL, help="shapes or braille."),
     ] = "shapes"
     style: Annotated[
         str,
         typer.Option(
-            metavar="plain|thinned|graded", rich_help_panel=_FEEL, help="Of letter shapes."
+            metavar="HOW", rich_help_panel=_FEEL, help="Letters: plain, thinned or graded."
         ),
     ] = "graded"
     table: TableOption = "en-1"
     cells: Annotated[
         str,
         typer.Option(
-            metavar="line|cell",
+            metavar="HOW",
             rich_help_panel=_FEEL,
-            help="A moving line of Braille, or one cell at a time.",
+            help="Braille by moving line, or by cell.",
         ),
     ] = "line"
     embossed: Annotated[
@@ -131,19 +113,20 @@ class FeelOptions(OptionGroup):
         typer.Option(
             "--embossed/--printed",
             rich_help_panel=_FEEL,
-            help="Whether an image shows raised dots; found out if none.",
+            help="Raised dots or not; found out if none.",
         ),
     ] = None
     light_from: Annotated[
         float | None,
         typer.Option(metavar="DEG", rich_help_panel=_FEEL, help="Of the light on raised dots."),
     ] = None
-    speed: Annotated[
+    speed_mm_s: Annotated[
         float | None,
         typer.Option(
+            "--speed",
             metavar="MM/S",
             rich_help_panel=_FEEL,
-            help="Of the text under the finger; four pulses a pitch if none.",
+            help="Of the text; by its pitch if none.",
         ),
     ] = None
 

@@ -43,8 +43,8 @@ class FeltDrawing(DeliveredAnswers, ABC):
 
     Parameters
     ----------
-    profile, bank, primaries
-        See `PerceptThresholds`.
+    profile, bank, afferents
+        See `Perception`.
     magnification : float
         Millimeters of the array for one of what it touches.
     """
@@ -148,8 +148,8 @@ class PageDrawing(FeltDrawing):
 
     Parameters
     ----------
-    profile, bank, primaries
-        See `PerceptThresholds`.
+    profile, bank, afferents
+        See `Perception`.
     page : Page, optional
         What the finger passed over; put together from the frames if not given.
     """

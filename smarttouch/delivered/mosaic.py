@@ -1,4 +1,4 @@
-"""Mosaic of a page from the sensor's frames while it moved."""
+"""Mosaic of a page from the source's frames while it moved."""
 
 import math
 from typing import Any
@@ -20,7 +20,7 @@ _BLOCK = 256
 
 
 class Mosaic:
-    """Average of frames at their poses; grows as the sensor moves.
+    """Average of frames at their poses; grows as the source moves.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class Mosaic:
         rows, columns = (np.flatnonzero(self._count.any(axis=axis)) for axis in (1, 0))
         if not len(rows):
             raise SmartTouchError(
-                "the sensor saw nothing: there is no page to draw", about="page", problem="empty"
+                "the source saw nothing: there is no page to draw", about="page", problem="empty"
             )
         area = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
         count = self._count[area]

@@ -15,7 +15,7 @@ from smarttouch.sources.frame import Pose
 Floats = NDArray[np.float32]
 
 
-class PerceptThresholds:
+class Perception:
     """Response of the receptors under the electrodes, by their activating function.
 
     Each delivered slot activates the receptors under all electrodes; how much
@@ -72,7 +72,7 @@ class PerceptThresholds:
         return dict(zip(numbers[starts].tolist(), strongest, strict=True))
 
 
-class DeliveredAnswers(PerceptThresholds):
+class DeliveredAnswers(Perception):
     """Poses of the sequences of a run, and after it the answers to them.
 
     Iterating yields the pose and the answer, (E,) in [0, 1], of each sequence that the board got

@@ -92,23 +92,23 @@ def parse_pages(text: str, count: int) -> list[int]:
         # Nine digits: longer numbers are no pages, and Python refuses the longest.
         match = re.fullmatch(r"\s*([0-9]{1,9})\s*(-\s*([0-9]{1,9})?\s*)?", part)
         if match is None:
-            message = f"--pages {text}: {part.strip()!r} is no page: write 1,3-5 or 7-"
-            raise PageError(message, about="--pages", problem="malformed", value=part.strip())
+            message = f"pages {text}: {part.strip()!r} is no page: write 1,3-5 or 7-"
+            raise PageError(message, about="pages", problem="malformed", value=part.strip())
         first = int(match[1])
         last = int(match[3] or count) if match[2] else first
         for number in (first, last):
             if not 1 <= number <= count:
                 raise PageError(
-                    f"--pages {text}: the document {_absent(number, count)}",
-                    about="--pages",
+                    f"pages {text}: the document {_absent(number, count)}",
+                    about="pages",
                     problem="missing",
                     value=number,
                     allowed=(1, count),
                 )
         if last < first:
             raise PageError(
-                f"--pages {text}: {first} is behind {last}: write {last}-{first}",
-                about="--pages",
+                f"pages {text}: {first} is behind {last}: write {last}-{first}",
+                about="pages",
                 problem="conflict",
                 value=(first, last),
                 remedy=f"{last}-{first}",
@@ -232,7 +232,7 @@ class PdfDocument(Document):
     def _render(self, sheet: "pypdfium2.PdfPage", name: str) -> Page:
         width, height = sheet.get_size()
         mm = _POINT_MM if self._page_width_mm is None else self._page_width_mm / width
-        require_size_mm(name, width * mm, height * mm, "--page-width-mm")
+        require_size_mm(name, width * mm, height * mm, "page_width_mm")
         finest_dpi = INCH_MM * math.sqrt(MOST_RENDERED_PIXELS / (width * height)) / mm
         dpi = min(self._dpi, finest_dpi)
         if dpi < self._dpi:
@@ -275,10 +275,10 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument":
         if "password" not in str(error).lower():
             message = f"{path} is damaged, or has no pages: save it anew"
             raise PageError(message, about="file", problem="damaged", value=path) from None
-        about, problem, message = "--password", "missing", f"{path} is encrypted: give --password"
+        problem, message = "missing", f"{path} is encrypted: give its password"
         if password is not None:
-            problem, message = "wrong", f"{path} is encrypted, and --password is not its password"
-        raise PageError(message, about=about, problem=problem, value=path) from None
+            problem, message = "wrong", f"{path} is encrypted: give its password, not another"
+        raise PageError(message, about="password", problem=problem, value=path) from None
     # What is filled in would be missing without it; it must come before any page.
     if pdf.get_formtype() == pypdfium2.raw.FORMTYPE_ACRO_FORM:
         pdf.init_forms()

@@ -22,7 +22,7 @@ LARGEST_MM = 2000.0
 SMALLEST_MM = 2.0
 INCH_MM = 25.4
 IMAGE = "an image that can be read: give a PNG, JPEG or TIFF"
-_SCALE = "--dpi or --page-width-mm"
+_SCALE = "dpi or page_width_mm"
 _LEAST_BELIEVED_DPI = 50.0
 """Lowest plausible resolution; files state less (1 or 72 by default) if nobody measured."""
 _EVEN = 1.02
@@ -82,19 +82,20 @@ def load_page(path: Path, dpi: float | None = None, page_width_mm: float | None 
         grey, mm_per_pixel = read_grey(path, image, dpi, page_width_mm)
     if mm_per_pixel is None:
         message = f"{path} does not say how large it is: give {_SCALE}"
-        raise PageError(message, about="scale", problem="missing", value=path, remedy=_SCALE)
+        raise PageError(message, about="size_mm", problem="missing", value=path, remedy=_SCALE)
     height, width = grey.shape
     require_size_mm(str(path), width * mm_per_pixel, height * mm_per_pixel)
     return Page(grey, mm_per_pixel)
 
 
-def check_scale_options(dpi: float | None, page_width_mm: float | None) -> None:
-    """Raise a PageError if the user's scale is invalid."""
-    if dpi is not None and page_width_mm is not None:
-        message = "--dpi and --page-width-mm both given: one of them is enough"
-        both = ("--dpi", "--page-width-mm")
-        raise PageError(message, about=both[0], problem="conflict", value=both)
-    for name, value in (("--dpi", dpi), ("--page-width-mm", page_width_mm)):
+def check_scale_options(
+    dpi: float | None, width_mm: float | None, width: str = "page_width_mm"
+) -> None:
+    """Raise a PageError if the user's scale is invalid; ``width`` names the second."""
+    if dpi is not None and width_mm is not None:
+        message = f"dpi and {width} are both given: one of them is enough"
+        raise PageError(message, about="dpi", problem="conflict", value=("dpi", width))
+    for name, value in (("dpi", dpi), (width, width_mm)):
         if value is not None and not 0 < value < float("inf"):
             raise PageError(f"{name} {value:g} must be above 0", about=name, value=value, allowed=0)
 

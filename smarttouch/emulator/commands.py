@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from smarttouch.emulator.server import LineStatistics
 
 _ELECTRODES = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
-"""How many each board has if nothing is said."""
+"""Usual number of electrodes of each board."""
 _MOST_ELECTRODES = {"link": 1024, "kajimoto61": 61, "etactilekit": 255}
 """Of a link board because the skin between them takes the square of that."""
 _RATE_HZ = {"serial-array": 200.0, "hx711": 80.0, "loadcell": 80.0}
@@ -130,7 +130,7 @@ def emulate_sensor(
     rate: Annotated[
         float | None, typer.Option(metavar="HZ", help="200 frames or 80 readings if not given.")
     ] = None,
-    sight: Annotated[
+    url: Annotated[
         str | None,
         typer.Option("--sensor", metavar="URL", help="What an array looks at: page:FILE, text:..."),
     ] = None,
@@ -200,11 +200,11 @@ def emulate_sensor(
             message = "a pixel is always a number: event nan is for load cells"
             raise _error(message, "event", "conflict", "nan")
         look = sensors.look_at_pattern(rows, columns)
-        if sight is not None:
+        if url is not None:
             import cv2
 
             cv2.setNumThreads(1)
-            look = sensors.look_at_page(sight, chosen, rows, columns)
+            look = sensors.look_at_page(url, chosen, rows, columns)
         device = sensors.SensorArray(look, rate_hz)
     else:
         device = sensors.LoadCell(

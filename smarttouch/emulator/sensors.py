@@ -176,24 +176,24 @@ def look_at_page(url: str, profile: Profile, rows: int, columns: int) -> Look:
     Raises
     ------
     SourceError
-        If there is no such sensor, or it cannot be asked for any time.
+        If there is no such source, or it cannot be asked for any time.
     """
     kind = url.partition(":")[0]
     if kind not in ("page", "text"):
         raise SourceError(
-            f"--sensor {url!r}: an emulated array looks at page:FILE or text:STRING",
-            about="--sensor",
+            f"source {url!r}: an emulated array looks at page:FILE or text:STRING",
+            about="url",
             problem="unknown",
             value=url,
             allowed=("page", "text"),
         )
     shape = {"sensor_rows": rows, "sensor_columns": columns}
     optics = profile.optics.model_copy(update=shape)
-    sensor = open_source(url, profile.model_copy(update={"optics": optics}))
-    lasts_ns = round(1e9 * (sensor.duration_s or 1.0))
+    source = open_source(url, profile.model_copy(update={"optics": optics}))
+    lasts_ns = round(1e9 * (source.duration_s or 1.0))
 
     def look(time_s: float) -> NDArray[np.uint8]:
-        frame = sensor.read(round(time_s * 1e9) % lasts_ns)
+        frame = source.read(round(time_s * 1e9) % lasts_ns)
         assert isinstance(frame, Frame)
         return frame.image
 

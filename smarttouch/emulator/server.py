@@ -31,10 +31,10 @@ from smarttouch.wire.tcp_line import TcpLine
 
 FAULTS = dict.fromkeys(("garbage", "nan", "freeze", "silent", "unplug"), "[SECONDS]")
 FIRST_HOST_S = 8.0
-"""How much longer than its lingering it waits for the first host."""
+"""Time beyond its lingering that it waits for the first host."""
 _WRITE_EVERY_NS = 50_000_000
 _FULL_WAIT_S = 0.0005
-"""How soon the rest of a message is tried again."""
+"""Time after which the rest of a message is tried again."""
 
 
 @dataclass
@@ -216,11 +216,11 @@ class Server:
     def _add(self, fault: Event) -> None:
         if fault.kind == "unplug" and not self._line.keeps_name:
             raise SourceError(
-                "the port's name would change: start it with --event '0 unplug 0'",
+                "the port's name would change: start it with the event '0 unplug 0'",
                 about="event",
                 problem="impossible",
                 value=fault.kind,
-                remedy="--event",
+                remedy="event 0 unplug 0",
             )
         self._faults.append(fault)
 

@@ -1,15 +1,18 @@
 """Registration of sensor to electrodes: the pixels of each electrode."""
 
 import math
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
 
 from smarttouch.electrodes import ElectrodeArray
 from smarttouch.errors import ProfileError
 from smarttouch.profile import Optics
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 PIXELS_PER_CELL = 8
 """Working pixels across one electrode's cell; finer frames are averaged down first."""
@@ -97,6 +100,9 @@ def _reduced_side(side: int, wanted: int) -> int:
 def _aperture_matrix(
     electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int]
 ) -> "csr_array[np.float32]":
+    # Most commands import this module, and few see frames.
+    from scipy.sparse import coo_array
+
     rows, columns = shape
     width_mm, height_mm = (side / optics.magnification for side in electrodes.cell_mm)
     field_mm = _field_mm(electrodes, optics, finest=True)

@@ -41,7 +41,7 @@ def design_sites(
     Parameters
     ----------
     problem : Problem
-        Rows of the primary and profile.
+        Rows of the class and profile.
     design : callable
         Function that designs one site.
     sites : sequence of int, optional

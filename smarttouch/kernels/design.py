@@ -48,7 +48,7 @@ def design_kernel(
     Parameters
     ----------
     problem : Problem
-        Rows of the primary and profile.
+        Rows of the class and profile.
     site : int
         Electrode over the target.
     spill : float, optional
@@ -103,7 +103,7 @@ def design_kernel(
     return problem.judge(weights, site, node)
 
 
-def design_any_node(problem: Problem, site: int, spill: float | None = SPILL) -> Kernel:
+def design_any_node(problem: Problem, site: int) -> Kernel:
     """Try every node of the target's axon that is nearest to this site (Eq. 13 to 15).
 
     Which node an optimal kernel fires is not known beforehand, so all are
@@ -115,7 +115,7 @@ def design_any_node(problem: Problem, site: int, spill: float | None = SPILL) ->
     kernels = []
     for node in np.flatnonzero(near):
         try:
-            kernels.append(design_kernel(problem, site, spill, int(node)))
+            kernels.append(design_kernel(problem, site, SPILL, int(node)))
         except DesignError:
             if node == 0:
                 raise

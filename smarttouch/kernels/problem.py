@@ -114,7 +114,7 @@ class Rows:
 
 
 class Problem:
-    """Rows of one primary on one profile, shared by all its sites.
+    """Rows of one class on one profile, shared by all its sites.
 
     Parameters
     ----------

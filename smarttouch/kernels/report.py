@@ -181,7 +181,7 @@ def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
         heading,
         list(rows.values()),
         "Worst other and own spill are activations of the target's own: above 1 another class "
-        "fires first. --site N shows weights.",
+        "fires first.",
     )
 
 

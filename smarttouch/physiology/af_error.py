@@ -21,6 +21,7 @@ from smarttouch.profile import Profile
 
 DEPTHS_MM = (0.5, 0.7, 0.9, 1.4, 2.0)
 REFERENCE_MM = 0.9
+_WIDTH_US = 200.0
 _NODES = 161
 
 _FIBERS = {
@@ -59,15 +60,13 @@ class AfError:
         return self.af_ma / self.cable_ma
 
 
-def af_error_table(profile: Profile, width_us: float = 200.0) -> list[AfError]:
+def af_error_table(profile: Profile) -> list[AfError]:
     """Return predicted and modelled thresholds under one electrode of a profile.
 
     Parameters
     ----------
     profile : Profile
         Profile of the electrode and skin; its current returns far away.
-    width_us : float, µs
-        Pulse width.
 
     Returns
     -------
@@ -86,7 +85,7 @@ def af_error_table(profile: Profile, width_us: float = 200.0) -> list[AfError]:
             for polarity, sign in (("cathodic", 1.0), ("anodic", -1.0)):
                 strongest = max(float((sign * bend).max()), 0.0)
                 try:
-                    cable = threshold_ma(potential, fiber, width_us, cathodic=sign > 0)
+                    cable = threshold_ma(potential, fiber, _WIDTH_US, cathodic=sign > 0)
                 except DesignError:
                     cable = np.nan
                 found.append((name, polarity, depth_mm, cable, strongest))

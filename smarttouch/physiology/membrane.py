@@ -135,11 +135,13 @@ class Axon:
         """Return the state after one step, under (A,) currents in mA (cathodic > 0) or none."""
         v, gates = state
         rate, target = _gates(v)
-        gates = target + (gates - target) * np.exp(-rate * self.step_us)
-        sodium = self._sodium * gates[0] ** 2 * gates[1]
+        rate *= -self.step_us
+        gates = target + (gates - target) * np.exp(rate, out=rate)
+        sodium = self._sodium * gates[0] * gates[0] * gates[1]
         conductance = sodium + self._leak
         target_v = (sodium * _SODIUM_MV + self._leak_current) / conductance
-        decay = np.exp(-conductance * (self.step_us / 2))
+        conductance *= -self.step_us / 2
+        decay = np.exp(conductance, out=conductance)
         v = (target_v + (v - target_v) * decay) @ self._spread
         if current_ma is not None:
             v += current_ma[:, None] * self._push
@@ -148,14 +150,16 @@ class Axon:
 
 def _gates(v: Array) -> tuple[Array, Array]:
     """Return rates (1/µs) and steady values of the gates m and h, stacked first (CRRSS)."""
-    held = np.clip(v, -_RATES_HOLD_MV, _RATES_HOLD_MV)
-    alpha_m = (97 + 0.363 * held) / (1 + np.exp((31 - held) / 5.3))
-    beta_m = alpha_m * np.exp((23.8 - held) / 4.17)
-    beta_h = 15.6 / (1 + np.exp((24 - held) / 10))
-    alpha_h = beta_h * np.exp((5.5 - held) / 5)
-    opening = np.stack([alpha_m, alpha_h])
-    rate = opening + np.stack([beta_m, beta_h])
-    return rate / 1000, opening / rate
+    held = np.minimum(np.maximum(v, -_RATES_HOLD_MV), _RATES_HOLD_MV)
+    opening, closing = np.empty((2, *v.shape)), np.empty((2, *v.shape))
+    np.divide(97 + 0.363 * held, 1 + np.exp((31 - held) / 5.3), out=opening[0])
+    np.multiply(opening[0], np.exp((23.8 - held) / 4.17), out=closing[0])
+    np.divide(15.6, 1 + np.exp((24 - held) / 10), out=closing[1])
+    np.multiply(closing[1], np.exp((5.5 - held) / 5), out=opening[1])
+    rate = opening + closing
+    opening /= rate
+    rate /= 1000
+    return rate, opening
 
 
 def threshold_ma(

@@ -108,9 +108,9 @@ def discrimination_figure(series: Sequence[Series]) -> "Figure":
     return figure
 
 
-def binomial_interval(k: Array, n: Array, confidence: float = 0.95) -> tuple[Array, Array]:
-    """Return Clopper and Pearson's exact interval of k successes in n trials (1934)."""
-    tail = (1 - confidence) / 2
+def binomial_interval(k: Array, n: Array) -> tuple[Array, Array]:
+    """Return Clopper and Pearson's exact 95 % interval of k successes in n trials (1934)."""
+    tail = 0.025
     low = betaincinv(np.maximum(k, 0.5), n - k + 1, tail)
     high = betaincinv(k + 1, np.maximum(n - k, 0.5), 1 - tail)
     return np.where(k > 0, low, 0.0), np.where(k < n, high, 1.0)

@@ -18,7 +18,7 @@ from smarttouch.kernels.frames.slots import FrameSlot, plan_slots
 from smarttouch.physiology.afferents import depth_mm, everywhere
 from smarttouch.plotting.style import GREY, SIGNED_MAP, new_figure, plain
 from smarttouch.profile import Profile
-from smarttouch.stimulation.frames import unsupported_reason
+from smarttouch.stimulation.sharing import unsupported_reason
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,7 +9,7 @@ from smarttouch.afferent import Afferent
 from smarttouch.kernels.problem import Array, Kernel
 from smarttouch.physiology.activation import field
 from smarttouch.physiology.afferents import depth_mm, directions
-from smarttouch.plotting.paper import draw_weights
+from smarttouch.plotting.paper import draw_field, draw_weights
 from smarttouch.plotting.style import CLASS_COLORS, GREY, SIGNED_MAP, new_figure, plain
 from smarttouch.profile import Profile
 
@@ -37,12 +37,14 @@ def kernel_figure(profile: Profile, kernels: Mapping[Afferent, Kernel], site: in
     tall = min(2.4, max(1.4, 1.9 * height / width))
     figure = new_figure(8.6, 0.35 + len(kernels) * (tall + 0.35))
     panels = figure.subplots(len(kernels), 4, squeeze=False, sharex=True, sharey=True)
+    x, y = (np.linspace(-each, each, _POINTS) for each in _reach_mm(profile))
+    per_ma = _per_ma(profile, np.stack(np.meshgrid(x, y), axis=-1))
     for row, (afferent, kernel) in zip(panels, kernels.items(), strict=True):
         weights_drawn = _draw_array(row[0], profile, kernel.peak_normalized)
         worst = f"worst other {kernel.off_target:.2g} ({kernel.off_target_class.name})"
         plain(row[0], f"{afferent.name} kernel\n{worst}", "", "y (mm)")
         for axes, shown in zip(row[1:], Afferent, strict=True):
-            drawn = _draw_activation(axes, profile, kernel, shown)
+            drawn = draw_field(axes, x, y, _activation(per_ma[shown], kernel))
             plain(axes, f"at {shown.name}, {depth_mm(profile.skin, shown):g} mm deep")
             _outline(axes, profile)
             axes.plot(*profile.electrodes.position_mm[site], "+", color="black", ms=7)
@@ -65,12 +67,12 @@ def _line_figure(profile: Profile, kernels: Mapping[Afferent, Kernel]) -> "Figur
     figure = new_figure(7.5, 0.3 + 2.2 * len(kernels))
     panels = figure.subplots(len(kernels), 2, squeeze=False)
     x = np.linspace(-1, 1, 4 * _POINTS) * _reach_mm(profile)[0]
-    places = np.column_stack([x, np.zeros_like(x)])
+    per_ma = _per_ma(profile, np.column_stack([x, np.zeros_like(x)]))
     for (left, right), (afferent, kernel) in zip(panels, kernels.items(), strict=True):
         draw_weights(left, profile, kernel.peak_normalized)
         plain(left, f"{afferent.name} kernel", "electrode (mm)", "weight, cathodic up")
         for shown in Afferent:
-            af = _activation(profile, kernel, shown, places)
+            af = _activation(per_ma[shown], kernel)
             right.plot(x, af, color=CLASS_COLORS[shown], label=shown.name)
         right.axhline(0, color=GREY, lw=0.6)
         right.axhline(1, color=GREY, lw=0.6, ls=":", label="target")
@@ -91,22 +93,20 @@ def _reach_mm(profile: Profile) -> Array:
     return np.asarray(np.abs(array.position_mm).max(axis=0) + array.pitch_mm)
 
 
-def _activation(profile: Profile, kernel: Kernel, shown: Afferent, places: Array) -> Array:
-    """Return the AF of a kernel at places, in the class's strongest direction."""
+def _per_ma(profile: Profile, places: Array) -> dict[Afferent, Array]:
+    """Return the AF of each class at (..., 2) places, in each of its directions, (D, ..., E)."""
     skin = profile.skin
-    found, scale = field(profile.electrodes, skin, places, depth_mm(skin, shown))
-    along = [found.along(each) @ kernel.weights for each in directions(skin, shown)]
-    return np.asarray(scale * np.max(along, axis=0))
+    per_ma = {}
+    for shown in Afferent:
+        found, scale = field(profile.electrodes, skin, places.reshape(-1, 2), depth_mm(skin, shown))
+        along = scale * np.array([found.along(each) for each in directions(skin, shown)])
+        per_ma[shown] = along.reshape(len(along), *places.shape[:-1], -1)
+    return per_ma
 
 
-def _draw_activation(axes: Any, profile: Profile, kernel: Kernel, shown: Afferent) -> Any:
-    reach = _reach_mm(profile)
-    x, y = (np.linspace(-each, each, _POINTS) for each in reach)
-    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    af = _activation(profile, kernel, shown, places).reshape(len(y), len(x))
-    return axes.pcolormesh(
-        x, y, af, cmap=SIGNED_MAP, vmin=-1, vmax=1, rasterized=True, shading="gouraud"
-    )
+def _activation(per_ma: Array, kernel: Kernel) -> Array:
+    """Return the AF of a kernel at the places of `_per_ma`, in the strongest direction."""
+    return np.asarray((per_ma @ kernel.weights).max(axis=0))
 
 
 def _draw_array(axes: Any, profile: Profile, weights: Array) -> Any:

@@ -140,16 +140,7 @@ def _draw_depth_map(axes: Any, line: Profile, weights: Array, rising: bool) -> A
     af = _af(line, weights, _ACROSS_MM, _DEPTHS_MM, rising)
     af /= np.abs(af[_DEPTHS_MM >= 0.3]).max()
     # Cube roots show both the strong AF under the electrode and the weak one in the deep.
-    drawn = axes.pcolormesh(
-        _ACROSS_MM,
-        _DEPTHS_MM,
-        np.cbrt(af),
-        cmap=SIGNED_MAP,
-        vmin=-1,
-        vmax=1,
-        rasterized=True,
-        shading="gouraud",
-    )
+    drawn = draw_field(axes, _ACROSS_MM, _DEPTHS_MM, np.cbrt(af))
     axes.contour(_ACROSS_MM, _DEPTHS_MM, af, levels=[0], colors=GREY, linewidths=0.6)
     for place, weight in zip(line.electrodes.position_mm[:, 0], weights, strict=True):
         if weight:
@@ -167,6 +158,21 @@ def _draw_depth_map(axes: Any, line: Profile, weights: Array, rising: bool) -> A
     axes.set(ylim=(_DEPTHS_MM[-1], 0), xlim=(-4, 4))
     axes.spines["bottom"].set_visible(False)
     return drawn
+
+
+def draw_field(axes: Any, x: Array, y: Array, af: Array) -> Any:
+    """Draw a field over evenly spaced places, (Y, X), as an image: far sooner than as a mesh."""
+    half_x, half_y = (x[1] - x[0]) / 2, (y[1] - y[0]) / 2
+    return axes.imshow(
+        af,
+        cmap=SIGNED_MAP,
+        vmin=-1,
+        vmax=1,
+        extent=(x[0] - half_x, x[-1] + half_x, y[-1] + half_y, y[0] - half_y),
+        origin="upper",
+        interpolation="bilinear",
+        aspect=axes.get_aspect(),
+    )
 
 
 def _add_scale(figure: "Figure", drawn: Any, panels: Any) -> None:

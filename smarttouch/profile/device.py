@@ -81,11 +81,11 @@ class Optics(Table):
     magnification: Positive
     """Millimeters on the array per millimeter on the page."""
     rotation_deg: float = Field(default=0.0, ge=-180, le=180)
-    """How far the array is turned in a frame, clockwise."""
+    """Angle of the array in a frame, clockwise."""
     offset_x_mm: Number = 0.0
-    """How far the middle of the array lies right of that of a frame, on the page."""
+    """Distance of the array's middle to the right of a frame's, on the page."""
     offset_y_mm: Number = 0.0
-    """How far the middle of the array lies below that of a frame, on the page."""
+    """Distance of the array's middle below a frame's, on the page."""
     homography: tuple[Number, ...] | None = Field(default=None, min_length=9, max_length=9)
     """Homography of a tilted camera, by rows: millimeters on the page around the middle of what the
     array covers become pixels of a frame of ``sensor_columns`` by ``sensor_rows`` (centers at whole
@@ -98,7 +98,7 @@ class ForceLaw(Table):
     """Dependence of intensity on finger force (paper, Section IV-B)."""
 
     law: Literal["linear", "logarithmic"]
-    """How intensity rises between contact and full force."""
+    """Shape of the rise of intensity between contact and full force."""
     contact_n: Positive
     """Force from which current flows."""
     full_n: Positive
@@ -138,7 +138,8 @@ class Pulse(Table):
     sai_rate_hz: float = Field(default=50.0, ge=1, le=200)
     """Pulses of SAI a second in natural mode, at full force."""
     softness: float = Field(default=1.0, ge=0, le=1)
-    """How little the rate of SAI pulses follows force: 1 soft, 0 hard (paper, Section III-B.2)."""
+    """Softness, by which the rate of SAI pulses follows force less: 1 soft, 0 hard (paper, Section
+    III-B.2)."""
 
 
 class Limits(Table):
@@ -193,12 +194,13 @@ class PerceptThresholds(Table):
     """Measured strongest comfortable current of each electrode; ``threshold_ma`` ×
     ``comfort_ratio`` if not given."""
     ra_shift_mm: tuple[Number, Number] = (0.0, 0.0)
-    """How far right of and below the stimulated point RA is felt."""
+    """Shift of the place where RA is felt, right of and below the stimulated point."""
     sai_shift_mm: tuple[Number, Number] = (0.0, 0.0)
-    """How far right of and below the stimulated point SAI is felt."""
+    """Shift of the place where SAI is felt, right of and below the stimulated point."""
     pc_shift_mm: tuple[Number, Number] = (0.0, 0.0)
-    """How far right of and below the stimulated point PC is felt: at the receptor, not where its
-    axon was hit (paper, Section III-B.4: PC 1 to 3 mm toward the fingertip)."""
+    """Shift of the place where PC is felt, right of and below the stimulated point: at the
+    receptor, not where its axon was hit (paper, Section III-B.4: PC 1 to 3 mm toward the
+    fingertip)."""
 
 
 class Calibrated(Table):

@@ -84,58 +84,65 @@ def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
     over = full_ma > np.multiply(np.inf if lowered is None else lowered, 1 + 1e-6)
     if lowered is not None and over.any():
         index = int(over.argmax())
-        yield UnfitError(
-            f"{strongest_of} is {full_ma[index]:.2f} mA at electrode {index}, "
-            f"above its limits.electrode_ma {lowered[index]:g}: lower one of the two",
-            about="limits.electrode_ma",
-            problem="too large",
-            value=float(full_ma[index]),
-            allowed=lowered[index],
-            remedy=strongest_key,
-            electrode=index,
+        yield _too_large(
+            "limits.electrode_ma",
+            float(full_ma[index]),
+            lowered[index],
+            f"{strongest_of} is {full_ma[index]:.2f} mA at electrode {index}, above its "
+            f"limits.electrode_ma {lowered[index]:g}: lower one of the two",
+            strongest_key,
+            index,
         )
-    strongest = float(full_ma.max())
-    if strongest > profile.limits.current_ma:
-        yield UnfitError(
-            f"{strongest_of} reaches {strongest:.2f} mA, above "
-            f"limits.current_ma {profile.limits.current_ma}: lower one of the two",
-            about="limits.current_ma",
-            problem="too large",
-            value=strongest,
-            allowed=profile.limits.current_ma,
-            remedy=strongest_key,
+    limits, width_us, strongest = profile.limits, profile.pulse.width_us, float(full_ma.max())
+    if strongest > limits.current_ma:
+        yield _too_large(
+            "limits.current_ma",
+            strongest,
+            limits.current_ma,
+            f"{strongest_of} reaches {strongest:.2f} mA, above limits.current_ma "
+            f"{limits.current_ma}: lower one of the two",
+            strongest_key,
         )
-    total = profile.limits.total_ma
-    if total is not None and total < strongest:
-        yield UnfitError(
-            f"limits.total_ma {total:g} is below the {strongest:.2f} mA that {strongest_of} "
-            "sends through one electrode: raise it, or lower one of the two",
-            about="limits.total_ma",
-            problem="too large",
-            value=strongest,
-            allowed=total,
-            remedy=strongest_key,
+    if limits.total_ma is not None and limits.total_ma < strongest:
+        yield _too_large(
+            "limits.total_ma",
+            strongest,
+            limits.total_ma,
+            f"limits.total_ma {limits.total_ma:g} is below the {strongest:.2f} mA that "
+            f"{strongest_of} sends through one electrode: raise it, or lower one of the two",
+            strongest_key,
         )
-    if profile.pulse.width_us > profile.limits.pulse_us:
-        yield UnfitError(
-            f"pulse.width_us {profile.pulse.width_us} is above limits.pulse_us "
-            f"{profile.limits.pulse_us:g}: lower it",
-            about="pulse.width_us",
-            problem="too large",
-            value=profile.pulse.width_us,
-            allowed=profile.limits.pulse_us,
+    if width_us > limits.pulse_us:
+        yield _too_large(
+            "pulse.width_us",
+            width_us,
+            limits.pulse_us,
+            f"pulse.width_us {width_us} is above limits.pulse_us {limits.pulse_us:g}: lower it",
         )
-    charge = strongest * profile.pulse.width_us / 1000
-    if charge > profile.limits.charge_uc:
-        yield UnfitError(
+    charge = strongest * width_us / 1000
+    if charge > limits.charge_uc:
+        yield _too_large(
+            "limits.charge_uc",
+            charge,
+            limits.charge_uc,
             f"the strongest pulse carries {charge:.3f} µC, above limits.charge_uc "
-            f"{profile.limits.charge_uc}: lower {strongest_of} or pulse.width_us",
-            about="limits.charge_uc",
-            problem="too large",
-            value=charge,
-            allowed=profile.limits.charge_uc,
-            remedy=strongest_key,
+            f"{limits.charge_uc}: lower {strongest_of} or pulse.width_us",
+            strongest_key,
         )
+
+
+def _too_large(
+    key: str,
+    value: float,
+    allowed: float,
+    words: str,
+    remedy: str = "",
+    electrode: int | None = None,
+) -> UnfitError:
+    return UnfitError(
+        words, about=key, problem="too large", value=value, allowed=allowed, remedy=remedy,
+        electrode=electrode,
+    )  # fmt: skip
 
 
 def _of_another_length(key: str, numbers: int, electrodes: int, otherwise: str) -> UnfitError:

@@ -31,7 +31,7 @@ class Profile(Table):
     name: str = ""
     """Name of the file."""
     title: str = Field(min_length=1)
-    """What the device is, for people."""
+    """Description of the device, for people."""
     array: ArrayLayout
     skin: Skin
     output: Output

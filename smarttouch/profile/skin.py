@@ -24,13 +24,13 @@ class Spread(Table):
     """Largest deviation of a true finger from the nominal one; robust kernels hold over it."""
 
     ra_depth_mm: float = Field(default=0.1, ge=0)
-    """How far the depth of RA may be off, each way."""
+    """Largest error of the depth of RA, each way."""
     sai_depth_mm: float = Field(default=0.1, ge=0)
-    """How far the depth of SAI may be off, each way."""
+    """Largest error of the depth of SAI, each way."""
     pc_depth_mm: float = Field(default=0.3, ge=0)
-    """How far the depth of PC may be off, each way."""
+    """Largest error of the depth of PC, each way."""
     angle_deg: float = Field(default=10.0, ge=0, le=45)
-    """How far flat axons may be turned in the plane, and rising ones from the vertical."""
+    """Largest turn of flat axons in the plane, and of rising ones from the vertical."""
     conductivity_factor: float = Field(default=1.5, ge=1, le=100)
     """Factor by which the conductivity of each layer may be off, up and down."""
 

@@ -138,8 +138,8 @@ def design(name: str, profile: Profile, wanted: ExperimentOptions) -> Design:
     method = wanted.procedure or entry.methods[0]
     if method not in entry.methods:
         raise ExperimentError(
-            f"--procedure {method!r} is not for {name}: choose {' or '.join(entry.methods)}",
-            about="--procedure",
+            f"the procedure {method!r} is not for {name}: choose {' or '.join(entry.methods)}",
+            about="procedure",
             problem="unknown",
             value=method,
             allowed=entry.methods,
@@ -221,9 +221,9 @@ def _discomfort(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Des
     slowest_s = _SLOWER * stimuli.profile.limits.ramp_s
     if stimuli.train_s < slowest_s:
         raise ExperimentError(
-            f"a current that is enough in {stimuli.train_s:g} s comes too suddenly: give --train-s "
-            f"{slowest_s:g} or more",
-            about="--train-s",
+            f"a current that is enough in {stimuli.train_s:g} s comes too suddenly: let trains "
+            f"last {slowest_s:g} s or more",
+            about="train_s",
             problem="too small",
             value=stimuli.train_s,
             allowed=slowest_s,
@@ -254,7 +254,7 @@ def _localization(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> D
     if not far_mm:
         raise ExperimentError(
             f"site {site} has no neighbors as far left as right: choose one in the middle of a row",
-            about="--site",
+            about="site",
             problem="impossible",
             value=site,
         )

@@ -93,11 +93,11 @@ class FreeLog(Closing):
             self._file = path.open("x", newline="", encoding="utf-8-sig")
         except FileExistsError:
             raise ExperimentError(
-                f"{path} exists: give another --output",
+                f"{path} exists: give another file",
                 about="file",
                 problem="exists",
                 value=path,
-                remedy="--output",
+                remedy="output",
             ) from None
         except OSError as error:
             raise unwritable(ExperimentError, path, error) from None
@@ -189,16 +189,16 @@ class FreeSource(StimulusSource, Listener):
         fastest_hz = min(FASTEST_HZ, profile.limits.rate_hz)
         if not SLOWEST_HZ <= rate_hz <= fastest_hz:
             raise ExperimentError(
-                f"--rate {rate_hz:g} must be from {SLOWEST_HZ:g} to {fastest_hz:g} Hz",
-                about="--rate",
+                f"{rate_hz:g} pulses a second must be from {SLOWEST_HZ:g} to {fastest_hz:g}",
+                about="rate_hz",
                 value=rate_hz,
                 allowed=(SLOWEST_HZ, fastest_hz),
             )
         if afferent not in offered:
             raise ExperimentError(
-                f"--mode {afferent.name} is not possible with {profile.name}: choose "
+                f"mode {afferent.name} is not possible with {profile.name}: choose "
                 + " or ".join(each.name for each in offered),
-                about="--mode",
+                about="mode",
                 problem="impossible",
                 value=afferent.name,
                 allowed=tuple(each.name for each in offered),

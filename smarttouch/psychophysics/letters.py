@@ -15,7 +15,7 @@ _DRAWN_PX = 400
 
 
 def parse_letters(text: str | None) -> str:
-    """Return the letters that ``--letters ABC`` names, each once; the alphabet if None.
+    """Return the letters that ``ABC`` names, each once; the alphabet if None.
 
     Raises
     ------
@@ -26,8 +26,8 @@ def parse_letters(text: str | None) -> str:
     strange = [each for each in letters if each not in ALPHABET]
     if strange or len(letters) < 2:
         raise ExperimentError(
-            f"--letters {text!r} must be two or more letters from A to Z, as in AEIOU",
-            about="--letters",
+            f"letters {text!r} must be two or more letters from A to Z, as in AEIOU",
+            about="letters",
             problem="unknown" if strange else "too few",
             value=text,
         )

@@ -47,11 +47,11 @@ class Session:
             if procedure.done or not _same(procedure.next(), row):
                 raise ExperimentError(
                     f"{file.path}, trial {number + 1}, is not of this experiment: go on with the "
-                    "options it was begun with, or give --overwrite or another --output",
+                    "options it was begun with, overwrite it, or give another file",
                     about="trial",
                     problem="conflict",
                     value=number + 1,
-                    remedy="--overwrite",
+                    remedy="overwrite or output",
                 )
             procedure.answer(row.success)
         self.resumed = len(file.rows)

@@ -40,18 +40,18 @@ class ExperimentSession:
     course: TrialTiming
     path: Path
 
-    def sensor(self, pressing_n: float | None, *, in_real_time: bool) -> ExperimentSource:
+    def source(self, pressing_n: float | None, *, in_real_time: bool) -> ExperimentSource:
         """Return the source of its stimuli; force is made up if it is given."""
         clock = MonotonicClock() if in_real_time else None
-        sensor = ExperimentSource(self.session, self.profile, self.course, pressing_n, clock)
-        sensor.url = f"experiment:{self.session.title}"
-        return sensor
+        source = ExperimentSource(self.session, self.profile, self.course, pressing_n, clock)
+        source.url = f"experiment:{self.session.title}"
+        return source
 
-    def subject(self, sensor: ExperimentSource, simulate: str, seed: int) -> Subject:
+    def subject(self, source: ExperimentSource, simulate: str, seed: int) -> Subject:
         """Return a listener who answers in place of a person."""
         drawn = getattr(self.made.task, "drawn", None)
         observer = make_observer(simulate, self.profile, seed + self.session.resumed, drawn)
-        return Subject(sensor, observer)
+        return Subject(source, observer)
 
     def before(self) -> Iterator[str]:
         """Yield lines on it before it goes on."""
@@ -92,8 +92,8 @@ def parse_standards(text: str | None) -> tuple[float, ...] | None:
     except ValueError:
         standards = ()
     if not standards or not all(0 < each < 1e6 for each in standards):
-        message = f"--standards {text!r} is not understood: give frequencies in Hz, as in 15,30,45"
-        raise SmartTouchError(message, about="--standards", problem="malformed", value=text)
+        message = f"standards {text!r} are not understood: give frequencies in Hz, as in 15,30,45"
+        raise SmartTouchError(message, about="standards", problem="malformed", value=text)
     return tuple(dict.fromkeys(standards))
 
 
@@ -107,17 +107,17 @@ def usual_name(
     SmartTouchError
         If a name cannot be part of a file's, or the seed is negative.
     """
-    for option, name in (("--participant", participant), ("--session", session)):
+    for parameter, name in (("participant", participant), ("session", session)):
         if any(not (each.isalnum() or each in "-_.") for each in name):
             raise SmartTouchError(
-                f"{option} {name!r} becomes part of a file's name: use letters, digits, - and _",
-                about=option,
+                f"{parameter} {name!r} becomes part of a file's name: use letters, digits, - and _",
+                about=parameter,
                 problem="malformed",
                 value=name,
             )
     if seed is not None and seed < 0:
-        message = f"--seed {seed} must be 0 or more"
-        raise SmartTouchError(message, about="--seed", value=seed, allowed=0)
+        message = f"the seed {seed} must be 0 or more"
+        raise SmartTouchError(message, about="seed", value=seed, allowed=0)
     named = "-".join(each for each in (participant, session, experiment) if each)
     usual = zlib.crc32(f"{participant}/{session}".encode()) % 10_000
     return named, usual if seed is None else seed

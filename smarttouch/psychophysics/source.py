@@ -173,11 +173,11 @@ class ExperimentSource(StimulusSource, Listener):
             if patience_s is not None and self._now_ns - began_ns > patience_s * 1e9:
                 raise ExperimentError(
                     f"no trial could begin for {patience_s:g} s, and nobody is there to "
-                    f"{self._finger}: give more --intensity or --force",
+                    f"{self._finger}: give more intensity or force",
                     about="trial",
                     problem="late",
                     value=patience_s,
-                    remedy="--intensity",
+                    remedy="intensity or force",
                 )
             yield self._quiet(self._silent_us, level)
 

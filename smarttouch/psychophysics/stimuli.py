@@ -73,8 +73,8 @@ class Stimuli:
     def __init__(self, profile: Profile, afferent: Afferent, train_s: float) -> None:
         if not 0 < train_s <= LONGEST_S:
             raise ExperimentError(
-                f"--train-s {train_s:g} must be above 0 and at most {LONGEST_S:g} s",
-                about="--train-s",
+                f"trains of {train_s:g} s must be above 0 and at most {LONGEST_S:g} s long",
+                about="train_s",
                 value=train_s,
                 allowed=(0, LONGEST_S),
             )
@@ -101,8 +101,8 @@ class Stimuli:
         if pulses < FEWEST_PULSES:
             raise ExperimentError(
                 f"{self.train_s:g} s at {rate_hz:g} Hz are {pulses} pulses, fewer than the "
-                f"{FEWEST_PULSES} that make a frequency: raise --train-s",
-                about="--train-s",
+                f"{FEWEST_PULSES} that make a frequency: make trains longer",
+                about="train_s",
                 problem="too few",
                 value=pulses,
                 allowed=FEWEST_PULSES,
@@ -151,9 +151,9 @@ def require_site(site: int | None, profile: Profile) -> None:
     """Raise an `ExperimentError` unless a site is driven; None is the middle."""
     if site is not None and site not in profile.driven:
         raise ExperimentError(
-            f"--site {site} is masked or none of the {len(profile.electrodes)} sites of "
+            f"site {site} is masked or none of the {len(profile.electrodes)} sites of "
             f"{profile.name}: leave it out for the middle",
-            about="--site",
+            about="site",
             problem="unknown",
             value=site,
             allowed=tuple(profile.driven.tolist()),

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,31 @@ from smarttouch.psychophysics.trial import (
 _WHERE = {1: "first", 2: "second"}
 
 
+def _in_two_intervals(
+    condition: Condition,
+    own: Train,
+    other: Train,
+    task: str,
+    question: str,
+    words: str,
+    unit: str,
+    **more: Any,
+) -> Trial:
+    """Return a trial of two intervals: ``own`` is in that of the comparison."""
+    at = condition.comparison_interval
+    return Trial(
+        condition,
+        (own, other) if at == 1 else (other, own),
+        task=task,
+        question=f"{question} 1 or 2",
+        answers=FIRST_OR_SECOND,
+        success=str(at),
+        words=f"{words} {_WHERE[at]}",
+        unit=unit,
+        **{"target": str(at)} | more,
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class FrequencyTask:
     """Frequency discrimination: which of two trains is faster (paper, Section III.C)?"""
@@ -33,20 +59,13 @@ class FrequencyTask:
             condition.comparison,
             condition.comparison_interval,
         )
-        trains = [self.stimuli.train([self.site], each) for each in (comparison, standard)]
+        own, other = (self.stimuli.train([self.site], each) for each in (comparison, standard))
         target = "" if comparison == standard else str(at if comparison > standard else 3 - at)
-        return Trial(
-            condition,
-            tuple(trains if at == 1 else trains[::-1]),
-            task="faster",
-            question="which was faster? 1 or 2",
-            answers=FIRST_OR_SECOND,
-            target=target,
-            success=str(at),
-            words=f"standard {standard:g} Hz, comparison {comparison:g} Hz {_WHERE[at]}",
-            unit="Hz",
-            compares=True,
-        )
+        words = f"standard {standard:g} Hz, comparison {comparison:g} Hz"
+        return _in_two_intervals(
+            condition, own, other, "faster", "which was faster?", words, "Hz",
+            target=target, compares=True,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,18 +100,10 @@ class DetectionTask:
                 condition, (train,), "felt", "did you feel it? y or n", YES_OR_NO, target, "y",
                 words, "mA", exact=True,
             )  # fmt: skip
-        return Trial(
-            condition,
-            (train, blank) if at == 1 else (blank, train),
-            task="felt",
-            question="in which did you feel it? 1 or 2",
-            answers=FIRST_OR_SECOND,
-            target=str(at),
-            success=str(at),
-            words=f"{current_ma:.3f} mA {_WHERE[at]}",
-            unit="mA",
-            exact=True,
-        )
+        return _in_two_intervals(
+            condition, train, blank, "felt", "in which did you feel it?", f"{current_ma:.3f} mA",
+            "mA", exact=True,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,22 +144,15 @@ class TwoPointTask:
 
     def trial(self, condition: Condition) -> Trial:
         """Return the trial: two points, and one in the middle between them."""
-        apart_mm, at = condition.comparison, condition.comparison_interval
+        apart_mm = condition.comparison
         place_mm = self.stimuli.profile.electrodes.position_mm
         pairs = self.stimuli.pairs()
         pair = pairs[min(pairs, key=lambda far_mm: abs(far_mm - apart_mm))]
         one = self.stimuli.nearest(place_mm[list(pair)].mean(axis=0))
         two, single = (self.stimuli.train(each, self.rate_hz) for each in (pair, (one,)))
-        return Trial(
-            condition,
-            (two, single) if at == 1 else (single, two),
-            task="two",
-            question="which had two points? 1 or 2",
-            answers=FIRST_OR_SECOND,
-            target=str(at),
-            success=str(at),
-            words=f"two points {apart_mm:g} mm apart {_WHERE[at]}",
-            unit="mm",
+        words = f"two points {apart_mm:g} mm apart"
+        return _in_two_intervals(
+            condition, two, single, "two", "which had two points?", words, "mm"
         )
 
 

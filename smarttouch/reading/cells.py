@@ -165,7 +165,7 @@ def cell_layout(profile: Profile, lines: int = 1, eight: bool = False) -> CellLa
     if lines < 1:
         raise ReadingError(
             f"{lines} lines of Braille at once are not possible: give 1 or more",
-            about="--lines",
+            about="lines",
             problem="too small",
             value=lines,
             allowed=1,
@@ -180,7 +180,7 @@ def cell_layout(profile: Profile, lines: int = 1, eight: bool = False) -> CellLa
             problem="too few",
             value=(rows, columns),
             allowed=(layout.height, dot_x + 1),
-            remedy="--lines" if fewer else "",
+            remedy="lines" if fewer else "",
         )
     return layout
 

@@ -66,9 +66,8 @@ class Motion:
     def __post_init__(self) -> None:
         if not SLOWEST_MM_S <= self.speed_mm_s <= FASTEST_MM_S:
             raise ReadingError(
-                f"--speed {self.speed_mm_s:g} must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g} "
-                "mm/s",
-                about="--speed",
+                f"{self.speed_mm_s:g} mm/s must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g}",
+                about="speed_mm_s",
                 value=self.speed_mm_s,
                 allowed=(SLOWEST_MM_S, FASTEST_MM_S),
             )
@@ -116,8 +115,8 @@ class SweepingCursor:
     ) -> None:
         if not 0 <= pause_s <= LONGEST_PAUSE_S:
             raise ReadingError(
-                f"--pause {pause_s:g} must be from 0 to {LONGEST_PAUSE_S:g} s",
-                about="--pause",
+                f"a pause of {pause_s:g} s must be from 0 to {LONGEST_PAUSE_S:g} s",
+                about="pause_s",
                 value=pause_s,
                 allowed=(0, LONGEST_PAUSE_S),
             )
@@ -187,7 +186,7 @@ class SweepingCursor:
 
 
 class FollowingCursor:
-    """Cursor at a live sensor's position on the page.
+    """Cursor at a live source's position on the page.
 
     Parameters
     ----------

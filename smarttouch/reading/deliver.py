@@ -23,7 +23,7 @@ from smarttouch.reading.window import pixel_of, press_n
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.runner import Runner
-from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy
+from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 
 
 @dataclass(frozen=True)
@@ -65,13 +65,13 @@ def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
     profile = reading.profile
     feed = LineFeed(iter([line])).start()
     cursor = SweepingCursor(feed, reading.motion, press_n(profile))
-    sensor = ReadingSource("a line", profile, feed, cursor)
+    source = ReadingSource("a line", profile, feed, cursor)
     feed.wait_for_end()
     answers = DeliveredAnswers(profile, reading.bank, reading.mode.afferents)
     config = RunConfig(mode=reading.mode, tone=reading.tone, scan=reading.sharing)
     with Display("simulated:", profile) as display:
         Runner(
-            sensor,
+            source,
             display,
             config,
             listeners=[answers.watch],

@@ -137,7 +137,6 @@ def recognize(
 def recognize_lines(
     strips: Sequence[NDArray[np.uint8]],
     languages: str = "eng",
-    timeout_s: float = _USUAL_TIMEOUT_S,
 ) -> list[RecognizedLine]:
     """Recognize strips with one straight line of text each, in one call.
 
@@ -150,8 +149,6 @@ def recognize_lines(
         height are enough.
     languages : str
         Codes of what they are written in, joined by plus signs.
-    timeout_s : float, s
-        When to give up all of them.
 
     Returns
     -------
@@ -169,7 +166,7 @@ def recognize_lines(
         for strip, margin in zip(strips, margins, strict=True)
     ]
     words: list[list[Word]] = [[] for _ in strips]
-    for word in read_words(framed, languages, Layout.LINE, timeout_s):
+    for word in read_words(framed, languages, Layout.LINE, _USUAL_TIMEOUT_S):
         words[word.image].append(word)
     return [
         _line(each, margin, strip.shape)

@@ -173,7 +173,7 @@ def recognized_lines(
     if sure < SURE:
         note(
             f"the text was recognized with a confidence of {sure:.0%} only: it may be handwriting, "
-            "a picture, or another language (see --language)"
+            f"a picture, or in another language than {how.languages}"
         )
 
 

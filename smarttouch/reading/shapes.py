@@ -76,8 +76,8 @@ class Shapes:
         require_rows(profile, source.note)
         if source.holds_cells:
             raise ReadingError(
-                f"{source.name} holds Braille, not letters: read it --as braille",
-                about="--as",
+                f"{source.name} holds Braille, not letters: read it as Braille",
+                about="kind",
                 problem="conflict",
                 value="shapes",
                 allowed=("braille",),

@@ -1,4 +1,4 @@
-"""Image under the array while it reads: a window of its size, without a sensor's optics."""
+"""Image under the array while it reads: a window of its size, without the optics of a source."""
 
 from collections.abc import Callable
 
@@ -19,7 +19,7 @@ _PRESS = 1.1
 def profile_for_reading(profile: Profile) -> Profile:
     """Return a profile whose frames are the image under the array, at a scale of 1.
 
-    Text that is read comes from no sensor: optics, their registration and
+    Text that is read comes from no optical source: optics, their registration and
     their flat field play no part.
     """
     width_mm, height_mm = profile.electrodes.extent_mm
@@ -78,5 +78,5 @@ def require_rows(profile: Profile, note: Callable[[str], None]) -> None:
     if rows < ENOUGH_ROWS:
         note(
             f"{profile.name} has {rows} rows of electrodes: many letters cannot be told apart on "
-            f"fewer than {ENOUGH_ROWS}, read --as braille"
+            f"fewer than {ENOUGH_ROWS}, read Braille instead"
         )

@@ -93,8 +93,8 @@ def describe(path: Path) -> list[tuple[str, str]]:
         ("note", str(settings.get("note") or "none")),
         ("profile", f"{recording.profile.name}, {recording.profile.title}"),
         ("mode", ", ".join(f"{mode} {n:,}" for mode, n in account.modes.items()) or "none"),
-        ("sensor", str(settings.get("sensor"))),
-        ("force", str(settings.get("force") or "the sensor's or the board's")),
+        ("source", str(settings.get("sensor"))),
+        ("force", str(settings.get("force") or "the source's or the board's")),
         ("board", str(settings.get("board"))),
         ("images", f"{account.messages['/frame']:,}"),
         (

@@ -6,8 +6,8 @@ from pathlib import Path
 from smarttouch.errors import RecordingError
 from smarttouch.files import unwritable
 from smarttouch.recording.reader import Recording
-from smarttouch.recording.recorder import new_writer
 from smarttouch.recording.schemas import LAST, METADATA
+from smarttouch.recording.writer import new_writer
 from smarttouch.version import __version__
 
 
@@ -91,11 +91,11 @@ def repair(path: Path, output: Path | None = None) -> Repaired:
             writer.finish()
     except FileExistsError:
         raise RecordingError(
-            f"{output} exists: give another name with --output",
+            f"{output} exists: give another file",
             about="file",
             problem="exists",
             value=output,
-            remedy="--output",
+            remedy="output",
         ) from None
     except OSError as error:
         raise unwritable(RecordingError, output, error) from None

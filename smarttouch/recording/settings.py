@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from smarttouch.afferent import Afferent, Mode
 from smarttouch.errors import RecordingError
 from smarttouch.imaging.mapping import Tone
-from smarttouch.stimulation.frames import SlotPolicy
+from smarttouch.stimulation.sharing import SlotPolicy
 from smarttouch.stimulation.timing import ScanTiming
 
 _Share = Annotated[float, Field(ge=0, le=1)]

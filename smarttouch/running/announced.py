@@ -24,7 +24,7 @@ _MARK_BYTES = 200
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _OWN_STAT = Path("/proc/self/stat")
 _STARTED = 19
-"""Where the process's start stands, after the name of its program."""
+"""Place of the process's start, after the name of its program."""
 _IMPORTED_NS = now_ns()
 
 

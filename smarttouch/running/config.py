@@ -7,7 +7,7 @@ from smarttouch.afferent import Afferent, Mode
 from smarttouch.errors import SmartTouchError
 from smarttouch.imaging.mapping import Tone
 from smarttouch.profile import Profile
-from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy, unsupported_reason
+from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy, unsupported_reason
 
 SCANS = ("auto", "points", "frame")
 HOLDS = ("charge", "energy")

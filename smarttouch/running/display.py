@@ -4,7 +4,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from smarttouch.boards.board import Board, default_profile, make_board, require_gate
+from smarttouch.boards.board import Board
+from smarttouch.boards.open import default_profile, make_board, require_gate
 from smarttouch.closing import Closing
 from smarttouch.errors import SmartTouchError
 from smarttouch.profile import Profile, load_profile
@@ -72,9 +73,11 @@ class Display(Closing):
                 about="board",
                 problem="conflict",
                 value=url,
-                remedy="--vibrators",
+                remedy="vibrators",
             )
         self.board: Board = board
+        self.notes_told = 0
+        """Number of the board's notes that earlier runs have reported."""
 
     @property
     def on_a_finger(self) -> bool:

@@ -13,6 +13,7 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.step import Step
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.sources.stimulus import Input, Stimulus
+from smarttouch.stimulation.frames import FrameSlots
 from smarttouch.stimulation.intensity import SoftStart, force_gate
 from smarttouch.stimulation.schedule import ScanScheduler
 from smarttouch.stimulation.timing import ScanTiming
@@ -52,6 +53,7 @@ class Pipeline:
         self._soft_start = SoftStart(profile.limits.ramp_s)
         self._restarted = True
         self._scans: dict[Mode, ScanScheduler] = {}
+        self._frames: dict[tuple[Afferent, ...], FrameSlots] = {}
         self.change_mode(Mode(config.mode))
 
     def change_mode(self, mode: Mode) -> None:
@@ -102,6 +104,7 @@ class Pipeline:
                 self._profile.pulse.softness if softness is None else softness,
                 vibrated,
                 self._sharing,
+                self._frames,
             )
         return self._scans[mode]
 

@@ -132,6 +132,7 @@ class Runner:
                     self.statistics, self.source, board, report, ended
                 )
                 self.statistics.notes += self._notes()
+                self.display.notes_told = len(board.notes)
             for listener in self._listeners:
                 listener.finish(context)
         for listener in self._listeners:
@@ -164,7 +165,10 @@ class Runner:
     def _run_on_board(self, context: RunContext, pipeline: Pipeline) -> BoardReport:
         """Open the board, run, and return its account; it is closed, at zero, after that."""
         board, profile = context.board, context.profile
-        with steady_environment(pipeline), self._opened(self._stop):
+        with (
+            steady_environment(pipeline, board.simulated_time),
+            self._opened(self._stop),
+        ):
             self._require_force()
             self._warn_of_simulation(profile)
             regulator = make_regulator(board, profile, self.config, self._advise)
@@ -231,7 +235,7 @@ class Runner:
     def _notes(self) -> list[str]:
         force = self._force
         return [
-            *self.display.board.notes,
+            *self.display.board.notes[self.display.notes_told :],
             *self.source.notes,
             *(force.notes if force is not None else ()),
         ]
@@ -253,7 +257,7 @@ class Runner:
                 "an intensity, for example 0.3",
                 about="intensity",
                 problem="missing",
-                remedy="--intensity",
+                remedy="intensity",
             )
 
     def _require_force(self) -> None:
@@ -265,7 +269,7 @@ class Runner:
                 "fixed:0.5 (N)",
                 about="force",
                 problem="missing",
-                remedy="--force",
+                remedy="force",
             )
 
     def _warn_of_simulation(self, profile: Profile) -> None:

@@ -1,8 +1,9 @@
-"""Settings of a run under a name: a TOML file in the user's configuration folder."""
+"""Settings under a name: a TOML file in the user's configuration folder."""
 
 import re
+from collections.abc import Collection
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import platformdirs
 import tomlkit
@@ -14,8 +15,8 @@ from smarttouch.profile import list_profiles
 from smarttouch.profile.complaints import table_error
 from smarttouch.running.config import RunConfig
 
-_OF_FILES = ("page", "video", "frames", "recording", "recorded")
-"""Kinds of source and force whose URL names a file or folder."""
+_OF_FILES = ("page", "video", "frames", "recording", "recorded", "path")
+"""Kinds of source, force and motion whose URL names a file or folder."""
 _NAME = "[A-Za-z0-9][A-Za-z0-9_.-]{0,63}"
 Option = float | int | bool | str | tuple[int, ...]
 
@@ -46,6 +47,18 @@ class SavedRun(BaseModel):
     profile: str | None = None
     source_options: dict[str, Option] = {}
     config: RunConfig = RunConfig()
+
+
+class SavedOptions(BaseModel):
+    """Options of one command that can be kept, by their names."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    command: str
+    options: dict[str, Option] = {}
+
+
+_S = TypeVar("_S", SavedRun, SavedOptions)
 
 
 def saved_runs() -> list[str]:
@@ -81,14 +94,6 @@ def save_run(name: str, run: SavedRun, *, overwrite: bool = False) -> Path:
     SavedRunError
         If there are some of that name, or they cannot be written or kept.
     """
-    path = saved_run_path(name)
-    if path.exists() and not overwrite:
-        raise SavedRunError(
-            f"there are settings named {name!r} already: choose another name, or remove {path}",
-            about="name",
-            problem="exists",
-            value=name,
-        )
     if not isinstance(run.config.scan, str):
         raise SavedRunError(
             "classes that share slots cannot be kept: choose the scan points, frame or auto",
@@ -98,17 +103,23 @@ def save_run(name: str, run: SavedRun, *, overwrite: bool = False) -> Path:
         )
     table = _given(run.model_dump(mode="json", exclude={"config": {"intensity"}}))
     for key in ("source", "force"):
-        table |= {key: _from_anywhere(table[key])} if key in table else {}
+        table |= {key: from_anywhere(table[key])} if key in table else {}
     if "profile" in table and table["profile"] not in list_profiles():
         table["profile"] = str(Path(table["profile"]).absolute())
     if "path" in table["source_options"]:
         table["source_options"]["path"] = str(Path(table["source_options"]["path"]).absolute())
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise unwritable(SavedRunError, path, error) from None
-    write_bytes(path, tomlkit.dumps(table).encode(), SavedRunError)
-    return path
+    return _write(name, table, overwrite)
+
+
+def save_options(name: str, saved: SavedOptions, *, overwrite: bool = False) -> Path:
+    """Keep options of a command under a name; return their file.
+
+    Raises
+    ------
+    SavedRunError
+        If there are some of that name, or they cannot be written.
+    """
+    return _write(name, saved.model_dump(), overwrite)
 
 
 def load_run(name: str | Path) -> SavedRun:
@@ -119,27 +130,7 @@ def load_run(name: str | Path) -> SavedRun:
     SavedRunError
         If there are none, or they say something unknown or impossible.
     """
-    path = name if isinstance(name, Path) else saved_run_path(name)
-    if not isinstance(name, Path) and not path.exists():
-        known = saved_runs()
-        raise SavedRunError(
-            f"no settings are kept as {name!r}: choose "
-            + (" or ".join(known) if known else "some options, and keep them with --save"),
-            about="name",
-            problem="unknown",
-            value=name,
-            allowed=tuple(known),
-        )
-    text = read_text(path, SavedRunError, MOST_TOML_BYTES)
-    try:
-        run = SavedRun.model_validate(parse_toml(text))
-    except ValidationError as error:
-        raise table_error(SavedRunError, path, error) from None
-    except ValueError as error:
-        message = f"{path} is not a readable TOML file: {error}"
-        raise SavedRunError(message, about="file", problem="malformed", value=path) from None
-    except SmartTouchError as error:
-        raise _in_file(path, error) from None
+    path, run = _read(name, SavedRun)
     if run.config.intensity is not None or not isinstance(run.config.scan, str):
         key = "scan" if run.config.intensity is None else "intensity"
         raise SavedRunError(
@@ -149,6 +140,78 @@ def load_run(name: str | Path) -> SavedRun:
             value=getattr(run.config, key),
         )
     return run
+
+
+def load_options(name: str, command: str, known: Collection[str]) -> dict[str, Option]:
+    """Return the options of a command that are kept under a name.
+
+    Raises
+    ------
+    SavedRunError
+        If there are none, or some that the command does not have.
+    """
+    path, saved = _read(name, SavedOptions, command)
+    if wrong := [key for key in saved.options if key not in known]:
+        raise SavedRunError(
+            f"{path}: options.{wrong[0]} cannot be kept in a file for {command}: remove it",
+            about=f"options.{wrong[0]}",
+            problem="impossible",
+            value=saved.options[wrong[0]],
+        )
+    return saved.options
+
+
+def _write(name: str, table: dict[str, Any], overwrite: bool) -> Path:
+    path = saved_run_path(name)
+    if path.exists() and not overwrite:
+        raise SavedRunError(
+            f"there are settings named {name!r} already: choose another name, or remove {path}",
+            about="name",
+            problem="exists",
+            value=name,
+        )
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(SavedRunError, path, error) from None
+    write_bytes(path, tomlkit.dumps(table).encode(), SavedRunError)
+    return path
+
+
+def _read(name: str | Path, kind: type[_S], command: str | None = None) -> tuple[Path, _S]:
+    path = name if isinstance(name, Path) else saved_run_path(name)
+    if not isinstance(name, Path) and not path.exists():
+        known = saved_runs()
+        raise SavedRunError(
+            f"no settings are kept as {name!r}: choose "
+            + (" or ".join(known) if known else "some settings, and keep them"),
+            about="name",
+            problem="unknown",
+            value=name,
+            allowed=tuple(known),
+        )
+    text = read_text(path, SavedRunError, MOST_TOML_BYTES)
+    try:
+        table = parse_toml(text)
+        if (found := table.get("command")) != command:
+            raise SavedRunError(
+                f"{path} holds settings of {found or 'live'}, not of {command or 'live'}: choose "
+                "others",
+                about="command",
+                problem="conflict",
+                value=found,
+                allowed=command,
+            )
+        return path, kind.model_validate(table)
+    except SavedRunError:
+        raise
+    except ValidationError as error:
+        raise table_error(SavedRunError, path, error) from None
+    except ValueError as error:
+        message = f"{path} is not a readable TOML file: {error}"
+        raise SavedRunError(message, about="file", problem="malformed", value=path) from None
+    except SmartTouchError as error:
+        raise _in_file(path, error) from None
 
 
 def _folder() -> Path:
@@ -163,7 +226,8 @@ def _given(table: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _from_anywhere(url: str) -> str:
+def from_anywhere(url: str) -> str:
+    """Return the URL of a source, force or motion with the whole path of the file it names."""
     kind, _, rest = url.partition(":")
     return f"{kind}:{Path(rest).absolute()}" if kind in _OF_FILES and rest else url
 

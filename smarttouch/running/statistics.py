@@ -68,9 +68,9 @@ class RunStatistics:
     late: int = 0
     """Frames that came more than a period after their time."""
     restarts: int = 0
-    """How often the board was lost and started anew."""
+    """Number of times that the board was lost and started anew."""
     lifts: int = 0
-    """How often the board found the finger lifted."""
+    """Number of times that the board found the finger lifted."""
     blind: int = 0
     """Sequences without current because the force or the image was not known."""
     active: float = 0.0
@@ -90,7 +90,7 @@ class RunStatistics:
     work: LatencyHistogram = field(default_factory=LatencyHistogram)
     """Processor time that a frame took the loop, without waiting."""
     period_error: LatencyHistogram = field(default_factory=LatencyHistogram)
-    """How far the time between two frames was off their period."""
+    """Error of the time between two frames against their period."""
     ended: str = ""
     """Reason for which the run has ended."""
     notes: list[str] = field(default_factory=list)

@@ -7,7 +7,7 @@ from smarttouch.errors import SourceError
 from smarttouch.profile import Profile
 from smarttouch.registry import find_opener, given_options
 from smarttouch.sources.source import Source
-from smarttouch.url_options import read_options
+from smarttouch.url_options import joined_options, read_options
 
 
 def open_source(
@@ -42,15 +42,7 @@ def open_source(
     opener, rest = find_opener("smarttouch.sources", url, SourceError, Source, ("rest", "profile"))
     rest, told = read_options(opener, rest, SourceError, but=("light_on_dark",))
     given = given_options(opener, url, options, SourceError)
-    twice = sorted(given.keys() & told.keys())
-    if twice:
-        raise SourceError(
-            f"{twice[0]} is given in {url!r} and beside it: leave one out",
-            about=twice[0],
-            problem="conflict",
-            value=(told[twice[0]], given[twice[0]]),
-        )
-    given |= told
+    given = joined_options(url, given, told, SourceError)
     if light_on_dark and "light_on_dark" in inspect.signature(opener).parameters:
         given["light_on_dark"] = True
     source: Source = opener(rest, profile, **given)

@@ -113,20 +113,20 @@ class CameraDevice(ImageDevice):
             raise SourceError(
                 f"a size of {size[0]} x {size[1]} is no size of an image: give two numbers of "
                 "pixels, for example 640 x 480",
-                about="--size",
+                about="size",
                 value=size,
             )
         if fps is not None and not 0 < fps <= 1000:
             raise SourceError(
                 f"{fps:g} images a second cannot be: give above 0, at most 1000",
-                about="--fps",
+                about="fps",
                 value=fps,
                 allowed=1000,
             )
         if exposure is not None and not abs(exposure) < 1e9:
             raise SourceError(
                 f"an exposure of {exposure:g} cannot be: give one the camera knows",
-                about="--exposure",
+                about="exposure",
                 value=exposure,
             )
         self._size, self._exposure, self._fps = size, exposure, fps

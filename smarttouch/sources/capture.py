@@ -65,13 +65,13 @@ class ImageDevice(ABC):
     """Device that a live source takes its images from; used by one thread at a time."""
 
     title: str
-    """What it is, in a few words."""
+    """Name of the device, in a few words."""
     stale_s: float = STALE_S
     """Age after which an image is stale; longer only for slow images."""
 
     @cached_property
     def notes(self) -> list[str]:
-        """What a user should know of the device; `LiveSource` hands it on as its own."""
+        """Notes on the device for its user; `LiveSource` hands them on as its own."""
         return []
 
     @abstractmethod

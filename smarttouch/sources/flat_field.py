@@ -125,7 +125,7 @@ class FlatField:
         if dark.shape != white.shape:
             raise CalibrationError(
                 f"the dark frames are {dark.shape[1]} × {dark.shape[0]}, the white ones "
-                f"{white.shape[1]} × {white.shape[0]}: use one sensor for both",
+                f"{white.shape[1]} × {white.shape[0]}: use one source for both",
                 about="frames",
                 problem="conflict",
                 value=white.shape,
@@ -228,12 +228,12 @@ def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
     """
     if not len(images):
         raise CalibrationError(
-            "no frames came: check the sensor", about="frames", problem="missing"
+            "no frames came: check the source", about="frames", problem="missing"
         )
     shapes = {image.shape for image in images}
     if len(shapes) > 1:
         raise CalibrationError(
-            f"the frames differ in shape, {sorted(shapes)}: use one sensor",
+            f"the frames differ in shape, {sorted(shapes)}: use one source",
             about="frames",
             problem="conflict",
             value=tuple(sorted(shapes)),

@@ -12,12 +12,12 @@ from smarttouch.sources.source import Source
 from smarttouch.sources.stimulus import Input
 
 ASKED_HZ = 100.0
-"""How often a source is read."""
+"""Rate at which a source is read."""
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """What a source gave.
+    """Account of what a source gave.
 
     Attributes
     ----------
@@ -36,9 +36,9 @@ class Look:
     lasted_s: float
 
     def rows(self, source: Source) -> list[tuple[str, str]]:
-        """Return what is to be known of a sensor, in words."""
+        """Return what is to be known of a source, in words."""
         rows = [
-            ("sensor", source.title),
+            ("source", source.title),
             ("frames", f"{source.frames}, {source.frames / self.lasted_s:.1f} a second"),
             ("read", f"{source.frames - source.dropped_frames}, asked {ASKED_HZ:g} times a second"),
             ("passed over", str(source.dropped_frames)),
@@ -58,7 +58,7 @@ class Look:
 
 
 def look_at_frames(source: Source, seconds: float) -> Look:
-    """Read an open sensor for a time, or until it ends."""
+    """Read an open source for a time, or until it ends."""
     frames = []
     for time_ns in _ticks(seconds):
         frame = source.read(time_ns)

@@ -1,5 +1,6 @@
 """A virtual finger over a page: frames like those of a photo-sensor patch."""
 
+import math
 from pathlib import Path
 
 import cv2
@@ -156,19 +157,30 @@ def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float, in
     scale = min(scale, np.sqrt(_MOST_PIXELS / (height * width)))
     size = (max(2, round(width * scale)), max(2, round(height * scale)))
     method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
-    surface = cv2.resize(page.grey, size, interpolation=method)
+    surface = np.asarray(cv2.resize(page.grey, size, interpolation=method), np.uint8)
     surface_mm = page.mm_per_pixel * width / size[0]
-    surface = cv2.GaussianBlur(
-        surface, (0, 0), BLUR_MM / surface_mm, borderType=cv2.BORDER_REPLICATE
+    surface = np.asarray(
+        cv2.GaussianBlur(surface, (0, 0), BLUR_MM / surface_mm, borderType=cv2.BORDER_REPLICATE),
+        np.uint8,
     )
     # Beyond its edges the paper goes on, in the grey it has there.
-    margin = round(_MARGIN_MM / surface_mm)
-    paper = cv2.GaussianBlur(
-        surface, (0, 0), _MARGIN_BLUR_MM / surface_mm, borderType=cv2.BORDER_REPLICATE
-    )
-    whole = cv2.copyMakeBorder(paper, margin, margin, margin, margin, cv2.BORDER_REPLICATE)
-    whole[margin:-margin, margin:-margin] = surface
-    return np.asarray(whole, np.uint8), surface_mm, margin
+    margin, soft = round(_MARGIN_MM / surface_mm), _MARGIN_BLUR_MM / surface_mm
+    whole = np.pad(surface, margin)
+    whole[:margin] = np.pad(_soft_edge(surface, soft), margin, mode="edge")
+    whole[-margin:] = np.pad(_soft_edge(surface[::-1], soft), margin, mode="edge")
+    whole[margin:-margin, :margin] = _soft_edge(surface.T, soft)[:, None]
+    whole[margin:-margin, -margin:] = _soft_edge(surface.T[::-1], soft)[:, None]
+    return whole, surface_mm, margin
+
+
+def _soft_edge(grey: NDArray[np.uint8], sigma: float) -> NDArray[np.uint8]:
+    """Return the first row of an image as it would be if all of it were blurred."""
+    reach = math.ceil(3 * sigma)
+    weights = cv2.getGaussianKernel(2 * reach + 1, sigma)[:, 0]
+    # Before the first row comes the first again, and after the last the last.
+    rows = np.arange(-reach, reach + 1).clip(0, len(grey) - 1)
+    soft = np.convolve(np.pad(weights @ grey[rows], reach, mode="edge"), weights, "valid")
+    return np.rint(soft).astype(np.uint8)
 
 
 def _light(shape: tuple[int, int]) -> NDArray[np.float32]:

@@ -68,8 +68,8 @@ class ReadingPath:
     ) -> None:
         if not SLOWEST_MM_S <= speed_mm_s <= FASTEST_MM_S:
             raise SourceError(
-                f"--speed {speed_mm_s:g} must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g} mm/s",
-                about="--speed",
+                f"{speed_mm_s:g} mm/s must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g}",
+                about="speed_mm_s",
                 value=speed_mm_s,
                 allowed=(SLOWEST_MM_S, FASTEST_MM_S),
             )

@@ -49,8 +49,8 @@ def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -
         )
     if baud is not None and baud < 1:
         raise SourceError(
-            f"--baud {baud} is no speed of a line: give bits a second, as in 115200",
-            about="--baud",
+            f"{baud} baud is no speed of a line: give bits a second, as in 115200",
+            about="baud",
             value=baud,
         )
     return LiveSource(SerialArrayDevice(rest, USUAL_BAUD if baud is None else baud), profile)
@@ -165,13 +165,13 @@ class SerialArrayDevice(ImageDevice):
         listened_s = (time.perf_counter_ns() - self._listening_since_ns) / 1e9
         if self._heard and not self.frames and listened_s > _UNREADABLE_S:
             raise SourceError(
-                f"what comes from {self._name} is no frames: check its speed (--baud, now "
-                f"{self._baud}) and that the device sends the format of "
+                f"what comes from {self._name} is no frames: check its speed (now "
+                f"{self._baud} baud) and that the device sends the format of "
                 "smarttouch/sources/sensor_protocol.py",
                 about="port",
                 problem="malformed",
                 value=self._name,
-                remedy="--baud",
+                remedy="baud",
             )
 
 

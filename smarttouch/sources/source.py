@@ -17,9 +17,9 @@ class Source(Device, ABC):
     """
 
     duration_s: float | None = None
-    """How long it lasts; None if it never ends by itself."""
+    """Duration; None if it never ends by itself."""
     ended: ClassVar[str] = "the source has ended"
-    """What its end is called."""
+    """Words for its end."""
     emit: Emit = staticmethod(emit_nowhere)
     """Hands on events of the source; set by the run."""
     knows_force: bool = False

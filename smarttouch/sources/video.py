@@ -65,7 +65,7 @@ def open_frames(
     if not 0 < rate_hz <= FASTEST_HZ:
         raise SourceError(
             f"{rate_hz:g} images a second cannot be: give above 0, at most {FASTEST_HZ:g}",
-            about="--fps",
+            about="fps",
             value=rate_hz,
             allowed=FASTEST_HZ,
         )
@@ -75,10 +75,10 @@ def open_frames(
 def _open(clip: Clip, profile: Profile, unpaced: bool) -> OpticalSource:
     if unpaced:
         return UnpacedClip(clip, profile)
-    sensor = LiveSource(PacedClip(clip), profile)
+    source = LiveSource(PacedClip(clip), profile)
     if clip.count:
-        sensor.duration_s = clip.count / clip.rate_hz
-    return sensor
+        source.duration_s = clip.count / clip.rate_hz
+    return source
 
 
 class PacedClip(ImageDevice):

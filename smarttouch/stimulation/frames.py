@@ -3,7 +3,6 @@
 from collections import OrderedDict
 from dataclasses import dataclass
 from importlib import import_module
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,26 +22,10 @@ from smarttouch.profile.ceilings import CEILING_TOTAL_MA
 from smarttouch.stimulation.kernel_sums import Found, KernelSums
 from smarttouch.stimulation.points import Slots, constant_us, felt_at
 from smarttouch.stimulation.sequence import SelectivityReport, round_charge_balanced
+from smarttouch.stimulation.sharing import unsupported_reason
 
 Array = NDArray[np.float64]
 
-
-class SlotPolicy(NamedTuple):
-    """Policy of sharing slots between points.
-
-    Attributes
-    ----------
-    afferents : tuple of Afferent
-    planned : bool
-        Whether each frame's currents are found anew, for as few slots as can be, which takes
-        milliseconds; else kernels are added up of which no subset breaks a bound.
-    """
-
-    afferents: tuple[Afferent, ...] = ()
-    planned: bool = True
-
-
-NO_SHARING = SlotPolicy()
 
 REMEMBERED = 256
 """Number of cached frame plans: a finger that rests, or comes back, needs no new plan."""
@@ -301,22 +284,3 @@ def _selectivity(judge: SlotJudge, current_ma: Array, level: Array) -> Array:
     figures = judge_all(judge, current_ma, level)
     found = [(each.off_target, each.spill) for each in figures]
     return np.array(found, np.float64).reshape(len(found), 2).T
-
-
-def unsupported_reason(profile: Profile) -> tuple[str, str] | None:
-    """Return why a profile's board can show points only one by one; None if it can do more.
-
-    Returns
-    -------
-    key, reason : str
-        The profile's key that keeps it from sharing slots, and why.
-    """
-    if (kind := profile.output.kind) != "weighted":
-        return "output.kind", f"the board is {kind}, with one source for all electrodes"
-    if profile.pulse.carrier == "width":
-        return "pulse.carrier", "pulse.carrier is 'width', one for all points of a slot"
-    if not profile.shares:
-        return "frames.share", (
-            "frames.share is not on, or limits.total_ma is not set, which bounds their current"
-        )
-    return None

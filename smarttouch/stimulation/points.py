@@ -39,7 +39,7 @@ class Slots(NamedTuple):
 
 
 class PointSlots:
-    """Factory of the slots of one primary.
+    """Factory of the slots of one class.
 
     Parameters
     ----------
@@ -256,3 +256,19 @@ def spread_order(count: int) -> NDArray[np.intp]:
     while stride > 1 and math.gcd(stride, count) > 1:
         stride += 1
     return np.asarray(np.arange(count) * max(1, stride) % max(1, count), np.intp)
+
+
+def joined(parts: list[Slots]) -> Slots:
+    """Return the slots of several classes one after another."""
+    site = np.concatenate([each.site for each in parts])
+    current_ua = np.concatenate([each.current_ua for each in parts])
+    width_us = np.concatenate([each.width_us for each in parts])
+    proof = None
+    if any(each.proof is not None for each in parts):
+        proofs = [each.proof or SelectivityReport.of_nothing(len(each.site)) for each in parts]
+        proof = SelectivityReport(
+            np.concatenate([each.points for each in proofs]),
+            np.concatenate([each.off_target for each in proofs]),
+            np.concatenate([each.spill for each in proofs]),
+        )
+    return Slots(site, current_ua, width_us, proof)

@@ -8,7 +8,7 @@ LEEWAY_PPB = 1000
 
 
 class Rise:
-    """How far intensity may have risen since it was zero, in whole parts per billion.
+    """Highest intensity allowed since it was zero, in whole parts per billion.
 
     Parameters
     ----------

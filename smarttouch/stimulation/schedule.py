@@ -10,11 +10,12 @@ from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
 from smarttouch.stimulation.exposure import BURST_US, Load, shortest_period_us
-from smarttouch.stimulation.frames import NO_SHARING, FrameSlots, SlotPolicy
+from smarttouch.stimulation.frames import FrameSlots
 from smarttouch.stimulation.limits import SafetyLimits
-from smarttouch.stimulation.points import PointSlots, Slots, constant_us
+from smarttouch.stimulation.points import PointSlots, Slots, constant_us, joined
 from smarttouch.stimulation.rates import PulseRates, rate_share
-from smarttouch.stimulation.sequence import ScanSequence, SelectivityReport
+from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 from smarttouch.stimulation.sums import SlotAdder, common_us
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.tactile_image import TactileImage
@@ -36,7 +37,7 @@ class ScanScheduler:
     afferents : tuple of Afferent
         Classes to use; each of several has its own pulse rate.
     rate_hz : float, Hz, optional
-        Sequences a second asked for, with one primary; with several, the
+        Sequences a second asked for, with one class; with several, the
         profile says how often each pulses.
     timing : ScanTiming, optional
         Scan timing fixed by the board; none if not given.
@@ -46,6 +47,9 @@ class ScanScheduler:
         Whether mechanical vibrators do what PC is to feel, and no current.
     sharing : SlotPolicy
         Classes whose points share a slot where their currents leave one another alone.
+    frames : dict, optional
+        Slots by classes that other schedulers of this profile, bank and sharing have made; what
+        is missing is made and added.
 
     Attributes
     ----------
@@ -69,6 +73,7 @@ class ScanScheduler:
         softness: float = 1.0,
         vibrated: bool = False,
         sharing: SlotPolicy = NO_SHARING,
+        frames: dict[tuple[Afferent, ...], FrameSlots] | None = None,
     ) -> None:
         timing = ScanTiming() if timing is None else timing
         timing.check(profile)
@@ -83,7 +88,7 @@ class ScanScheduler:
                 raise ScheduleError(
                     f"one rate of {rate_hz:g} Hz is not for several classes at once: set "
                     "pulse.ra_rate_hz and pulse.sai_rate_hz of the profile",
-                    about="rate",
+                    about="rate_hz",
                     problem="conflict",
                     value=rate_hz,
                     remedy="pulse.ra_rate_hz",
@@ -102,7 +107,7 @@ class ScanScheduler:
                 raise ScheduleError(
                     f"a rate of {each_hz:g} Hz is not possible: it must be at least "
                     f"{_SLOWEST_HZ:g} Hz and at most the profile's limit of {limits.rate_hz:g} Hz",
-                    about="rate",
+                    about="rate_hz",
                     problem="out of range",
                     value=each_hz,
                     allowed=(_SLOWEST_HZ, limits.rate_hz),
@@ -120,9 +125,11 @@ class ScanScheduler:
         ]
         if sharing.planned and {(each,) for each in _BOTH} <= set(shared):
             shared.append(_BOTH)
-        self._frames = {
-            classes: FrameSlots(profile, bank, classes, sharing.planned) for classes in shared
-        }
+        frames = {} if frames is None else frames
+        for classes in shared:
+            if classes not in frames:
+                frames[classes] = FrameSlots(profile, bank, classes, sharing.planned)
+        self._frames = {classes: frames[classes] for classes in shared}
         self.asked_us = 0
         self._first = driven[0]
         self._softness = softness
@@ -178,7 +185,7 @@ class ScanScheduler:
             due, self.asked_us = self._active(image.activation, image.period_us), image.period_us
         # None is due where the rate has fallen since this time was set.
         parts = self._parts(due or (self._first,), image, intensity if due else 0.0)
-        site, current_ua, width_us, proof = parts[0] if len(parts) == 1 else _joined(parts)
+        site, current_ua, width_us, proof = parts[0] if len(parts) == 1 else joined(parts)
         period_us = max(self._timing.possible_period_us(self.asked_us), self._shortest_us(width_us))
         if period_us < self._full_us:
             needed_us = self._exposed_us(current_ua, width_us)
@@ -298,19 +305,3 @@ class ScanScheduler:
         mean_us = pulses_us / slots if slots else 0.0
         shortest = timing.shortest_period_us(slots, self._electrodes, mean_us, self._discharge_us)
         return max(shortest, timing.possible_period_us(pulses_us / self._duty))
-
-
-def _joined(parts: list[Slots]) -> Slots:
-    """Return the slots of several classes one after another."""
-    site = np.concatenate([each.site for each in parts])
-    current_ua = np.concatenate([each.current_ua for each in parts])
-    width_us = np.concatenate([each.width_us for each in parts])
-    proof = None
-    if any(each.proof is not None for each in parts):
-        proofs = [each.proof or SelectivityReport.of_nothing(len(each.site)) for each in parts]
-        proof = SelectivityReport(
-            np.concatenate([each.points for each in proofs]),
-            np.concatenate([each.off_target for each in proofs]),
-            np.concatenate([each.spill for each in proofs]),
-        )
-    return Slots(site, current_ua, width_us, proof)

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smarttouch.boards.board import Board, require_gate
+from smarttouch.boards.board import Board
+from smarttouch.boards.open import require_gate
 from smarttouch.errors import BoardError, BoardStoppedError, SafetyError
 from smarttouch.registry import fault_of
 from smarttouch.stimulation.safety import SafetyLimits
@@ -28,7 +29,7 @@ UNSAFE = {
 
 
 class BoardContract:
-    """What every board keeps: subclass it as ``TestMine``, with `make`.
+    """Contract of every board: subclass it as ``TestMine``, with `make`.
 
     Attributes
     ----------

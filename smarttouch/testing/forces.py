@@ -13,7 +13,7 @@ from smarttouch.sources.forces.force import ForceSource
 
 
 class ForceContract:
-    """What every source of force keeps: subclass it as ``TestMine``, with `make`.
+    """Contract of every source of force: subclass it as ``TestMine``, with `make`.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class ForceContract:
 
     @pytest.fixture
     def profile(self) -> Profile:
-        """Whose finger it is."""
+        """Profile of the finger."""
         return load_profile(DEFAULT_PROFILE)
 
     @pytest.fixture

@@ -16,11 +16,11 @@ from smarttouch.sources.frame import Frame
 from smarttouch.sources.source import OpticalSource, Source
 
 READS = 30
-"""How often a source is read."""
+"""Number of reads of a source."""
 
 
 class SourceContract:
-    """What every source keeps: subclass it as ``TestMine``, with `make`.
+    """Contract of every source: subclass it as ``TestMine``, with `make`.
 
     Attributes
     ----------

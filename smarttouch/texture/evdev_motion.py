@@ -32,8 +32,8 @@ def open_it(rest: str, *, cpi: float = USUAL_CPI, grab: bool = False) -> "EvdevM
     """
     if not 10 <= cpi <= 100_000:
         raise SourceError(
-            f"--cpi {cpi:g} is no resolution of a mouse: give counts per inch",
-            about="--cpi",
+            f"{cpi:g} counts per inch are no resolution of a mouse: give 10 to 100000",
+            about="cpi",
             value=cpi,
             allowed=(10, 100_000),
         )
@@ -71,8 +71,8 @@ class EvdevMotion(Motion):
                 device.grab()
             except OSError as error:
                 device.close()
-                message = f"{self._path} cannot be had alone ({error.strerror}): leave out --grab"
-                raise _wrong("busy", self._path, message, "--grab") from None
+                message = f"{self._path} cannot be had alone ({error.strerror}): share it"
+                raise _wrong("busy", self._path, message, "grab") from None
         self._thread = threading.Thread(target=self._listen, name="mouse", daemon=True)
         self._thread.start()
 

@@ -18,8 +18,8 @@ class TextureDrawing(FeltDrawing):
 
     Parameters
     ----------
-    profile, bank, primaries
-        See `PerceptThresholds`.
+    profile, bank, afferents
+        See `Perception`.
     texture : Texture
         What lay under the hand.
     """

@@ -8,6 +8,7 @@ from typing import Any
 from smarttouch.errors import SourceError
 from smarttouch.registry import given_options, known_names, unknown
 from smarttouch.sources.device import Device
+from smarttouch.url_options import joined_options, read_options
 
 _OPENERS = {
     "evdev": "smarttouch.texture.evdev_motion",
@@ -16,6 +17,8 @@ _OPENERS = {
     "window": "smarttouch.texture.window_motion",
 }
 """Modules by name of the kind; each has a function ``open_it(rest, **options)``."""
+_NOT_IN_URLS = ("span_mm", "lane_mm", "origin_mm")
+"""Options of a sweep that follow from the texture."""
 _ANY_SOURCE = "smarttouch.texture.source_motion"
 
 
@@ -64,7 +67,8 @@ def open_motion(url: str, **options: Any) -> Motion:
     ----------
     url : str
         ``sweep:``, ``evdev:DEVICE``, ``window:``, ``path:CSV``, or the URL of any source
-        that knows its pose, as ``camera:0``.
+        that knows its pose, as ``camera:0``. Options may stand in it, as in
+        ``sweep:?speed_mm_s=20``.
     **options
         Options of the kind, see ``open_it`` in its module; those that are None were not given.
 
@@ -79,5 +83,9 @@ def open_motion(url: str, **options: Any) -> Motion:
         raise unknown("motion", url, (*_OPENERS, *sources), SourceError)
     opener = import_module(_OPENERS.get(kind, _ANY_SOURCE)).open_it
     given = given_options(opener, url, options, SourceError)
-    motion: Motion = opener(rest if kind in _OPENERS else url, **given)
+    if kind not in _OPENERS:
+        motion: Motion = opener(url, **given)
+    else:
+        rest, told = read_options(opener, rest, SourceError, _NOT_IN_URLS)
+        motion = opener(rest, **joined_options(url, given, told, SourceError))
     return motion

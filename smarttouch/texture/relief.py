@@ -80,14 +80,14 @@ class Relief(Texture):
             if grain_mm is not None:
                 self.notes.append(
                     f"{heights.title}: ridges were found {grain_mm:.2g} mm apart, and wide ground "
-                    "pulses as often (--grain-mm gives another way)"
+                    "pulses as often unless a grain is given"
                 )
             grain_mm = min(max(grain_mm or USUAL_GRAIN_MM, FINEST_PITCH_MM), COARSEST_PITCH_MM)
         if not FINEST_PITCH_MM <= grain_mm <= COARSEST_PITCH_MM:
             raise PageError(
-                f"--grain-mm {grain_mm:g} cannot be felt: give {FINEST_PITCH_MM:g} to "
+                f"a grain of {grain_mm:g} mm cannot be felt: give {FINEST_PITCH_MM:g} to "
                 f"{COARSEST_PITCH_MM:g} mm",
-                about="--grain-mm",
+                about="grain_mm",
                 value=grain_mm,
                 allowed=(FINEST_PITCH_MM, COARSEST_PITCH_MM),
             )

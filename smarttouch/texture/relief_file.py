@@ -25,7 +25,7 @@ LETTER_MM = 12.0
 _PRINTED_MM = 4.2
 """Height of the letters of `print_text`, ascender to descender."""
 _MARGIN_MM = 4.0
-_SCALE = "--dpi or --width-mm"
+_SCALE = "dpi or width_mm"
 _LEAST_RANGE = 0.03
 """Least range of heights, as a part of the file's range; with less, nothing is shown."""
 
@@ -56,7 +56,7 @@ def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = 
     PageError
         If it cannot be read, shows nothing, or does not say how large it is.
     """
-    check_scale_options(dpi, width_mm)
+    check_scale_options(dpi, width_mm, "width_mm")
     if path.suffix.lower() == ".npy":
         values, mm_per_pixel = _load_array(path, dpi, width_mm)
         height = _stretched(path.name, values, 0.0)
@@ -92,7 +92,7 @@ def print_heights(text: str, width_mm: float | None = None) -> Heights:
     PageError
         If there is nothing to print, or too much.
     """
-    check_scale_options(None, width_mm)
+    check_scale_options(None, width_mm, "width_mm")
     page = print_text(text)
     mm_per_pixel = page.mm_per_pixel * LETTER_MM / _PRINTED_MM
     ink = page.grey < 128
@@ -102,7 +102,7 @@ def print_heights(text: str, width_mm: float | None = None) -> Heights:
     if width_mm is not None:
         mm_per_pixel = width_mm / grey.shape[1]
     require_size_mm(
-        "the text", grey.shape[1] * mm_per_pixel, grey.shape[0] * mm_per_pixel, "--width-mm"
+        "the text", grey.shape[1] * mm_per_pixel, grey.shape[0] * mm_per_pixel, "width_mm"
     )
     return Heights(f"“{text}”", np.asarray(1 - grey / 255, np.float32), mm_per_pixel, photo=False)
 
@@ -129,7 +129,7 @@ def _load_array(
 
 def _unscaled(path: Path) -> PageError:
     message = f"{path} does not say how large it is: give {_SCALE}"
-    return PageError(message, about="scale", problem="missing", value=path, remedy=_SCALE)
+    return PageError(message, about="size_mm", problem="missing", value=path, remedy=_SCALE)
 
 
 def _like(values: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:

@@ -110,12 +110,12 @@ class MouseSource(StimulusSource):
     ) -> None:
         super().__init__(f"{texture.title} under {motion.title}")
         if len(mode.afferents) != 1:
-            message = f"--mode {mode} is more than one class: choose RA, SAI or PC"
+            message = f"mode {mode} is more than one class: choose RA, SAI or PC"
             allowed = tuple(each.name for each in Afferent)
-            raise SourceError(message, about="--mode", value=mode, allowed=allowed)
+            raise SourceError(message, about="mode", value=mode, allowed=allowed)
         if not 0 < scale < math.inf:
-            message = f"--scale {scale:g} must be above 0"
-            raise SourceError(message, about="--scale", value=scale, allowed=0)
+            message = f"a scale of {scale:g} must be above 0"
+            raise SourceError(message, about="scale", value=scale, allowed=0)
         self.fastest_hz = _possible_hz(rate_hz, fastest_hz, profile.limits.rate_hz)
         self.duration_s = motion.duration_s
         self.knows_force = motion.knows_force or press_n is not None
@@ -205,7 +205,7 @@ class MouseSource(StimulusSource):
             self._said.put(
                 "left out",
                 f"{self._limit.left_out} pulses of single electrodes were left out, above "
-                f"{self.fastest_hz:g} a second: move more slowly, or raise --rate and --fastest",
+                f"{self.fastest_hz:g} a second: move more slowly, or raise rate and limit",
             )
         if self.merged:
             self._said.put(
@@ -219,9 +219,9 @@ def _possible_hz(rate_hz: float, fastest_hz: float | None, most_hz: float) -> fl
     """Return the highest pulse rate, or raise if the rates are incompatible."""
     if not SLOWEST_RATE_HZ <= rate_hz <= most_hz:
         raise SourceError(
-            f"--rate {rate_hz:g} is not possible: give {SLOWEST_RATE_HZ:g} to {most_hz:g} frames a "
-            "second, the limit of the profile",
-            about="--rate",
+            f"{rate_hz:g} frames a second are not possible: give {SLOWEST_RATE_HZ:g} to "
+            f"{most_hz:g}, the limit of the profile",
+            about="rate_hz",
             value=rate_hz,
             allowed=(SLOWEST_RATE_HZ, most_hz),
         )
@@ -229,12 +229,12 @@ def _possible_hz(rate_hz: float, fastest_hz: float | None, most_hz: float) -> fl
         return min(FASTEST_HZ, rate_hz / 2)
     if not 0 < fastest_hz <= rate_hz / 2:
         raise SourceError(
-            f"--fastest {fastest_hz:g} is not possible with {rate_hz:g} frames a second: give at "
-            f"most half of them, {rate_hz / 2:g}, or raise --rate",
-            about="--fastest",
+            f"{fastest_hz:g} pulses a second are not possible with {rate_hz:g} frames: give at "
+            f"most half of them, {rate_hz / 2:g}, or more frames",
+            about="fastest_hz",
             value=fastest_hz,
             allowed=rate_hz / 2,
-            remedy="--rate",
+            remedy="rate_hz",
         )
     return fastest_hz
 

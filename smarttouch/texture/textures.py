@@ -8,6 +8,7 @@ from smarttouch.texture.grating import Grating
 from smarttouch.texture.relief import Relief
 from smarttouch.texture.relief_file import load_heights, print_heights
 from smarttouch.texture.texture import Texture
+from smarttouch.url_options import joined_options, read_options
 
 _NUMBER = r"([0-9]*\.?[0-9]+)"
 
@@ -27,7 +28,8 @@ def open_texture(
     ----------
     spec : str
         ``grating:4mm``, ``grating:4mm,30deg``, ``text:STRING``, or a file: an image (ink is
-        high), or a height map (16 bits or floating point, or .npy: bright is high).
+        high), or a height map (16 bits or floating point, or .npy: bright is high). Options
+        may stand behind it, as in ``wood.png?dpi=300&tiled``.
     dpi, width_mm : float, optional
         Scale of a file that does not say; width of a text.
     grain_mm : float, optional, mm
@@ -42,11 +44,19 @@ def open_texture(
     PageError
         If there is no such texture, or an option is not for it.
     """
+    place, told = read_options(open_texture, spec, PageError)
+    if told:
+        given = {
+            "dpi": dpi, "width_mm": width_mm, "grain_mm": grain_mm, "tiled": tiled or None,
+            "light_on_dark": light_on_dark or None,
+        }  # fmt: skip
+        given = {name: value for name, value in given.items() if value is not None}
+        return open_texture(place, **joined_options(spec, given, told, PageError))
     kind, _, rest = spec.partition(":")
     if kind == "grating" and ":" in spec:
         given = {
-            "--dpi": dpi, "--width-mm": width_mm, "--grain-mm": grain_mm, "--tiled": tiled,
-            "--light-on-dark": light_on_dark,
+            "dpi": dpi, "width_mm": width_mm, "grain_mm": grain_mm, "tiled": tiled,
+            "light_on_dark": light_on_dark,
         }  # fmt: skip
         for name, value in given.items():
             if value:
@@ -55,9 +65,8 @@ def open_texture(
         return _grating(spec, rest)
     if kind == "text" and ":" in spec:
         if dpi is not None:
-            message = "--dpi is for images, and a text is printed anew: give --width-mm"
-            about, remedy = "--dpi", "--width-mm"
-            raise PageError(message, about=about, problem="conflict", value=dpi, remedy=remedy)
+            message = "dpi is for images, and a text is printed anew: give its width"
+            raise PageError(message, about="dpi", problem="conflict", value=dpi, remedy="width_mm")
         heights = print_heights(rest, width_mm)
     else:
         heights = load_heights(Path(spec), dpi, width_mm)

@@ -80,13 +80,13 @@ def parse_places(
         If both are given, or either makes no sense. Sites that there are not: see `chosen`.
     """
     if sites is not None and radius_mm is not None:
-        message = "--sites and --radius-mm both say what pulses: give one of them"
+        message = "sites and a radius both say what pulses: give one of them"
         raise SmartTouchError(
-            message, about="--sites", problem="conflict", value=("--sites", "--radius-mm")
+            message, about="sites", problem="conflict", value=("sites", "radius_mm")
         )
     if radius_mm is not None and not radius_mm >= 0:
-        message = f"--radius-mm {radius_mm:g} is not possible: give 0 or more"
-        raise SmartTouchError(message, about="--radius-mm", value=radius_mm, allowed=0)
+        message = f"a radius of {radius_mm:g} mm is not possible: give 0 or more"
+        raise SmartTouchError(message, about="radius_mm", value=radius_mm, allowed=0)
     if sites is None:
         return disc(profile, radius_mm)
     if sites == "all":
@@ -95,8 +95,8 @@ def parse_places(
     for part in sites.split(","):
         found = re.fullmatch("([0-9]{1,6})(?:-([0-9]{1,6}))?", part.strip())
         if found is None:
-            message = f"--sites {sites!r} is no list: write 27,28,35-36, or all"
-            raise SmartTouchError(message, about="--sites", problem="malformed", value=sites)
+            message = f"sites {sites!r} are no list: write 27,28,35-36, or all"
+            raise SmartTouchError(message, about="sites", problem="malformed", value=sites)
         low, high = int(found[1]), int(found[2] or found[1])
         # The first site that there is not is refused; those after it need no room.
         named += range(low, min(high, max(low, len(profile.electrodes))) + 1)

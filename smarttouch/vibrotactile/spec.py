@@ -70,7 +70,7 @@ def open_trace(text: str, seconds: float = 2.0, seed: int = 0) -> Trace:
     if not 0 < seconds <= LONGEST_S:
         message = f"{seconds:g} s are not possible: above 0, at most {LONGEST_S:g}"
         allowed = (0, LONGEST_S)
-        raise SmartTouchError(message, about="--seconds", value=seconds, allowed=allowed)
+        raise SmartTouchError(message, about="seconds", value=seconds, allowed=allowed)
     if not is_spec(text):
         if not Path(text).exists():
             message = f"{text!r} is neither a file nor a trace in a line: {_EXAMPLE}"
@@ -102,12 +102,12 @@ def _parse(text: str, seconds: float) -> _Part:
     if not start_s < end_s <= seconds:
         raise SmartTouchError(
             f"{text.strip()!r} lasts from {start_s:g} to {end_s:g} s, the trace {seconds:g} s: "
-            "let it end after it begins, or give --seconds",
+            "let it end after it begins, or make the trace longer",
             about="trace",
             problem="late" if start_s < end_s else "conflict",
             value=(start_s, end_s),
             allowed=(0, seconds),
-            remedy="--seconds",
+            remedy="seconds",
         )
     values = tuple(float(each) for each in matched.groups())
     band = values[:-1]
@@ -152,11 +152,11 @@ def _noise(part: _Part, time: Array, random: np.random.Generator) -> Array:
     if not spread > 0:
         raise SmartTouchError(
             f"noise from {low_hz:g} to {high_hz:g} Hz is too narrow a band for so short a trace: "
-            "widen it, or give more --seconds",
+            "widen it, or make the trace longer",
             about="trace",
             problem="too narrow",
             value=(low_hz, high_hz),
-            remedy="--seconds",
+            remedy="seconds",
         )
     return np.asarray(wave * (rms_um / spread))
 

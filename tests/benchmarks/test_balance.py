@@ -17,10 +17,10 @@ from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulator import Regulator
 from smarttouch.running.statistics import RunStatistics
 from smarttouch.sources import open_source
-from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy
 from smarttouch.stimulation.ledger import ChargeBalance
 from smarttouch.stimulation.recharge import RechargeRules
 from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.stopping import StopRequest
 

@@ -30,8 +30,8 @@ from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.frame import Frame, Pose
-from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
+from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 
 FULL_NS = 10**9
 SCANS = {

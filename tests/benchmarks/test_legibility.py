@@ -25,7 +25,7 @@ from smarttouch.reading.legibility import legibility_of_shapes
 from smarttouch.reading.shapes import Shapes, Style
 from smarttouch.reading.source import Source
 from smarttouch.reading.window import profile_for_reading
-from smarttouch.stimulation.frames import SlotPolicy
+from smarttouch.stimulation.sharing import SlotPolicy
 
 from ..documents.printed import degrade, print_page
 

@@ -17,9 +17,9 @@ from smarttouch.kernels.frames.operator import FrameOperator
 from smarttouch.profile import load_profile
 from smarttouch.resources import data_folder
 from smarttouch.sources import open_source
-from smarttouch.stimulation.frames import SlotPolicy
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.schedule import ScanScheduler
+from smarttouch.stimulation.sharing import SlotPolicy
 from smarttouch.tactile_image import TactileImage
 
 from .frame_sets import LETTERS, drawn, judge_of, scattered

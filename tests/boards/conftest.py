@@ -4,7 +4,6 @@ import contextlib
 import os
 import select
 import subprocess
-import sys
 import threading
 import time
 import tty
@@ -12,7 +11,8 @@ import tty
 import numpy as np
 import pytest
 
-from smarttouch.boards.board import Board, make_board
+from smarttouch.boards.board import Board
+from smarttouch.boards.open import make_board
 from smarttouch.boards.probe import one_each
 from smarttouch.errors import BoardRestartedError
 from smarttouch.profile.device import Output
@@ -20,6 +20,8 @@ from smarttouch.realtime import prioritized
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from tests.boards.fresh import fresh_state
+
+from ..forks import EMULATOR, Forked
 
 SECOND = 10**9
 
@@ -86,11 +88,9 @@ def start_emulator():
     started = []
 
     def start(*arguments, electrodes=8, output="weighted", protocol="link"):
-        process = subprocess.Popen(
+        process = Forked(
             [
-                sys.executable,
-                "-m",
-                "smarttouch.emulator",
+                *EMULATOR,
                 "board",
                 protocol,
                 "--port-only",

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from smarttouch.boards.board import make_board
 from smarttouch.boards.emulator.delivery_log import read_slots, read_state
 from smarttouch.boards.emulator.rules import Rules
+from smarttouch.boards.open import make_board
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
 from smarttouch.realtime import prioritized

@@ -6,9 +6,9 @@ import pytest
 from smarttouch.afferent import Afferent
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.kernels.problem import Problem
-from smarttouch.stimulation.frames import SlotPolicy
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.schedule import ScanScheduler
+from smarttouch.stimulation.sharing import SlotPolicy
 from smarttouch.tactile_image import TactileImage
 
 

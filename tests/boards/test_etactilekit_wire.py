@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
-from smarttouch.boards.etactilekit_wire import HeightCodec, ModeCodec, Settings, settings_of
+from smarttouch.boards.etactilekit_pulses import Settings, settings_of
+from smarttouch.boards.etactilekit_wire import HeightCodec, ModeCodec
 from smarttouch.boards.probe import one_each
 from smarttouch.boards.scale import scale_of
 from smarttouch.errors import BoardError

@@ -5,10 +5,10 @@ import threading
 
 import pytest
 
-from smarttouch.boards.board import make_board
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.hybrid import HybridBoard
 from smarttouch.boards.memory import MemoryBoard
+from smarttouch.boards.open import make_board
 from smarttouch.boards.vibrators import VibratorBoard
 from smarttouch.errors import BoardError, BoardStoppedError
 from smarttouch.profile.device import Output

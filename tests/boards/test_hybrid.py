@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smarttouch.boards.board import make_board
 from smarttouch.boards.hybrid import HybridBoard
 from smarttouch.boards.impedance import classify
+from smarttouch.boards.open import make_board
 from smarttouch.boards.vibrators import VibratorBoard
 from smarttouch.errors import BoardError, BoardRestartedError, BoardStoppedError, SafetyError
 from smarttouch.profile.device import Output

@@ -10,8 +10,8 @@ import time
 import numpy as np
 import pytest
 
-from smarttouch.boards.board import make_board
 from smarttouch.boards.emulator.delivery_log import read_slots
+from smarttouch.boards.open import make_board
 from smarttouch.boards.probe import one_each
 from smarttouch.stimulation.safety import SafetyLimits
 from tests.boards.told import MS, ToldKit

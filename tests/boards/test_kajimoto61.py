@@ -160,9 +160,7 @@ def test_a_measurement_above_the_limits_is_never_asked_for(script):
 
 
 def test_another_profile_is_refused():
-    with raises(
-        BoardError, about="electrodes", value=64, allowed=61, remedy="--profile kajimoto-61"
-    ):
+    with raises(BoardError, about="electrodes", value=64, allowed=61, remedy="profile kajimoto-61"):
         Kajimoto61Board("x", SafetyLimits(64, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0))
     with raises(BoardError, about="output.kind", value="weighted", allowed="one-against-all"):
         Kajimoto61Board("x", LIMITS, Output(kind="weighted"))

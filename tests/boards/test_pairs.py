@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.boards.board import make_board
+from smarttouch.boards.open import make_board
 from smarttouch.boards.pairs import measure_in_pairs
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits

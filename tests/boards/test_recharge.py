@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smarttouch.boards.board import make_board
 from smarttouch.boards.emulator.delivery_log import read_recharges, read_slots, read_state
+from smarttouch.boards.open import make_board
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.recharge import RechargeRules, add_recharge

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.boards.board import make_board
 from smarttouch.boards.etactilekit_wire import ModeCodec
+from smarttouch.boards.open import make_board
 from smarttouch.boards.probe import one_each
 from smarttouch.boards.scale import BAND, NOMINAL_UA, check_reading, scale_of
 from smarttouch.errors import BoardError
@@ -120,11 +120,11 @@ def test_the_more_careful_scale_is_the_larger():
         (-1.0, 1000, 1, "volts", "no current"),
         (math.nan, 1000, 1, "volts", "no current"),
         (math.inf, 1000, 1, "volts", "no current"),
-        (1.0, math.nan, 1, "--ohm", "out of range"),
-        (1.0, math.inf, 1, "--ohm", "out of range"),
-        (1.0, 0, 1, "--ohm", "out of range"),
-        (1.0, 1000, math.nan, "--current-ma", "out of range"),
-        (1.0, 1000, -1, "--current-ma", "out of range"),
+        (1.0, math.nan, 1, "ohm", "out of range"),
+        (1.0, math.inf, 1, "ohm", "out of range"),
+        (1.0, 0, 1, "ohm", "out of range"),
+        (1.0, 1000, math.nan, "current_ma", "out of range"),
+        (1.0, 1000, -1, "current_ma", "out of range"),
         (1000.0, 1000, 1, "volts", "too large by 1000"),
         (1.0, 1, 1, "volts", "too large by 1000"),
         (0.001, 1000, 1, "volts", "too small by 1000"),

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.boards.board import make_board
+from smarttouch.boards.open import make_board
 from smarttouch.boards.vibrators import VibratorBoard, make_vibrators
 from smarttouch.boards.waveform import GLIDE_S, Waveform, vibrator_of
 from smarttouch.errors import BoardError, BoardStoppedError

@@ -4,7 +4,8 @@ import pytest
 
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
-from smarttouch.boards.etactilekit_wire import HeightCodec, ModeCodec, Settings
+from smarttouch.boards.etactilekit_pulses import Settings
+from smarttouch.boards.etactilekit_wire import HeightCodec, ModeCodec
 
 OUTPUTS = 4
 SETTINGS = Settings(100, 50, 100, anodic=True)

@@ -95,7 +95,7 @@ def test_readings_that_are_none(readings):
         problem="too few",
         value=np.isfinite(readings).sum(),
         allowed=5,
-        remedy="--seconds",
+        remedy="seconds",
     ):
         weigh(Listed(readings), 20, 1.0)
 

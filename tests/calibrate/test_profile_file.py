@@ -82,7 +82,7 @@ def test_one_calibration_after_the_other_in_one_file(tmp_path):
 def test_nothing_is_overwritten_without_being_told_to(tmp_path):
     mine = tmp_path / "mine.toml"
     mine.write_text("what was there")
-    with raises(CalibrationError, about="file", problem="exists", value=mine, remedy="--overwrite"):
+    with raises(CalibrationError, about="file", problem="exists", value=mine, remedy="overwrite"):
         ProfileFile("electric-mouse", mine)
     # Nor what came there meanwhile.
     late = ProfileFile("electric-mouse", tmp_path / "late.toml")
@@ -187,7 +187,7 @@ def test_a_part_again_needs_overwrite_and_keeps_the_rest(tmp_path):
     calibrated("contact", "output.masked", [3], mine)
     before = mine.read_bytes()
     with raises(
-        CalibrationError, about="force", problem="exists", value=mine, remedy="--overwrite"
+        CalibrationError, about="force", problem="exists", value=mine, remedy="overwrite or output"
     ):
         file_to_calibrate("force", None, "electric-mouse", mine)
     assert mine.read_bytes() == before

@@ -138,17 +138,15 @@ def test_every_sensor_that_is_fine_enough_has_a_target(name):
 def test_a_sensor_too_coarse_for_any_target():
     profile = load_profile("smarttouch-4x4")
     with raises(
-        CalibrationError, about="optics", problem="impossible", remedy="--dot-pitch-mm"
+        CalibrationError, about="optics", problem="impossible", remedy="dot_pitch_mm"
     ) as caught:
         target_for(profile)
     assert "16 × 16" in str(caught.value)
     assert "5 × 5 mm" in str(caught.value)
     assert target_for(profile, 1.0).pitch_mm == 1.0
-    with raises(
-        CalibrationError, about="--dot-pitch-mm", value=7, allowed=lambda each: each[1] == 5
-    ):
+    with raises(CalibrationError, about="dot_pitch_mm", value=7, allowed=lambda each: each[1] == 5):
         target_for(profile, 7.0)
-    with raises(CalibrationError, about="--dot-pitch-mm", value=np.isnan):
+    with raises(CalibrationError, about="dot_pitch_mm", value=np.isnan):
         target_for(profile, float("nan"))
 
 

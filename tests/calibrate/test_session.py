@@ -265,14 +265,14 @@ def test_electrodes_by_number_and_range(profile, text, expected):
     ],
 )
 def test_electrodes_that_are_none(profile, text, problem):
-    with raises(CalibrationError, about="--electrodes", problem=problem, value=text):
+    with raises(CalibrationError, about="electrodes", problem=problem, value=text):
         parse_electrodes(text, profile)
 
 
 def test_masked_electrodes_are_left_out(profile, changed):
     masked = changed(profile, {"output.masked": (1, 2)})
     assert parse_electrodes(None, masked)[:3] == [0, 3, 4]
-    with raises(CalibrationError, about="--electrodes", problem="masked", value=2):
+    with raises(CalibrationError, about="electrodes", problem="masked", value=2):
         parse_electrodes("2-4", masked)
 
 

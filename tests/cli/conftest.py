@@ -8,7 +8,6 @@ import subprocess
 import sys
 import termios
 import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -16,9 +15,8 @@ import pytest
 from smarttouch import cli
 from smarttouch.errors import SmartTouchError
 
+from ..forks import EMULATOR, PROGRAM, Forked
 from ..raising import assert_says
-
-PROGRAM = Path(sys.executable).with_name("smarttouch")
 
 
 def says(kind=SmartTouchError, *names, **attributes):
@@ -51,18 +49,22 @@ def own_runs(tmp_path, monkeypatch):
 
 @pytest.fixture
 def program(tmp_path):
-    """Return a runner of the program in an empty folder."""
+    """Return a runner of the program in an empty folder; a fork of it, if it is not to be real."""
 
-    def run(*arguments, timeout=100):
-        return subprocess.run(
+    def run(*arguments, given="", real=False, timeout=100):
+        with (subprocess.Popen if real else Forked)(
             [PROGRAM, *map(str, arguments)],
             cwd=tmp_path,
-            capture_output=True,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
             text=True,
-            timeout=timeout,
-            stdin=subprocess.DEVNULL,
-            check=False,
-        )
+        ) as process:
+            try:
+                told = process.communicate(given, timeout)
+            finally:
+                process.kill()
+        return subprocess.CompletedProcess(process.args, process.returncode, *told)
 
     return run
 
@@ -97,11 +99,14 @@ def program_here(tmp_path, monkeypatch):
 
 @pytest.fixture
 def start_program(tmp_path):
-    """Return a starter of the program; what still runs at the end is killed."""
+    """Return a starter of the program; what still runs at the end is killed.
+
+    It is a fork, if it is not to be a real start.
+    """
     running = []
 
-    def start(*arguments):
-        process = subprocess.Popen(
+    def start(*arguments, real=False):
+        process = (subprocess.Popen if real else Forked)(
             [PROGRAM, *map(str, arguments)],
             cwd=tmp_path,
             stdout=subprocess.PIPE,
@@ -125,7 +130,7 @@ def start_at_a_terminal(tmp_path):
 
     def start(*arguments):
         keys, terminal = pty.openpty()
-        process = subprocess.Popen(
+        process = Forked(
             [PROGRAM, *map(str, arguments)],
             cwd=tmp_path,
             stdin=terminal,
@@ -155,11 +160,9 @@ def start_emulator(tmp_path):
     def start(electrodes=64, protocol="link", *more):
         books = tmp_path / f"books{len(running)}"
         books.mkdir()
-        process = subprocess.Popen(
+        process = Forked(
             [
-                sys.executable,
-                "-m",
-                "smarttouch.emulator",
+                *EMULATOR,
                 "board",
                 protocol,
                 "--port-only",

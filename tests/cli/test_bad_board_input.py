@@ -1,5 +1,6 @@
 """Boards that are asked for what they cannot, and commands of boards with bad options."""
 
+import math
 from pathlib import Path
 
 import pytest
@@ -51,7 +52,7 @@ def scale(*arguments):
         ),
         (
             ("board", "info", "kajimoto61:/dev/x", "--profile", "electric-mouse"),
-            says(BoardError, "weighted", "one-against-all", "--profile kajimoto-61"),
+            says(BoardError, "weighted", "one-against-all", remedy="profile kajimoto-61"),
         ),
         (
             ("board", "test", "memory:"),
@@ -59,16 +60,19 @@ def scale(*arguments):
         ),
         (
             ("board", "test", "memory:", "--seconds", "0"),
-            says(about="--seconds", value=0, allowed=0),
+            says(about="seconds", value=0, allowed=0),
         ),
         (
             ("board", "test", "memory:", "--seconds", "1", "--current-ma", "9"),
-            says(about="--current-ma", value=9, allowed=pytest.approx(2.4)),
+            says(about="current_ma", value=9, allowed=pytest.approx(2.4)),
         ),
         (("board", "measure", "memory:"), says(BoardError, "measure")),
-        (scale("memory:", "--ohm", "0"), says(BoardError, "--ohm 0 ")),
-        (scale("memory:", "--ohm", "inf"), says(BoardError, "--ohm inf ")),
-        (scale("memory:", "--current-ma", "nan"), says(BoardError, "--current-ma nan ")),
+        (scale("memory:", "--ohm", "0"), says(BoardError, about="ohm", value=0)),
+        (scale("memory:", "--ohm", "inf"), says(BoardError, about="ohm", value=math.inf)),
+        (
+            scale("memory:", "--current-ma", "nan"),
+            says(BoardError, about="current_ma", value=math.isnan),
+        ),
         (scale("memory:", "--volts", "-1"), says(BoardError, "-1 V", "1000 ohm")),
         (scale("kajimoto61:x", "--volts", "inf"), says(BoardError, "inf V", "1000 ohm")),
         (scale("kajimoto61:x", "--volts", "nan"), says(BoardError, "nan V", "1000 ohm")),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.boards.board import make_board
+from smarttouch.boards.open import make_board
 from smarttouch.errors import (
     BoardError,
     DesignError,
@@ -70,7 +70,7 @@ def no_place(name):
         ("live --sensor page:huge.png --dpi 300", says(PageError, "huge.png", "100 megapixels")),
         ("live --sensor page:none.png --dpi 300", says(PageError, "none.png")),
         ("live --sensor page:one.png --dpi 300", says(PageError, "one.png", "1 x 1 ", "8 x 8")),
-        ("live --sensor page:page.png", says(PageError, "page.png", "--dpi", "--page-width-mm")),
+        ("live --sensor page:page.png", says(PageError, "page.png", remedy="dpi or page_width_mm")),
         (
             "live --sensor page:.",
             says(PageError, about="file", problem="folder", value=Path()),
@@ -95,7 +95,7 @@ def no_place(name):
         ("live --mode XY", no_choice("--mode", "XY", "RA", "SAI", "PC", "natural")),
         (
             "live --board vibrators:x.wav",
-            says(about="board", value="vibrators:x.wav", remedy="--vibrators"),
+            says(about="board", value="vibrators:x.wav", remedy="vibrators"),
         ),
         (
             "live --scan frame --hold charge",
@@ -110,7 +110,7 @@ def no_place(name):
         ("live --rate 1000", says(ScheduleError, " 1000 Hz", "200 Hz")),
         ("live --rate nan", says(ScheduleError, " nan Hz", "200 Hz")),
         ("live --seconds -1", says(about="seconds", value=-1, allowed=0)),
-        ("live --speed 0", says(SourceError, "--speed 0 ", "0.1", "500 mm/s")),
+        ("live --speed 0", says(SourceError, about="speed_mm_s", value=0, allowed=(0.1, 500))),
         ("live --path missing.csv", no_file(SourceError, "missing.csv")),
         ("live --record taken.mcap", says(RecordingError, "taken.mcap")),
         ("live --felt nowhere/felt.png", no_place("nowhere/felt.png")),

@@ -4,9 +4,7 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
 
@@ -15,9 +13,8 @@ from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_session import HostSession
 from smarttouch.errors import BoardError
 
+from ..forks import PROGRAM, Forked
 from .conftest import refused, says
-
-PROGRAM = Path(sys.executable).with_name("smarttouch")
 
 KITS = {
     "kajimoto61": (61, "kajimoto61"),
@@ -202,7 +199,7 @@ def test_a_walk_through_the_electrodes(program_here, kit):
 
 def test_a_key_goes_on_to_the_next_electrode_and_q_ends_it():
     keyboard, there = os.openpty()
-    with subprocess.Popen(
+    with Forked(
         [PROGRAM, "board", "test", "memory:"], stdin=there, stdout=subprocess.PIPE, text=True
     ) as walking:
         os.close(there)
@@ -217,11 +214,9 @@ def test_a_key_goes_on_to_the_next_electrode_and_q_ends_it():
     os.close(keyboard)
 
 
-def test_a_voltage_is_asked_for_while_it_pulses():
-    done = subprocess.run(
-        [PROGRAM, "board", "calibrate-scale", "memory:", "--electrode", "3"],
-        input="one volt\n", capture_output=True, text=True, timeout=30, check=False,
-    )  # fmt: skip
+def test_a_voltage_is_asked_for_while_it_pulses(program):
+    arguments = ("board", "calibrate-scale", "memory:", "--electrode", "3")
+    done = program(*arguments, given="one volt\n")
     assert done.returncode == 2
     for told in ("1 mA", "electrode 3", "1000 ohm"):
         assert told in " ".join(done.stdout.split())
@@ -274,7 +269,8 @@ def test_what_is_there_is_listed_and_nothing_is_opened(program_here):
 def test_an_emulator_is_played_until_it_is_ended(program_here, start_program, tmp_path, name, how):
     books = tmp_path / "books"
     books.mkdir()
-    playing = start_program("board", "emulate", name, "--books", str(books))
+    real = name == "link"
+    playing = start_program("board", "emulate", name, "--books", str(books), real=real)
     lines = [playing.stdout.readline() for _ in range(3)]
     url = lines[2].split()[-1]
     assert url.startswith(f"{name}:/dev/")
@@ -287,7 +283,7 @@ def test_an_emulator_is_played_until_it_is_ended(program_here, start_program, tm
 
 
 def test_an_emulator_that_is_killed_leaves_no_board_behind(start_program, tmp_path):
-    playing = start_program("board", "emulate", "link", "--books", str(tmp_path))
+    playing = start_program("board", "emulate", "link", "--books", str(tmp_path), real=True)
     assert playing.stdout.readline()
     written = (tmp_path / STATE_FILE).stat().st_mtime_ns
     until = time.monotonic() + 60

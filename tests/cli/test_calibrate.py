@@ -4,7 +4,6 @@ import math
 import os
 import re
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from smarttouch.errors import BoardError, CalibrationError, ProfileError, Source
 from smarttouch.profile import load_profile
 from smarttouch.sources.flat_field import FlatField
 
+from ..forks import EMULATOR, Forked
 from .conftest import says
 
 
@@ -65,7 +65,7 @@ def test_walked_through_without_hardware(run, tmp_path, what):
     before = (tmp_path / "mine.toml").read_bytes()
     again = run(what, "--simulate", "--output", "mine.toml").exception
     assert isinstance(again, CalibrationError)
-    assert (again.about, again.problem, again.remedy) == (what, "exists", "--overwrite")
+    assert (again.about, again.problem, again.remedy) == (what, "exists", "overwrite or output")
     assert (tmp_path / "mine.toml").read_bytes() == before
     done(run(what, "--simulate", "--output", "mine.toml", "--overwrite"))
 
@@ -142,9 +142,8 @@ def test_a_target_alone(run, tmp_path):
 @pytest.fixture
 def load_cell(monkeypatch):
     """An emulated cell on a serial line; who is asked for a weight lays it on."""
-    with subprocess.Popen(
-        [sys.executable, "-m", "smarttouch.emulator", "sensor", "loadcell", "--rate=400",
-         "--port-only", "--linger=2"],
+    with Forked(
+        [*EMULATOR, "sensor", "loadcell", "--rate=400", "--port-only", "--linger=2"],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     ) as process:  # fmt: skip
         port = process.stdout.readline().strip()
@@ -274,14 +273,17 @@ def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
             ["registration", "--center", "left"],
             wrong(about="--center", problem="unknown", value="left", allowed=("target", "image")),
         ),
-        (["registration", "--dot-pitch-mm", "0"], wrong("--dot-pitch-mm 0 ", "0.01", "5 mm")),
+        (
+            ["registration", "--dot-pitch-mm", "0"],
+            wrong("0.01", "5 mm", about="dot_pitch_mm", value=0),
+        ),
         (["force"], wrong("hx711:PORT", about="--cell", problem="missing", remedy="--simulate")),
         (["force", "--simulate", "--seconds", "nan"], wrong(about="--seconds", value=math.isnan)),
-        (["force", "--simulate", "--weights", "0,a"], wrong(about="--weights", value="0,a")),
-        (["force", "--simulate", "--weights", "0,nan"], wrong(about="--weights", value="0,nan")),
+        (["force", "--simulate", "--weights", "0,a"], wrong(about="weights", value="0,a")),
+        (["force", "--simulate", "--weights", "0,nan"], wrong(about="weights", value="0,nan")),
         (["force", "--simulate", "--weights", "0,1,2"], wrong(" 2 g ", " 92 g")),
         (["thresholds"], wrong(about="keyboard", problem="missing", remedy="--simulate")),
-        (["thresholds", "--electrodes", "64"], wrong("--electrodes 64 ", " 0 to 63")),
+        (["thresholds", "--electrodes", "64"], wrong(about="electrodes", value="64", allowed=63)),
         (
             ["thresholds", "--simulate", "--board", "link:/dev/null"],
             wrong(about="--board", problem="conflict", value="link:/dev/null"),

@@ -103,7 +103,7 @@ def test_nobody_knows_the_force(program_here, tmp_path):
 
     Image.new("L", (64, 64), 255).save(tmp_path / "frames" / "1.png")
     done = program_here("live", "--sensor", "frames:frames", "--board", "memory:")
-    says(SourceError, about="force", problem="missing", remedy="--force")(refused(done))
+    says(SourceError, about="force", problem="missing", remedy="force")(refused(done))
 
 
 @pytest.mark.parametrize(

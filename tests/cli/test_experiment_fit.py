@@ -129,7 +129,7 @@ def test_others_answers(program, tmp_path):
         ),
         (
             ("a.csv", "--x", "hz"),
-            says(ExperimentError, "a.csv", "'hz'", "comparison, success", "--x"),
+            says(ExperimentError, "a.csv", "comparison or success", about="x", value="hz"),
         ),
         (
             ("a.csv", "--guess", "half"),

@@ -38,6 +38,14 @@ def test_short_help_is_the_long_one_everywhere(program_here):
         assert (short.returncode, short.stdout) == (0, long.stdout)
 
 
+def test_no_help_is_longer_than_seventy_lines(program_here, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    for command in ("live", "read", "mouse", "color", "experiment run", "experiment free"):
+        done = program_here(*command.split(), "-h")
+        assert done.returncode == 0
+        assert done.stdout.count("\n") <= 70, command
+
+
 def test_the_help_has_every_command_in_a_panel():
     panels = {each.rich_help_panel for each in (*app.registered_commands, *app.registered_groups)}
     assert len(panels) == 7
@@ -57,16 +65,19 @@ def test_a_source_by_either_name(program_here, option):
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_a_text_from_standard_input():
+def test_a_text_from_standard_input(program):
     given = as_module("braille", "-", given="hello")
-    assert given.stdout == as_module("braille", "hello").stdout
-    read = as_module("read", "-", "--board", "memory:", "--seconds", "0.2", given="hello")
+    assert given.stdout == program("braille", "hello").stdout
+    read = program("read", "-", "--board", "memory:", "--seconds", "0.2", given="hello")
     assert (read.returncode, read.stderr) == (0, "")
-    assert as_module("braille", "-", given="").returncode == 2
+    assert program("braille", "-", given="").returncode == 2
 
 
 class Context:
     """A command's context as `or_standard_input` needs it."""
+
+    def __init__(self):
+        self.meta = {}
 
     def with_resource(self, resource):
         self.resource = resource

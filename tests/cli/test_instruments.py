@@ -15,7 +15,7 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.step import StepResult
 from smarttouch.sources.stimulus import Stimulus
-from smarttouch.stimulation.frames import SlotPolicy
+from smarttouch.stimulation.sharing import SlotPolicy
 
 from ..test_markers import FakeLsl
 

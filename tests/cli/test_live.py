@@ -68,8 +68,9 @@ def ink_agreement(sheet):
 
 def test_the_sample_page(program, tmp_path):
     done = program(
-        "live", "--speed", 160, "--felt", "felt.png", "--json", "run.json", "--record", "run.mcap"
-    )
+        "live", "--speed", 160, "--felt", "felt.png", "--json", "run.json", "--record", "run.mcap",
+        real=True,
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     figures = figures_of(tmp_path / "run.json")
     assert set(figures) >= KEYS

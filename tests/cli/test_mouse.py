@@ -95,11 +95,17 @@ def test_what_was_felt_replays_to_the_bit(program_here, tmp_path):
             says(SourceError, "/dev/null" if find_spec("evdev") else "smarttouch[mouse]"),
         ),
         (["--motion", "sweep:", "--cpi", "400"], says(SourceError, "sweep:", " cpi:", "span_mm")),
-        (["--speed", "0"], says(SourceError, "--speed 0 ", " 1000 mm/s")),
-        (["--rate", "300"], says(SourceError, "--rate 300 ", " 10 to 200 ")),
-        (["--fastest", "80"], says(SourceError, "--fastest 80 ", " 50,", "--rate")),
-        (["--scale", "-1"], says(SourceError, "--scale -1 ")),
-        (["--mode", "natural"], says(SourceError, "--mode natural ", "RA, SAI")),
+        (["--speed", "0"], says(SourceError, " 1000", about="speed_mm_s", value=0)),
+        (["--rate", "300"], says(SourceError, about="rate_hz", value=300, allowed=(10, 200))),
+        (
+            ["--fastest", "80"],
+            says(SourceError, about="fastest_hz", value=80, allowed=50, remedy="rate_hz"),
+        ),
+        (["--scale", "-1"], says(SourceError, about="scale", value=-1)),
+        (
+            ["--mode", "natural"],
+            says(SourceError, about="mode", value="natural", allowed=("RA", "SAI", "PC")),
+        ),
         (["--mode", "XY"], says(about="--mode", problem="unknown", value="XY")),
         (["--seconds", "0"], says(about="seconds", value=0, allowed=0)),
         (

@@ -3,6 +3,8 @@
 import inspect
 import os
 import random
+import signal
+import subprocess
 import typing
 from pathlib import Path
 
@@ -10,7 +12,7 @@ import pytest
 
 from smarttouch.cli import app
 
-from .many_runs import many_runs, what_is_wrong
+from ..forks import PROGRAM, Forked
 
 RUNS = int(os.environ.get("SMARTTOUCH_NUMBERS", "24"))
 """How many of all pairs of an option and a number are tried; 0 is all."""
@@ -19,10 +21,11 @@ NUMBERS = (
     "1e400", "", " ", "9" * 30, "-" + "9" * 30, "9" * 5000, "2147483648", "65536", "１",
 )  # fmt: skip
 
+SMALL = "--profile smarttouch-4x4"
 PAGE = "--seconds 0.2 --board memory: --quiet"
 BASES = {
-    "live": f"live --sensor text:i {PAGE}",
-    "read": f"read text:i {PAGE}",
+    "live": f"live --sensor text:i {SMALL} {PAGE}",
+    "read": f"read text:i {SMALL} {PAGE}",
     "braille": "braille hello",
     "legibility": "legibility text:touch",
     "mouse": f"mouse --texture text:I {PAGE}",
@@ -47,12 +50,16 @@ BASES = {
     "calibrate thresholds": (
         "calibrate thresholds --simulate --electrodes 0 --output mine.toml --overwrite"
     ),
-    "calibrate contact": "calibrate contact --board emulator: --output mine.toml --overwrite",
+    "calibrate contact": (
+        f"calibrate contact --board emulator: {SMALL} --output contact.toml --overwrite"
+    ),
 }
 """A command line of each command that has numbers, to which one is added."""
 
 LONG = ("figures", "board emulate", "sensor emulate")
 """Commands that go on, or draw for half a minute."""
+PATIENCE_S = float(os.environ.get("SMARTTOUCH_PATIENCE_S", "5"))
+ENDING_S = 10
 
 
 def commands(typer_app, path=()):
@@ -84,6 +91,36 @@ def test_every_command_with_numbers_is_tried():
     assert len(OPTIONS) > 60
 
 
+def one_run(folder, arguments, patience_s=PATIENCE_S):
+    """Return exit status and errors of a run, and how often one that goes on was interrupted."""
+    streams = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
+    with Forked(
+        [PROGRAM, *arguments], cwd=folder, stdin=subprocess.DEVNULL, start_new_session=True,
+        text=True, errors="replace", **streams,
+    ) as process:  # fmt: skip
+        # Twice, as anyone would: this is not the test of what a single Ctrl-C does.
+        for interrupted, wait_s in enumerate((patience_s, ENDING_S, ENDING_S)):
+            try:
+                out, err = process.communicate(timeout=wait_s)
+            except subprocess.TimeoutExpired:
+                # As a terminal does; in the end whatever it takes.
+                os.killpg(process.pid, signal.SIGINT if interrupted < 2 else signal.SIGKILL)
+            else:
+                assert "Traceback" not in out, (arguments, out)
+                return process.returncode, err, interrupted
+    raise AssertionError(f"it could not be interrupted: {arguments}")
+
+
+def assert_in_order(arguments, code, err, interrupted):
+    """Check that a run did nothing that no run may do."""
+    done = arguments, code, err
+    for sign in ("Traceback", "internal error", "Warning", "Exception"):
+        assert sign not in err, done
+    assert code in ((0, 130) if interrupted else (0, 2)), done
+    assert err or code != 2, done
+    assert not err.startswith("smarttouch: ") or err.count("\n") == 1, done
+
+
 @pytest.mark.timeout(0)
 def test_numbers(tmp_path):
     answers = tmp_path / "answers.csv"
@@ -92,14 +129,15 @@ def test_numbers(tmp_path):
     bases = {
         name: base.format(golden=golden, answers=answers).split() for name, base in BASES.items()
     }
-    quick = [each for name, each in bases.items() if name not in LONG]
-    for done in many_runs(tmp_path, quick, SMARTTOUCH_PATIENCE_S="100"):
-        assert (done["code"], done["ended_by"], what_is_wrong(done)) == (0, None, None), done
-    runs = []
+    for name, base in bases.items():
+        if name not in LONG:
+            code, err, interrupted = one_run(tmp_path, base, 100)
+            assert (code, interrupted) == (0, 0), (base, err)
+            assert_in_order(base, code, err, interrupted)
     for name, option, number in chosen_runs():
         base = list(bases[name])
         if option in base:
             at = base.index(option)
             del base[at : at + 2]
-        runs.append([*base, f"{option}={number}"])
-    assert not [bad for done in many_runs(tmp_path, runs) if (bad := what_is_wrong(done))]
+        arguments = [*base, f"{option}={number}"]
+        assert_in_order(arguments, *one_run(tmp_path, arguments))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from smarttouch.boards.board import may_touch_a_finger
+from smarttouch.boards.open import may_touch_a_finger
 
 from .conftest import refused, says
 

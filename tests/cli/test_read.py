@@ -110,7 +110,7 @@ def test_files_of_cells_and_texts(program_here, tmp_path):
         slots.append(figures_of(tmp_path / "f.json")["slots"])
     assert slots[0] > 0
     done = program_here("read", "note.brf", "--frames", "f.gif")
-    says(ReadingError, "note.brf", "--as braille")(refused(done))
+    says(ReadingError, "note.brf", about="kind", allowed=("braille",))(refused(done))
 
 
 @needs_tesseract
@@ -208,14 +208,17 @@ def test_a_finger_that_moves_by_itself(program_here, tmp_path, page_file):
             says(ReadingError, "electric-mouse", " 8 x 8 ", " 9 lines", " 43 x 2:"),
         ),
         (["text:hi", "--as", "braille", "--table", "xx"], says(BrailleError, "'xx'", "en-1, en-2")),
-        (["text:hi", "--speed", "0"], says(ReadingError, "--speed 0 ", " 2000 mm/s")),
-        (["text:hi", "--pause", "-1"], says(ReadingError, "--pause -1 ", " 3600 s")),
+        (["text:hi", "--speed", "0"], says(ReadingError, " 2000", about="speed_mm_s", value=0)),
+        (
+            ["text:hi", "--pause", "-1"],
+            says(ReadingError, about="pause_s", value=-1, allowed=(0, 3600)),
+        ),
         (
             ["text:hi", "--frames", "f.bmp"],
             says(SmartTouchError, "f.bmp", ".gif", ".json", "PNG"),
         ),
-        (["page.png", "--pages", "3"], says(PageError, "--pages 3", " 1 page", " page 3")),
-        (["page.png", "--pages", "x"], says(PageError, "--pages x", "'x'", "1,3-5")),
+        (["page.png", "--pages", "3"], says(PageError, " 1 page", about="pages", value=3)),
+        (["page.png", "--pages", "x"], says(PageError, "1,3-5", about="pages", value="x")),
         (["blank.png"], says(ReadingError, "6 pixels")),
         (["broken.pdf"], says(PageError, "broken.pdf")),
     ],

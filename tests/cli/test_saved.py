@@ -1,4 +1,4 @@
-"""``smarttouch live --save NAME`` keeps settings, ``--as NAME`` uses them."""
+"""``--save NAME`` keeps the settings of a command, ``--as NAME`` uses them."""
 
 import inspect
 import json
@@ -8,8 +8,19 @@ import pytest
 
 from smarttouch.cli.live import live
 from smarttouch.cli.saved import as_options
+from smarttouch.errors import SavedRunError
 from smarttouch.running.config import RunConfig
-from smarttouch.running.saved import SavedRun, load_run, save_run
+from smarttouch.running.saved import (
+    SavedOptions,
+    SavedRun,
+    load_options,
+    load_run,
+    save_options,
+    save_run,
+    saved_run_path,
+)
+
+from .conftest import refused, says
 
 SHORT = ("--board", "simulated:", "--sensor", "text:oo", "--profile", "line-7", "--seconds", "0.4")
 
@@ -97,7 +108,65 @@ def test_every_setting_has_its_option():
                  source_options=options, config=config)
     )  # fmt: skip
     assert given.keys() <= inspect.signature(live).parameters.keys()
-    assert (given["size"], given["speed"], given["source"]) == ("640x480", 20.0, "a:")
+    assert (given["size"], given["speed_mm_s"], given["source"]) == ("640x480", 20.0, "a:")
     # Intensity is never kept, and a tone has no option: `live` takes it from the file.
-    known = {"rate_hz": "rate"} | dict.fromkeys(("intensity", "tone"), "mode")
+    known = dict.fromkeys(("intensity", "tone"), "mode")
     assert {known.get(each.name, each.name) for each in fields(RunConfig)} <= given.keys()
+
+
+NOWHERE = ("--board", "simulated:", "--quiet", "--intensity", "0.5")
+WHOLE = {
+    "read": (("text:a", "--speed", "400", "--pause", "0"), {"speed_mm_s": 400.0, "pause_s": 0.0}),
+    "mouse": (("--texture", "grating:3mm", "--seconds", "0.1"), {"texture": "grating:3mm"}),
+    "color": (("tone:30Hz,8um", "--seconds", "0.2", "--seed", "3"), {"seed": 3}),
+    "braille": (("ab", "--columns", "9", "--leave-out"), {"source": "ab", "columns": 9}),
+    "experiment run": (
+        ("frequency", "--simulate", "first", "--standards", "30", "--train-s", "0.1",
+         "--repetitions", "1", "--overwrite", "--gap-s", "0.1"),
+        {"name": "frequency", "simulate": "first", "repetitions": 1},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("command", WHOLE)
+def test_every_command_keeps_its_settings(program_here, command):
+    given, kept = WHOLE[command]
+    use = "--settings" if command == "read" else "--as"
+    run = () if command == "braille" else NOWHERE
+    done = program_here(*command.split(), *given, *run, "--save", "desk")
+    assert done.returncode == 0, done.stderr
+    known = {*kept, *(each.lstrip("-").replace("-", "_") for each in given), "board", "source"}
+    found = load_options("desk", command, known)
+    assert kept.items() <= found.items()
+    assert not {"intensity", "quiet", "overwrite", "save"} & found.keys()
+    again = ("--overwrite",) if command == "experiment run" else ()
+    used = program_here(*command.split(), use, "desk", *again, *run[2:3], "--save", "desk")
+    assert used.returncode == 0, used.stderr
+    assert load_options("desk", command, known) == found
+    assert done.stdout == used.stdout
+
+
+def test_files_of_kept_options_are_found_from_anywhere(program_here, tmp_path):
+    (tmp_path / "words.txt").write_text("ab")
+    assert program_here("braille", "words.txt", "--save", "desk").returncode == 0
+    assert load_options("desk", "braille", ["source"]) == {"source": str(tmp_path / "words.txt")}
+
+
+def test_what_a_file_of_options_cannot_say(program_here):
+    about = {"about": "options.intensity", "problem": "impossible", "value": 1.0}
+    save_options("desk", SavedOptions(command="mouse", options={"intensity": 1.0}))
+    says(SavedRunError, **about)(refused(program_here("mouse", "--as", "desk")))
+    other = {"about": "command", "problem": "conflict"}
+    for command, allowed in (("live", None), ("color", "color")):
+        check = says(SavedRunError, **other, value="mouse", allowed=allowed)
+        check(refused(program_here(command, "--as", "desk")))
+    save_run("run", SavedRun(source="text:oo"))
+    check = says(SavedRunError, **other, value=None, allowed="mouse")
+    check(refused(program_here("mouse", "--as", "run")))
+
+
+def test_standard_input_is_not_kept(program_here, monkeypatch):
+    monkeypatch.setattr("smarttouch.cli.saved.is_standard_input", lambda _: True)
+    done = program_here("braille", "ab", "--save", "desk")
+    says(SavedRunError, about="source", problem="impossible", remedy="--save")(refused(done))
+    assert not saved_run_path("desk").exists()

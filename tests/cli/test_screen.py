@@ -12,7 +12,7 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.step import StepResult
 from smarttouch.sources.stimulus import Stimulus
-from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy
+from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 
 
 @pytest.fixture(params=[NO_SHARING, SlotPolicy((Afferent.RA,), planned=False)])

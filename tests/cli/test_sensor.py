@@ -35,7 +35,7 @@ def test_a_page_is_shown_and_its_last_frame_kept(run, tmp_path):
     shown = run("show", "text:touch", "--seconds", 0.2, "--save", "last.png")
     assert shown.exit_code == 0, shown.exception
     rows = table(shown.output)
-    assert rows["sensor"]
+    assert rows["source"]
     assert re.findall(r"\d+", rows["read"]) == ["21", "100"]
     assert rows["size"].startswith("64 x 64, ")
     assert re.search(r"\b0\.\d+ N", rows["force"])

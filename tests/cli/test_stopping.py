@@ -4,7 +4,6 @@ import contextlib
 import os
 import re
 import signal
-import subprocess
 import termios
 import time
 from pathlib import Path
@@ -12,9 +11,11 @@ from pathlib import Path
 import pytest
 
 from smarttouch.boards.emulator.delivery_log import read_state
+from smarttouch.running.announced import announced, running
 from smarttouch.wire.pty_line import PtyLine
 
-from .conftest import PROGRAM
+from ..forks import PROGRAM, Forked
+from .conftest import refused, says
 
 pytestmark = pytest.mark.realtime
 
@@ -73,7 +74,7 @@ def test_a_stop_while_a_board_is_being_opened(start_program, deaf):
 def test_a_program_that_was_started_before_a_stop_drives_nothing(start_program, program_here, deaf):
     """Stopped while it imports, when nobody can know of it yet."""
     port, written = deaf
-    process = start_program("live", "--board", f"link:{port}", "--intensity", "1")
+    process = start_program("live", "--board", f"link:{port}", "--intensity", "1", real=True)
     process.send_signal(signal.SIGSTOP)
     time.sleep(0.02)
     assert not re.search(r"\d", program_here("stop").stdout)
@@ -106,8 +107,8 @@ def test_a_terminal_that_has_stopped_reading_keeps_nobody(
     start_emulator, stuck_terminal, tmp_path, end
 ):
     keys, terminal = stuck_terminal
-    emulator, port, books = start_emulator()
-    process = subprocess.Popen(
+    emulator, port, books = start_emulator(64, "link", "--linger=0.2")
+    process = Forked(
         [PROGRAM, "live", "--board", f"link:{port}", "--json", "run.json"],
         cwd=tmp_path, stdin=terminal, stdout=terminal, stderr=terminal,
     )  # fmt: skip
@@ -126,3 +127,21 @@ def test_a_terminal_that_has_stopped_reading_keeps_nobody(
     state = read_state(books)
     assert (state["state"], state["reason"]) == ("shorted", "stop")
     assert (tmp_path / "run.json").exists()
+
+
+def test_without_a_place_for_the_mark_runs_are_stopped_and_it_is_told(tmp_path, program_here):
+    folder = tmp_path / "state" / "smarttouch"
+    (folder / "stopped").mkdir(parents=True)
+    (folder / "stopped" / "full").write_text("")
+    child = os.fork()
+    if child == 0:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        with announced():
+            signal.pause()
+        os._exit(1)
+    while not running():
+        time.sleep(0.005)
+    # Reaped, or it would be a run until we end.
+    done = program_here("stop")
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGTERM
+    says(about="file", problem="unwritable", value=folder / "stopped")(refused(done))

@@ -186,9 +186,9 @@ def test_what_is_filled_into_a_form_is_seen(tmp_path):
 def test_an_encrypted_pdf_opens_with_its_password_alone(tmp_path):
     path = tmp_path / "secret.pdf"
     path.write_bytes(encrypted(b"0 144 144 144 re f", "tulip"))
-    with raises(PageError, about="--password", problem="missing", value=path):
+    with raises(PageError, about="password", problem="missing", value=path):
         open_document(path)
-    with raises(PageError, about="--password", problem="wrong", value=path) as caught:
+    with raises(PageError, about="password", problem="wrong", value=path) as caught:
         open_document(path, password="rose")
     assert "rose" not in str(caught.value)
     with open_document(path, password="tulip") as document:
@@ -235,7 +235,7 @@ def test_a_folder(tmp_path):
 def test_pages_of_impossible_sizes(tmp_path, size, size_mm):
     path = tmp_path / "page.pdf"
     path.write_bytes(one_page(size=size))
-    found, remedy = pytest.approx(size_mm, rel=1e-4), "--page-width-mm"
+    found, remedy = pytest.approx(size_mm, rel=1e-4), "page_width_mm"
     with (
         open_document(path) as document,
         raises(PageError, about="size_mm", value=found, allowed=(2, 2000), remedy=remedy),
@@ -362,9 +362,9 @@ def test_a_given_scale_of_an_image(tmp_path, options):
 @pytest.mark.parametrize(
     ("options", "about", "value"),
     [
-        ({"dpi": 300, "page_width_mm": 5}, "--dpi", ("--dpi", "--page-width-mm")),
-        ({"dpi": 0}, "--dpi", 0),
-        ({"page_width_mm": math.nan}, "--page-width-mm", math.isnan),
+        ({"dpi": 300, "page_width_mm": 5}, "dpi", ("dpi", "page_width_mm")),
+        ({"dpi": 0}, "dpi", 0),
+        ({"page_width_mm": math.nan}, "page_width_mm", math.isnan),
         ({"dpi": 1}, "size_mm", pytest.approx((7620, 10160))),
     ],
 )
@@ -405,18 +405,18 @@ def test_pages_asked_for(text, indexes):
     [("", ""), ("1,,2", ""), ("one", "one"), ("-3", "-3"), ("²", "²"), ("1" * 5000, "1" * 5000)],
 )
 def test_what_is_no_page(text, part):
-    with raises(PageError, about="--pages", problem="malformed", value=part):
+    with raises(PageError, about="pages", problem="malformed", value=part):
         parse_pages(text, 12)
 
 
 @pytest.mark.parametrize(("text", "number"), [("0", 0), ("1,13", 13), ("3-999999999", 999_999_999)])
 def test_numbers_of_no_page(text, number):
-    with raises(PageError, about="--pages", problem="missing", value=number, allowed=(1, 12)):
+    with raises(PageError, about="pages", problem="missing", value=number, allowed=(1, 12)):
         parse_pages(text, 12)
 
 
 def test_pages_from_behind():
-    with raises(PageError, about="--pages", problem="conflict", value=(5, 3), remedy="3-5"):
+    with raises(PageError, about="pages", problem="conflict", value=(5, 3), remedy="3-5"):
         parse_pages("5-3", 12)
 
 

@@ -96,7 +96,7 @@ def test_pixels_become_square(picture, tmp_path, stated, shape, mm_per_pixel):
 def test_resolutions_that_are_not_believed(picture, tmp_path, stated):
     path = tmp_path / "page.tif"
     picture.save(path, dpi=stated)
-    with raises(PageError, about="scale", problem="missing", value=path):
+    with raises(PageError, about="size_mm", problem="missing", value=path):
         load_page(path)
 
 
@@ -159,10 +159,10 @@ def test_a_folder(tmp_path):
 @pytest.mark.parametrize(
     ("options", "about", "value"),
     [
-        ({"dpi": 300, "page_width_mm": 5}, "--dpi", ("--dpi", "--page-width-mm")),
-        ({"dpi": 0}, "--dpi", 0),
-        ({"dpi": math.nan}, "--dpi", math.isnan),
-        ({"page_width_mm": -5}, "--page-width-mm", -5),
+        ({"dpi": 300, "page_width_mm": 5}, "dpi", ("dpi", "page_width_mm")),
+        ({"dpi": 0}, "dpi", 0),
+        ({"dpi": math.nan}, "dpi", math.isnan),
+        ({"page_width_mm": -5}, "page_width_mm", -5),
         ({"dpi": 0.1}, "size_mm", pytest.approx((20_320, 15_240))),
         ({"dpi": 1e5}, "size_mm", pytest.approx((0.02032, 0.01524))),
     ],
@@ -177,8 +177,8 @@ def test_bad_scales(picture, tmp_path, options, about, value):
 def test_without_a_scale(picture, tmp_path):
     path = tmp_path / "page.png"
     picture.save(path)
-    remedy = "--dpi or --page-width-mm"
-    with raises(PageError, about="scale", problem="missing", value=path, remedy=remedy):
+    remedy = "dpi or page_width_mm"
+    with raises(PageError, about="size_mm", problem="missing", value=path, remedy=remedy):
         load_page(path)
 
 

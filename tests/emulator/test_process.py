@@ -166,7 +166,7 @@ def test_what_stays_for_ever_ends_on_ctrl_c(start_board, tmp_path):
         ("sensor serial-array --rows=256", "--rows 256 255"),
         ("sensor serial-array --columns=1", "--columns 1 255"),
         ("sensor serial-array --event=1_nan", "nan"),
-        ("sensor serial-array --sensor=camera:0", "--sensor 'camera 0' page FILE text STRING"),
+        ("sensor serial-array --sensor=camera:0", "'camera 0' page FILE text STRING"),
         ("sensor hx711 --event=1_dance", "'1 dance' garbage"),
         ("sensor hx711 --noise=-1", "--noise -1"),
         ("sensor hx711 --force=nan", "--force nan"),

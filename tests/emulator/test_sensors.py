@@ -48,7 +48,7 @@ def test_an_array_reads_a_page_again_and_again(profile):
     assert look(0.0).shape == look(1000.0).shape == (16, 24)
     assert max(np.ptp(look(time_s)) for time_s in np.arange(0, 3, 0.02)) > 100
     allowed = ("page", "text")
-    with raises(SourceError, about="--sensor", value="camera:0", allowed=allowed):
+    with raises(SourceError, about="url", value="camera:0", allowed=allowed):
         look_at_page("camera:0", profile, 16, 16)
 
 

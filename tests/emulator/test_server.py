@@ -143,7 +143,7 @@ def test_orders(capsys):
     assert server.statistics.sent == 4
     number, unplugged, dance = capsys.readouterr().err.splitlines()
     assert "'x'" in number
-    assert "--event '0 unplug 0'" in unplugged
+    assert "'0 unplug 0'" in unplugged
     assert "'0.004000 dance'" in dance
     assert "garbage, nan, freeze, silent, unplug" in dance
 

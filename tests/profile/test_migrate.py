@@ -8,8 +8,8 @@ from smarttouch.errors import ProfileError
 from smarttouch.profile import list_profiles, load_profile
 from smarttouch.profile.load import profile_path, read_table
 from smarttouch.profile.migrate import migrate
-from smarttouch.stimulation.frames import unsupported_reason
 from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sharing import unsupported_reason
 
 from ..raising import raises
 from .first_version import TOTAL_GIVEN, first_version

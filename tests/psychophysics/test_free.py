@@ -173,7 +173,7 @@ def test_rows_are_on_disk_at_once(line, tmp_path):
         about="file",
         problem="exists",
         value=tmp_path / "free.csv",
-        remedy="--output",
+        remedy="output",
     ):
         FreeLog(tmp_path / "free.csv")
 
@@ -181,9 +181,9 @@ def test_rows_are_on_disk_at_once(line, tmp_path):
 @pytest.mark.parametrize(
     ("options", "attributes"),
     [
-        ({"rate_hz": 5.0}, {"about": "--rate", "value": 5, "allowed": (10, 200)}),
-        ({"afferent": Afferent.PC}, {"about": "--mode", "value": "PC", "allowed": ("RA",)}),
-        ({"site": 8}, {"about": "--site", "value": 8, "allowed": tuple(range(8))}),
+        ({"rate_hz": 5.0}, {"about": "rate_hz", "value": 5, "allowed": (10, 200)}),
+        ({"afferent": Afferent.PC}, {"about": "mode", "value": "PC", "allowed": ("RA",)}),
+        ({"site": 8}, {"about": "site", "value": 8, "allowed": tuple(range(8))}),
     ],
 )
 def test_what_cannot_be_asked_for(line, tmp_path, options, attributes):

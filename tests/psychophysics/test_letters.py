@@ -53,5 +53,5 @@ def test_letters_are_parsed():
     [("A", "too few"), ("", "too few"), ("A1", "unknown"), ("Ä,B", "unknown")],
 )
 def test_what_is_no_list_of_letters(text, problem):
-    with raises(ExperimentError, about="--letters", problem=problem, value=text):
+    with raises(ExperimentError, about="letters", problem=problem, value=text):
         parse_letters(text)

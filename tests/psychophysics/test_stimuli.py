@@ -54,7 +54,7 @@ def test_a_rising_train_reaches_its_level_at_its_last_pulse(stimuli):
     [
         (201, {"about": "rate_hz", "value": 201, "allowed": (0, 200)}),
         (0, {"about": "rate_hz", "value": 0, "allowed": (0, 200)}),
-        (2.9, {"about": "--train-s", "problem": "too few", "value": 1, "allowed": 2}),
+        (2.9, {"about": "train_s", "problem": "too few", "value": 1, "allowed": 2}),
     ],
 )
 def test_trains_that_cannot_be(stimuli, rate_hz, attributes):
@@ -66,7 +66,7 @@ def test_trains_that_cannot_be(stimuli, rate_hz, attributes):
 def test_lengths_that_cannot_be(profile, train_s):
     with raises(
         ExperimentError,
-        about="--train-s",
+        about="train_s",
         value=pytest.approx(train_s, nan_ok=True),
         allowed=(0, 60),
     ):

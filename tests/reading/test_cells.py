@@ -132,9 +132,9 @@ def test_a_dot_that_was_not_delivered_is_missed():
         (
             "electric-mouse",
             {"lines": 3},
-            {"about": "profile", "value": (8, 8), "remedy": "--lines"},
+            {"about": "profile", "value": (8, 8), "remedy": "lines"},
         ),
-        ("electric-mouse", {"lines": 0}, {"about": "--lines", "value": 0, "allowed": 1}),
+        ("electric-mouse", {"lines": 0}, {"about": "lines", "value": 0, "allowed": 1}),
         ("line-8", {"lines": 2}, {"about": "profile", "value": (1, 8), "remedy": ""}),
     ],
 )

@@ -13,7 +13,7 @@ from smarttouch.reading.cursor import Motion
 from smarttouch.reading.deliver import Reading, deliver_line, deliver_lines, ideal_picture
 from smarttouch.reading.shapes import Shapes, Style
 from smarttouch.reading.window import usual_speed
-from smarttouch.stimulation.frames import SlotPolicy
+from smarttouch.stimulation.sharing import SlotPolicy
 
 GRADED = Tone(0.0, 1.0, prepared=True)
 

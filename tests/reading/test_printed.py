@@ -87,7 +87,7 @@ def test_what_is_hardly_recognized_is_told_of(tesseract, notes):
     ]
     assert len(notes) == 1
     assert "30%" in notes[0]
-    assert "--language" in notes[0]
+    assert "eng" in notes[0]
 
 
 @pytest.mark.parametrize("turn_deg", [0, 90, 180, 270])

@@ -99,7 +99,7 @@ def test_few_rows_are_told_of_and_fewer_are_refused(source_of, notes):
     assert len(notes) == 1
     assert "smarttouch-4x4" in notes[0]
     assert "4 rows" in notes[0]
-    assert "--as braille" in notes[0]
+    assert "Braille" in notes[0]
     with raises(ReadingError, about="profile", problem="too few", value=1, allowed=4):
         list(Shapes().lines(source_of("text:hi"), profile_for_reading(load_profile("line-7"))))
 
@@ -190,7 +190,7 @@ def test_words_and_cells_are_told_apart(tmp_path, reading):
     for name in ("a.brf", "a.txt"):
         lines = list(Braille().lines(Source(str(tmp_path / name)), reading))
         assert [line.cells for line in lines] == [("⠁⠃",)]
-    with raises(ReadingError, about="--as", problem="conflict", allowed=("braille",)):
+    with raises(ReadingError, about="kind", problem="conflict", allowed=("braille",)):
         list(Shapes().lines(Source(str(tmp_path / "a.brf")), reading))
 
 

@@ -16,7 +16,8 @@ import numpy as np
 from smarttouch.errors import RecordingError
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
-from smarttouch.recording.recorder import RecordingWriter, about_run
+from smarttouch.recording.recorder import about_run
+from smarttouch.recording.writer import RecordingWriter
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.step import StepResult

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smarttouch.recording import recorder as recorder_module
-from smarttouch.recording.recorder import RecordingWriter, about_run
+from smarttouch.recording import writer as writer_module
+from smarttouch.recording.recorder import about_run
+from smarttouch.recording.writer import RecordingWriter
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.step import StepResult
@@ -97,7 +98,7 @@ def recording(record, steps, tmp_path_factory):
     path = tmp_path_factory.mktemp("recording") / "run.mcap"
     with pytest.MonkeyPatch.context() as patch:
         # One for each step: what waits for no longer is not put together.
-        patch.setattr(recorder_module, "FLUSH_S", 0.0)
+        patch.setattr(writer_module, "FLUSH_S", 0.0)
         return record(path, steps, ["paused", "goes on"])
 
 

@@ -21,8 +21,9 @@ from smarttouch.clock import SimulatedClock
 from smarttouch.errors import LineLostError
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
-from smarttouch.recording import recorder as recorder_module
-from smarttouch.recording.recorder import RecordingWriter, about_run
+from smarttouch.recording import writer as writer_module
+from smarttouch.recording.recorder import about_run
+from smarttouch.recording.writer import RecordingWriter
 from smarttouch.running.config import RunConfig
 from smarttouch.running.controls import Controls, ControlState
 from smarttouch.running.listener import OnEvent, OnStep
@@ -35,9 +36,9 @@ from smarttouch.sources.frame import Frame
 from smarttouch.sources.source import Source
 from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stimulation.adaptation import Adaptation
-from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy
 from smarttouch.stimulation.ledger import ChargeBalance
 from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.stopping import StopRequest
 
@@ -234,7 +235,7 @@ def make(golden, path):
 
 def main(names):
     # One chunk compresses better, and depends on no clock.
-    recorder_module.FLUSH_S = 3600.0
+    writer_module.FLUSH_S = 3600.0
     FOLDER.mkdir(exist_ok=True)
     for golden in GOLDENS:
         if names and golden.name not in names:

@@ -65,7 +65,7 @@ def test_nothing_is_overwritten(tmp_path, recording):
         about="file",
         problem="exists",
         value=tmp_path / "run-repaired.mcap",
-        remedy="--output",
+        remedy="output",
     ):
         repair(tmp_path / "run.mcap")
     assert (tmp_path / "run-repaired.mcap").read_text() == "precious"

@@ -14,10 +14,11 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from smarttouch.errors import RecordingError
-from smarttouch.recording import recorder as module
+from smarttouch.recording import writer as module
 from smarttouch.recording.reader import Recording
-from smarttouch.recording.recorder import RecordingWriter, about_run, new_writer
+from smarttouch.recording.recorder import about_run
 from smarttouch.recording.schemas import SCHEMAS
+from smarttouch.recording.writer import RecordingWriter, new_writer
 
 from ..raising import raises
 

@@ -19,8 +19,8 @@ from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.sources.stimulus import Stimulus
-from smarttouch.stimulation.frames import SlotPolicy
 from smarttouch.stimulation.sequence import ScanSequence, SelectivityReport
+from smarttouch.stimulation.sharing import SlotPolicy
 from smarttouch.tactile_image import TactileImage
 
 numbers = st.floats(allow_infinity=False)

@@ -6,7 +6,7 @@ from smarttouch.afferent import Afferent, Mode
 from smarttouch.errors import SmartTouchError
 from smarttouch.profile import load_profile
 from smarttouch.running.config import SCANS, RunConfig
-from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy
+from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 
 from ..raising import raises
 

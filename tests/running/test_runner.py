@@ -184,6 +184,18 @@ def test_a_simulated_calibration_is_no_finger_s(profile, source, monkeypatch):
     assert any("thresholds" in str(each) for each in notes[1])
 
 
+def test_each_run_on_a_display_tells_its_own_notes(profile, bank, display):
+    told = []
+    for words in ("first", "second"):
+        display.board.notes.append(words)
+        source, noting = open_source("text:a", profile, speed_mm_s=400), Noting()
+        run = Runner(source, display, RunConfig(), listeners=[noting], load_kernels=lambda _: bank)
+        told.append(run.run().notes)
+        assert str(noting.events).count(words) == 1
+    assert [told[0].count("first"), told[0].count("second")] == [1, 0]
+    assert [told[1].count("first"), told[1].count("second")] == [0, 1]
+
+
 def test_broken_electrodes_are_planned_around(profile, source, display, monkeypatch):
     from smarttouch.boards.impedance import judge
 

@@ -7,7 +7,7 @@ from smarttouch.errors import SavedRunError
 from smarttouch.imaging.mapping import Tone
 from smarttouch.running.config import RunConfig
 from smarttouch.running.saved import SavedRun, load_run, save_run, saved_run_path, saved_runs
-from smarttouch.stimulation.frames import SlotPolicy
+from smarttouch.stimulation.sharing import SlotPolicy
 
 from ..raising import assert_says, raises
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.afferent import Afferent, Mode
-from smarttouch.boards.board import make_board
+from smarttouch.boards.open import make_board
 from smarttouch.errors import BoardError, SafetyError, ScheduleError
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
@@ -164,6 +164,6 @@ def test_boards_without_vibrators_refuse_vibration(profile, bank):
     pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.COLOR, scan="points"), vibrated=True)
     with (
         make_board("memory:", SafetyLimits.of(profile)) as board,
-        raises(BoardError, about="vibration", remedy="--vibrators"),
+        raises(BoardError, about="vibration", remedy="vibrators"),
     ):
         board.send(pipeline.process(asking({})).sequence)

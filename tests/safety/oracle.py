@@ -139,7 +139,8 @@ class Oracle:
                 self._spent_us, self._spent_pc = spent_us, spent_pc
             while self._sent and self._sent[0].ended_ns <= clock_ns - NS:
                 self._sent.popleft()
-            self._sent.append(new)
+            if new.drives:
+                self._sent.append(new)
             self._last = new
             self.time_ns, self.clock_ns = alone.time_ns, clock_ns
             self._ppb = self._ppb if measuring else alone.intensity_ppb
@@ -165,8 +166,11 @@ class Oracle:
         strong = np.zeros(self.bounds.electrodes, np.int64)
         charge_pc = strong.copy()
         for sent in self._sent:
-            count = sent.begun(clock_ns) - sent.begun(clock_ns - NS)
-            if count and sent.drives:
+            if sent.times == 1:
+                count = clock_ns - NS < sent.clock_ns <= clock_ns
+            else:
+                count = sent.begun(clock_ns) - sent.begun(clock_ns - NS)
+            if count:
                 strong += count * sent.strong
                 charge_pc += count * sent.charge_pc
         return strong, charge_pc

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from smarttouch.boards.board import make_board
+from smarttouch.boards.open import make_board
 from smarttouch.errors import BoardError, SafetyError
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits

@@ -179,7 +179,7 @@ def test_bytes_that_are_no_frames_from_the_start_on(line, source, monkeypatch):
     monkeypatch.setattr(serial_array, "_UNREADABLE_S", 0.0)
     assert source.grab(0) is None, "as long as nothing comes there is nothing to say"
     line.send(b"Reading: 12.3 g\r\n")
-    odd = {"problem": "malformed", "value": line.name, "remedy": "--baud"}
+    odd = {"problem": "malformed", "value": line.name, "remedy": "baud"}
     with raises(SourceError, about="port", **odd) as caught:
         source.grab(0)
     assert "921600" in str(caught.value)
@@ -258,7 +258,7 @@ def test_the_books_of_the_live_sensor(line, profile):
         ("serial-array:/dev/nowhere", None, "port", "missing", "/dev/nowhere"),
         ("serial-array:/dev/null", None, "port", "no serial port", "/dev/null"),
         ("serial-array:tcp://localhost", None, "port", "malformed", "tcp://localhost"),
-        ("serial-array:/dev/null", 0, "--baud", "", 0),
+        ("serial-array:/dev/null", 0, "baud", "", 0),
     ],
 )
 def test_what_cannot_be_opened(profile, url, baud, about, problem, value):

@@ -12,10 +12,11 @@ from smarttouch.kernels.frames.slots import plan_slots
 from smarttouch.kernels.problem import Problem
 from smarttouch.profile import load_profile
 from smarttouch.stimulation import frames as module
-from smarttouch.stimulation.frames import FrameSlots, SlotPolicy
+from smarttouch.stimulation.frames import FrameSlots
 from smarttouch.stimulation.points import PointSlots
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.stimulation.schedule import ScanScheduler
+from smarttouch.stimulation.sharing import SlotPolicy
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.tactile_image import TactileImage
 

@@ -137,7 +137,7 @@ def test_hard_things_pulse_faster_when_pressed(profile, bank):
 @pytest.mark.parametrize(
     ("options", "attributes"),
     [
-        ({"rate_hz": 50.0}, {"about": "rate", "value": 50, "remedy": "pulse.ra_rate_hz"}),
+        ({"rate_hz": 50.0}, {"about": "rate_hz", "value": 50, "remedy": "pulse.ra_rate_hz"}),
         ({"timing": ScanTiming(whole_hz=True)}, {"about": "mode", "allowed": ("RA", "SAI")}),
         ({"timing": ScanTiming(in_index_order=True)}, {"about": "mode", "allowed": ("RA", "SAI")}),
     ],

@@ -13,10 +13,10 @@ from smarttouch.afferent import Afferent
 from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import design_bank, load_bank
 from smarttouch.profile import list_profiles, load_profile
-from smarttouch.stimulation.frames import NO_SHARING, SlotPolicy
 from smarttouch.stimulation.points import felt_at, spread_order
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.stimulation.schedule import ScanScheduler
+from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.tactile_image import TactileImage
 
@@ -107,7 +107,7 @@ def test_switched_boards_never_lose_an_electrode_to_rounding():
 @pytest.mark.parametrize("rate", [0, -1, 1000, float("nan")])
 def test_impossible_rates(profile, bank, rate):
     same = pytest.approx(rate, nan_ok=True)
-    with raises(ScheduleError, about="rate", problem="out of range", value=same):
+    with raises(ScheduleError, about="rate_hz", problem="out of range", value=same):
         ScanScheduler(profile, bank, (Afferent.RA,), rate)
 
 

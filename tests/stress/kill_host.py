@@ -20,12 +20,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from smarttouch.boards import streamed
-from smarttouch.boards.board import make_board
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
 from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.skin import COMPLIANCE_V
+from smarttouch.boards.open import make_board
 from smarttouch.boards.probe import one_each
 from smarttouch.emulator.server import DeviceClock
 from smarttouch.errors import BoardRestartedError

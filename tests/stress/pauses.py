@@ -15,7 +15,7 @@ import numpy as np
 from forked import KINDS, Emulated, quiet, run_and_exit
 
 from smarttouch.afferent import Mode
-from smarttouch.boards.board import make_board
+from smarttouch.boards.open import make_board
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig

@@ -120,7 +120,7 @@ def test_it_can_be_had_alone(device):
     with open_motion("evdev:", grab=True):
         assert device.latest.grabbed
     device.taken = True
-    busy = {"problem": "busy", "value": device.place, "remedy": "--grab"}
+    busy = {"problem": "busy", "value": device.place, "remedy": "grab"}
     with raises(SourceError, about="mouse", **busy):
         open_motion("evdev:", grab=True)
     assert device.latest.closed
@@ -161,7 +161,7 @@ def test_what_is_no_mouse(device, monkeypatch):
     assert "usermod" in str(caught.value), "the group that may read it is to be joined"
     with raises(SourceError, about="mouse", problem="missing", value="/dev/input/none"):
         open_motion("evdev:/dev/input/none")
-    with raises(SourceError, about="--cpi", value=1, allowed=(10, 100_000)):
+    with raises(SourceError, about="cpi", value=1, allowed=(10, 100_000)):
         open_motion("evdev:", cpi=1)
 
 

@@ -235,13 +235,13 @@ def test_other_classes_feel_it_too(mouse, mouse_bank, mode):
 @pytest.mark.parametrize(
     ("options", "about", "allowed"),
     [
-        ({"rate_hz": 5}, "--rate", (10, 200)),
-        ({"rate_hz": 201}, "--rate", (10, 200)),
-        ({"fastest_hz": 60}, "--fastest", 50),
-        ({"fastest_hz": 0}, "--fastest", 50),
-        ({"scale": 0}, "--scale", 0),
-        ({"mode": Mode.NATURAL}, "--mode", ("RA", "SAI", "PC")),
-        ({"mode": Mode.COLOR}, "--mode", ("RA", "SAI", "PC")),
+        ({"rate_hz": 5}, "rate_hz", (10, 200)),
+        ({"rate_hz": 201}, "rate_hz", (10, 200)),
+        ({"fastest_hz": 60}, "fastest_hz", 50),
+        ({"fastest_hz": 0}, "fastest_hz", 50),
+        ({"scale": 0}, "scale", 0),
+        ({"mode": Mode.NATURAL}, "mode", ("RA", "SAI", "PC")),
+        ({"mode": Mode.COLOR}, "mode", ("RA", "SAI", "PC")),
     ],
 )
 def test_what_is_impossible_is_said(mouse, options, about, allowed):

@@ -17,7 +17,7 @@ from ..raising import raises
 from .touched import grating_file, object_file
 
 ONE = np.zeros((1, 2))
-SCALE = "--dpi or --width-mm"
+SCALE = "dpi or width_mm"
 
 
 @given(
@@ -226,17 +226,17 @@ def test_letters_are_large():
         ("grating:4cm", {}, "grating", {"problem": "malformed", "value": "grating:4cm"}),
         ("grating:0.01mm", {}, "pitch_mm", {"value": 0.01}),
         ("grating:4mm,400deg", {}, "angle_deg", {"value": 400, "allowed": (-360, 360)}),
-        ("grating:4mm", {"width_mm": 10}, "--width-mm", {"problem": "conflict", "value": 10}),
+        ("grating:4mm", {"width_mm": 10}, "width_mm", {"problem": "conflict", "value": 10}),
         ("none.png", {}, "file", {"problem": "missing", "value": Path("none.png")}),
         ("none.npy", {"dpi": 100}, "file", {"problem": "missing", "value": Path("none.npy")}),
         ("text: ", {}, "text", {"problem": "empty"}),
-        ("text:a", {"dpi": 100}, "--dpi", {"problem": "conflict", "remedy": "--width-mm"}),
-        ("o.png", {"dpi": 100, "width_mm": 20}, "--dpi", {"problem": "conflict"}),
-        ("o.png", {"grain_mm": 0.0}, "--grain-mm", {"value": 0}),
+        ("text:a", {"dpi": 100}, "dpi", {"problem": "conflict", "remedy": "width_mm"}),
+        ("o.png", {"dpi": 100, "width_mm": 20}, "dpi", {"problem": "conflict"}),
+        ("o.png", {"grain_mm": 0.0}, "grain_mm", {"value": 0}),
         ("o.png", {"width_mm": 1e5}, "size_mm", {"remedy": SCALE}),
         ("flat.png", {"dpi": 100}, "texture", {"problem": "empty", "value": "flat.png"}),
-        ("unscaled.png", {}, "scale", {"value": Path("unscaled.png"), "remedy": SCALE}),
-        ("deep.npy", {}, "scale", {"value": Path("deep.npy"), "remedy": SCALE}),
+        ("unscaled.png", {}, "size_mm", {"value": Path("unscaled.png"), "remedy": SCALE}),
+        ("deep.npy", {}, "size_mm", {"value": Path("deep.npy"), "remedy": SCALE}),
         ("deep.npy", {"dpi": 100}, "axes", {"value": 3, "allowed": 2}),
         ("words.npy", {"dpi": 100}, "file", {"problem": "malformed", "value": Path("words.npy")}),
         ("words.png", {}, "file", {"problem": "malformed", "value": Path("words.png")}),

@@ -188,13 +188,13 @@ def test_a_line_that_cannot_be_understood(spec, about, problem, value):
 def test_what_a_line_may_be():
     with raises(SmartTouchError, about="frequency", allowed=(0, 1000)):
         open_trace("tone:0Hz,8um")
-    with raises(SmartTouchError, about="trace", allowed=(0, 2), remedy="--seconds"):
+    with raises(SmartTouchError, about="trace", allowed=(0, 2), remedy="seconds"):
         open_trace("press:1N@0-9")
 
 
 @pytest.mark.parametrize("seconds", [0, -1, 601, float("nan")])
 def test_impossible_lengths_are_refused(seconds):
-    with raises(SmartTouchError, about="--seconds", value=lambda given: given is seconds):
+    with raises(SmartTouchError, about="seconds", value=lambda given: given is seconds):
         open_trace("press:1N", seconds)
 
 

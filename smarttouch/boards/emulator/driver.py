@@ -33,7 +33,7 @@ class EmulatorBoard(LinkBoard):
     books : Path, optional
         Existing folder in which it keeps its books.
     events : sequence of str
-        Events of the finger, as for ``smarttouch board emulate --event``.
+        Events of the finger, as ``smarttouch board emulate`` takes them.
     """
 
     on_a_finger = False

@@ -36,8 +36,6 @@ class FieldMap:
         Array of E electrodes, and skin.
     afferents : Afferents
         N places with D directions each.
-    skin : Skin, optional
-        Another skin than the profile's.
 
     Attributes
     ----------
@@ -47,15 +45,15 @@ class FieldMap:
         Whether products are used.
     """
 
-    def __init__(self, profile: Profile, afferents: Afferents, skin: Skin | None = None) -> None:
+    def __init__(self, profile: Profile, afferents: Afferents) -> None:
         self.directions_n, self.places_n = len(afferents.direction), len(afferents.position_mm)
         self.rows_n = self.directions_n * self.places_n
         self.grid = afferents.grid
         self._electrodes_n = len(profile.electrodes)
-        made = _products(profile, afferents, skin or profile.skin)
+        made = _products(profile, afferents, profile.skin)
         self.separable = made is not None
         if made is None:
-            self._dense = np.asarray(af_matrix(profile, afferents, skin), np.float32)
+            self._dense = np.asarray(af_matrix(profile, afferents), np.float32)
         else:
             self._down, self._across, self._place = made
             self._high, self._rank = self._down.shape[1:]

@@ -187,9 +187,9 @@ def full_wish(profile: Profile, afferent: Afferent, kernels: Array, receptor: Ar
     Parameters
     ----------
     kernels : ndarray, (E, E)
-        `KernelBank.kernels` of the primary: peaks of 1, rows of masked sites zero.
+        `KernelBank.kernels` of the class: peaks of 1, rows of masked sites zero.
     receptor : ndarray, (E, E), V/mm² per mA
-        `KernelBank.receptor` of the primary.
+        `KernelBank.receptor` of the class.
     """
     return np.asarray(profile.full_ma * (receptor * kernels).sum(axis=1), np.float64)
 

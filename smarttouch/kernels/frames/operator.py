@@ -142,7 +142,6 @@ class FrameOperator(Generic[AnyJudge]):
         level: Array,
         bounds: FrameBounds,
         total_ma: float | None = None,
-        rounds: int = _ROUNDS,
     ) -> tuple[Array, FrameFigures]:
         """Return currents that keep the bounds as far as possible, and their figures.
 
@@ -152,8 +151,6 @@ class FrameOperator(Generic[AnyJudge]):
         bounds : FrameBounds
         total_ma : float, optional
             Limit of all cathodes together; by default the profile's.
-        rounds : int
-            Broken rows are added so often at most.
         """
         judge, active = self.judge, self._active(level)
         limit = judge.profile.limits.total_ma if total_ma is None else total_ma
@@ -165,7 +162,7 @@ class FrameOperator(Generic[AnyJudge]):
         broken = _Broken(judge, judge.limits(active, bounds, 1 - AIM * bounds.uneven), limit)
         current, best = free, None
         rows, limits = np.zeros((0, len(free))), np.zeros(0)
-        for done in range(rounds + 1):
+        for done in range(_ROUNDS + 1):
             reached = judge.reached(current)
             figures = judge.judge(current, level, reached)
             excess = _excess(judge, figures, bounds, current, limit)

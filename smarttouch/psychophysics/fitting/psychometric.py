@@ -169,12 +169,12 @@ class Model:
             return given
         if (given < 0).any():
             raise ExperimentError(
-                f"{given.min():g} has no logarithm: fit it on a linear axis, with --linear",
+                f"{given.min():g} has no logarithm: fit it on a linear axis",
                 about="stimulus",
                 problem="too small",
                 value=float(given.min()),
                 allowed=0,
-                remedy="--linear",
+                remedy="linear",
             )
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(given))

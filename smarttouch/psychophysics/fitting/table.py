@@ -64,11 +64,11 @@ def read_table(
         If it cannot be read, or has no such columns or values.
     """
     head, lines = _cells(path)
-    for option, name in (("--x", x), ("--y", y), ("--standard", standard)):
+    for parameter, name in (("x", x), ("y", y), ("standard", standard)):
         if name not in head and name != "standard":
             raise ExperimentError(
-                f"{path} has no column {name!r}, but {', '.join(head)}: name one with {option}",
-                about=option,
+                f"{path} has no column {name!r} for {parameter}: choose {' or '.join(head)}",
+                about=parameter,
                 problem="missing",
                 value=name,
                 allowed=head,
@@ -153,11 +153,11 @@ def _success(text: str, where: str, column: str) -> float:
         return math.nan
     if word not in _YES | _NO:
         raise ExperimentError(
-            f"{where}: {column} is {text!r}, not 1 or 0; name another column with --y",
+            f"{where}: {column} is {text!r}, not 1 or 0; name another column for y",
             about=column,
             problem="malformed",
             value=text,
-            remedy="--y",
+            remedy="y",
         )
     return float(word in _YES)
 

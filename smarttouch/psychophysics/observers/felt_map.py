@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.delivered.perception import PerceptThresholds
+from smarttouch.delivered.perception import Perception
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.observers.interval import Interval
@@ -17,7 +17,7 @@ class SiteResponse:
     """Map of the strongest answers of the classes that a board reaches."""
 
     def __init__(self, profile: Profile, bank: KernelBank) -> None:
-        self._perception = PerceptThresholds(profile, bank, tuple(sorted(bank.weights)))
+        self._perception = Perception(profile, bank, tuple(sorted(bank.weights)))
         self._position_mm = profile.electrodes.position_mm
 
     def of(self, interval: Interval) -> Floats:

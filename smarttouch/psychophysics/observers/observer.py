@@ -165,7 +165,7 @@ class SimulatedObserver:
 
     # -- the truth ---------------------------------------------------------
 
-    def ratio(self, afferent: Afferent, site: int, level: float = 1.0) -> float:
+    def ratio(self, afferent: Afferent, site: int) -> float:
         """Return the ratio of PC to RA that a mode's pulses recruit at a site.
 
         Parameters
@@ -174,10 +174,8 @@ class SimulatedObserver:
             The mode.
         site : int
             The electrode.
-        level : float
-            Of the strongest comfortable current.
         """
-        current_ua = 1000 * level * self.profile.full_ma[site] * self.bank.kernels(afferent)[site]
+        current_ua = 1000 * self.profile.full_ma[site] * self.bank.kernels(afferent)[site]
         pulse = Interval(
             np.zeros(1),
             np.full(1, self.profile.pulse.width_us, np.float32),
@@ -198,11 +196,6 @@ class SimulatedObserver:
         # No current is never enough.
         guess = self.guess if task == "felt" else 0.0
         return guess + (1 - guess - self.lapse) * found
-
-    def chance_apart(self, distance_mm: float) -> float:
-        """Return the probability that places or distances so different are put in order."""
-        chance = float(ndtr(distance_mm / (math.sqrt(2) * self.place_mm)))
-        return self.lapse / 2 + (1 - self.lapse) * chance
 
     # -- the tasks ---------------------------------------------------------
 

@@ -171,12 +171,3 @@ class FrequencySense:
             self.perceived_hz(comparison_hz, ratio) / self.perceived_hz(standard_hz, ratio)
         )
         return float(ndtr(apart / (math.sqrt(2) * self.spread)))
-
-    def weber_fraction(self, standard_hz: float, ratio: float) -> float:
-        """Return the Weber fraction: how much higher a comparison is judged so in 75 %.
-
-        A part of the standard; infinite where no frequency is high enough.
-        """
-        n, limit_hz = self.sharpness, self.believable_hz(ratio)
-        left = (standard_hz**-n + limit_hz**-n) * (1 + self.weber) ** -n - limit_hz**-n
-        return float(left ** (-1 / n) / standard_hz - 1) if left > 0 else math.inf

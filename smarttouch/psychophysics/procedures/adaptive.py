@@ -39,8 +39,8 @@ def frequency_procedures(
         if high <= low:
             raise ExperimentError(
                 f"nothing can be faster than a standard of {standard:g} Hz within the profile's "
-                f"limit of {highest_hz:g} Hz: give lower --standards",
-                about="--standards",
+                f"limit of {highest_hz:g} Hz: give lower standards",
+                about="standards",
                 problem="too large",
                 value=standard,
                 allowed=highest_hz,

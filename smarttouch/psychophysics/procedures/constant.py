@@ -50,7 +50,7 @@ def ratio_pairs(
     if not pairs:
         raise ExperimentError(
             f"no standard and comparison is at or below {highest:g}: give lower standards",
-            about="--standards",
+            about="standards",
             problem="too large",
             value=tuple(standards),
             allowed=highest,

@@ -78,7 +78,7 @@ class Interleaved:
         if not procedures:
             raise ExperimentError(
                 "there is no procedure to interleave: give at least one standard",
-                about="--standards",
+                about="standards",
                 problem="too few",
                 value=0,
                 allowed=1,

@@ -1,4 +1,4 @@
-"""Finger force from a source other than the sensor."""
+"""Finger force from a source other than that of the frames."""
 
 import math
 from abc import ABC, abstractmethod

@@ -295,7 +295,7 @@ def test_contradictions(arguments, about, value):
 
 
 def test_negative_stimuli_need_a_linear_axis():
-    with raises(ExperimentError, about="stimulus", value=-1.0, allowed=0, remedy="--linear"):
+    with raises(ExperimentError, about="stimulus", value=-1.0, allowed=0, remedy="linear"):
         Model().axis([-1.0])
 
 

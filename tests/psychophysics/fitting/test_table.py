@@ -90,10 +90,10 @@ def wrong(about, problem, **others):
         ("comparison,success\n", wrong("file", "empty"), None),
         (
             "a,success\n1,1\n",
-            wrong("--x", "missing", value="comparison", allowed=("a", "success")),
+            wrong("x", "missing", value="comparison", allowed=("a", "success")),
             None,
         ),
-        ("comparison,b\n1,1\n", wrong("--y", "missing", value="success"), None),
+        ("comparison,b\n1,1\n", wrong("y", "missing", value="success"), None),
         ("comparison,success\n1,1\nx,1\n", wrong("comparison", "malformed", value="x"), 3),
         ("comparison,success\n1,0.7\n", wrong("success", "malformed", value="0.7"), 2),
         ("comparison,success\n1\n1,1\n", wrong("line", "too few", value=1, allowed=2), 2),
@@ -114,5 +114,5 @@ def test_errors(tmp_path, text, attributes, line):
 def test_no_file_and_no_standard(tmp_path):
     with raises(ExperimentError, about="file", problem="missing", value=tmp_path / "none.csv"):
         read_table(tmp_path / "none.csv")
-    with raises(ExperimentError, about="--standard", problem="missing", value="base"):
+    with raises(ExperimentError, about="standard", problem="missing", value="base"):
         read_table(file(tmp_path, "comparison,success\n1,1\n"), standard="base")

@@ -19,11 +19,11 @@ from smarttouch.running.announced import (
 from smarttouch.stopping import RunStopped
 
 from ..raising import raises
-from .conftest import refused, says
 
 
-@pytest.fixture
-def folder(tmp_path):
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     path = tmp_path / "state" / "smarttouch"
     path.mkdir(parents=True)
     return path
@@ -154,20 +154,3 @@ def test_a_mark_replaces_what_has_its_name_and_is_read_from_no_such_thing(folder
     leave_mark()
     with pytest.raises(RunStopped):
         refuse_if_stopped()
-
-
-def test_without_a_place_for_the_mark_runs_are_stopped_and_it_is_told(folder, program_here):
-    (folder / "stopped").mkdir()
-    (folder / "stopped" / "full").write_text("")
-    child = os.fork()
-    if child == 0:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        with announced():
-            signal.pause()
-        os._exit(1)
-    while not running():
-        time.sleep(0.005)
-    # Reaped, or it would be a run until we end.
-    done = program_here("stop")
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGTERM
-    says(about="file", problem="unwritable", value=folder / "stopped")(refused(done))

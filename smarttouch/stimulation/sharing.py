@@ -1,0 +1,43 @@
+"""Policy of sharing slots between points, and the profiles that allow none."""
+
+from typing import NamedTuple
+
+from smarttouch.afferent import Afferent
+from smarttouch.profile import Profile
+
+
+class SlotPolicy(NamedTuple):
+    """Policy of sharing slots between points.
+
+    Attributes
+    ----------
+    afferents : tuple of Afferent
+    planned : bool
+        Whether each frame's currents are found anew, for as few slots as can be, which takes
+        milliseconds; else kernels are added up of which no subset breaks a bound.
+    """
+
+    afferents: tuple[Afferent, ...] = ()
+    planned: bool = True
+
+
+NO_SHARING = SlotPolicy()
+
+
+def unsupported_reason(profile: Profile) -> tuple[str, str] | None:
+    """Return why a profile's board can show points only one by one; None if it can do more.
+
+    Returns
+    -------
+    key, reason : str
+        The profile's key that keeps it from sharing slots, and why.
+    """
+    if (kind := profile.output.kind) != "weighted":
+        return "output.kind", f"the board is {kind}, with one source for all electrodes"
+    if profile.pulse.carrier == "width":
+        return "pulse.carrier", "pulse.carrier is 'width', one for all points of a slot"
+    if not profile.shares:
+        return "frames.share", (
+            "frames.share is not on, or limits.total_ma is not set, which bounds their current"
+        )
+    return None

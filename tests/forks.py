@@ -1,0 +1,180 @@
+"""Programs as forks of one process that has imported everything: `Forked` starts them.
+
+A program that is started takes a second of processor time to import what it needs; a fork of a
+process that has, a fiftieth of that. What it inherits is what any program does: arguments,
+environment, folder and streams of whoever starts it, and the signals of a fresh interpreter.
+"""
+
+import atexit
+import ctypes
+import gc
+import inspect
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from importlib import import_module
+from pathlib import Path
+
+PROGRAM = Path(sys.executable).with_name("smarttouch")
+EMULATOR = [sys.executable, "-m", "smarttouch.emulator"]
+_SUBREAPER = 36
+"""PR_SET_CHILD_SUBREAPER of Linux: what a process of ours leaves behind becomes our child."""
+_LONGEST = 1 << 20
+_IMPORTED = (
+    "smarttouch.boards.etactilekit",
+    "smarttouch.boards.kajimoto61",
+    "smarttouch.boards.emulator.etactilekit",
+    "smarttouch.boards.emulator.kajimoto61",
+    "smarttouch.boards.emulator.link",
+    "smarttouch.cli.session",
+    "smarttouch.emulator.__main__",
+    "smarttouch.emulator.server",
+    "smarttouch.recording.check",
+    "smarttouch.sources.forces.force",
+    "smarttouch.sources.page",
+)
+
+
+class _Server:
+    """The process that is forked, started when it is first needed."""
+
+    def __init__(self):
+        self._lock = threading.Lock()
+        self._channel, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with its:
+            # Of the packages that the tests are of, not of their folders.
+            command = [sys.executable, "-P", __file__, str(its.fileno())]
+            self._process = subprocess.Popen(command, pass_fds=[its.fileno()])
+
+    def fork(self, request, streams):
+        """Fork a program; return its number. It is a child of this process."""
+        with self._lock:
+            _adopt(True)
+            try:
+                socket.send_fds(self._channel, [json.dumps(request).encode()], streams)
+                # One is of the program, once it is set up; the other, 0, says that it is ours.
+                return max(int(self._channel.recv(20)) for _ in range(2))
+            finally:
+                _adopt(False)
+
+    def close(self):
+        self._channel.close()
+        self._process.wait()
+
+
+def _adopt(wanted):
+    ctypes.CDLL(None).prctl(_SUBREAPER, int(wanted), 0, 0, 0)
+
+
+class Forked(subprocess.Popen):
+    """The installed program, or the emulator, as a fork: started, used and ended like any other.
+
+    Other commands are started as ever.
+    """
+
+    _server = None
+
+    def _execute_child(self, *given):
+        asked = inspect.signature(super()._execute_child).bind(*given).arguments
+        command = [os.fspath(each) for each in asked["args"]]
+        if command[0] == str(PROGRAM):
+            module, arguments = "smarttouch.cli", command
+        elif command[:3] == EMULATOR:
+            module, arguments = "smarttouch.emulator.__main__", command[2:]
+        else:
+            super()._execute_child(*given)
+            return
+        request = {
+            "module": module,
+            "arguments": arguments,
+            "environment": dict(os.environ if asked["env"] is None else asked["env"]),
+            "folder": os.fspath(asked["cwd"] or Path.cwd()),
+            "session": asked["start_new_session"],
+        }
+        ends = (asked["p2cread"], asked["c2pwrite"], asked["errwrite"])
+        streams = [own if end == -1 else end for own, end in enumerate(ends)]
+        Forked._server = Forked._server or _Server()
+        self.pid = Forked._server.fork(request, streams)
+        self._child_created = True
+        names = ("p2cread", "p2cwrite", "c2pread", "c2pwrite", "errread", "errwrite")
+        self._close_pipe_fds(*(asked[name] for name in names))
+
+    @classmethod
+    def end(cls):
+        """End the process that is forked, if there is one."""
+        if cls._server is not None:
+            cls._server.close()
+            cls._server = None
+
+
+def _serve(channel):
+    """Fork a program at each request; return what to run, in a fork, or None at the end."""
+    for module in _IMPORTED:
+        import_module(module)
+    gc.collect()
+    # A collector that passes over all this in each fork would copy it.
+    gc.freeze()
+    while True:
+        message, streams, _, _ = socket.recv_fds(channel, _LONGEST, 3)
+        if not message:
+            return None
+        # Its parent ends at once, so it goes to whoever asked.
+        between = os.fork()
+        if not between:
+            if os.fork():
+                os._exit(0)
+            request = json.loads(message)
+            _become(request, streams)
+            channel.send(b"%d" % os.getpid())
+            channel.close()
+            return import_module(request["module"]).main
+        os.waitpid(between, 0)
+        channel.send(b"0")
+        for each in streams:
+            os.close(each)
+
+
+def _become(request, streams):
+    """Let this process be as if it had just been started."""
+    if request["session"]:
+        os.setsid()
+    os.chdir(request["folder"])
+    os.environ.clear()
+    os.environ.update(request["environment"])
+    sys.argv = request["arguments"]
+    for number, stream in enumerate(streams):
+        os.dup2(stream, number)
+        os.close(stream)
+    at_once = bool(os.environ.get("PYTHONUNBUFFERED"))
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        old = getattr(sys, name)
+        new = os.fdopen(old.fileno(), mode, encoding=old.encoding, errors=old.errors, closefd=False)
+        if mode == "w":
+            new.reconfigure(line_buffering=new.isatty() or name == "stderr", write_through=at_once)
+        setattr(sys, name, new)
+        setattr(sys, f"__{name}__", new)
+
+
+def _run_and_end(main):
+    """Run a program and end as the interpreter does, but for taking it to pieces."""
+    code = 0
+    try:
+        main()
+    except SystemExit as ended:
+        code = ended.code or 0
+    except BaseException:
+        sys.excepthook(*sys.exc_info())
+        code = 1
+    threading._shutdown()
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    os._exit(code)
+
+
+if __name__ == "__main__":
+    program = _serve(socket.socket(fileno=int(sys.argv[1])))
+    if program is not None:
+        _run_and_end(program)

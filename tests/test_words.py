@@ -1,0 +1,20 @@
+"""Words of the library."""
+
+import re
+from pathlib import Path
+
+import smarttouch
+
+PACKAGE = Path(smarttouch.__file__).parent
+COMMANDS = ("cli/", "emulator/commands.py", "emulator/__main__.py")
+STARTERS = {"boards/emulator/driver.py", "reading/tesseract.py"}
+"""Files that give other programs their options."""
+
+
+def test_only_commands_know_options():
+    found = {
+        str(path.relative_to(PACKAGE))
+        for path in PACKAGE.rglob("*.py")
+        if re.search(r"(?<![-\w])--[a-z]", path.read_text())
+    }
+    assert {each for each in found if not each.startswith(COMMANDS)} == STARTERS
