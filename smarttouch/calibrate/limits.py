@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-TICK_S = 0.05
+from smarttouch.psychophysics.source import STEP_S
+
+TICK_S = STEP_S
 """One step of the procedure."""
 RISE_S = 6.0
 """Time of the first run from zero to the expected threshold."""
@@ -127,6 +129,11 @@ class AscendingLimits:
     def felt(self) -> bool:
         """Whether this run's first key has been pressed."""
         return bool(np.isfinite(self._threshold_ma))
+
+    @property
+    def task(self) -> str:
+        """Kind of question that the next key answers."""
+        return "enough" if self.felt else "felt"
 
     def next(self) -> float:
         """Return the level of the next step, mA."""

@@ -1,23 +1,39 @@
 """Thresholds of the electrodes of one board on one finger: the whole procedure."""
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 
 from smarttouch.boards.board import Board
-from smarttouch.boards.open import make_board
 from smarttouch.calibrate.found import filled, sentence
-from smarttouch.calibrate.limits import Thresholds
+from smarttouch.calibrate.limits import REACTION_S, Thresholds
 from smarttouch.calibrate.profile_file import ProfileFile
 from smarttouch.calibrate.progress import Progress
-from smarttouch.calibrate.session import (
-    Person,
-    StoppedError,
-    Subject,
-    ThresholdSession,
-    simulated_subjects,
-)
-from smarttouch.calibrate.stimulus import ceiling_ma, measuring_limits
-from smarttouch.errors import BoardStoppedError, CalibrationError
+from smarttouch.calibrate.session import ThresholdSession, simulated_finger
+from smarttouch.calibrate.stimulus import measuring_profile
+from smarttouch.clock import MonotonicClock
+from smarttouch.errors import CalibrationError
+from smarttouch.events import Advice, BoardRestarted, Event, FingerLifted
+from smarttouch.kernels.single import single_bank
+from smarttouch.psychophysics.source import ExperimentSource
+from smarttouch.psychophysics.subject import Subject
+from smarttouch.psychophysics.timing import TrialTiming
+from smarttouch.psychophysics.trial import Trial
+from smarttouch.running.config import RunConfig
+from smarttouch.running.display import Display
+from smarttouch.running.listener import Listener, RunContext
+from smarttouch.running.runner import Runner
+from smarttouch.running.step import StepResult
+from smarttouch.stopping import StopRequest
+
+STOP_KEYS = ("q", "Q", "\x1b", "\x03", "\x04", "")
+"""Keys that end it at once; the empty one is a terminal that is gone."""
+_PATIENCE_S = 10.0
+_MOST_SPOILED = 10
+"""Times that current may be lost at one electrode, by the board or a lifted finger."""
+_LOOK_S = 0.5
+"""Between two decisions of the simulated subject."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +51,7 @@ class ThresholdProcedure:
     adaptive, repeats, seed
         See `ThresholdSession`.
     simulate : bool
-        A simulated subject answers, without waiting.
+        A simulated subject answers, on the board ``simulated:``, without waiting.
     """
 
     start: str
@@ -46,14 +62,6 @@ class ThresholdProcedure:
     repeats: int = 3
     seed: int = 0
     simulate: bool = False
-
-    def make_board(self) -> Board:
-        """Return the board, not opened yet, under the limits of measurements."""
-        profile = self.file.profile
-        # A simulated subject does not wait, and the emulator's clock would refuse to be hurried.
-        hurried = self.simulate and self.board_url == "emulator:"
-        url = "simulated:" if hurried else self.board_url
-        return make_board(url, measuring_limits(profile), profile.output)
 
     def progress(self) -> Progress:
         """Return how far it came before, with the same settings."""
@@ -70,40 +78,79 @@ class ThresholdProcedure:
 
     def measure(
         self,
-        board: Board,
         progress: Progress,
-        next_key: Callable[[float], str | None],
+        keys: Callable[[Callable[[str], None]], AbstractContextManager[None]],
         say: Callable[[str], None],
-        must_stop: Callable[[], bool],
+        stop: StopRequest,
+        opened: Callable[[Board, StopRequest], AbstractContextManager[Board]],
     ) -> None:
-        """Measure electrode after electrode on an open board.
+        """Measure electrode after electrode.
 
         Parameters
         ----------
-        board : Board
         progress : Progress
             Keeps each as it is done.
-        next_key, say, must_stop : callable
-            See `Person`.
+        keys : callable
+            Hands every key to a function while a block runs; an empty one is a terminal that is
+            gone.
+        say : callable
+            Shows a line.
+        stop : StopRequest
+        opened : callable
+            Opens a board for a block.
+
+        Raises
+        ------
+        CalibrationError
+            If it was stopped, or a subject cannot be believed.
         """
-        profile = self.file.profile
-        tops = [ceiling_ma(profile, site, board) for site in range(len(profile.electrodes))]
-        subject: Subject
-        if self.simulate:
-            subject = simulated_subjects(profile, tops, self.seed)
-        else:
-            subject = Person(next_key, say, must_stop)
-            if board.capabilities.time_to_zero_ms is None:
-                say("This board goes on if its line breaks: keep its switch in reach.")
-            say(
-                f"Current rises to {max(tops):.2f} mA at most. Press a key when you feel it, and "
-                "again when it is strong enough; q or Esc stops at once."
-            )
+        profile, measuring = self.file.profile, measuring_profile(self.file.profile)
+        # A simulated subject feels simulated currents, and does not wait.
+        display = Display("simulated:" if self.simulate else self.board_url, measuring)
         session = ThresholdSession(
-            board, profile, subject, self.adaptive, self.repeats, self.seed, self.simulate,
-            must_stop,
+            profile, measuring, display.board, self.sites, progress,
+            adaptive=self.adaptive, repeats=self.repeats, seed=self.seed,
+            show=lambda site, found: say(_describe(site, found)),
         )  # fmt: skip
-        session.run(self.sites, progress, lambda site, found: say(_describe(site, found)))
+        source = ExperimentSource(
+            session,
+            measuring,
+            TrialTiming(
+                answer_s=None,
+                again=False,
+                patience_s=_PATIENCE_S if self.simulate else None,
+                most_spoiled=_MOST_SPOILED,
+            ),
+            measuring.force.full_n,
+            None if self.simulate else MonotonicClock(),
+        )
+        listeners: list[Listener] = [_Prompts(source, say)]
+        if self.simulate:
+            bank = single_bank(measuring)
+            tops_ma = [float(each) for each in measuring.full_ma]
+            finger = simulated_finger(profile, measuring, bank, tops_ma, self.seed)
+            listeners = [Subject(source, finger, _LOOK_S, REACTION_S)]
+
+        def on_key(key: str) -> None:
+            if key in STOP_KEYS:
+                stop.ask(f"key {key!r}")
+            else:
+                source.press(key)
+
+        with keys(on_key):
+            Runner(
+                source,
+                display,
+                RunConfig(scan="points", seed=self.seed),
+                listeners=listeners,
+                # Current is what the procedure asks for.
+                first_level=1.0,
+                stop=stop,
+                load_kernels=single_bank,
+                opened=partial(opened, display.board),
+            ).run()
+        if not session.over:
+            raise self.stopped(progress)
 
     def stopped(self, progress: Progress) -> CalibrationError:
         """Return the error that it was stopped."""
@@ -124,8 +171,35 @@ class ThresholdProcedure:
         return sentence(progress.found, adaptive=self.adaptive)
 
 
-STOPPED = (StoppedError, BoardStoppedError)
-"""Errors that `ThresholdProcedure.measure` raises when it is stopped."""
+class _Prompts(Listener):
+    """Shows a person each question once, and what the board's user should know."""
+
+    def __init__(self, source: ExperimentSource, say: Callable[[str], None]) -> None:
+        super().__init__()
+        self._source, self._say = source, say
+        self._shown: Trial | None = None
+        self._presses, self._full_n = True, 0.0
+
+    def start(self, run: RunContext) -> None:
+        self._full_n = run.profile.force.full_n
+        self._say(
+            f"Current rises to {run.profile.full_ma.max():.2f} mA at most. Press a key when you "
+            "feel it, and again when it is strong enough; q or Esc stops at once."
+        )
+
+    def step(self, result: StepResult) -> None:
+        trial = self._source.rising or self._source.asking
+        if trial is not None and trial is not self._shown:
+            self._say(trial.question)
+        self._shown = trial
+        presses = result.input.force_n >= self._full_n
+        if self._presses and not presses:
+            self._say("press the finger firmly on the electrodes")
+        self._presses = presses
+
+    def event(self, event: Event) -> None:
+        if isinstance(event, Advice | BoardRestarted | FingerLifted):
+            self._say(str(event))
 
 
 def _describe(site: int, found: Thresholds) -> str:

@@ -1,18 +1,21 @@
 """``smarttouch board``: one board, looked at, measured, tried and stopped."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch.cli.driving import asks_a_board, drives_a_board, opened
+from smarttouch.cli.driving import asks_a_board, drives_a_board, opened, the_stop
 from smarttouch.cli.tables import print_table
 from smarttouch.emulator.commands import emulate_board
 
 if TYPE_CHECKING:
     from smarttouch.boards.board import Board
     from smarttouch.boards.impedance import Impedance
+    from smarttouch.events import Event
     from smarttouch.profile import Profile
+    from smarttouch.running.step import StepResult
 
 board = typer.Typer(help="Look at one board, measure, try or stop it.", no_args_is_help=True)
 board.command("emulate")(emulate_board)
@@ -25,8 +28,9 @@ _ProfileName = Annotated[
     typer.Option("--profile", metavar="NAME|FILE", help="The board's usual one if not given."),
 ]
 
-
 _WALK_MA = 0.5
+_ENDS = ("q", "\x03", "\x04", "")
+"""Keys that end a walk; the empty one is a terminal that is gone."""
 
 
 @board.command()
@@ -95,11 +99,13 @@ def try_out(
     import sys
 
     from smarttouch.boards.open import may_touch_a_finger
-    from smarttouch.boards.walk import walk
-    from smarttouch.cli.keyboard import keyboard, read_key
+    from smarttouch.cli.keyboard import keys_heeded
     from smarttouch.errors import SmartTouchError
+    from smarttouch.running.display import open_display
+    from smarttouch.running.listener import OnEvent
+    from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
 
-    chosen, display = _driver(url, profile)
+    display = open_display(url, profile)
     if current_ma is None:
         if may_touch_a_finger(url) and not sys.stdin.isatty():
             raise SmartTouchError(
@@ -113,9 +119,22 @@ def try_out(
     if seconds is None and not sys.stdin.isatty():
         message = "there is no keyboard to wait for: give --seconds"
         raise SmartTouchError(message, about="keyboard", problem="missing", remedy="--seconds")
-    with opened(display), keyboard():
-        felt = walk(display, chosen, current_ma, seconds, read_key, typer.echo)
-    typer.echo(f"{felt} of {len(chosen.electrodes)} electrodes tried; all are at zero.")
+    walk, stop = Walk(display.profile, current_ma, seconds), the_stop()
+
+    def say(event: "Event") -> None:
+        if isinstance(event, ElectrodeReached):
+            typer.echo(event)
+
+    def on_key(key: str) -> None:
+        if key in _ENDS:
+            stop.ask(f"key {key!r}")
+        else:
+            walk.go_on()
+
+    with keys_heeded(on_key):
+        run_walk(walk, display, [OnEvent(say)], stop, partial(opened, display.board))
+    count = len(display.profile.electrodes)
+    typer.echo(f"{walk.tried} of {count} electrodes tried; all are at zero.")
 
 
 @board.command("calibrate-scale")
@@ -135,23 +154,31 @@ def calibrate_scale(
 ) -> None:
     """Check the scale of a board's current with a resistor in place of the finger."""
     from smarttouch.boards.scale import check_reading, measured_scale
-    from smarttouch.boards.walk import pulse
     from smarttouch.cli.files import require_site
     from smarttouch.errors import SmartTouchError
+    from smarttouch.running.display import open_display
+    from smarttouch.running.listener import OnStep
+    from smarttouch.running.walk import Walk, run_walk
 
     # Before anything pulses; the voltage is not known yet.
     check_reading(current_ma * ohm / 1000 if volts is None else volts, ohm, current_ma)
-    chosen, display = _driver(url, profile)
-    require_site(chosen, electrode)
+    display = open_display(url, profile)
+    require_site(display.profile, electrode)
     if volts is None:
-        with opened(display):
-            typer.echo(
-                f"Pulses of nominally {current_ma:g} mA go through electrode {electrode}. No "
-                f"finger on the array: {ohm:g} ohm between it and all others."
-            )
-            steps = pulse(display, chosen, electrode, current_ma)
-            typer.echo("Peak voltage across it, V: ", nl=False)
-            answer = next((line for _ in steps if (line := _line_entered()) is not None), "")
+        walk, answer = Walk(display.profile, current_ma, sites=[electrode]), ""
+
+        def take_answer(_result: "StepResult") -> None:
+            nonlocal answer
+            if (line := _line_entered()) is not None:
+                answer = line
+                walk.go_on()
+
+        typer.echo(
+            f"Pulses of nominally {current_ma:g} mA go through electrode {electrode}. No finger "
+            f"on the array: {ohm:g} ohm between it and all others."
+        )
+        typer.echo("Peak voltage across it, V: ", nl=False)
+        run_walk(walk, display, [OnStep(take_answer)], the_stop(), partial(opened, display.board))
         try:
             volts = float(answer)
         except ValueError:
@@ -160,7 +187,7 @@ def calibrate_scale(
                 message, about="--volts", problem="malformed", value=answer
             ) from None
     ratio = check_reading(volts, ohm, current_ma)
-    scale_ua = measured_scale(url.partition(":")[0], display.ua_per_count, ratio)
+    scale_ua = measured_scale(url.partition(":")[0], display.board.ua_per_count, ratio)
     typer.echo(
         f"{volts:g} V across {ohm:g} ohm are {1000 * volts / ohm:.3f} mA: {ratio:.3f} of nominal."
     )

@@ -241,12 +241,11 @@ def thresholds(
     simulate: _Simulate = False,
 ) -> None:
     """Per electrode, the current first felt and the strongest that is comfortable."""
-    import queue
-
     from smarttouch.calibrate.found import parse_electrodes
-    from smarttouch.calibrate.thresholds import STOPPED, ThresholdProcedure
+    from smarttouch.calibrate.thresholds import ThresholdProcedure
     from smarttouch.cli.calibrate_steps import require_subject
     from smarttouch.cli.keyboard import keys_heeded
+    from smarttouch.errors import BoardStoppedError
 
     simulated = simulate or board.startswith("emulator:")
     file = calibration.file("thresholds", simulated, board)
@@ -262,21 +261,11 @@ def thresholds(
         seed=seed,
         simulate=simulate,
     )
-    keys: queue.SimpleQueue[str] = queue.SimpleQueue()
-
-    def next_key(seconds: float) -> str | None:
+    with procedure.progress() as progress:
         try:
-            return keys.get(timeout=seconds)
-        except queue.Empty:
-            return None
-
-    stop, made = the_stop(), procedure.make_board()
-    progress = procedure.progress()
-    try:
-        with progress, opened(made, stop) as opened_board, keys_heeded(keys.put):
-            procedure.measure(opened_board, progress, next_key, typer.echo, stop.event.is_set)
-    except STOPPED:
-        raise procedure.stopped(progress) from None
+            procedure.measure(progress, keys_heeded, typer.echo, the_stop(), opened)
+        except BoardStoppedError:
+            raise procedure.stopped(progress) from None
     told = procedure.put_down(progress)
     _finish(file, "thresholds", told, simulated)
     progress.forget()

@@ -42,13 +42,6 @@ def restore() -> None:
         termios.tcsetattr(sys.stdin, termios.TCSANOW, _before.pop())
 
 
-def read_key() -> str:
-    """Return the key that was pressed, empty if none was; never waits."""
-    if sys.stdin.isatty() and select.select([sys.stdin], [], [], 0)[0]:
-        return os.read(sys.stdin.fileno(), 1).decode("utf-8", "replace")
-    return ""
-
-
 @contextmanager
 def keys_heeded(heed: Callable[[str], None]) -> Iterator[None]:
     """Hand every key to a function, from a thread, until the block ends.

@@ -58,6 +58,9 @@ class KernelBank:
     receptor : dict of Afferent to ndarray, (E, E) float32, V/mm² per mA
         Activating function at the target under electrode r for unit cathodic
         current at electrode e.
+    single : bool
+        Whether each kernel is one electrode against all others, whose current is exact to the
+        microampere, at its own place, and by height.
     """
 
     weights: Column
@@ -67,6 +70,7 @@ class KernelBank:
     gap: Column
     seconds: Column
     receptor: Column
+    single: bool = False
 
     def _repr_html_(self) -> str:
         """Return off-target activation of each class, site by site, as cells for notebooks."""
@@ -223,7 +227,7 @@ def design_bank(
     from smarttouch.kernels.switching import designer, possible_modes
 
     modes = possible_modes(profile)
-    columns: dict[str, Column] = {name: {} for name in _IN_FILE}
+    columns: dict[str, Any] = {name: {} for name in _IN_FILE}
     for index, afferent in enumerate(modes):
 
         def advance(done: int, total: int, index: int = index) -> None:
@@ -274,7 +278,7 @@ def _read(path: Path, profile: Profile) -> KernelBank | None:
             arrays = read_arrays(file)
         if str(arrays["key"]) != problem_hash(profile):
             return None
-        columns: dict[str, Column] = {name: {} for name in _IN_FILE}
+        columns: dict[str, Any] = {name: {} for name in _IN_FILE}
         named = {in_file: columns[name] for name, in_file in _IN_FILE.items()}
         for name, values in arrays.items():
             in_file, _, afferent = name.rpartition("_")

@@ -14,7 +14,7 @@ from smarttouch.events import TrialEvent
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.stimuli import Train
 from smarttouch.psychophysics.timing import TrialTiming
-from smarttouch.psychophysics.trial import Answer, Trial, Trials
+from smarttouch.psychophysics.trial import Answer, Course, Trial, Trials
 from smarttouch.running.listener import Listener
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source import StimulusSource
@@ -25,6 +25,8 @@ SILENT_US = 20_000
 """Interval between two checks for a key while there is no current."""
 PAUSE_S = 0.5
 """Least time between an answer and the next trial."""
+STEP_S = 0.05
+"""One step of a current that follows the keys."""
 _STEADY = 0.98
 """Part of the requested intensity at which a trial begins."""
 _SPOILED = 0.5
@@ -136,7 +138,8 @@ class ExperimentSource(StimulusSource, Listener):
             self._finger = "press firmly, and raise the intensity to the full with +"
         if self.playing is not None:
             least = _STEADY if exact else _SPOILED
-            lost = result.number is None or step.restarted or asked == 0
+            # A current that follows the keys begins at zero.
+            lost = result.number is None or step.restarted or (asked == 0 and not exact)
             self._lost |= lost or sequence.intensity < least * asked
             if sequence.period_us != step.asked_us and not self.notes:
                 self.notes.append(
@@ -151,10 +154,11 @@ class ExperimentSource(StimulusSource, Listener):
         while (trial := self._trials.next()) is not None:
             self._trial = trial
             self.emit(TrialEvent(self._now_ns, f"trial {self._trials.done + 1}: {trial.words}"))
-            answer = None
+            answer, spoiled = None, self.spoiled
             while answer is None:
                 yield from self._prepare(trial)
                 answer = yield from self._attempt(trial)
+                self._require_current(self.spoiled - spoiled)
             self.emit(
                 TrialEvent(self._now_ns, f"response {self._trials.done + 1}: {_words(answer)}")
             )
@@ -189,7 +193,10 @@ class ExperimentSource(StimulusSource, Listener):
             if index:
                 yield from self._be_silent(self._course.gap_s, train.level)
             self._say("feel" if len(trial.intervals) == 1 else _NUMBERS[index])
-            answer = yield from self._play(trial, index, train)
+            if trial.course is None:
+                answer = yield from self._play(trial, index, train)
+            else:
+                answer = yield from self._follow(trial, trial.course, train)
             self.playing = None
             if self._lost:
                 self.spoiled += 1
@@ -225,6 +232,47 @@ class ExperimentSource(StimulusSource, Listener):
         if train.rises and (key := self._key(trial)) is not None:
             return self._answer(trial.answers[key[0]], None, self._current_ma)
         return None
+
+    def _follow(
+        self, trial: Trial, course: Course, train: Train
+    ) -> Generator[Stimulus, None, Answer | None]:
+        """Let the current follow the keys from zero on, no faster than the ramp."""
+        profile, step_ns = self._profile, round(STEP_S * 1e9)
+        full_ma = float(profile.full_ma[train.activation.any(axis=0)].min())
+        self.rising = trial
+        self._pressed.clear()
+        level, risen_ns, due_ns = 0.0, self._now_ns, self._now_ns + step_ns
+        current_ma = course.next()
+        while not course.done:
+            risen_s = (self._now_ns - risen_ns) / 1e9
+            level = min(1.0, current_ma / full_ma, level + risen_s / profile.limits.ramp_s)
+            risen_ns = self._now_ns
+            self.playing = (self._presentation, 0)
+            yield self._stimulus(train.activation, train.period_us, level)
+            if self._lost:
+                course.restart()
+                self.rising = None
+                return None
+            while self._now_ns >= due_ns and not course.done:
+                due_ns += step_ns
+                course.answer(bool(self._pressed))
+                self._pressed.clear()
+                current_ma = 0.0 if course.done else course.next()
+        yield self._quiet(self._silent_us, 0.0)
+        return self._answer("", None, self._current_ma)
+
+    def _require_current(self, spoiled: int) -> None:
+        """Raise if a trial was spoiled more often than it may be."""
+        most = self._course.most_spoiled
+        if most is not None and spoiled > most:
+            raise ExperimentError(
+                f"current was lost {spoiled} times in one trial, and {most} may be: check the "
+                "board's line, and keep the finger on the electrodes",
+                about="trial",
+                problem="lost",
+                value=spoiled,
+                allowed=most,
+            )
 
     def _ask(self, trial: Trial) -> Generator[Stimulus, None, Answer | None]:
         self._say(trial.question + (f", {AGAIN} again" if self._course.again else ""))

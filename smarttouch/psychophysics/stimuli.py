@@ -30,7 +30,9 @@ class Train:
     level : float, in [0, 1]
         Of the strongest comfortable current, on top of what the user wishes.
     rises : bool
-        Whether it rises to that level evenly from nothing.
+        Whether it rises to that level evenly from nothing, over its whole length.
+    soft_s : float, s
+        Time in which it rises to that level; 0 is at once.
     """
 
     activation: NDArray[np.float32]
@@ -38,6 +40,7 @@ class Train:
     pulses: int
     level: float = 1.0
     rises: bool = False
+    soft_s: float = 0.0
 
     @property
     def rate_hz(self) -> float:
@@ -49,7 +52,10 @@ class Train:
 
     def level_at(self, pulse: int) -> float:
         """Return the level of a pulse, counted from 0."""
-        return self.level * (pulse + 1) / self.pulses if self.rises else self.level
+        if self.rises:
+            return self.level * (pulse + 1) / self.pulses
+        risen_s = (pulse + 1) * self.period_us / 1e6
+        return self.level * min(1.0, risen_s / self.soft_s) if self.soft_s else self.level
 
 
 class Stimuli:

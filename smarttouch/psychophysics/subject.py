@@ -37,11 +37,24 @@ class Subject(Listener):
         Experiment to answer, by its keys.
     observer : Observer
         Observer that decides.
+    look_s : float, s
+        Interval of its decisions while a current rises.
+    reaction_s : float, s
+        From such a decision to the key.
     """
 
-    def __init__(self, source: ExperimentSource, observer: Observer) -> None:
+    def __init__(
+        self,
+        source: ExperimentSource,
+        observer: Observer,
+        look_s: float = _LOOK_S,
+        reaction_s: float = 0.0,
+    ) -> None:
         super().__init__()
         self._source, self._observer = source, observer
+        self._look_s, self._reaction_s = look_s, reaction_s
+        self._key: tuple[int, str] | None = None
+        """When the next key is pressed, ns, and which."""
         self._board: SimulatedBoard | None = None
         self._starts: dict[tuple[int, int], dict[int, tuple[int, int]]] = {}
         """Time and discharge of each sequence by number, for each presentation and interval."""
@@ -79,30 +92,42 @@ class Subject(Listener):
             discharge_us = int(sequence.discharge_us[0]) if sequence.slots else 0
             starts = self._starts.setdefault(playing, {})
             starts[result.number] = (sequence.time_ns, discharge_us)
-            if self._source.rising is not None:
+            if self._source.rising is not None and sequence.slots:
                 self._look(self._source.rising, sequence.time_ns, starts)
+            elif self._source.rising is not None:
+                # Where nothing flows, what was felt before counts no more.
+                starts.clear()
+                self._key = None
         elif asking is not None and asking is not self._asked:
-            self._respond(asking, list(self._starts.values()))
+            if key := self._answer(asking, list(self._starts.values())):
+                self._source.press(key)
             self._starts.clear()
         self._asked = asking
 
     def _look(self, trial: Trial, time_ns: int, starts: dict[int, tuple[int, int]]) -> None:
         if len(starts) == 1:
             self._looked_ns = time_ns
-        if time_ns - self._looked_ns >= _LOOK_S * 1e9:
-            self._respond(trial, [starts])
+        if self._key is None and time_ns - self._looked_ns >= self._look_s * 1e9:
+            key = self._answer(trial, [starts])
             self._starts = {next(iter(self._starts)): {}}
             self._looked_ns = time_ns
+            # That it is not felt or not enough yet is no key.
+            if key:
+                self._key = time_ns + round(self._reaction_s * 1e9), key
+        if self._key is not None and time_ns >= self._key[0]:
+            self._source.press(self._key[1])
+            self._starts = {next(iter(self._starts)): {}}
+            self._looked_ns, self._key = time_ns, None
 
-    def _respond(self, trial: Trial, parts: list[dict[int, tuple[int, int]]]) -> None:
+    def _answer(self, trial: Trial, parts: list[dict[int, tuple[int, int]]]) -> str:
+        """Return the key of the observer's answer, empty if there is none."""
         assert self._board is not None
         pulses = self._board.take_pulses()
         felt = [interval_of(pulses, starts) for starts in parts]
+        task = trial.task if trial.course is None else trial.course.task
         alternatives = ("y", "n") if trial.rises else trial.alternatives
-        response = self._observer.respond(trial.task, felt, alternatives)
-        # That it is not enough yet is no key.
-        for key in [key for key, says in trial.answers.items() if says == response][:1]:
-            self._source.press(key)
+        response = self._observer.respond(task, felt, alternatives)
+        return next((key for key, says in trial.answers.items() if says == response), "")
 
 
 def interval_of(pulses: Pulses, starts: dict[int, tuple[int, int]]) -> Interval:

@@ -19,6 +19,8 @@ class TrialTiming:
         Whether a participant may feel a trial once more.
     patience_s : float or None, s
         Time limit for the current to reach its level before a trial; no limit if None.
+    most_spoiled : int or None
+        Times that a trial is presented anew because its current was lost; no limit if None.
 
     Raises
     ------
@@ -30,6 +32,7 @@ class TrialTiming:
     answer_s: float | None = 10.0
     again: bool = True
     patience_s: float | None = None
+    most_spoiled: int | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.gap_s <= 60:

@@ -13,6 +13,27 @@ LEFT_OR_RIGHT = {"left": "l", "right": "r", "1": "l", "2": "r"}
 ENOUGH = {"\n": "y", "\r": "y", "y": "y"}
 
 
+class Course(Protocol):
+    """Current of one electrode that follows the keys, step by step, until it is done."""
+
+    @property
+    def task(self) -> str:
+        """Kind of question that the next key answers, for observers."""
+
+    @property
+    def done(self) -> bool:
+        """Whether there is no next step."""
+
+    def next(self) -> float:
+        """Return the current of the next step, mA."""
+
+    def answer(self, pressed: bool) -> None:
+        """Take the answer: whether a key was pressed during the last step."""
+
+    def restart(self) -> None:
+        """Begin this rise again from zero: the current was interrupted."""
+
+
 @dataclass(frozen=True, eq=False)
 class Trial:
     """Stimuli and question of one trial.
@@ -41,6 +62,8 @@ class Trial:
         Whether the condition has a standard.
     exact : bool
         Whether it counts in milliamperes, so that nothing may lower the current.
+    course : Course, optional
+        Sets the level of its only train; every key is an answer then.
     """
 
     condition: Condition
@@ -54,6 +77,7 @@ class Trial:
     unit: str
     compares: bool = False
     exact: bool = False
+    course: Course | None = None
 
     @property
     def alternatives(self) -> tuple[str, ...]:
@@ -63,7 +87,7 @@ class Trial:
     @property
     def rises(self) -> bool:
         """Whether the answer ends a rising current."""
-        return any(each.rises for each in self.intervals)
+        return self.course is not None or any(each.rises for each in self.intervals)
 
 
 @dataclass(frozen=True)

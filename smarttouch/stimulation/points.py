@@ -92,9 +92,10 @@ class PointSlots:
         self._ones = np.ones(count, np.float32)
         self._row_starts = count * np.arange(count)
         self._widths_all_us = constant_us(count, profile.pulse.width_us)
-        self._felt_at = felt_at(profile, afferent)
+        self._single = bank.single
+        self._felt_at = None if bank.single else felt_at(profile, afferent)
         self._pulse = profile.pulse
-        self._by_width = profile.pulse.carrier == "width"
+        self._by_width = profile.pulse.carrier == "width" and not bank.single
         self._in_index_order = timing.in_index_order
 
     def _prove_totals(self, profile: Profile) -> None:
@@ -164,6 +165,10 @@ class PointSlots:
         slots = len(site)
         if width_us is None:
             width_us = self._widths_all_us[:slots]
+        if self._single:
+            full_ua = np.abs(self._kernels_ua[site]).max(axis=1)
+            whole = np.rint(level * full_ua) / full_ua
+            return Slots(site.astype(np.uint16), self._carried(site, whole), width_us)
         current_ua, surplus = self._rounded(site, level)
         strongest = self._row_starts[:slots] + self._strongest.take(site)
         flat = current_ua.reshape(-1)

@@ -146,7 +146,7 @@ class ScanScheduler:
         self._adder = SlotAdder(SafetyLimits.of(profile).felt_ua)
         # Before anything is sent: the longest scan must be possible too.
         self._shortest_us(np.full(self._electrodes, pulse.width_us, np.uint16))
-        self._full_us = self._shortest_of_all()
+        self._full_us = math.inf if bank.single else self._shortest_of_all()
 
     def restart(self) -> None:
         """Restart: all classes are due."""

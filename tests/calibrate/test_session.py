@@ -1,8 +1,10 @@
 """A session drives a board within its limits, keeps what is done, and stops at once."""
 
+import contextlib
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,33 +12,26 @@ import pytest
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.calibrate.found import filled, parse_electrodes, sentence
 from smarttouch.calibrate.limits import TICK_S, Thresholds
+from smarttouch.calibrate.profile_file import file_to_calibrate
 from smarttouch.calibrate.progress import Progress
-from smarttouch.calibrate.session import (
-    Person,
-    Simulated,
-    StoppedError,
-    ThresholdSession,
-    simulated_subjects,
-)
-from smarttouch.calibrate.stimulus import ceiling_ma, measuring_limits, slew_ma_s
-from smarttouch.calibrate.subject import SimulatedSubject
-from smarttouch.errors import BoardRestartedError, CalibrationError, LineLostError
+from smarttouch.calibrate.session import ThresholdSession, simulated_finger
+from smarttouch.calibrate.stimulus import ceiling_ma, measuring_profile, slew_ma_s
+from smarttouch.calibrate.thresholds import STOP_KEYS, ThresholdProcedure
+from smarttouch.clock import SimulatedClock
+from smarttouch.errors import CalibrationError, ExperimentError, LineLostError
+from smarttouch.kernels.single import single_bank
 from smarttouch.profile import list_profiles, load_profile
+from smarttouch.psychophysics.source import ExperimentSource
+from smarttouch.psychophysics.timing import TrialTiming
+from smarttouch.running.config import RunConfig
+from smarttouch.running.display import Display
+from smarttouch.running.listener import Listener, OnStep
+from smarttouch.running.runner import Runner
 from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stopping import StopRequest
 
 from ..raising import raises
-
-
-@pytest.fixture(autouse=True)
-def nothing_is_late(monkeypatch):
-    """However busy the machine is."""
-    monkeypatch.setattr("smarttouch.boards.timely.LATE_NS", 10**15)
-
-
-@pytest.fixture
-def board(profile):
-    with MemoryBoard("", measuring_limits(profile), profile.output) as opened:
-        yield opened
+from .subject import SimulatedSubject
 
 
 @pytest.fixture
@@ -55,29 +50,76 @@ def begun():
         each.close()
 
 
+class Finger(Listener):
+    """Feels what was sent, whichever board it was sent to, and presses keys."""
+
+    def __init__(self, source, subjects):
+        super().__init__()
+        self.source, self.subjects, self.asked = source, subjects, None
+
+    def step(self, result):
+        source, asking = self.source, self.source.asking
+        if source.rising is not None:
+            site = source.rising.condition.index
+            level_ma = level_of(result.sequence)
+            if self.subjects[site].presses(level_ma, result.sequence.period_us / 1e6):
+                source.press("x")
+        elif asking is not None and asking is not self.asked:
+            condition = asking.condition
+            felt = self.subjects[condition.index].says_felt(condition.comparison, 0.8)
+            source.press("y" if felt else "n")
+        self.asked = asking
+
+
+def level_of(sequence):
+    return float(sequence.source_ua.max(initial=0)) / 1000
+
+
 def subjects(profile, **options):
-    count = len(profile.electrodes)
-    return Simulated([SimulatedSubject(1.1, 1.9, seed=i, **options) for i in range(count)])
+    return [SimulatedSubject(1.1, 1.9, seed=i, **options) for i in range(len(profile.electrodes))]
 
 
-def run(board, profile, subject, sites, progress, **options):
-    shown = []
-    ThresholdSession(board, profile, subject, **options).run(
-        sites, progress, lambda site, found: shown.append(site)
-    )
+def silent(profile):
+    return [SimulatedSubject(1e3, 1e4, guess=0)] * len(profile.electrodes)
+
+
+def display_of(profile, kind=MemoryBoard):
+    return Display(kind, measuring_profile(profile))
+
+
+def run(display, profile, felt_by, sites, progress, stop=None, listeners=(), **options):
+    """Run a session in simulated time; return the electrodes that were shown."""
+    shown, measuring = [], display.profile
+    session = ThresholdSession(
+        profile, measuring, display.board, sites, progress,
+        show=lambda site, _found: shown.append(site), **options,
+    )  # fmt: skip
+    timing = TrialTiming(answer_s=None, again=False, patience_s=10.0, most_spoiled=3)
+    source = ExperimentSource(session, measuring, timing, measuring.force.full_n)
+    Runner(
+        source,
+        display,
+        RunConfig(scan="points"),
+        listeners=[Finger(source, felt_by), *listeners],
+        first_level=1.0,
+        stop=stop,
+        load_kernels=single_bank,
+        clock=SimulatedClock(),
+    ).run()
     return shown
 
 
 @pytest.mark.parametrize("adaptive", [False, True])
 def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(
-    profile, board, tmp_path, begun, adaptive
+    profile, tmp_path, begun, adaptive
 ):
-    progress = begun(tmp_path / "p.json", {})
-    run(board, profile, subjects(profile), [3, 9], progress, adaptive=adaptive)
+    progress, display = begun(tmp_path / "p.json", {}), display_of(profile)
+    run(display, profile, subjects(profile), [3, 9], progress, adaptive=adaptive)
     last_ma, last_ns, sites = 0.0, 0, set()
-    for sequence in board.sequences:
-        level_ma = float(sequence.source_ua.max(initial=0)) / 1000
-        rise_ma = slew_ma_s(profile) * (sequence.time_ns - last_ns) / 1e9
+    slew = float(profile.full_ma.max()) / profile.limits.ramp_s
+    for sequence in display.board.sequences:
+        level_ma = level_of(sequence)
+        rise_ma = slew * (sequence.time_ns - last_ns) / 1e9
         # To the rounding of a microampere.
         assert level_ma - last_ma <= rise_ma + 1.1e-3
         last_ma, last_ns = level_ma, sequence.time_ns
@@ -90,75 +132,87 @@ def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(
         assert progress.found[site].comfort_ma == pytest.approx(1.9, rel=0.2)
 
 
-def test_runs_begin_at_zero_however_long_the_pause(profile, board, tmp_path, begun):
-    run(board, profile, subjects(profile), [0], begun(tmp_path / "p.json", {}))
-    levels = np.array([float(each.source_ua.max(initial=0)) for each in board.sequences])
+def test_runs_begin_at_zero_however_long_the_pause(profile, tmp_path, begun):
+    display = display_of(profile)
+    run(display, profile, subjects(profile), [0], begun(tmp_path / "p.json", {}))
+    levels = np.array([level_of(each) for each in display.board.sequences])
     starts = levels[1:][(levels[:-1] == 0) & (levels[1:] > 0)]
     assert len(starts) >= 3
-    assert starts.max() <= 1000 * slew_ma_s(profile) * 2 * TICK_S
+    assert starts.max() <= slew_ma_s(display.profile, 0) * 2 * TICK_S
 
 
 @pytest.mark.parametrize("name", list_profiles())
 def test_the_ceiling_of_every_profile_is_one_that_its_board_sends(name, tmp_path, begun):
     """Nothing is ever felt: the current goes up to the ceiling, and every proof holds."""
     profile = load_profile(name)
-    limits = measuring_limits(profile)
-    silent = Simulated([SimulatedSubject(1e3, 1e4, guess=0)] * len(profile.electrodes))
-    with MemoryBoard("", limits, profile.output) as board:
-        site = len(profile.electrodes) - 1
-        progress = begun(tmp_path / "p.json", {})
-        run(board, profile, silent, [site], progress, fast=True)
-        strongest_ma = max(float(each.source_ua.max(initial=0)) for each in board.sequences) / 1000
-        assert strongest_ma == pytest.approx(ceiling_ma(profile, site, board), rel=0.2)
-        assert strongest_ma <= profile.limits.current_ma
-        assert strongest_ma * profile.pulse.width_us / 1000 <= profile.limits.charge_uc
+    display, site = display_of(profile), len(profile.electrodes) - 1
+    progress = begun(tmp_path / "p.json", {})
+    run(display, profile, silent(profile), [site], progress)
+    strongest_ma = max(level_of(each) for each in display.board.sequences)
+    assert strongest_ma == pytest.approx(ceiling_ma(profile, site, display.board), abs=1.1e-3)
+    assert strongest_ma <= profile.limits.current_ma
+    assert strongest_ma * profile.pulse.width_us / 1000 <= profile.limits.charge_uc
     assert not progress.found[site].felt
-    usual = SafetyLimits.of(profile)
+
+
+@pytest.mark.parametrize("name", list_profiles())
+def test_only_comfort_is_another_limit_while_it_is_measured(name):
+    profile = load_profile(name)
+    usual, limits = SafetyLimits.of(profile), SafetyLimits.of(measuring_profile(profile))
     assert limits.full_ma / limits.ramp_s == pytest.approx(usual.full_ma / usual.ramp_s)
+    for field in ("current_ma", "pulse_us", "charge_uc", "rate_hz", "duty", "total_ma",
+                  "electrode_ma", "session_s", "session_mc"):  # fmt: skip
+        assert getattr(limits, field) == getattr(usual, field), field
+
+
+def test_a_ramp_that_cannot_be_slower_leaves_less_to_reach(profile, changed):
+    slow = changed(profile, {"limits.ramp_s": 10.0})
+    measuring = measuring_profile(slow)
+    assert measuring.limits.ramp_s == 10.0
+    assert measuring.full_ma.max() == pytest.approx(slow.full_ma.max(), abs=1e-3)
 
 
 def test_single_electrodes_keep_their_own_limit(profile, changed, tmp_path, begun):
     own = [2.45] * 64
     own[5] = 2.4
     limited = changed(profile, {"limits.electrode_ma": own})
-    with MemoryBoard("", measuring_limits(limited), limited.output) as board:
-        silent = Simulated([SimulatedSubject(1e3, 1e4, guess=0)] * 64)
-        run(board, limited, silent, [5], begun(tmp_path / "p.json", {}))
-        assert max(float(each.source_ua.max(initial=0)) for each in board.sequences) == 2400
+    display = display_of(limited)
+    run(display, limited, silent(limited), [5], begun(tmp_path / "p.json", {}))
+    assert max(level_of(each) for each in display.board.sequences) == 2.4
 
 
-def test_an_interrupted_session_goes_on_where_it_was(profile, board, tmp_path, begun):
-    first = begun(tmp_path / "p.json", {"repeats": 3})
+def test_an_interrupted_session_goes_on_where_it_was(profile, tmp_path, begun):
+    first, stop = begun(tmp_path / "p.json", {"repeats": 3}), StopRequest()
 
-    def stop_after(count):
-        return lambda: len(first.found) >= count
+    def stop_after_two(_result):
+        if len(first.found) >= 2:
+            stop.ask("enough")
 
-    with pytest.raises(StoppedError):
-        run(board, profile, subjects(profile), range(5), first, must_stop=stop_after(2))
+    stopping = [OnStep(stop_after_two)]
+    run(display_of(profile), profile, subjects(profile), range(5), first, stop, stopping)
     assert list(first.found) == [0, 1]
     again = begun(tmp_path / "p.json", {"repeats": 3})
     assert again.found == first.found
-    with MemoryBoard("", measuring_limits(profile), profile.output) as second:
-        shown = run(second, profile, subjects(profile), range(5), again)
-        assert shown == [2, 3, 4]
-        assert {int(s) for each in second.sequences for s in each.site} == {2, 3, 4}
+    second = display_of(profile)
+    shown = run(second, profile, subjects(profile), range(5), again)
+    assert shown == [2, 3, 4]
+    assert {int(s) for each in second.board.sequences for s in each.site} == {2, 3, 4}
 
 
-def test_a_stop_comes_at_once_and_nothing_is_sent_after(profile, board, tmp_path, begun):
-    stopped = []
+def test_a_stop_comes_at_once_and_nothing_is_sent_after(profile, tmp_path, begun):
+    stop, display, sent = StopRequest(), display_of(profile), []
 
-    def must_stop():
-        if board.sequences and float(board.sequences[-1].source_ua.max(initial=0)) > 800:
-            stopped.append(len(board.sequences))
-        return bool(stopped)
+    def stop_at_a_level(result):
+        sent.append(result)
+        if level_of(result.sequence) > 0.8:
+            stop.ask("enough")
 
-    with pytest.raises(StoppedError):
-        run(
-            board, profile, subjects(profile), [0], begun(tmp_path / "p.json", {}),
-            must_stop=must_stop,
-        )  # fmt: skip
-    assert len(board.sequences) == stopped[0]
-    assert board._stopped.is_set()
+    progress = begun(tmp_path / "p.json", {})
+    run(display, profile, subjects(profile), [0], progress, stop, [OnStep(stop_at_a_level)])
+    assert level_of(sent[-1].sequence) > 0.8
+    assert len(display.board.sequences) == len(sent)
+    assert display.board._stopped.is_set()
+    assert not progress.found
 
 
 class Losing(MemoryBoard):
@@ -178,45 +232,86 @@ class Losing(MemoryBoard):
 
 @pytest.mark.parametrize("adaptive", [False, True])
 def test_a_board_that_was_lost_begins_again_at_zero(profile, tmp_path, begun, adaptive):
-    progress = begun(tmp_path / "p.json", {})
-    with Losing("", measuring_limits(profile), profile.output) as board:
-        # In the first run, in the second, and in the trials.
-        board.at = [90, 260, 1000] if adaptive else [90, 260]
-        run(board, profile, subjects(profile), [0], progress, adaptive=adaptive)
-        after = [board.sequences[each] for each in (90, 260)]
-        assert [each.slots for each in after] == [0, 0]
-        assert len(board.notes) == (3 if adaptive else 2)
+    progress, display = begun(tmp_path / "p.json", {}), display_of(profile, Losing)
+    # While it rises, twice, and in the trials.
+    display.board.at = lost = [300, 700, 2600] if adaptive else [300, 700]
+    run(display, profile, subjects(profile), [0], progress, adaptive=adaptive)
+    sequences = display.board.sequences
+    for each in lost:
+        assert level_of(sequences[each - 1]) > 0
+        assert [sequence.slots for sequence in sequences[each : each + 10]] == [0] * 10
+    assert len(display.board.notes) == len(lost)
     assert progress.found[0].threshold_ma == pytest.approx(1.1, rel=0.2)
 
 
 def test_a_board_that_is_lost_all_the_time(profile, tmp_path, begun):
-    with Losing("", measuring_limits(profile), profile.output) as board:
-        board.at = range(50, 90)
-        with pytest.raises(BoardRestartedError):
-            run(board, profile, subjects(profile), [0], begun(tmp_path / "p.json", {}))
+    display, progress = display_of(profile, Losing), begun(tmp_path / "p.json", {})
+    display.board.at = range(0, 5000, 200)
+    with raises(ExperimentError, about="trial", problem="lost", value=4, allowed=3):
+        run(display, profile, subjects(profile), [0], progress)
+    assert display.board._stopped.is_set()
+    assert not progress.found
 
 
-def test_a_person_presses_keys():
-    keys = iter(["x", None, None, "y", "n", "?", " "])
-    said = []
-    person = Person(lambda seconds: next(keys, None), said.append)
-    person.begin(3)
-    assert person.pressed(1.0, 0.01)
-    assert not person.pressed(1.0, 0.0)
-    keys = iter([None, "?", "y"])
-    assert person.felt(1.0)
-    keys = iter(["n"])
-    assert not person.felt(1.0)
-    assert said[0].startswith("electrode 3")
+@pytest.fixture
+def procedure(tmp_path):
+    def make(**options):
+        file = file_to_calibrate(
+            "thresholds", None, "electric-mouse", tmp_path / "mine.toml", False, simulated=False
+        )
+        return ThresholdProcedure(
+            start="electric-mouse", file=file, board_url="memory:", sites=[5], **options
+        )
+
+    return make
 
 
-@pytest.mark.parametrize("key", ["q", "\x1b", ""])
-def test_a_person_stops(key):
+def measured(procedure, key_at=lambda _line: None):
+    """Measure; a key is pressed when a line is shown that asks for it. Return the lines."""
+    heeding, said = [], []
+
+    @contextlib.contextmanager
+    def keys(heed):
+        heeding.append(heed)
+        yield
+
+    def say(line):
+        said.append(line)
+        if (key := key_at(line)) is not None:
+            heeding[0](key)
+
+    with procedure.progress() as progress:
+        try:
+            procedure.measure(progress, keys, say, StopRequest(), lambda board, _stop: board)
+        finally:
+            found = dict(progress.found)
+    return said, found
+
+
+@pytest.mark.parametrize("key", STOP_KEYS)
+def test_a_person_is_told_what_to_do_and_stops(procedure, key):
     """By a key; an empty one means that the terminal is gone."""
-    with pytest.raises(StoppedError):
-        Person(lambda seconds: key, print).pressed(1.0, 0.5)
-    with pytest.raises(StoppedError):
-        Person(lambda seconds: None, print, lambda: True).felt(1.0)
+    said = []
+
+    def press(line):
+        said.append(line)
+        return key if line.startswith("electrode 5") else None
+
+    with raises(CalibrationError, about="thresholds", problem="stopped", value=1):
+        measured(procedure(), press)
+    assert "2.50 mA" in said[0]
+    assert len(said) == 2
+
+
+def test_a_simulated_subject_answers_for_a_person(procedure, profile):
+    """Over 48 electrodes: bias 0 %, spread 4 %; comfort -1 and 4 %."""
+    said, found = measured(procedure(simulate=True, adaptive=True))
+    assert [each.partition(":")[0] for each in said] == ["electrode 5"]
+    measuring = measuring_profile(profile)
+    tops_ma = measuring.full_ma.tolist()
+    truth = simulated_finger(profile, measuring, single_bank(measuring), tops_ma, 0)
+    assert found[5].threshold_ma == pytest.approx(truth.threshold_ma[5], rel=0.12)
+    assert found[5].comfort_ma == pytest.approx(truth.enough_ma[5], rel=0.12)
 
 
 def found(threshold=1.0, comfort=2.0):
@@ -333,7 +428,27 @@ def test_progress_that_is_none(tmp_path, begun, content):
         begun(path, {})
 
 
-def test_simulated_subjects_stay_below_the_ceiling(profile):
-    made = simulated_subjects(profile, [2.4] * 64, 3)
-    assert all(each.threshold_ma < each.comfort_ma < 2.4 for each in made._subjects)
-    assert len({each.threshold_ma for each in made._subjects}) > 30
+def test_progress_of_version_0_1_goes_on(procedure, tmp_path):
+    """As its file was written, electrode 5 of two done."""
+    settings = {
+        "profile": "electric-mouse", "electrodes": 64, "board": "memory", "pulse_us": 200,
+        "adaptive": False, "repeats": 3, "simulate": True,
+    }  # fmt: skip
+    before = {
+        "threshold_ma": 1.1, "comfort_ma": 1.9, "spread": 0.05, "runs": 3, "false_presses": 0
+    }  # fmt: skip
+    path = tmp_path / "mine.thresholds.json"
+    path.write_text(json.dumps({"settings": settings, "found": {"5": before}}))
+    going_on = replace(procedure(simulate=True), sites=[5, 6])
+    said, found = measured(going_on)
+    assert [each.partition(":")[0] for each in said] == ["electrode 6"]
+    assert found[5] == Thresholds(**before)
+    assert found[6].usable
+
+
+def test_a_simulated_finger_stays_below_the_ceiling(profile):
+    measuring = measuring_profile(profile)
+    made = simulated_finger(profile, measuring, single_bank(measuring), [2.4] * 64, 3)
+    assert (made.threshold_ma < made.enough_ma).all()
+    assert (made.enough_ma < 2.4).all()
+    assert len(set(made.threshold_ma.tolist())) > 30

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from smarttouch.calibrate.adaptive import MOST_TRIALS, AdaptiveThreshold
 from smarttouch.calibrate.limits import MOST_HURRIED, TICK_S, AscendingLimits
-from smarttouch.calibrate.subject import SimulatedSubject
+
+from .subject import SimulatedSubject
 
 CEILING_MA = 5.0
 

@@ -1,4 +1,4 @@
-"""Simulated subject with known thresholds, for tests of procedures and for demonstrations."""
+"""Simulated subject with known thresholds, who is slow, tires and drifts."""
 
 import math
 from dataclasses import dataclass

@@ -1,0 +1,33 @@
+"""Kernels of single electrodes, each against all others: for tests and for thresholds."""
+
+import numpy as np
+
+from smarttouch.afferent import Afferent
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.profile import Profile
+
+
+def single_bank(profile: Profile) -> KernelBank:
+    """Return a bank in which each site's kernel is its electrode against all others.
+
+    They stand under `Afferent.RA`, whichever afferents they reach. Current through the one is
+    anodic where the profile's board can, and the others share its return equally.
+    """
+    count, driven = len(profile.electrodes), profile.driven
+    weights = np.zeros((count, count))
+    weights[np.ix_(driven, driven)] = -1 / max(1, len(driven) - 1)
+    weights[driven, driven] = 1
+    if "anodic" in profile.output.polarities:
+        weights = -weights
+    nothing, nowhere = np.zeros(count), np.zeros((count, count), np.float32)
+    each = {Afferent.RA: nothing}
+    return KernelBank(
+        weights={Afferent.RA: weights},
+        off_target=each,
+        worst_class={Afferent.RA: nothing.astype(np.int8)},
+        spill=each,
+        gap=each,
+        seconds=each,
+        receptor={Afferent.RA: nowhere},
+        single=True,
+    )

@@ -1,0 +1,146 @@
+"""Pulses on one electrode after another, while someone feels or watches."""
+
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import AbstractContextManager
+from typing import ClassVar
+
+import numpy as np
+
+from smarttouch.afferent import Afferent
+from smarttouch.boards.board import Board
+from smarttouch.errors import SmartTouchError
+from smarttouch.events import Note
+from smarttouch.kernels.single import single_bank
+from smarttouch.profile import Profile
+from smarttouch.running.config import RunConfig
+from smarttouch.running.display import Display
+from smarttouch.running.listener import Listener
+from smarttouch.running.runner import Runner
+from smarttouch.sources.source import StimulusSource
+from smarttouch.sources.stimulus import Stimulus
+from smarttouch.stopping import StopRequest
+
+
+class ElectrodeReached(Note):
+    """The walk came to an electrode."""
+
+
+class Walk(StimulusSource):
+    """Pulses on one electrode after another; on each, current rises from zero.
+
+    Parameters
+    ----------
+    profile : Profile
+    current_ma : float, mA
+        Through each electrode, against all others.
+    seconds : float, s, optional
+        On each electrode; until `go_on` if not given.
+    sites : sequence of int, optional
+        Electrodes in their order; all if not given. Masked ones are left out.
+
+    Attributes
+    ----------
+    tried : int
+        Electrodes until now.
+
+    Raises
+    ------
+    SmartTouchError
+        If the current is out of reach, or the time is none.
+    """
+
+    ended: ClassVar[str] = "all electrodes are tried"
+    knows_force = True
+
+    def __init__(
+        self,
+        profile: Profile,
+        current_ma: float,
+        seconds: float | None = None,
+        sites: Sequence[int] | None = None,
+    ) -> None:
+        super().__init__("one electrode after another")
+        if seconds is not None and not seconds > 0:
+            message = f"{seconds:g} s for each electrode must be above 0"
+            raise SmartTouchError(message, about="seconds", value=seconds, allowed=0)
+        full_ma = float(profile.full_ma.max())
+        if not 0 < current_ma <= full_ma:
+            raise SmartTouchError(
+                f"{current_ma:g} mA must be above 0 and at most the {full_ma:g} mA that the "
+                "profile calls the strongest comfortable",
+                about="current_ma",
+                value=current_ma,
+                allowed=full_ma,
+            )
+        self.tried = 0
+        self._profile, self._current_ma, self._seconds = profile, current_ma, seconds
+        self._sites = range(len(profile.electrodes)) if sites is None else sites
+        self._leaves = False
+        self._now_ns = 0
+        self._stimuli = self._walk()
+
+    def go_on(self) -> None:
+        """Leave the present electrode; from any thread."""
+        self._leaves = True
+
+    def read(self, time_ns: int) -> Stimulus | None:
+        """Return the next pulse; None after the last electrode."""
+        self._now_ns = time_ns
+        return next(self._stimuli, None)
+
+    def _walk(self) -> Generator[Stimulus, None, None]:
+        how = "any key: next, q: end" if self._seconds is None else f"{self._seconds:g} s"
+        for site in self._sites:
+            if site in self._profile.output.masked:
+                self._say(f"electrode {site}: masked")
+                continue
+            # Not above what is comfortable there.
+            most_ma = min(self._current_ma, float(self._profile.full_ma[site]))
+            self._say(f"electrode {site}: up to {most_ma:.4g} mA ({how})")
+            self.tried += 1
+            self._leaves, began_ns = False, self._now_ns
+            # From zero: intensity rises no faster than the ramp.
+            yield self._pulse(site, 0.0)
+            # By the time of what was sent: a computer that stood still has tried nothing.
+            while not self._leaves and (
+                self._seconds is None or self._now_ns - began_ns < self._seconds * 1e9
+            ):
+                yield self._pulse(site, most_ma)
+
+    def _pulse(self, site: int, current_ma: float) -> Stimulus:
+        profile, number = self._profile, self.frames
+        self.frames += 1
+        activation = np.zeros((len(Afferent), len(profile.electrodes)), np.float32)
+        activation[Afferent.RA, site] = 1
+        return Stimulus(
+            activation,
+            self._now_ns,
+            profile.force.full_n,
+            round(1e6 / profile.pulse.rate_hz),
+            current_ma / float(profile.full_ma[site]),
+            number=number,
+        )
+
+    def _say(self, words: str) -> None:
+        self.emit(ElectrodeReached(self._now_ns, words))
+
+
+def run_walk(
+    walk: Walk,
+    display: Display,
+    listeners: Iterable[Listener],
+    stop: StopRequest,
+    opened: Callable[[StopRequest], AbstractContextManager[Board]] | None = None,
+) -> None:
+    """Run a walk on a display; the arguments are those of `Runner`."""
+    Runner(
+        walk,
+        display,
+        RunConfig(scan="points"),
+        listeners=listeners,
+        # The strength is what the walk was given.
+        first_level=1.0,
+        stop=stop,
+        load_kernels=single_bank,
+        opened=opened,
+    ).run()

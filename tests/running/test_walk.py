@@ -1,0 +1,103 @@
+"""A walk through the electrodes, one after the other."""
+
+from collections import Counter
+
+import pytest
+
+from smarttouch.running.display import open_display
+from smarttouch.running.listener import OnEvent, OnStep
+from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
+from smarttouch.stopping import StopRequest
+
+
+class TwitchingClock:
+    """A computer that stands still: after some steps for a second, after others for a little."""
+
+    def __init__(self, pauses_ns):
+        self.time_ns, self.pauses_ns = 10**12, pauses_ns
+
+    def now_ns(self):
+        self.time_ns += 1000
+        return self.time_ns
+
+    def wait_until(self, deadline_ns, _stop):
+        self.time_ns = max(self.time_ns, deadline_ns)
+        self.time_ns += self.pauses_ns.pop(0) if self.pauses_ns else 90_000_000
+
+
+def walked(clock, profile="etactilekit-32", **options):
+    """Return the walk, its sequences, and where it said to be."""
+    display, events = open_display("memory:", profile), []
+    display.board._clock = clock
+    walk = Walk(display.profile, 0.3, **options)
+    run_walk(walk, display, [OnEvent(events.append)], StopRequest())
+    reached = [str(each) for each in events if isinstance(each, ElectrodeReached)]
+    return walk, display.board.sequences, reached
+
+
+def peaks_ua(sequences):
+    return [int(abs(each.current_ua).max(initial=0)) for each in sequences]
+
+
+def test_a_computer_that_is_slow_skips_no_electrode():
+    """Every step takes more than twice its time: an electrode's would be over before it pulsed."""
+    walk, sequences, reached = walked(TwitchingClock([]), seconds=0.15)
+    assert walk.tried == len(reached) == 32
+    pulses = Counter(int(site) for each in sequences if each.current_ua.any() for site in each.site)
+    assert set(pulses) == set(range(32))
+    assert min(pulses.values()) >= 4
+
+
+def test_each_electrode_rises_from_zero_against_all_others():
+    _, sequences, _ = walked(TwitchingClock([0] * 1000), seconds=0.2, sites=[3, 9])
+    peaks = peaks_ua(sequences)
+    each = [0, 96, 192, 288, *[300] * 6]
+    assert peaks == each * 2
+    for sequence in sequences:
+        assert sequence.slots <= 1
+        assert not sequence.current_ua.sum()
+        if sequence.slots:
+            others = sorted(abs(sequence.current_ua[0]))[:-1]
+            assert others[-1] - others[0] <= 1
+
+
+def test_after_a_pause_the_current_rises_from_zero_again():
+    clock = TwitchingClock([0] * 10 + [10**9] + [0] * 10**4)
+    _, sequences, _ = walked(clock, seconds=0.8, sites=[0])
+    peaks = peaks_ua(sequences)
+    assert peaks[:5] == [0, 96, 192, 288, 300]
+    assert peaks[9:16] == [300, 0, 96, 192, 288, 300, 300]
+
+
+def test_masked_electrodes_are_named_and_left_out(profile, changed):
+    masked = changed(profile, {"output.masked": (0, 2)})
+    walk, sequences, reached = walked(TwitchingClock([0] * 10**4), masked, seconds=0.1)
+    assert walk.tried == 62
+    assert [each.partition(":")[0] for each in reached[:3]] == [f"electrode {i}" for i in range(3)]
+    assert not {0, 2} & {int(site) for each in sequences for site in each.site}
+    assert not any(each.current_ua[:, [0, 2]].any() for each in sequences)
+
+
+def test_each_electrode_until_it_is_left():
+    display, steps = open_display("memory:", "etactilekit-32"), []
+    display.board._clock = TwitchingClock([0] * 10**4)
+    walk = Walk(display.profile, 0.3)
+
+    def leave(result):
+        steps.append(result)
+        if len(steps) % 10 == 0:
+            walk.go_on()
+
+    run_walk(walk, display, [OnStep(leave)], StopRequest())
+    assert walk.tried == 32
+    assert len(steps) == 32 * 10
+
+
+@pytest.mark.parametrize("carrier", ["height", "width"])
+def test_current_is_by_height_whatever_carries_intensity(profile, changed, carrier):
+    by = changed(profile, {"pulse.carrier": carrier})
+    _, sequences, _ = walked(TwitchingClock([0] * 10**4), by, seconds=0.2, sites=[5])
+    assert peaks_ua(sequences)[-1] == 300
+    assert {int(each) for sequence in sequences for each in sequence.width_us} == {
+        profile.pulse.width_us
+    }
