@@ -8,7 +8,7 @@ from pathlib import Path
 
 PAGE = Path(__file__).parent.parent / "docs" / "tutorial" / "first-hour.md"
 PARTS = re.compile(r"Save this as `([\w.]+)`|^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-NOT_HERE = ("python3 -m venv", ". .venv", "pip install")
+NOT_HERE = ("python3 -m venv", ". .venv", "pip install", "mkdir")
 """Steps that the environment of this test stands for."""
 
 
