@@ -258,16 +258,18 @@ class Board(Timely, ABC):
             finally:
                 self._close()
 
-    @abstractmethod
     def drain(self, timeout_s: float = 1.0) -> None:
-        """Wait until all sequences have been delivered, or the time is over."""
+        """Wait until all sequences have been delivered, or the time is over.
+
+        Nothing waits on a board whose `_send` returns when all is delivered.
+        """
 
     @abstractmethod
     def report(self) -> BoardReport:
         """Return the report of what was delivered."""
 
-    @abstractmethod
-    def _open(self) -> None: ...
+    def _open(self) -> None:
+        """Connect, and put all electrodes at zero; nothing where there is no line."""
 
     @abstractmethod
     def _send(self, sequence: ScanSequence, times: int) -> int:
@@ -285,8 +287,8 @@ class Board(Timely, ABC):
     @abstractmethod
     def _stop(self) -> None: ...
 
-    @abstractmethod
-    def _close(self) -> None: ...
+    def _close(self) -> None:
+        """Close the line, if there is one; all electrodes are at zero already."""
 
     def _halt(self) -> None:
         """Put all electrodes at zero, for good."""

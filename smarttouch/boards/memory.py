@@ -52,12 +52,7 @@ class MemoryBoard(Board):
         self.acknowledged += 1
         return len(self.sequences)
 
-    def drain(self, timeout_s: float = 1.0) -> None:
-        """Do nothing: no sequence is pending."""
-
     def report(self) -> BoardReport:
         return self._books.report()
 
     def _stop(self) -> None: ...
-
-    def _close(self) -> None: ...

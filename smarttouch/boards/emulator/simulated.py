@@ -141,14 +141,9 @@ class SimulatedBoard(Board):
             self._now_ns = min(end_ns, self._now_ns + _BEAT_NS)
             self._say(Kind.HEARTBEAT)
 
-    def drain(self, timeout_s: float = 1.0) -> None:
-        """Do nothing: everything sent is already delivered."""
-
     def report(self) -> BoardReport:
         return BoardReport(*self._firmware.account())
 
     def _stop(self) -> None:
         with self._speaking:
             self._say(Kind.STOP)
-
-    def _close(self) -> None: ...
