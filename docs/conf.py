@@ -61,6 +61,7 @@ sphinx_gallery_conf = {
     "within_subsection_order": "gallery_order.position",
     "nested_sections": False,
     "abort_on_example_error": True,
+    "capture_repr": ("_repr_html_",),
     "doc_module": ("smarttouch",),
     "backreferences_dir": "gallery/uses",
     "matplotlib_animations": False,
