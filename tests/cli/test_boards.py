@@ -59,13 +59,13 @@ def test_live_end_to_end_ends_in_zero(request, program_here, tmp_path, kit):
     figures = json.loads((tmp_path / "run.json").read_text())
     assert "1.7 s" in figures["ended"]
     # Of 936c6c0 a sequence of several heights takes as many scans.
-    assert figures["frames"] > (15 if "936c6c0" in request.node.name else 50)
+    assert figures["frames"] > (5 if "936c6c0" in request.node.name else 20)
     assert figures["acknowledged"] >= 0.5 * figures["frames"]
     assert figures["pulses"] <= figures["pulses_at_most"]
     assert (figures["reported_by"], figures["restarts"]) == ("host", 0)
     state = state_of(books)
     assert (state["state"], state["unsafe"]) == ("shorted", 0)
-    assert state["slots"] > (20 if "936c6c0" in request.node.name else 100)
+    assert state["slots"] > (10 if "936c6c0" in request.node.name else 40)
     assert state["max_current_ma"] <= figures["max_current_ma"] + 0.04
     assert state_of(books)["slots"] == state["slots"]
 
