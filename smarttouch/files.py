@@ -2,7 +2,6 @@
 
 import contextlib
 import errno
-import fcntl
 import json
 import os
 import re
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from smarttouch.errors import SmartTouchError
+from smarttouch.posix import fcntl
 
 MOST_TABLE_BYTES = 16_000_000
 """Largest CSV or JSON file: a day of numbers, a hundred times a second, is smaller."""

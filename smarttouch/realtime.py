@@ -8,11 +8,12 @@ whose limits ``rtprio`` and ``memlock`` allow it.
 import contextlib
 import ctypes
 import os
-import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final
+
+from smarttouch.posix import resource
 
 LOOP: Final = 1
 """Priority of the threads that pace and send: the lowest above all ordinary ones."""

@@ -25,8 +25,9 @@ ZERO_WITHIN_S = 5.0
 SIGNALS = {
     signal.SIGINT: "Ctrl-C",
     signal.SIGTERM: "SIGTERM",
-    signal.SIGHUP: "SIGHUP",
 }
+if hasattr(signal, "SIGHUP"):  # not on Windows
+    SIGNALS[signal.SIGHUP] = "SIGHUP"
 
 
 _LOOKS, _LOOK_S = 5, 0.01

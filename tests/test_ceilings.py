@@ -6,7 +6,7 @@ import pytest
 
 from smarttouch.profile.ceilings import CEILINGS
 
-SAFETY = Path(__file__).parents[1] / "docs" / "safety.md"
+SAFETY = Path(__file__).parents[1] / "docs" / "explanation" / "safety.md"
 
 
 @pytest.mark.parametrize("ceiling", CEILINGS, ids=lambda each: each.name)

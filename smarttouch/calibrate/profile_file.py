@@ -21,6 +21,7 @@ from smarttouch.profile import Profile, load_profile
 from smarttouch.profile.load import profile_of, profile_path, read_table
 from smarttouch.profile.migrate import Change, migrate
 from smarttouch.profile.written import difference, in_rows
+from smarttouch.version import __version__
 
 Value = str | float | Sequence[float]
 
@@ -98,7 +99,7 @@ class ProfileFile:
 
     def note(self, what: str, found: str) -> None:
         """Record time, versions and result of a calibration."""
-        used = [("smarttouch", version("smarttouch"))]
+        used = [("smarttouch", __version__)]
         used += [(name, version(package)) for name, package in _LIBRARIES.items()]
         entry = tomlkit.table()
         entry["when"] = datetime.now(UTC).replace(microsecond=0)

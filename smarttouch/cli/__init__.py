@@ -1,7 +1,6 @@
 """The command line: one module per command, heavy imports only inside them."""
 
 import os
-import resource
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -27,11 +26,14 @@ from smarttouch.cli.profiles import profiles
 from smarttouch.cli.read import read
 from smarttouch.cli.recordings import recordings
 from smarttouch.cli.replay import replay
+from smarttouch.cli.report import report
 from smarttouch.cli.sensor import sensor
 from smarttouch.cli.stop import stop
 from smarttouch.errors import SmartTouchError, TableError
+from smarttouch.posix import resource
 from smarttouch.stopping import RunStopped
 from smarttouch.terminal import guarded_output
+from smarttouch.version import __version__
 
 _FEWEST_FILES = 64
 
@@ -40,7 +42,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
     "Read, Braille": {"read": read, "braille": braille, "legibility": legibility},
     "Calibrate": {"calibrate": calibrate},
     "Experiment": {"experiment": experiment},
-    "Boards, sensors": {"boards": boards, "board": board, "sensor": sensor},
+    "Boards, sensors": {"boards": boards, "board": board, "sensor": sensor, "report": report},
     "Recordings": {"replay": replay, "recordings": recordings},
     "Design": {"profiles": profiles, "design": design, "figures": figures},
 }
@@ -74,9 +76,7 @@ experiment.command()(fit)
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
-
-        print(f"smarttouch {version('smarttouch')}")
+        print(f"smarttouch {__version__}")
         raise typer.Exit
 
 
@@ -154,6 +154,8 @@ def _outcome(error: BaseException) -> int:
 
 def _require_files() -> None:
     """Raise if this process may open fewer files than the libraries alone need."""
+    if resource is None:
+        return
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     if most < _FEWEST_FILES:
         raise SmartTouchError(

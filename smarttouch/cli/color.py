@@ -61,7 +61,7 @@ def color(
     from smarttouch.reading.window import press_n
     from smarttouch.vibrotactile.crosstalk import pacinian_price
     from smarttouch.vibrotactile.mix import mix
-    from smarttouch.vibrotactile.picture import draw
+    from smarttouch.vibrotactile.picture import picture
     from smarttouch.vibrotactile.report import answer_rows, as_figures, mixture_rows, notes
     from smarttouch.vibrotactile.sites import parse_places
     from smarttouch.vibrotactile.source import ColorSource
@@ -79,7 +79,7 @@ def color(
     answers = split(trace, sai_full_n=chosen.force.full_n, sai_rate_hz=chosen.pulse.sai_rate_hz)
     if split_only:
         if plot is not None:
-            draw(plot, trace, answers)
+            style.save(picture(trace, answers), plot)
         if json_file is not None:
             write_json(json_file, as_figures(answers))
         if not run.quiet:
@@ -114,7 +114,7 @@ def color(
     if json_file is not None:
         _add(json_file, as_figures(answers, mixture, vibration, price))
     if plot is not None:
-        draw(plot, trace, answers, mixture)
+        style.save(picture(trace, answers, mixture), plot)
     if not run.quiet:
         print_table(
             mixture_rows(answers, mixture, vibration),

@@ -3,12 +3,12 @@
 import os
 import select
 import sys
-import termios
 import threading
-import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
+
+from smarttouch.posix import termios, tty
 
 LOST = ""
 """Key that stands for a terminal that is gone."""

@@ -14,7 +14,7 @@ from smarttouch.afferent import Afferent
 from smarttouch.delivered.mosaic import Mosaic
 from smarttouch.delivered.perception import DeliveredAnswers
 from smarttouch.delivered.raster import Raster, as_ink
-from smarttouch.documents.page_image import Page
+from smarttouch.documents.page_image import INCH_MM, Page
 from smarttouch.files import write_bytes
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
@@ -26,6 +26,9 @@ FINEST_MM = 0.1
 _WIDTH = (900, 1400)
 """Pixels that a picture is drawn wide at least, and at most."""
 _MARGIN, _LABEL = 24, 28
+_SCALE_PART = 0.2
+"""Largest part of a picture's width that its scale bar takes."""
+_SCALES_MM = (100, 50, 20, 10, 5, 2, 1, 0.5)
 Grey = NDArray[np.uint8]
 Place = tuple[float, float]
 Under = tuple[str, Place, Place, Callable[[tuple[int, int], float], Grey] | None]
@@ -94,7 +97,7 @@ class FeltDrawing(DeliveredAnswers, ABC):
         return as_ink(raster.mean(lambda each: np.asarray(cv2.blur(each, (wide, high)))))
 
     def save(self, path: Path) -> None:
-        """Write what was touched with the touch below it as one PNG.
+        """Write what was touched with the touch below it as one PNG that says its true size.
 
         Raises
         ------
@@ -118,9 +121,26 @@ class FeltDrawing(DeliveredAnswers, ABC):
             draw.text((_MARGIN, top), title, fill=40, font=font)
             resized = Image.fromarray(image).resize(size, Image.Resampling.LANCZOS)
             sheet.paste(resized, (_MARGIN, top + _LABEL))
+        per_mm = size[0] / width_mm
+        _draw_scale(draw, font, (_MARGIN + size[0], _MARGIN), per_mm)
         content = BytesIO()
-        sheet.save(content, format="PNG")
+        sheet.save(content, format="PNG", dpi=(per_mm * INCH_MM, per_mm * INCH_MM))
         write_bytes(path, content.getvalue())
+
+
+def _draw_scale(
+    draw: ImageDraw.ImageDraw,
+    font: ImageFont.ImageFont | ImageFont.FreeTypeFont,
+    end: tuple[int, int],
+    per_mm: float,
+) -> None:
+    """Draw a bar of whole millimeters with its length, right above a picture that ends there."""
+    right, top = end
+    most_mm = _SCALE_PART * (right - _MARGIN) / per_mm
+    length_mm = next((each for each in _SCALES_MM if each <= most_mm), _SCALES_MM[-1])
+    left, middle = right - round(length_mm * per_mm), top + _LABEL // 2 - 2
+    draw.rectangle((left, middle - 2, right - 1, middle + 1), fill=40)
+    draw.text((left - 8, middle), f"{length_mm:g} mm", fill=40, font=font, anchor="rm")
 
 
 class PageDrawing(FeltDrawing):

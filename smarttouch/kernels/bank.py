@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from smarttouch.afferent import Afferent
 from smarttouch.arrays import read_arrays
+from smarttouch.cells import cells_svg, titled
 from smarttouch.errors import DesignError
 from smarttouch.files import MOST_BANK_BYTES, open_file, require_replaceable
 from smarttouch.profile import Profile, list_profiles
@@ -70,6 +71,13 @@ class KernelBank:
     seconds: Column
     receptor: Column
     single: bool = False
+
+    def _repr_html_(self) -> str:
+        """Return off-target activation of each class, site by site, as cells for notebooks."""
+        found = {each.name: self.off_target[each] for each in sorted(self.off_target)}
+        worst = ", ".join(f"{name} {values.max():.3g}" for name, values in found.items())
+        title = f"Kernels; largest activation of another class: {worst}"
+        return titled(title, *(cells_svg(values, (name,)) for name, values in found.items()))
 
     def kernels(self, afferent: Afferent) -> NDArray[np.float32]:
         """Return the kernels of a mode, each with a peak magnitude of 1, (E, E).

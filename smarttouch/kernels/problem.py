@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.afferent import Afferent
+from smarttouch.cells import cells_svg, titled
 from smarttouch.errors import DesignError
 from smarttouch.kernels.symmetry import symmetries
 from smarttouch.physiology.activation import af_matrix
@@ -69,6 +70,14 @@ class Kernel:
     def peak_normalized(self) -> Array:
         """Weights as the paper draws them: the largest magnitude is 1 (Fig. 8)."""
         return np.asarray(self.weights / np.abs(self.weights).max())
+
+    def _repr_html_(self) -> str:
+        """Return its currents as cells, electrode by electrode, for notebooks."""
+        title = (
+            f"{self.kind} kernel: {self.off_target:.3g} of the target at "
+            f"{self.off_target_class.name}, spill {self.spill:.3g}"
+        )
+        return titled(title, cells_svg(self.weights))
 
 
 def masked_site(site: int) -> DesignError:

@@ -135,6 +135,9 @@ def _draw_shares(axes: Any, series: Series, shades: dict[float, Any], title: str
     """Draw shares against comparison / standard, and the curves through them."""
     axes.axhline(0.5, color=GREY, lw=0.5)
     axes.axhline(series.share, color=GREY, lw=0.5, ls=":")
+    edge = axes.get_yaxis_transform()
+    axes.text(0.995, series.share, f"{series.share:.0%}", transform=edge, color=GREY, fontsize=6.5,
+              ha="right", va="bottom")  # fmt: skip
     axes.axvline(1.0, color=GREY, lw=0.5)
     middle = (len(series.judged) - 1) / 2
     for place, judged in enumerate(series.judged):
@@ -194,15 +197,14 @@ def _draw_thresholds(axes: Any, series: Sequence[Series], title: str) -> None:
         color, marker = SERIES_COLORS[index % 6], _MARKERS[index % 6]
         upper = [(each.standard + aside, each.threshold, each.standard) for each in each.judged]
         lower = [(each.standard + aside, each.lower, each.standard) for each in each.judged]
-        _draw_bounded(axes, upper, color, marker + "-", each.name)
-        _draw_bounded(axes, lower, color, marker + ":", None)
+        _draw_bounded(axes, upper, color, marker + "-", f"{each.name}, above")
+        _draw_bounded(axes, lower, color, marker + ":", f"{each.name}, below")
         for judged in each.judged:
             if judged.threshold is None:
                 _draw_none(axes, judged, judged.standard + aside, color)
     axes.set_xlim(standards[0] - 0.6 * gap, standards[-1] + 0.6 * gap)
     axes.set_xticks(standards, [f"{each:g}" for each in standards])
-    if len(series) > 1:
-        axes.legend(frameon=False, fontsize=8, loc="upper left")
+    axes.legend(frameon=False, fontsize=7, title="threshold", title_fontsize=7, ncols=len(series))
     unit = f" ({series[0].unit})" if series[0].unit else ""
     plain(axes, title, f"standard{unit}", f"{series[0].share:.0%} threshold, change / standard")
 
@@ -224,7 +226,7 @@ def _draw_bounded(
     points: list[tuple[float, Bounded | None, float]],
     color: str,
     style: str,
-    label: str | None,
+    label: str,
 ) -> None:
     """Draw thresholds as parts of their standards; lines go only from neighbor to neighbor."""
     table = np.array([(x, *(bounded or (np.nan,) * 3), unit) for x, bounded, unit in points]).T
@@ -235,7 +237,7 @@ def _draw_bounded(
         (value - np.maximum(low, bottom - 1)).tolist(),
         (np.minimum(high, top + 1) - value).tolist(),
     ]
-    fill = "white" if label is None else color
+    fill = "white" if style.endswith(":") else color
     axes.errorbar(
         x, value, yerr=reach, fmt=style, color=color, mfc=fill, capsize=2.5, ms=5, lw=1,
         elinewidth=0.9, label=label,

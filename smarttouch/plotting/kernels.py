@@ -75,10 +75,10 @@ def _line_figure(profile: Profile, kernels: Mapping[Afferent, Kernel]) -> "Figur
             af = _activation(per_ma[shown], kernel)
             right.plot(x, af, color=CLASS_COLORS[shown], label=shown.name)
         right.axhline(0, color=GREY, lw=0.6)
-        right.axhline(1, color=GREY, lw=0.6, ls=":")
+        right.axhline(1, color=GREY, lw=0.6, ls=":", label="target")
         right.set_ylim(-2.2, max(1.4, 1.1 * kernel.off_target))
         if afferent is next(iter(kernels)):
-            right.legend(frameon=False, fontsize=7, ncols=3)
+            right.legend(frameon=False, fontsize=7, ncols=2)
         plain(
             right,
             f"worst other {kernel.off_target:.4g} ({kernel.off_target_class.name})",

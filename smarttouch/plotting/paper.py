@@ -96,7 +96,7 @@ def figure_9(line: Profile) -> "Figure":
             right.axhline(depth, color=CLASS_COLORS[afferent], lw=0.8)
             right.text(1.29, depth + 0.03, afferent.name, fontsize=7, ha="right", va="top")
         right.legend(frameon=False, fontsize=7, loc="lower right")
-        plain(right, "under the middle", "AF, of that at the SAI", "depth (mm)")
+        plain(right, "under the middle", "AF, relative to that at SAI depth", "depth (mm)")
     _add_scale(figure, drawn, panels)
     return figure
 
@@ -154,7 +154,7 @@ def _draw_depth_map(axes: Any, line: Profile, weights: Array, rising: bool) -> A
                 solid_capstyle="butt",
             )
             label = f"{weight:+.2g}".replace("-", "−").replace("0.", ".")
-            axes.text(place, 0, label, ha="center", va="center", fontsize=6.5, color="white")
+            axes.text(place, 0, label, ha="center", va="center", fontsize=6, color="white")
     axes.set(ylim=(_DEPTHS_MM[-1], 0), xlim=(-4, 4))
     axes.spines["bottom"].set_visible(False)
     return drawn

@@ -1,5 +1,6 @@
 """Common style of all figures: colors for color-blind readers, axes, and file formats."""
 
+import sys
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,18 +12,21 @@ from smarttouch.files import write_bytes
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CATHODIC, ANODIC = "#d55e00", "#0072b2"
+CATHODIC, ANODIC = "#b35806", "#542788"
+"""Colors of `SIGNED_MAP`, in which no class of afferents is drawn."""
 CLASS_COLORS = {Afferent.RA: "#d55e00", Afferent.SAI: "#0072b2", Afferent.PC: "#009e73"}
 """Colors of Okabe and Ito's set (2008)."""
 SIGNED_MAP = "PuOr_r"
 """Color map: orange for cathodic or depolarizing, purple for the other sign."""
 GREY = "#707070"
+DPI = 200
+"""Resolution of figures in pixels, which their files say."""
 
 FORMATS = ("png", "pdf", "svg")
 
 
 def new_figure(width_in: float, height_in: float) -> "Figure":
-    """Return an empty figure.
+    """Return an empty figure; one of pyplot where a program or notebook has imported that.
 
     Raises
     ------
@@ -38,7 +42,10 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
             problem="missing",
             remedy="pip install 'smarttouch[plot]'",
         ) from None
-    return Figure(figsize=(width_in, height_in), layout="constrained")
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    make: Any = Figure if pyplot is None else pyplot.figure
+    figure: Figure = make(figsize=(width_in, height_in), layout="constrained")
+    return figure
 
 
 def require_drawable(path: Path) -> None:
@@ -78,6 +85,9 @@ def save(figure: "Figure", path: Path) -> None:
         If that is none of `FORMATS`, or the file cannot be written.
     """
     require_drawable(path)
+    from matplotlib import rc_context
+
     content = BytesIO()
-    figure.savefig(content, dpi=200, format=path.suffix.removeprefix("."))
+    with rc_context({"svg.fonttype": "none"}):  # text stays text, to be searched and edited
+        figure.savefig(content, dpi=DPI, format=path.suffix.removeprefix("."))
     write_bytes(path, content.getvalue())

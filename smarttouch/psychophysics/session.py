@@ -1,12 +1,12 @@
 """A session: the trials of a procedure, and the file of its answers."""
 
 import math
-from importlib.metadata import version
 
 from smarttouch.errors import ExperimentError
 from smarttouch.psychophysics.procedures.procedure import Condition, Procedure
 from smarttouch.psychophysics.rows import RowFile, TrialRow
 from smarttouch.psychophysics.trial import Answer, Task, Trial
+from smarttouch.version import __version__
 
 _SAME = 1e-6
 """Relative difference by which a condition may change when written and read."""
@@ -43,7 +43,6 @@ class Session:
     def __init__(self, task: Task, procedure: Procedure, file: RowFile, date: str) -> None:
         self.title = file.about.experiment
         self._task, self._procedure, self._file, self._date = task, procedure, file, date
-        self._version = version("smarttouch")
         for number, row in enumerate(file.rows):
             if procedure.done or not _same(procedure.next(), row):
                 raise ExperimentError(
@@ -115,7 +114,7 @@ class Session:
                 date=self._date,
                 seed=about.seed,
                 frame_rate_hz=None,
-                version=self._version,
+                version=__version__,
             )
         )
         self._procedure.answer(success)

@@ -1,7 +1,6 @@
 """Runs on this machine: a second process can find and stop them, also while they start."""
 
 import contextlib
-import fcntl
 import os
 import signal
 import stat
@@ -15,6 +14,7 @@ from platformdirs import user_state_path
 
 from smarttouch.clock import now_ns
 from smarttouch.errors import SmartTouchError
+from smarttouch.posix import fcntl
 from smarttouch.stopping import RunStopped
 
 ENDED_WITHIN_S = 3.0

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.afferent import Mode
+from smarttouch.afferent import Afferent, Mode
+from smarttouch.cells import cells_svg, titled
 from smarttouch.sources.stimulus import Input
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.tactile_image import TactileImage
@@ -45,6 +46,17 @@ class Step:
     asked_us: int = 0
     observed: tuple[Measured, ...] = ()
 
+    def _repr_html_(self) -> str:
+        """Return its tactile image and its currents as cells, for notebooks."""
+        sequence = self.sequence
+        title = (
+            f"{self.mode} at {self.tactile.time_ns / 1e9:.3f} s: {sequence.points} points in "
+            f"{sequence.slots} slots, {sequence.period_us / 1000:g} ms, intensity "
+            f"{sequence.intensity:.2f}"
+        )
+        activation = cells_svg(self.tactile.activation, tuple(each.name for each in Afferent))
+        return titled(title, activation, cells_svg(sequence.current_ua))
+
 
 @dataclass(frozen=True, eq=False)
 class StepResult:
@@ -78,6 +90,9 @@ class StepResult:
     work_us: float = 0.0
     acknowledged: int = 0
     refused: int = 0
+
+    def _repr_html_(self) -> str:
+        return self.step._repr_html_()
 
     @property
     def input(self) -> Input:

@@ -1,25 +1,24 @@
 """Picture of a vibration: its trace, the answers of three classes, and their pulses."""
 
 from collections.abc import Mapping
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from smarttouch.afferent import Afferent
 from smarttouch.plotting.colors import ClassRow, color_figure
-from smarttouch.plotting.style import save
 from smarttouch.vibrotactile.mix import Mixture
 from smarttouch.vibrotactile.split import Answer
 from smarttouch.vibrotactile.trace import Trace
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def draw(
-    path: Path,
-    trace: Trace,
-    answers: Mapping[Afferent, Answer],
-    mixture: Mixture | None = None,
-) -> None:
-    """Write a picture of a vibration, what each class answers, and the pulses if there are any."""
+
+def picture(
+    trace: Trace, answers: Mapping[Afferent, Answer], mixture: Mixture | None = None
+) -> "Figure":
+    """Draw a vibration, what each class answers, and the pulses if there are any."""
     rows = {}
     for afferent, answer in answers.items():
         which = np.empty(0, np.intp)
@@ -31,5 +30,4 @@ def draw(
         else:
             pulse_s = drive = np.empty(0)
         rows[afferent] = ClassRow(answer.drive, pulse_s, drive.astype(np.float64), shaken)
-    figure = color_figure(trace.time_s, trace.displacement_um, trace.force_n, rows, trace.title)
-    save(figure, path)
+    return color_figure(trace.time_s, trace.displacement_um, trace.force_n, rows, trace.title)

@@ -5,7 +5,6 @@ import errno
 import os
 import select
 import socket
-import termios
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from serial import SerialBase as Port
 from serial.tools import list_ports
 
 from smarttouch.errors import BoardError, OtherDeviceError, SmartTouchError
+from smarttouch.posix import termios
 
 __all__ = [
     "LINE_ERRORS",
@@ -34,7 +34,9 @@ _write = ctypes.PyDLL(None, use_errno=True).write
 _write.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
 _write.restype = ctypes.c_ssize_t
 
-LINE_ERRORS = (OSError, serial.SerialException, termios.error, TypeError)
+LINE_ERRORS = (
+    OSError, serial.SerialException, termios.error if termios else OSError, TypeError
+)  # fmt: skip
 """Exceptions of pyserial when a port vanishes, or is closed by another thread."""
 
 

@@ -2,12 +2,12 @@
 
 import errno
 import os
-import pty
 import select
 import tempfile
 import time
-import tty
 from pathlib import Path
+
+from smarttouch.posix import pty, tty
 
 LARGEST_READ = 65536
 

@@ -143,6 +143,13 @@ def test_save(drawing, tmp_path):
     drawing.save(tmp_path / "felt.png")
     with Image.open(tmp_path / "felt.png") as sheet:
         assert sheet.width > 700
+        # A black bar of whole millimeters beside the first label, by the resolution that it says.
+        above = np.asarray(sheet)[:52, :-24] == 40
+        runs = [run for row in above for run in "".join(np.where(row, "#", " ")).split()]
+        bar_px = max(map(len, runs))
+        bar = bar_px / sheet.info["dpi"][0] * 25.4
+        assert bar == pytest.approx(round(bar), abs=0.2)
+        assert bar >= 1
     path = tmp_path / "none" / "felt.png"
     with raises(SmartTouchError, about="file", problem="unwritable", value=path):
         drawing.save(path)

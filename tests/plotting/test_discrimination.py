@@ -88,7 +88,9 @@ def test_two_modes_share_the_thresholds():
     )
     ra, pc, thresholds = figure.axes
     assert (ra.get_title(loc="left"), pc.get_title(loc="left")) == ("(a) RA", "(b) PC")
-    assert [each.get_text() for each in thresholds.get_legend().get_texts()] == ["RA", "PC"]
+    assert [each.get_text() for each in thresholds.get_legend().get_texts()] == [
+        f"{name}, {side}" for name in ("RA", "PC") for side in ("above", "below")
+    ]
     assert [numbers_in(each) for each in words(thresholds)] == [[-0.5]]
     # The same standard has the same color in both panels.
     colors = [axes.collections[-1].get_facecolor().tolist() for axes in (ra, pc)]

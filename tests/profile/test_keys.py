@@ -8,7 +8,7 @@ from smarttouch.profile import list_profiles
 from smarttouch.profile.keys import _tables, key_reference, key_rows
 from smarttouch.profile.load import profile_path, read_table
 
-REFERENCE = Path(__file__).parents[2] / "docs" / "profile-keys.md"
+REFERENCE = Path(__file__).parents[2] / "docs" / "reference" / "profile-keys.md"
 TABLES = dict(_tables())
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from ..installed import install_project
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
 
 
 @pytest.fixture
@@ -16,7 +16,7 @@ def program(tmp_path, monkeypatch):
     """Return what runs Python where both are installed."""
     place = tmp_path / "site"
     place.mkdir()
-    for name in ("plugin_board", "plugin_source"):
+    for name in ("board", "source"):
         install_project(EXAMPLES / name, place)
     monkeypatch.setenv("PYTHONPATH", str(place), prepend=":")
 
@@ -29,7 +29,7 @@ def program(tmp_path, monkeypatch):
     return run
 
 
-@pytest.mark.parametrize("name", ["plugin_board", "plugin_source"])
+@pytest.mark.parametrize("name", ["board", "source"])
 def test_their_own_tests_pass(program, name):
     options = ("-q", "-W", "error", "-p", "no:cacheprovider", "-c", "pyproject.toml")
     done = program("-m", "pytest", *options, folder=EXAMPLES / name)

@@ -1,0 +1,26 @@
+"""Order of the gallery: what a new reader needs first."""
+
+ORDER = (
+    "first_touch",
+    "own_array",
+    "own_kernels",
+    "whole_frames",
+    "natural_mode",
+    "electric_mouse",
+    "primary_colors",
+    "frequency_discrimination",
+    "strength_duration",
+    "read_a_page",
+    "braille_page",
+    "record_and_replay",
+    "safety_gate",
+    "own_board",
+    "live_camera",
+    "own_stimulus",
+    "errors",
+)
+
+
+def position(filename: str) -> int:
+    """Return the place of a script; one that has none is an error of the build."""
+    return ORDER.index(filename.removesuffix(".py"))

@@ -1,0 +1,59 @@
+"""
+Braille of a page
+=================
+
+A text becomes Braille cells, cells become dots that pass under the finger, and what an emulated
+board delivered of them is read back. English grade 1 is built in; other languages and
+contractions come from liblouis.
+"""
+
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+
+import smarttouch as st
+from smarttouch.braille.layout import lay_out
+from smarttouch.braille.tables import open_table
+from smarttouch.outputs import FeltPicture
+from smarttouch.reading.braille import Braille
+from smarttouch.reading.cursor import SweepingCursor
+from smarttouch.reading.feed import LineFeed
+from smarttouch.reading.line_source import ReadingSource
+from smarttouch.reading.source import Source
+from smarttouch.reading.window import press_n, profile_for_reading
+
+# %%
+# Cells, and back.
+table = open_table("en-1")
+cells = table.to_cells("Touch what a sensor sees.")
+print("\n".join(line for page in lay_out([cells], columns=16) for line in page))
+print(table.to_text(cells))
+
+# %%
+# The same text under the finger. `smarttouch read photo.jpg --as braille` does this with a page
+# that Tesseract has read.
+own = st.load_profile("electric-mouse")
+profile = profile_for_reading(own)
+braille = Braille("en-1")
+text = Source("text:a sensor sees")
+feed = LineFeed(braille.lines(text, profile))
+with tempfile.TemporaryDirectory() as folder:
+    felt = Path(folder) / "felt.png"
+    feed.start().wait_for(0)
+    cursor = SweepingCursor(feed, braille.motion(profile, 20.0), press_n(profile))
+    source = ReadingSource(text.title, profile, feed, cursor)
+    display = st.open_display("simulated:", profile)
+    statistics = st.run(
+        source, display, mode="RA", tone=braille.tone, listeners=[FeltPicture(felt)]
+    )
+    feed.close()
+    picture = plt.imread(felt)
+print(f"{statistics.slots} slots in {statistics.frames} frames")
+
+# %%
+# Above what passed under the finger, below the delivered pulses.
+figure, axes = plt.subplots(figsize=(9, 3), layout="constrained")
+axes.imshow(picture, cmap="gray")
+axes.set_axis_off()
+plt.show()

@@ -1,0 +1,57 @@
+"""
+What goes wrong is one sentence
+===============================
+
+All that a user can cause is a `SmartTouchError`: one sentence with the number and what to do, and
+the same as attributes for programs. The command line prints the sentence and exits with 2.
+"""
+
+from pathlib import Path
+from tempfile import mkdtemp
+
+import smarttouch as st
+
+
+def show(error: st.SmartTouchError) -> None:
+    """Print the sentence, and what a program may look at."""
+    print(f"{type(error).__name__}: {error}")
+    print(f"    about {error.about}, value {error.value!r}, allowed {error.allowed}\n")
+
+
+# %%
+# A source, a board, a profile, a setting and a kernel that there are not.
+profile = st.load_profile("electric-mouse")
+wrong = {
+    st.SourceError: lambda: st.open_source("camera:kitchen", profile),
+    st.BoardError: lambda: st.open_display("nothing:", profile),
+    st.ProfileError: lambda: st.load_profile("my-profile"),
+    st.SmartTouchError: lambda: st.RunConfig(mode="RA", intensity=1.5),
+}
+for kind, call in wrong.items():
+    try:
+        call()
+    except kind as error:
+        show(error)
+    else:
+        raise AssertionError(f"{kind.__name__} was not raised")
+
+# %%
+# A kernel is asked for by a class and a site of the array.
+kernel: st.Kernel = st.design_kernel(profile, "SAI", 27)
+print(f"site 27: {kernel.off_target:.3f} at {kernel.off_target_class.name}\n")
+try:
+    st.design_kernel(profile, "SAI", 64)
+except st.SmartTouchError as error:
+    show(error)
+
+# %%
+# A recorder does not overwrite.
+path = Path(mkdtemp()) / "run.mcap"
+path.write_bytes(b"mine")
+try:
+    with st.open_display("simulated:", profile) as display:
+        source = st.open_source("text:a", profile)
+        st.run(source, display, listeners=[st.Recorder(path)])
+except st.SmartTouchError as error:
+    show(error)
+assert path.read_bytes() == b"mine"

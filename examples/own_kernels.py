@@ -1,0 +1,40 @@
+"""
+Kernels of your own array
+=========================
+
+A *kernel* is the pattern of currents that reaches one class of afferents under one electrode and
+the others as little as can be. It is the optimum of a linear program, and follows from where the
+electrodes lie and from the skin below them.
+"""
+
+import matplotlib.pyplot as plt
+
+import smarttouch as st
+from smarttouch.plotting.kernels import kernel_figure
+
+# %%
+# The 4 x 4 electrodes of the paper's SmartTouch, one kernel of each class near the middle. Left
+# the currents, right what they do at the depth of each class, of what they do at the target (+).
+# RA and SAI can be reached almost alone. PC cannot: it lies deepest.
+profile = st.load_profile("smarttouch-4x4")
+kernels = {each: st.design_kernel(profile, each, 5) for each in st.Afferent}
+for each, kernel in kernels.items():
+    print(f"{each.name}: {kernel.off_target:.3g} of the target at {kernel.off_target_class.name}")
+kernel_figure(profile, kernels, 5)
+
+# %%
+# Denser or coarser? The same skin under arrays of another pitch. `Profile.model_validate` checks
+# all that a file's is checked for; ``model_copy`` does not.
+pitches_mm, off_target = [1.5, 2.0, 2.5, 3.0, 4.0], {each: [] for each in ("RA", "SAI")}
+for pitch_mm in pitches_mm:
+    changed = profile.model_dump()
+    changed["array"] |= {"pitch_x_mm": pitch_mm, "pitch_y_mm": pitch_mm}
+    other = st.Profile.model_validate(changed)
+    for name, found in off_target.items():
+        found.append(st.design_kernel(other, name, 5).off_target)
+figure, axes = plt.subplots(figsize=(5, 3), layout="constrained")
+for name, found in off_target.items():
+    axes.plot(pitches_mm, found, "o-", label=name)
+axes.set(xlabel="pitch (mm)", ylabel="largest activation of another class")
+axes.legend(frameon=False)
+plt.show()

@@ -1,0 +1,76 @@
+"""
+Touch without a sensor
+======================
+
+A stimulus source knows itself what each electrode is to do: it gives tactile images in place of
+frames. Here a point goes around in a circle. A listener follows the run.
+"""
+
+import math
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import smarttouch as st
+from smarttouch.reading.window import press_n, profile_for_reading
+from smarttouch.sources.stimulus import Stimulus
+
+
+# %%
+# `read` is asked for the stimulus at a time. Each says how long it lasts; every electrode that is
+# active in it pulses once.
+class Circle(st.StimulusSource):
+    """A point of RA that goes around the middle of the array, twice."""
+
+    knows_force = True
+
+    def __init__(self, profile: st.Profile) -> None:
+        super().__init__("a point in a circle")
+        self._place_mm = profile.electrodes.position_mm
+        self._press_n = press_n(profile)
+        self.duration_s = 2.0
+
+    def read(self, time_ns: int) -> Stimulus | None:
+        if time_ns >= 2e9:
+            return None
+        turn = 2 * math.pi * time_ns / 1e9
+        middle_mm = 5 * np.array([math.cos(turn), math.sin(turn)])
+        away_mm = np.linalg.norm(self._place_mm - middle_mm, axis=1)
+        activation = np.zeros((3, len(away_mm)), np.float32)
+        activation[st.Afferent.RA] = np.clip(1.5 - away_mm / 2, 0, 1)
+        self.frames += 1
+        return Stimulus(activation, time_ns, self._press_n, 20_000, number=self.frames - 1)
+
+
+# %%
+# A listener sees each step as it is sent, and the events of the run.
+class Trail(st.Listener):
+    """Adds up the pulses of each electrode."""
+
+    def __init__(self, display: st.Display) -> None:
+        super().__init__()
+        self.pulses = np.zeros(len(display.profile.electrodes), int)
+        self.slots_a_step = []
+
+    def step(self, result: st.StepResult) -> None:
+        image: st.TactileImage = result.tactile
+        sequence: st.ScanSequence = result.sequence
+        self.pulses += image.activation.any(axis=0)
+        self.slots_a_step.append(sequence.slots)
+
+
+profile = profile_for_reading(st.load_profile("electric-mouse"))
+with st.open_display("simulated:", profile) as display:
+    trail = Trail(display)
+    statistics: st.RunStatistics = st.run(Circle(profile), display, mode="RA", listeners=[trail])
+print(f"{statistics.frames} stimuli in {statistics.slots} slots, {max(trail.slots_a_step)} at most")
+
+# %%
+# Where the point went.
+figure, axes = plt.subplots(figsize=(4.6, 4), layout="constrained")
+x_mm, y_mm = profile.electrodes.position_mm.T
+drawn = axes.scatter(x_mm, y_mm, c=trail.pulses, cmap="Oranges", s=160, edgecolors="#707070")
+axes.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
+axes.invert_yaxis()
+figure.colorbar(drawn, label="pulses")
+plt.show()

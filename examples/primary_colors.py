@@ -1,0 +1,35 @@
+"""
+Tactile primary colors
+======================
+
+As a screen mixes red, green and blue, a vibration is split into what each class of receptor would
+answer, and each class is let fire as its afferents would have.
+"""
+
+import matplotlib.pyplot as plt
+
+import smarttouch as st
+from smarttouch.plotting.colors import thresholds_figure
+from smarttouch.vibrotactile.mix import mix
+from smarttouch.vibrotactile.picture import picture
+from smarttouch.vibrotactile.spec import open_trace
+from smarttouch.vibrotactile.split import split
+
+# %%
+# The basis of it: the smallest vibration that each class answers, by frequency. RA is best at 30
+# Hz, PC at 250 Hz, SAI answers what is static.
+thresholds_figure()
+
+# %%
+# Two vibrations and a press at once.
+trace = open_trace("tone:30Hz,6um+tone:250Hz,1.5um+press:0.45N")
+answers = split(trace)
+for afferent, answer in answers.items():
+    print(f"{afferent.name}: drive {answer.drive.mean():.2f}")
+
+# %%
+# Pulses for each class, at its own rate, by its own kernels.
+profile = st.load_profile("electric-mouse")
+mixture = mix(answers, trace.duration_s, profile, st.load_kernels(profile))
+picture(trace, answers, mixture)
+plt.show()

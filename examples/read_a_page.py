@@ -1,0 +1,57 @@
+"""
+Read a photographed page
+========================
+
+A soft, unevenly lit and slightly turned photograph of a page is made flat and level, its lines
+are found, and each moves under the finger, magnified so that it fills the rows of the array.
+"""
+
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+
+import smarttouch as st
+from smarttouch.outputs import FeltPicture
+from smarttouch.reading.cursor import SweepingCursor
+from smarttouch.reading.feed import LineFeed
+from smarttouch.reading.line_source import ReadingSource
+from smarttouch.reading.shapes import Shapes
+from smarttouch.reading.source import Source
+from smarttouch.reading.window import press_n, profile_for_reading
+from smarttouch.resources import data_folder
+
+# %%
+# The photograph.
+path = data_folder("sample_images") / "photo.png"
+figure, axes = plt.subplots(figsize=(6, 3.6), layout="constrained")
+axes.imshow(plt.imread(path), cmap="gray")
+axes.set_axis_off()
+
+# %%
+# The first ten seconds of reading it. `smarttouch read photo.png` does the same in a terminal,
+# with keys for lines and pauses.
+own = st.load_profile("electric-mouse")
+profile = profile_for_reading(own)
+shapes = Shapes()
+text = Source(str(path))
+feed = LineFeed(shapes.lines(text, profile))
+with tempfile.TemporaryDirectory() as folder:
+    felt = Path(folder) / "felt.png"
+    feed.start().wait_for(0)
+    cursor = SweepingCursor(feed, shapes.motion(profile), press_n(profile))
+    source = ReadingSource(text.title, profile, feed, cursor)
+    with st.open_display("simulated:", profile) as display:
+        statistics = st.run(
+            source, display, tone=shapes.tone, seconds=10, listeners=[FeltPicture(felt)]
+        )
+    feed.close()
+    picture = plt.imread(felt)
+print(f"{statistics.slots} slots in {statistics.frames} frames")
+
+# %%
+# Above what passed under the finger, below the delivered pulses.
+figure, axes = plt.subplots(figsize=(9, 3), layout="constrained")
+axes.imshow(picture, cmap="gray")
+axes.set_axis_off()
+plt.show()

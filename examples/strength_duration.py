@@ -1,0 +1,41 @@
+"""
+Strength and duration
+=====================
+
+How strong must a pulse be, the shorter it is? A fiber with active membrane says: threshold falls
+with width by Weiss' law, with a rheobase and a chronaxie. It is the check on the activating
+function, which knows of places and not of time.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import smarttouch as st
+from smarttouch.physiology.af_error import potential_at_nodes
+from smarttouch.physiology.membrane import Fiber, strength_duration, weiss_fit
+from smarttouch.plotting.style import ANODIC, CATHODIC
+
+# %%
+# One electrode of 1.0 mm, a fiber that runs flat 0.9 mm below it (SAI): five widths, both
+# polarities.
+profile = st.load_profile("electric-mouse")
+widths_us = np.array([20.0, 35.0, 60.0, 100.0, 200.0])
+fiber = Fiber(end="through")
+potential = potential_at_nodes(profile, fiber, profile.skin.sai_depth_mm)
+
+figure, axes = plt.subplots(figsize=(5.6, 3.6), layout="constrained")
+for name, cathodic, color in (("cathodic", True, CATHODIC), ("anodic", False, ANODIC)):
+    threshold_ma = strength_duration(potential, fiber, widths_us, cathodic=cathodic)
+    rheobase_ma, chronaxie_us = weiss_fit(widths_us, threshold_ma)
+    print(f"{name}: rheobase {rheobase_ma:.2f} mA, chronaxie {chronaxie_us:.0f} µs")
+    axes.plot(widths_us, threshold_ma, "o", color=color, label=f"{name}, cable model")
+    dense_us = np.linspace(18, 210, 100)
+    axes.plot(
+        dense_us, rheobase_ma * (1 + chronaxie_us / dense_us), color=color, label="Weiss' law"
+    )
+axes.axhline(profile.limits.current_ma, color="#707070", ls=":", label="limit of the profile")
+axes.set(xlabel="pulse width (µs)", ylabel="threshold (mA)", yscale="log")
+axes.set_yticks([2, 5, 10], ["2", "5", "10"])
+axes.minorticks_off()
+axes.legend(frameon=False, fontsize=8)
+plt.show()
