@@ -18,6 +18,7 @@ from smarttouch.cli.design import design
 from smarttouch.cli.experiment import experiment
 from smarttouch.cli.experiment_fit import fit
 from smarttouch.cli.figures import figures
+from smarttouch.cli.finger import finger
 from smarttouch.cli.fit_fiber import fit_fiber
 from smarttouch.cli.legibility import legibility
 from smarttouch.cli.live import live
@@ -41,7 +42,8 @@ _COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
     "Experiment": {"experiment": experiment},
     "Boards, sensors": {"boards": boards, "board": board, "sensor": sensor},
     "Recordings": {"replay": replay, "recordings": recordings},
-    "Design": {"profiles": profiles, "design": design, "figures": figures, "fit-fiber": fit_fiber},
+    "Design": {"profiles": profiles, "design": design, "figures": figures},
+    "Finger": {"finger": finger, "fit-fiber": fit_fiber},
 }
 """Commands by the panel of the help that lists them."""
 

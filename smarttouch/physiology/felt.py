@@ -21,8 +21,8 @@ class Felt:
     afferents : dict of Afferent to int
         Number of afferents of each class that fired.
     silent_points : float
-        Part of the active electrodes with no receptor of a wanted class that fired within a
-        pitch.
+        Part of the active electrodes with no receptor of a wanted class that fired within half
+        a pitch.
     wrong_class : float
         Part of the spikes of other classes; NaN without a spike.
     misplaced : float
@@ -61,7 +61,7 @@ def felt(
     right = np.isin(finger.classes, [int(each) for each in wanted])
     away = np.linalg.norm(finger.receptor_mm[:, None] - places, axis=2)
     near = away <= electrodes.pitch_mm
-    reached = (near & (fired & right)[:, None]).any(axis=0)
+    reached = ((away <= electrodes.pitch_mm / 2) & (fired & right)[:, None]).any(axis=0)
     total = int(counts.sum())
     share = 1 / total if total else float("nan")
     return Felt(

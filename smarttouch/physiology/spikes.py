@@ -94,11 +94,19 @@ class SpikeModel:
         highest *= by_class.T[self.finger.classes]
         return np.asarray(highest)
 
-    def fire(self, slots: Slots) -> Spikes:
-        """Return the spikes of one sequence; the next one begins where it ends."""
+    def fire(self, slots: Slots, above: Floats | None = None) -> Spikes:
+        """Return the spikes of one sequence; the next one begins where it ends.
+
+        Parameters
+        ----------
+        slots : Slots
+        above : ndarray, (A, S), optional
+            Its `drive`, where it is known from before.
+        """
         lasts = slots.width_us.astype(np.int64) + slots.discharge_us
         time_us = self._now_us + np.cumsum(lasts) - lasts
-        above = self.drive(slots.current_ua, slots.width_us)
+        if above is None:
+            above = self.drive(slots.current_ua, slots.width_us)
         noise = self._random.standard_normal(above.shape, np.float32)
         fired = above >= 1 + self._noise[:, None] * noise
         for slot, begin_us in enumerate(time_us):
