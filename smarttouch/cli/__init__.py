@@ -42,8 +42,13 @@ _COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
     "Experiment": {"experiment": experiment},
     "Boards, sensors": {"boards": boards, "board": board, "sensor": sensor},
     "Recordings": {"replay": replay, "recordings": recordings},
-    "Design": {"profiles": profiles, "design": design, "figures": figures},
-    "Finger": {"finger": finger, "fit-fiber": fit_fiber},
+    "Design": {
+        "profiles": profiles,
+        "design": design,
+        "figures": figures,
+        "finger": finger,
+        "fit-fiber": fit_fiber,
+    },
 }
 """Commands by the panel of the help that lists them."""
 

@@ -1,7 +1,8 @@
 """Measures of what a finger felt: silent points, spikes of other classes and elsewhere."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
+from math import isnan, nan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +64,7 @@ def felt(
     near = away <= electrodes.pitch_mm
     reached = ((away <= electrodes.pitch_mm / 2) & (fired & right)[:, None]).any(axis=0)
     total = int(counts.sum())
-    share = 1 / total if total else float("nan")
+    share = 1 / total if total else nan
     return Felt(
         total,
         {each: int((fired & (finger.classes == each)).sum()) for each in Afferent},
@@ -71,6 +72,12 @@ def felt(
         float(counts[~right].sum() * share),
         float(counts[~near.any(axis=1)].sum() * share),
     )
+
+
+def over(how: Callable[[list[float]], float], values: Iterable[float]) -> float:
+    """Return a mean or median of the values that are numbers; NaN if none is."""
+    numbers = [each for each in values if not isnan(each)]
+    return how(numbers) if numbers else nan
 
 
 def felt_map(

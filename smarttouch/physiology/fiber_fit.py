@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 _OWN_NODES, _OWN_REACH = 4, 13
 _TOLERANCE = 0.05
 """Error up to which squares count; beyond it they grow more slowly (soft L1)."""
+_TIED = 0.1
+"""Error that counts as much as a weight that is off its start by all of itself: what cases do not
+decide stays as the membrane would have it if it were linear."""
 _LEAST = 0.1
 """Drive at threshold below which the logarithm goes on as a straight line."""
 _NODES = 60
@@ -48,24 +51,26 @@ def fit(
     start = _linear_start(fiber, width_us, reach)
     start /= np.median(threshold_ma * (features @ start).max(axis=1))
     every = np.arange(len(features))
+    scale = np.abs(start) + 0.01 * np.abs(start).max()
 
     def errors(weights: Array) -> Array:
         reached = threshold_ma * (features @ weights).max(axis=1)
         straight = reached / _LEAST - 1 + np.log(_LEAST)
-        return np.asarray(np.where(reached > _LEAST, np.log(np.maximum(reached, _LEAST)), straight))
+        missed = np.where(reached > _LEAST, np.log(np.maximum(reached, _LEAST)), straight)
+        return np.concatenate([missed, _TIED * (weights - start) / scale])
 
     def slopes(weights: Array) -> Array:
         drive = features @ weights
         node = drive.argmax(axis=1)
         highest = drive[every, node]
         steep = 1 / np.maximum(highest, _LEAST / threshold_ma)
-        return np.asarray(features[every, node] * steep[:, None])
+        return np.vstack([features[every, node] * steep[:, None], np.diag(_TIED / scale)])
 
     found = least_squares(
         errors,
         start,
         slopes,
-        x_scale=np.abs(start) + 0.02 * np.abs(start).max(),
+        x_scale=scale,
         loss="soft_l1",
         f_scale=_TOLERANCE,
         max_nfev=200,

@@ -208,8 +208,7 @@ class Finger:
     ) -> tuple[Floats, NDArray[np.intp]]:
         spacing = driving.internode_mm
         nodes = max(int(np.ceil(length_mm / spacing)), len(driving.near_end.T) + 4, 12)
-        points = _along(one.course_mm[part], np.arange(nodes, dtype=np.float64) * spacing)
-        points = _rounded(points, int(one.anatomy.bend_mm / spacing / 2))
+        points = course_points(one, part, nodes, spacing)
         operator = driving.operator(nodes)
         kept = np.arange(len(operator))
         near, every = len(driving.near_end), max(1, int(_NODE_MM / spacing))
@@ -239,6 +238,14 @@ class Finger:
 def strength(width_us: Any, chronaxie_us: Any) -> Any:
     """Return the effect of a pulse of some width, relative to an endless one (Weiss 1901)."""
     return 1 / (1 + chronaxie_us / np.maximum(width_us, 1.0))
+
+
+def course_points(
+    one: Population, branches: NDArray[np.intp], nodes: int, spacing_mm: float
+) -> Array:
+    """Return places of nodes along branches, (B, N, 3) mm, ending first."""
+    points = _along(one.course_mm[branches], np.arange(nodes, dtype=np.float64) * spacing_mm)
+    return _rounded(points, int(one.anatomy.bend_mm / spacing_mm / 2))
 
 
 def _length(course_mm: Array, corners: int) -> float:

@@ -16,7 +16,7 @@ from smarttouch.afferent import Afferent, Mode
 from smarttouch.delivered.perception import PerceptThresholds
 from smarttouch.errors import ExperimentError
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.physiology.felt import Felt, felt, felt_map
+from smarttouch.physiology.felt import Felt, felt, felt_map, over
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile
@@ -137,9 +137,9 @@ def summary(found: Sequence[LetterFelt]) -> dict[str, float]:
     errors = sorted(fmean(one.read_as != one.letter for one in them) for them in by_finger.values())
     worst = errors[-max(1, len(errors) // 10) :]
     figures = {
-        name: median(
-            float(np.nanmean([getattr(one.felt, name) for one in them]))
-            for them in by_finger.values()
+        name: over(
+            median,
+            (over(fmean, (getattr(one.felt, name) for one in them)) for them in by_finger.values()),
         )
         for name in ("silent_points", "wrong_class", "misplaced")
     }
