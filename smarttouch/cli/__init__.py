@@ -18,6 +18,8 @@ from smarttouch.cli.design import design
 from smarttouch.cli.experiment import experiment
 from smarttouch.cli.experiment_fit import fit
 from smarttouch.cli.figures import figures
+from smarttouch.cli.finger import finger
+from smarttouch.cli.fit_fiber import fit_fiber
 from smarttouch.cli.legibility import legibility
 from smarttouch.cli.live import live
 from smarttouch.cli.mouse import mouse
@@ -44,7 +46,13 @@ _COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
     "Experiment": {"experiment": experiment},
     "Boards, sensors": {"boards": boards, "board": board, "sensor": sensor, "report": report},
     "Recordings": {"replay": replay, "recordings": recordings},
-    "Design": {"profiles": profiles, "design": design, "figures": figures},
+    "Design": {
+        "profiles": profiles,
+        "design": design,
+        "figures": figures,
+        "finger": finger,
+        "fit-fiber": fit_fiber,
+    },
 }
 """Commands by the panel of the help that lists them."""
 

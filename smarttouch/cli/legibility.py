@@ -31,6 +31,12 @@ def legibility(
         typer.Option(metavar="FILE.txt", help="What the page says; what Tesseract reads if none."),
     ] = None,
     mode: Annotated[str, typer.Option(metavar="RA|SAI", help="Whose receptors.")] = "RA",
+    fingers: Annotated[
+        int, typer.Option(min=0, max=1000, metavar="N", help="Simulated fingers that feel it, too.")
+    ] = 0,
+    anatomy: Annotated[
+        str, typer.Option(metavar="branched|paper|FILE", help="Of these fingers.")
+    ] = "branched",
     json_file: JsonOption = None,
     scan: ScanOption = "auto",
     quiet: QuietOption = False,
@@ -63,7 +69,7 @@ def legibility(
     sharing = RunConfig(scan=parse_choice("--scan", scan, SCANS)).sharing(chosen)
     reading = Reading(chosen, bank, wanted.tone, motion, parse_mode(mode), sharing)
     with lines_progress(quiet) as advance:
-        found = measure_legibility(text, reading, wanted, truth, advance)
+        found = measure_legibility(text, reading, wanted, truth, advance, fingers, anatomy)
     figures = {"source": source, "profile": chosen.name, "notes": notes, **found.figures}
     if json_file is not None:
         write_json(json_file, figures)

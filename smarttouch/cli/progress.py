@@ -22,9 +22,9 @@ def bank_progress(quiet: bool) -> AbstractContextManager[Advance | None]:
 
 
 @contextmanager
-def lines_progress(quiet: bool) -> Iterator[Advance]:
-    """Yield what shows how many lines have been felt."""
-    with _bar("Reading lines", quiet) as advance:
+def lines_progress(quiet: bool, title: str = "Reading lines") -> Iterator[Advance]:
+    """Yield what shows how many lines have been felt, or how much of something else is done."""
+    with _bar(title, quiet) as advance:
         yield advance or (lambda _done, _total: None)
 
 

@@ -14,9 +14,12 @@ from smarttouch.profile import Profile, Skin
 
 
 def field(
-    electrodes: ElectrodeArray, skin: Skin, position_mm: NDArray[np.float64], depth_mm: float
+    electrodes: ElectrodeArray,
+    skin: Skin,
+    position_mm: NDArray[np.float64],
+    depth_mm: float | NDArray[np.float64],
 ) -> tuple[Field, float]:
-    """Return the field of every electrode at points of one depth.
+    """Return the field of every electrode at points of one depth, or each of its own.
 
     Parameters
     ----------
@@ -26,8 +29,8 @@ def field(
         The conducting medium.
     position_mm : ndarray, (N, 2), mm
         Places along the skin.
-    depth_mm : float, mm
-        Their depth.
+    depth_mm : float or ndarray (N, 1), mm
+        Their depth; one for all in layered skin.
 
     Returns
     -------
@@ -60,7 +63,8 @@ def field(
 
         layers = [(layer.thickness_mm, layer.conductivity_s_per_m) for layer in skin.layers]
         radii = (0.0, 0.0) if shape == "point" else (outer / 2, inner / 2)
-        found = round_electrode(x, y, depth_mm, *radii, layers or [(np.inf, 1.0)])
+        depth = np.asarray(depth_mm).item()
+        found = round_electrode(x, y, depth, *radii, layers or [(np.inf, 1.0)])
     elif shape == "point":
         found = potential.point(x, y, depth_mm)
     else:
@@ -109,3 +113,48 @@ def af_matrix(
         else:
             rows.append(here.along(direction))
     return np.asarray(scale * np.concatenate(rows))
+
+
+def potential_mv(profile: Profile, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the potential of every electrode at points anywhere in the skin.
+
+    Parameters
+    ----------
+    profile : Profile
+        Array and homogeneous skin.
+    points_mm : ndarray, (..., 3), mm
+        Places along the skin, and depths below it.
+
+    Returns
+    -------
+    ndarray, (..., E), mV per mA of cathodic current
+        Negative under a cathode.
+
+    Raises
+    ------
+    DesignError
+        If the skin is layered: its fields are known depth by depth only.
+    """
+    electrodes, skin = profile.electrodes, profile.skin
+    if skin.layers:
+        raise DesignError(
+            "a finger of layered skin is not offered: give the profile a homogeneous medium, "
+            "'half-space' or 'infinite'",
+            about="skin.medium",
+            problem="unknown",
+            value=skin.medium,
+            allowed=("half-space", "infinite", "plane"),
+        )
+    flat, depth = points_mm.reshape(-1, 3)[:, :2], points_mm.reshape(-1, 3)[:, 2:]
+    if electrodes.shape == "disc" and skin.medium != "plane":
+        r2 = np.zeros((len(flat), len(electrodes)))
+        for axis in (0, 1):
+            away = flat[:, axis, None] - electrodes.position_mm[:, axis]
+            r2 += away * away
+        half_spaces = 2 if skin.medium == "infinite" else 1
+        scale = 1 / (2 * np.pi * skin.conductivity * half_spaces)
+        found = -potential.disc_potential(np.sqrt(r2), depth, electrodes.size_mm[0] / 2)
+    else:
+        fields, scale = field(electrodes, skin, flat, depth)
+        found = fields.potential
+    return np.asarray(1000 * scale * found.reshape(*points_mm.shape[:-1], len(electrodes)))

@@ -34,6 +34,7 @@ _SETTLED_US = 100.0  # once the m gates have followed (12 µs)
 _FLOOR_MA, _CEILING_MA = 1e-4, 1000.0
 _ROUNDS = (71, 17, 17)  # candidates, down to 0.1 %; many at first, as a cathode also blocks:
 # a fiber may fire only between its threshold and three times that
+_RUNG, _MOST = 1.1, 1000.0  # of a search upward: its steps, and its end over the estimate
 _PATIENCE_US = 20_000.0  # after the pulse; an action potential passes a node in about 10
 
 
@@ -87,37 +88,38 @@ class Fiber:
 
 
 class Axon:
-    """Fiber in a field, ready to be stepped in time under several currents at once.
+    """Fiber in one field or in several, ready to be stepped in time under many currents at once.
 
     A step is split (Strang): half of it for the membranes, all of it for axial
     current, half of it for the membranes again; each part is exact, with gates
     half a step ahead. Beyond the last node given the fiber goes on where the
-    field bends no more. Arguments are those of `threshold_ma`.
+    field bends no more. Arguments are those of `threshold_ma`; potentials may be (C, N), of C
+    fields.
+
+    Attributes
+    ----------
+    push : ndarray, (P,) or (C, P), mV
+        Effect of a step of 1 mA at each of P padded nodes.
     """
 
     def __init__(self, potential_mv_per_ma: ArrayLike, fiber: Fiber, step_us: float) -> None:
         potential = np.asarray(potential_mv_per_ma, np.float64)
-        if potential.ndim != 1 or potential.size < 2 or not np.isfinite(potential).all():
+        nodes = potential.shape[-1] if potential.ndim else 0
+        if potential.ndim not in (1, 2) or nodes < 2 or not np.isfinite(potential).all():
             raise ValueError("potentials must be finite, one for each of at least two nodes")
-        count = potential.size + _PADDING
+        count = nodes + _PADDING
         slope = np.diff(potential)
-        before = slope[0] if fiber.end == "through" else 0.0
-        field = np.zeros(count)
-        field[: potential.size] = np.diff(slope, prepend=before, append=slope[-1])
+        before = slope[..., :1] if fiber.end == "through" else 0 * slope[..., :1]
+        field = np.zeros((*potential.shape[:-1], count))
+        field[..., :nodes] = np.diff(slope, prepend=before, append=slope[..., -1:])
 
-        coupling = np.eye(count, k=1) + np.eye(count, k=-1)
-        coupling -= np.diag(coupling.sum(axis=1))
-        axial = fiber.coupling_per_us * np.column_stack([coupling, field])
+        axial, self._leak = self.passive_parts(fiber, count)
         self._sodium = np.full(count, _SODIUM_PER_US)
-        self._leak = np.full(count, _LEAK_PER_US)
         if fiber.end == "passive":
-            node_um2 = np.pi * fiber.diameter_um * fiber.axon_ratio * fiber.node_um
-            axial[0] *= node_um2 * _NODE_UF_PER_CM2 / (fiber.terminal_um2 * _BARE_UF_PER_CM2)
             self._sodium[0] = 0.0
-            self._leak[0] = _BARE_MS_PER_CM2 / _BARE_UF_PER_CM2 / 1000
-        over_step = expm(np.vstack([axial, np.zeros(count + 1)]) * step_us)
+        over_step = expm(np.vstack([axial, np.zeros_like(axial)]) * step_us)
         self._spread = over_step[:count, :count].T.copy()
-        self._push = over_step[:count, count]
+        self.push = field @ over_step[:count, count:].T
 
         self._gates_at_rest = _gates(np.zeros(1))[1]
         m, h = self._gates_at_rest[:, 0]
@@ -125,14 +127,27 @@ class Axon:
         self._leak_current = -self._sodium * m * m * h * _SODIUM_MV
         self.step_us = step_us
 
+    @staticmethod
+    def passive_parts(fiber: Fiber, count: int) -> tuple[Array, Array]:
+        """Return axial coupling (P, 2P) of potentials and of field, and leaks (P,), 1/µs."""
+        coupling = np.eye(count, k=1) + np.eye(count, k=-1)
+        coupling -= np.diag(coupling.sum(axis=1))
+        axial = fiber.coupling_per_us * np.column_stack([coupling, np.eye(count)])
+        leak = np.full(count, _LEAK_PER_US)
+        if fiber.end == "passive":
+            node_um2 = np.pi * fiber.diameter_um * fiber.axon_ratio * fiber.node_um
+            axial[0] *= node_um2 * _NODE_UF_PER_CM2 / (fiber.terminal_um2 * _BARE_UF_PER_CM2)
+            leak[0] = _BARE_MS_PER_CM2 / _BARE_UF_PER_CM2 / 1000
+        return axial, leak
+
     def rest(self, count: int) -> tuple[Array, Array]:
         """Return potentials (A, P) in mV and gates m and h (2, A, P) at rest, P padded nodes."""
         size = (count, self._sodium.size)
         gates = np.broadcast_to(self._gates_at_rest[:, :, None], (2, *size))
         return np.zeros(size), gates.copy()
 
-    def advance(self, state: tuple[Array, Array], current_ma: Array | None) -> tuple[Array, Array]:
-        """Return the state after one step, under (A,) currents in mA (cathodic > 0) or none."""
+    def advance(self, state: tuple[Array, Array], driven_mv: Array | None) -> tuple[Array, Array]:
+        """Return the state after one step, driven by (A, P) mV, currents times `push`, or not."""
         v, gates = state
         rate, target = _gates(v)
         rate *= -self.step_us
@@ -143,8 +158,8 @@ class Axon:
         conductance *= -self.step_us / 2
         decay = np.exp(conductance, out=conductance)
         v = (target_v + (v - target_v) * decay) @ self._spread
-        if current_ma is not None:
-            v += current_ma[:, None] * self._push
+        if driven_mv is not None:
+            v += driven_mv
         return target_v + (v - target_v) * decay, gates
 
 
@@ -202,7 +217,9 @@ def threshold_ma(
     low, high = _FLOOR_MA, _CEILING_MA
     for count in _ROUNDS:
         candidates = np.geomspace(low, high, count)
-        first = _first_to_fire(axon, candidates if cathodic else -candidates, steps)
+        signed = candidates if cathodic else -candidates
+        fired = _fires(axon, signed[:, None] * axon.push, steps)
+        first = int(fired.argmax()) if fired.any() else count
         if not 0 < first < count:
             polarity = "cathodic" if cathodic else "anodic"
             raise DesignError(
@@ -218,24 +235,78 @@ def threshold_ma(
     return high
 
 
-def _first_to_fire(axon: Axon, currents_ma: Array, steps: int) -> int:
-    """Return the index of the weakest of ascending currents to fire, or their number."""
-    v, gates = axon.rest(currents_ma.size)
-    alive = np.arange(currents_ma.size)
-    first, step = currents_ma.size, 0
+def thresholds_ma(
+    potential_mv_per_ma: ArrayLike,
+    fiber: Fiber,
+    width_us: float,
+    near_ma: ArrayLike,
+    *,
+    step_us: float = 4.0,
+    precision: float = 0.005,
+) -> Array:
+    """Return the thresholds of one fiber in many fields, looked for at once.
+
+    The lowest current to fire is sought upward from below an estimate, in steps of a tenth,
+    and then halved in.
+
+    Parameters
+    ----------
+    potential_mv_per_ma : array_like, (C, N), mV per mA
+        As of `threshold_ma`, for each field; turn its sign for the other polarity.
+    fiber : Fiber
+    width_us : float, µs
+    near_ma : array_like, (C,), mA
+        Estimates of the thresholds; a good one saves time and changes nothing else.
+    step_us : float, µs
+        Longest time step.
+    precision : float
+        Largest excess over a threshold, relative.
+
+    Returns
+    -------
+    ndarray, (C,), mA
+        NaN where nothing fires up to a thousand times the estimate.
+    """
+    steps = max(1, int(np.ceil(width_us / step_us - 1e-9)))
+    axon = Axon(potential_mv_per_ma, fiber, width_us / steps)
+    current = 0.5 * np.asarray(near_ma, np.float64)
+    while (low := _fires(axon, current[:, None] * axon.push, steps)).any():
+        current[low] /= 4
+    high = np.full(current.size, np.nan)
+    left = np.arange(current.size)
+    most = _MOST * np.asarray(near_ma, np.float64)
+    while left.size:
+        current[left] *= _RUNG
+        fired = _fires(axon, current[left, None] * axon.push[left], steps)
+        high[left[fired]] = current[left[fired]]
+        left = left[~fired & (current[left] < most[left])]
+    found = np.flatnonzero(np.isfinite(high))
+    low_ma, high_ma = high[found] / _RUNG, high[found]
+    for _ in range(int(np.ceil(np.log2(np.log(_RUNG) / precision)))):
+        middle = np.sqrt(low_ma * high_ma)
+        fired = _fires(axon, middle[:, None] * axon.push[found], steps)
+        low_ma, high_ma = np.where(fired, low_ma, middle), np.where(fired, middle, high_ma)
+    high[found] = high_ma
+    return high
+
+
+def _fires(axon: Axon, driven_mv: Array, steps: int) -> NDArray[np.bool_]:
+    """Return whether each of (A, P) drives, held for a number of steps, fires the fiber, (A,)."""
+    v, gates = axon.rest(len(driven_mv))
+    alive = np.arange(len(driven_mv))
+    fires, step = np.zeros(alive.size, np.bool_), 0
     settled, limit = (steps + int(each / axon.step_us) for each in (_SETTLED_US, _PATIENCE_US))
     while alive.size and step < limit:
-        v, gates = axon.advance((v, gates), currents_ma[alive] if step < steps else None)
+        v, gates = axon.advance((v, gates), driven_mv[alive] if step < steps else None)
         step += 1
         fired = v[:, _WATCHED] > _FIRED_MV
-        if fired.any():
-            first = int(alive[fired].min())
-        keep = alive < first
+        fires[alive[fired]] = True
+        keep = ~fired
         if step > settled:
             keep &= v.max(axis=1) > _QUIET_MV
         if not keep.all():
             v, gates, alive = v[keep], gates[:, keep], alive[keep]
-    return first
+    return fires
 
 
 def strength_duration(

@@ -74,7 +74,7 @@ def around_axis(
     )
 
 
-def line_in_plane(x: Array, depth: float) -> Field:
+def line_in_plane(x: Array, depth: float | Array) -> Field:
     """Return the field of a line source in the paper's two-dimensional medium.
 
     Eq. 3 to 5: Φ = −log R, ∂²Φ/∂x² ∝ (y² − x²) / (x² + y²)² with y the depth.
@@ -98,7 +98,7 @@ def line_in_plane(x: Array, depth: float) -> Field:
     return Field(np.log(r2) / 2, xx, zero, -xx, zero, -2 * x * depth / r2**2, zero)
 
 
-def point(x: Array, y: Array, depth: float) -> Field:
+def point(x: Array, y: Array, depth: float | Array) -> Field:
     """Return the field of a point electrode, Φ = 1/R."""
     r2 = x * x + y * y + depth * depth
     cube = r2**-1.5
@@ -108,7 +108,7 @@ def point(x: Array, y: Array, depth: float) -> Field:
     )  # fmt: skip
 
 
-def disc(x: Array, y: Array, depth: float, radius: float) -> Field:
+def disc(x: Array, y: Array, depth: float | Array, radius: float) -> Field:
     """Return the field of a disc at one potential (Weber's disc).
 
     Its potential is that of point sources spread evenly along an imaginary
@@ -126,22 +126,27 @@ def disc(x: Array, y: Array, depth: float, radius: float) -> Field:
         Depth below the surface; radius a of the disc.
     """
     r2 = x * x + y * y
-    r = np.sqrt(r2)
-    span = np.hypot(r - radius, depth) + np.hypot(r + radius, depth)
     zeta = depth + 1j * radius
     s = np.sqrt(r2 + zeta * zeta)
     cube = 1 / s**3
     return around_axis(
         x,
         y,
-        np.arcsin(2 * radius / span) / radius,
+        disc_potential(np.sqrt(r2), depth, radius),
         -(zeta * cube).imag / radius,
         (1 / (s * (zeta + s))).imag / radius,
         -cube.imag / radius,
     )
 
 
-def rectangle(x: Array, y: Array, depth: float, width: float, height: float) -> Field:
+def disc_potential(r: Array, depth: float | Array, radius: float) -> Array:
+    """Return the (anodic) potential alone of `disc`, at distances r from its axis."""
+    inner, outer, below = r - radius, r + radius, depth * depth
+    span = np.sqrt(inner * inner + below) + np.sqrt(outer * outer + below)
+    return np.asarray(np.arcsin(2 * radius / span) / radius)
+
+
+def rectangle(x: Array, y: Array, depth: float | Array, width: float, height: float) -> Field:
     """Return the field of a rectangle that passes current evenly.
 
     The integral of 1/R over a rectangle is a sum over its corners of

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from joblib import Parallel, delayed
+from numpy.typing import NDArray
 
 from smarttouch.afferent import Mode
 from smarttouch.boards.emulator.simulated import SimulatedBoard
@@ -23,6 +24,7 @@ from smarttouch.reading.window import pixel_of, press_n
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.runner import Runner
+from smarttouch.sources.frame import Pose
 from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 
 
@@ -51,8 +53,39 @@ class Reading:
     sharing: SlotPolicy = NO_SHARING
 
 
+@dataclass(frozen=True, eq=False)
+class DeliveredLine:
+    """A line as the skin got it.
+
+    Attributes
+    ----------
+    picture : LinePicture
+        Answers under the electrodes, where they were.
+    length_mm : float, mm
+    poses : dict of int to Pose
+        Places of the sequences, by number.
+    answers : dict of int to ndarray, (E,) in [0, 1]
+        Answers under the electrodes, by number of the sequence.
+    numbers, width_us, current_ua : ndarray, (N,), (N,), (N, E)
+        Slots that were delivered: their sequence, their width and their currents in µA.
+    """
+
+    picture: LinePicture
+    length_mm: float
+    poses: dict[int, Pose]
+    answers: dict[int, NDArray[np.float32]]
+    numbers: NDArray[np.uint32]
+    width_us: NDArray[np.float32]
+    current_ua: NDArray[np.int16]
+
+
 def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
-    """Read a line with a virtual finger on a simulated board; return the delivered picture.
+    """Return the delivered picture of a line, see `deliver_pulses`."""
+    return deliver_pulses(line, reading).picture
+
+
+def deliver_pulses(line: TouchLine, reading: Reading) -> DeliveredLine:
+    """Read a line with a virtual finger on a simulated board.
 
     Frames, kernels, pressure gate, soft start, the proof of safety, the bytes
     and the board's own check are those of a live run; only the clock is not.
@@ -79,17 +112,19 @@ def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
         ).run()
         board = display.board
         assert isinstance(board, SimulatedBoard)
-        answers.deliver(*board.take_pulses())
-    picture = LinePicture(profile.electrodes, _length_mm(line, profile))
+        pulses = board.take_pulses()
+        answers.deliver(*pulses)
+    length_mm = _length_mm(line, profile)
+    picture = LinePicture(profile.electrodes, length_mm)
     for pose, answer in answers:
         picture.add(pose.x_mm, answer)
-    return picture
+    return DeliveredLine(picture, length_mm, answers.poses, answers.answer, *pulses)
 
 
-def deliver_lines(lines: Iterable[TouchLine], reading: Reading) -> Iterator[LinePicture]:
-    """Read many lines, on all cores; yield the delivered picture of each as it is ready."""
+def deliver_lines(lines: Iterable[TouchLine], reading: Reading) -> Iterator[DeliveredLine]:
+    """Read many lines, on all cores; yield what was delivered of each as it is ready."""
     work = Parallel(n_jobs=-1, return_as="generator", max_nbytes=None)
-    yield from work(delayed(deliver_line)(line, reading) for line in lines)
+    yield from work(delayed(deliver_pulses)(line, reading) for line in lines)
 
 
 def ideal_picture(line: TouchLine, profile: Profile, step_mm: float) -> LinePicture:

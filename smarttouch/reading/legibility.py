@@ -1,7 +1,7 @@
 """Legibility: the part of a text that can be recognized from the delivered pulses."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +10,11 @@ import numpy as np
 from smarttouch.braille.files import read_text
 from smarttouch.braille.tables import open_table
 from smarttouch.delivered.line import LinePicture
+from smarttouch.physiology.finger import Finger
 from smarttouch.reading.braille import Braille
-from smarttouch.reading.deliver import Reading, deliver_lines, ideal_picture
+from smarttouch.reading.deliver import DeliveredLine, Reading, deliver_lines, ideal_picture
 from smarttouch.reading.error_rate import character_error_rate, word_error_rate
+from smarttouch.reading.nerve import nerve_figures, read_at_nerve
 from smarttouch.reading.ocr import Layout, recognize
 from smarttouch.reading.printed import LINE_PIXELS, recognized_lines
 from smarttouch.reading.shapes import Shapes, Style, shape_line
@@ -46,6 +48,8 @@ class Legibility:
     text, limit_text, page_text, truth : str
         Text recognized from each, and the true text.
     lines : int
+    delivered : sequence of (sequence of DeliveredLine, str)
+        Lines of each page as they were delivered, and the languages they are in.
     """
 
     character_error_rate: float
@@ -57,6 +61,7 @@ class Legibility:
     page_text: str
     truth: str
     lines: int
+    delivered: Sequence[tuple[Sequence[DeliveredLine], str]] = ()
 
 
 def legibility_of_shapes(
@@ -90,6 +95,7 @@ def legibility_of_shapes(
     texts: list[str] = []
     limit_texts: list[str] = []
     total = 0
+    delivered: list[tuple[list[DeliveredLine], str]] = []
     for page in source.prepared():
         indices = range(len(page.lines))
         page_texts += [text for _, text in recognized_lines(page, how, source.note)]
@@ -97,7 +103,8 @@ def legibility_of_shapes(
         felt = _kept(deliver_lines(lines, reading), total, total + len(indices), progress)
         graded = (shape_line(page, index, profile, Style.GRADED) for index in indices)
         ideal = [ideal_picture(line, profile, step_mm) for line in graded]
-        texts.append(_read(felt, how.languages))
+        delivered.append((felt, how.languages))
+        texts.append(_read([each.picture for each in felt], how.languages))
         limit_texts.append(_read(ideal, how.languages))
         total += len(indices)
     page_text, text, limit_text = ("\n".join(each) for each in (page_texts, texts, limit_texts))
@@ -112,7 +119,46 @@ def legibility_of_shapes(
         page_text=page_text,
         truth=compared,
         lines=total,
+        delivered=delivered,
     )
+
+
+def legibility_at_nerve(
+    found: Legibility,
+    reading: Reading,
+    fingers: int,
+    anatomy: str,
+    progress: Progress = _in_silence,
+) -> dict[str, Any]:
+    """Let simulated fingers feel delivered letter shapes, and recognize what each felt.
+
+    Parameters
+    ----------
+    found : Legibility
+        Of letter shapes.
+    reading : Reading
+    fingers : int
+        Number of them, by seeds from 1 on.
+    anatomy : str
+        Name or file of their anatomy.
+    progress : callable
+
+    Returns
+    -------
+    dict
+        ``at_board``, the error rate at the electrodes; ``at_nerve`` with ``median`` and
+        ``worst_tenth``; ``wrong_class``, ``misplaced`` and ``silent_points``.
+    """
+    lines = [line for page, _ in found.delivered for line in page]
+    readings, errors = [], []
+    for seed in range(1, fingers + 1):
+        finger = Finger(reading.profile, seed, anatomy)
+        readings.append(read_at_nerve(lines, finger, reading.mode.afferents))
+        pictures = iter(readings[-1].pictures)
+        texts = [_read([next(pictures) for _ in page], how) for page, how in found.delivered]
+        errors.append(character_error_rate(found.truth, "\n".join(texts)))
+        progress(seed, fingers)
+    return {"at_board": found.character_error_rate, **nerve_figures(readings, errors)}
 
 
 def _read(pictures: Sequence[LinePicture], languages: str) -> str:
@@ -132,11 +178,11 @@ def _read(pictures: Sequence[LinePicture], languages: str) -> str:
 
 
 def _kept(
-    pictures: Iterable[LinePicture], before: int, total: int, progress: Progress
-) -> list[LinePicture]:
-    kept: list[LinePicture] = []
-    for picture in pictures:
-        kept.append(picture)
+    lines: Iterable[DeliveredLine], before: int, total: int, progress: Progress
+) -> list[DeliveredLine]:
+    kept: list[DeliveredLine] = []
+    for line in lines:
+        kept.append(line)
         progress(before + len(kept), total)
     return kept
 
@@ -186,7 +232,9 @@ def legibility_of_braille(
     """
     profile = reading.profile
     lines = list(braille.lines(source, profile))
-    pictures = _kept(deliver_lines(lines, reading), 0, len(lines), progress)
+    pictures = [
+        each.picture for each in _kept(deliver_lines(lines, reading), 0, len(lines), progress)
+    ]
     wanted: list[str] = []
     delivered: list[str] = []
     for line, picture in zip(lines, pictures, strict=True):
@@ -236,6 +284,8 @@ def measure_legibility(
     presented: Shapes | Braille,
     truth: Path | None = None,
     progress: Progress = _in_silence,
+    fingers: int = 0,
+    anatomy: str = "branched",
 ) -> Measured:
     """Let a text be felt as letter shapes or Braille, and read what was felt.
 
@@ -246,6 +296,10 @@ def measure_legibility(
     presented : Shapes or Braille
     truth : Path, optional
         File of what the text says, for shapes.
+    fingers : int
+        Number of simulated fingers that feel letter shapes, too.
+    anatomy : str
+        Of these fingers.
 
     Raises
     ------
@@ -275,4 +329,12 @@ def measure_legibility(
         ("error rate, felt", f"{found.character_error_rate:.3f}"),
     ]
     shape = {"as": "shapes", "style": presented.style.value, "rows": rows_of(reading.profile)}
-    return Measured({**shape, **speed, **asdict(found)}, rows, found.text)
+    figures = {f.name: getattr(found, f.name) for f in fields(found) if f.name != "delivered"}
+    if fingers:
+        nerve = legibility_at_nerve(found, reading, fingers, anatomy, progress)
+        figures |= {"fingers": fingers, "anatomy": anatomy, **nerve}
+        rows += [
+            (f"error rate, nerve, {name.replace('_', ' ')}", f"{rate:.3f}")
+            for name, rate in nerve["at_nerve"].items()
+        ]
+    return Measured({**shape, **speed, **figures}, rows, found.text)

@@ -33,6 +33,7 @@ BASES = {
     "replay": f"replay {{golden}} {PAGE}",
     "design": "design --profile line-7",
     "figures": "figures pictures --profile line-7",
+    "finger": "finger T --profile smarttouch-4x4 --anatomy paper",
     "experiment run": (
         "experiment run detection --simulate first --participant x --trials 1 "
         "--procedure questplus --output answers.csv --overwrite --board simulated:"

@@ -87,7 +87,7 @@ def test_rest_stays_at_rest(end):
     axon = Axon(upright(), Fiber(end=end), 2.0)
     state = axon.rest(1)
     for _ in range(500):
-        state = axon.advance(state, np.zeros(1))
+        state = axon.advance(state, np.zeros((1, axon.push.size)))
     assert np.abs(state[0]).max() < 1e-9
 
 
@@ -97,7 +97,7 @@ def test_an_action_potential_travels_unharmed():
     axon = Axon(potential, Fiber(end="active"), 2.0)
     state, course = axon.rest(1), []
     for step in range(400):
-        state = axon.advance(state, np.array([0.03]) if step < 50 else None)
+        state = axon.advance(state, 0.03 * axon.push[None] if step < 50 else None)
         course.append(state[0][0])
     course = np.array(course)
     assert 85 < course[:, 20].max() < 100

@@ -1,0 +1,162 @@
+"""Driving functions: which currents fire a fiber, linear in the currents.
+
+A node fires where a weighted sum of the second differences of the potential at it and at
+its neighbors reaches 1: the activating function, smoothed along the fiber as its membrane
+does in the course of a pulse (Warman, Grill and Durand 1992; Peterson, Izad and Tyler
+2011). All nodes that are far from an ending share their weights; the first few of an
+ending have weights of their own. The weights are fitted to a cable model by `fiber_fit`.
+"""
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import DesignError
+from smarttouch.physiology.membrane import Fiber
+
+Array = NDArray[np.float64]
+End = Literal["through", "active", "passive"]
+
+_SHIPPED = Path(__file__).with_name("driving.json")
+
+FIBERS = {
+    "fingertip": Fiber(terminal_um2=1850.0),
+    "trunk": Fiber(diameter_um=5.7, internode_mm=0.5, terminal_um2=1850.0),
+    "mrg": Fiber(diameter_um=5.7, internode_mm=0.5055746, terminal_um2=1850.0),
+}
+"""Fibers by name: the fingertip's (Nolano et al. 2003) and one of a nerve trunk in our own cable
+model, and the MRG model. With 1850 µm² of bare terminal an upright fiber at 0.7 mm needs 1.38
+times as much cathodic as anodic current; macaque RA afferents 1.3 to 1.5 (Kaczmarek 2000)."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrivingFunction:
+    """Weights that make a fiber's drive from potentials along it.
+
+    Attributes
+    ----------
+    internode_mm : float, mm
+    end : {"through", "active", "passive"}
+        Kind of the first node, as in `membrane.Fiber`.
+    along : ndarray, (K + 1,), 1/mV
+        Weights at a node and at its K neighbors to either side.
+    near_end : ndarray, (H, L), 1/mV
+        Weights of the first H nodes that can fire, on the first L differences; (0, 0) of a
+        fiber that runs through.
+    """
+
+    internode_mm: float
+    end: End
+    along: Array
+    near_end: Array
+
+    def drive(self, potential_mv: Array) -> Array:
+        """Return the drive at each node that can fire: 1 is the threshold.
+
+        Parameters
+        ----------
+        potential_mv : ndarray, (C, N, E)
+            Potential at the nodes of C fibers, ending first, for each of E currents.
+
+        Returns
+        -------
+        ndarray, (C, M, E)
+        """
+        return self.operator(potential_mv.shape[-2]) @ potential_mv
+
+    def operator(self, nodes: int) -> Array:
+        """Return the drive as a matrix on the potentials of so many nodes, (M, N) 1/mV."""
+        bend = bend_operator(self.end, nodes)
+        first = self.end == "passive"
+        size = len(bend)
+        smooth = np.zeros((size, size))
+        for away, weight in enumerate(self.along):
+            smooth += weight * np.eye(size, k=away)
+            if away:
+                smooth += weight * np.eye(size, k=-away)
+        smooth = smooth[first:]
+        for row, weights in zip(smooth, self.near_end, strict=False):
+            row[:] = 0
+            row[: weights.size] = weights[:size]
+        return np.asarray(smooth @ bend)
+
+
+def bend_operator(end: End, nodes: int) -> Array:
+    """Return second differences along a fiber as a matrix, (B, N).
+
+    The first one of an ending is the difference to its only neighbor.
+    """
+    bends = np.diff(np.eye(nodes), 2, axis=0)
+    if end == "through":
+        return bends
+    return np.vstack([np.eye(1, nodes, 1) - np.eye(1, nodes), bends])
+
+
+@cache
+def _shipped() -> dict[str, Any]:
+    return dict(json.loads(_SHIPPED.read_text()))
+
+
+def load_driving(fiber: str, end: End, width_us: float) -> DrivingFunction:
+    """Return the shipped driving function of a fiber.
+
+    Parameters
+    ----------
+    fiber : str
+        One of `FIBERS`.
+    end : {"through", "active", "passive"}
+    width_us : float, µs
+        Pulse width, within what was fitted; between fitted widths weights are interpolated
+        over the logarithm.
+
+    Raises
+    ------
+    DesignError
+        If there is none of that fiber, ending or width.
+    """
+    offered = _shipped()
+    fitted: dict[str, Any] = offered.get(fiber, {}).get(end, {})
+    if not fitted:
+        names = tuple(f"{name}, {each}" for name, ends in offered.items() for each in ends)
+        raise DesignError(
+            f"no driving function of a {fiber!r} fiber with ending {end!r}: there are those of "
+            f"{'; '.join(names)}",
+            about="fiber",
+            problem="unknown",
+            value=(fiber, end),
+            allowed=names,
+        )
+    widths = sorted(float(each) for each in fitted)
+    if not widths[0] <= width_us <= widths[-1]:
+        raise DesignError(
+            f"a pulse of {width_us:g} µs is outside the fitted widths of {widths[0]:g} to "
+            f"{widths[-1]:g} µs: choose one within",
+            about="width_us",
+            problem="too small" if width_us < widths[0] else "too large",
+            value=width_us,
+            allowed=(widths[0], widths[-1]),
+        )
+    weights = {
+        part: np.array([fitted[f"{each:g}"][part] for each in widths])
+        for part in ("along", "near_end")
+    }
+    at = float(np.interp(np.log(width_us), np.log(widths), np.arange(len(widths))))
+    below = min(int(at), len(widths) - 2)
+    along, near_end = (
+        (below + 1 - at) * weights[part][below] + (at - below) * weights[part][below + 1]
+        for part in ("along", "near_end")
+    )
+    return DrivingFunction(FIBERS[fiber].internode_mm, end, along, near_end)
+
+
+def as_table(driving: DrivingFunction) -> dict[str, Any]:
+    """Return the weights for a JSON file, rounded to five digits."""
+    return {
+        "along": [float(f"{weight:.5g}") for weight in driving.along],
+        "near_end": [[float(f"{weight:.5g}") for weight in row] for row in driving.near_end],
+    }

@@ -1,0 +1,101 @@
+"""Measures of what a finger felt: silent points, spikes of other classes and elsewhere."""
+
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass
+from math import isnan, nan
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.afferent import Afferent
+from smarttouch.physiology.finger import Finger
+
+
+@dataclass(frozen=True)
+class Felt:
+    """What a finger felt of a pattern.
+
+    Attributes
+    ----------
+    spikes : int
+        All spikes.
+    afferents : dict of Afferent to int
+        Number of afferents of each class that fired.
+    silent_points : float
+        Part of the active electrodes with no receptor of a wanted class that fired within half
+        a pitch.
+    wrong_class : float
+        Part of the spikes of other classes; NaN without a spike.
+    misplaced : float
+        Part of the spikes whose receptor is beyond a pitch of every active electrode; NaN without
+        a spike.
+    """
+
+    spikes: int
+    afferents: dict[Afferent, int]
+    silent_points: float
+    wrong_class: float
+    misplaced: float
+
+
+def felt(
+    finger: Finger,
+    counts: NDArray[np.intp],
+    active: NDArray[np.bool_],
+    wanted: Collection[Afferent],
+) -> Felt:
+    """Return what was felt of a pattern.
+
+    Parameters
+    ----------
+    finger : Finger
+    counts : ndarray, (A,)
+        Spikes of each afferent.
+    active : ndarray, (E,) bool
+        Electrodes of the pattern.
+    wanted : collection of Afferent
+        Classes that it was meant for.
+    """
+    electrodes = finger.profile.electrodes
+    places = electrodes.position_mm[active]
+    fired = counts > 0
+    right = np.isin(finger.classes, [int(each) for each in wanted])
+    away = np.linalg.norm(finger.receptor_mm[:, None] - places, axis=2)
+    near = away <= electrodes.pitch_mm
+    reached = ((away <= electrodes.pitch_mm / 2) & (fired & right)[:, None]).any(axis=0)
+    total = int(counts.sum())
+    share = 1 / total if total else nan
+    return Felt(
+        total,
+        {each: int((fired & (finger.classes == each)).sum()) for each in Afferent},
+        float(1 - reached.mean()) if len(places) else 0.0,
+        float(counts[~right].sum() * share),
+        float(counts[~near.any(axis=1)].sum() * share),
+    )
+
+
+def over(how: Callable[[list[float]], float], values: Iterable[float]) -> float:
+    """Return a mean or median of the values that are numbers; NaN if none is."""
+    numbers = [each for each in values if not isnan(each)]
+    return how(numbers) if numbers else nan
+
+
+def felt_map(
+    finger: Finger, counts: NDArray[np.intp], places_mm: NDArray[np.float64], blur_mm: float = 1.0
+) -> NDArray[np.float32]:
+    """Return spikes of each class around places, (3, P), put where the receptors are.
+
+    Parameters
+    ----------
+    finger : Finger
+    counts : ndarray, (A,)
+        Spikes of each afferent.
+    places_mm : ndarray, (P, 2), mm
+    blur_mm : float, mm
+        Standard deviation of a receptive field. Ours.
+    """
+    fired = counts > 0
+    away = places_mm[None] - finger.receptor_mm[fired, None]
+    weight = np.exp(-(away**2).sum(axis=2) / (2 * blur_mm**2)) * counts[fired, None]
+    classes = finger.classes[fired]
+    return np.stack([weight[classes == each].sum(axis=0) for each in Afferent]).astype(np.float32)

@@ -1,0 +1,282 @@
+"""A finger: a population of afferents drawn from an anatomy, and how currents drive each."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.afferent import Afferent
+from smarttouch.physiology import afferents as nominal
+from smarttouch.physiology.activation import potential_mv
+from smarttouch.physiology.anatomy import Anatomy, ClassAnatomy, load_anatomy
+from smarttouch.physiology.driving import DrivingFunction, load_driving
+from smarttouch.profile import Profile
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+_AT_ONCE = 256
+_NODE_MM = 0.25
+"""Largest distance of the nodes that are looked at, where nodes lie closer: drives are smooth."""
+_SHALLOWEST_MM = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Population:
+    """Afferents of one class.
+
+    Attributes
+    ----------
+    afferent : Afferent
+    receptor_mm : ndarray, (A, 2), mm
+        Middle of each afferent's endings, where what it fires is felt.
+    course_mm : ndarray, (B, P, 3), mm
+        Corners of the course of each branch, ending first; z is the depth.
+    owner : ndarray, (B,) int
+        Afferent of each branch.
+    factor : ndarray, (A,)
+        Threshold of each afferent, relative to its class's.
+    anatomy : ClassAnatomy
+    """
+
+    afferent: Afferent
+    receptor_mm: Array
+    course_mm: Array
+    owner: NDArray[np.intp]
+    factor: Array
+    anatomy: ClassAnatomy
+
+
+class Finger:
+    """Afferents of one finger under the array of a profile.
+
+    Parameters
+    ----------
+    profile : Profile
+        Array and skin. x runs to the right, y from the fingertip toward the palm, z into the
+        skin.
+    seed : int
+        Of everything that differs between fingers; the same seed is the same finger.
+    anatomy : str, Path or Anatomy
+        "branched", "paper", a TOML file, or the anatomy itself.
+
+    Raises
+    ------
+    ProfileError
+        If there is no such anatomy.
+    DesignError
+        If the skin is layered, or the profile's pulse outside what is fitted.
+
+    Examples
+    --------
+    >>> from smarttouch.physiology.finger import Finger
+    >>> import smarttouch as st
+    >>> finger = Finger(st.load_profile("smarttouch-4x4"), seed=1, anatomy="paper")
+    >>> finger.populations[st.Afferent.RA].receptor_mm.shape[1]
+    2
+    """
+
+    def __init__(
+        self, profile: Profile, seed: int = 1, anatomy: str | Path | Anatomy = "branched"
+    ) -> None:
+        self.profile, self.seed = profile, seed
+        self.anatomy = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
+        self.populations = {each: self._populate(each) for each in Afferent}
+
+    @property
+    def reach_mm(self) -> Array:
+        """Half of the finger's width and length, mm."""
+        outer = np.abs(self.profile.electrodes.position_mm).max(axis=0)
+        return np.asarray(outer + self.anatomy.margin_mm)
+
+    @cached_property
+    def classes(self) -> NDArray[np.int8]:
+        """Class of each afferent, (A,)."""
+        return np.concatenate(
+            [np.full(len(one.factor), each, np.int8) for each, one in self.populations.items()]
+        )
+
+    @cached_property
+    def receptor_mm(self) -> Floats:
+        """Where what each afferent fires is felt, (A, 2) mm."""
+        places = [one.receptor_mm for one in self.populations.values()]
+        return np.concatenate(places).astype(np.float32)
+
+    @cached_property
+    def rows(self) -> tuple[Floats, NDArray[np.intp]]:
+        """Drive of the nodes that legal currents can fire, and the first node of each afferent.
+
+        Returns
+        -------
+        ndarray, (N, E) float32, 1/mA
+            Drive for 1 mA of cathodic current and the profile's pulse: 1 is the threshold.
+        ndarray, (A,) int
+            Nodes of afferent i begin there; each has at least one, be it of zeros.
+        """
+        found, starts, count = [], [], 0
+        for one in self.populations.values():
+            rows, owner = self._drives(one)
+            every = np.arange(len(one.factor))
+            silent = np.setdiff1d(every, owner)
+            rows = np.vstack([rows, np.zeros((len(silent), rows.shape[1]), np.float32)])
+            owner = np.concatenate([owner, silent])
+            order = np.argsort(owner, kind="stable")
+            found.append(rows[order])
+            starts.append(count + np.searchsorted(owner[order], every))
+            count += len(rows)
+        return np.ascontiguousarray(np.concatenate(found)), np.concatenate(starts)
+
+    def _populate(self, afferent: Afferent) -> Population:
+        is_like = self.anatomy.of(afferent)
+        random = np.random.default_rng([self.seed, int(afferent)])
+        receptor = self._places(is_like, random)
+        count, endings = len(receptor), is_like.endings
+        owner = np.repeat(np.arange(count), endings)
+        spread = random.normal(0, is_like.branch_spread_mm, (count, endings, 2))
+        spread[:, 0] = 0
+        ending = (receptor[:, None] + spread).reshape(-1, 2)
+        if is_like.on_ridges:
+            ending[:, 1] = np.round(ending[:, 1] / self.anatomy.ridge_mm) * self.anatomy.ridge_mm
+        depth = nominal.depth_mm(self.profile.skin, afferent)
+        depth = is_like.depth_mm or depth
+        depths = np.repeat(random.normal(depth, is_like.depth_spread_mm, count), endings)
+        depths = np.maximum(depths, _SHALLOWEST_MM)
+        turn = np.radians(random.normal(is_like.flat_deg, is_like.flat_spread_deg, count))[owner]
+        lean = np.tan(np.radians(random.normal(0, is_like.lean_deg, (count * endings, 2))))
+        joint = receptor[owner]
+        course = self._courses(is_like, ending, joint, depths, turn, lean)
+        factor = np.exp(random.normal(0, is_like.threshold_spread, count))
+        factor *= is_like.threshold_factor
+        middle = ending.reshape(count, endings, 2).mean(axis=1)
+        return Population(afferent, middle, course, owner, factor, is_like)
+
+    def _places(self, is_like: ClassAnatomy, random: np.random.Generator) -> Array:
+        """Return places all over the finger, (A, 2) mm, as dense as the anatomy says."""
+        reach = self.reach_mm
+        area_cm2 = 4 * reach.prod() / 100
+        count = random.poisson(is_like.density_per_cm2 * area_cm2)
+        place = random.uniform(-reach, reach, (count, 2))
+        beyond = place[:, 1] + reach[1] > self.anatomy.tip_mm
+        there = ~beyond | (random.random(count) < self.anatomy.beyond_tip)
+        return np.asarray(place[there])
+
+    def _courses(
+        self, is_like: ClassAnatomy, ending: Array, joint: Array, depth: Array, turn: Array,
+        lean: Array,
+    ) -> Array:  # fmt: skip
+        """Return the corners of each branch: ending, foot, joint, end of the flat part, (B, P, 3).
+
+        If axons descend there is one corner more, below the last.
+        """
+        top = np.maximum(depth - is_like.receptor_above_mm, _SHALLOWEST_MM)
+        plexus = np.maximum(is_like.plexus_mm or 0.0, depth)
+        upright = (plexus - top)[:, None]
+        foot = ending + lean * upright
+        away = np.column_stack([np.cos(turn), np.sin(turn)])
+        start = joint if is_like.endings > 1 else foot
+        flat = start + is_like.flat_mm * away
+        corners = [(ending, top), (foot, plexus), (start, plexus), (flat, plexus)]
+        if is_like.descent_mm:
+            corners.append((flat, plexus + is_like.descent_mm))
+        return np.stack([np.column_stack(each) for each in corners], axis=1)
+
+    def _drives(self, one: Population) -> tuple[Floats, NDArray[np.intp]]:
+        """Return the drive at the nodes of each branch that can fire, and their afferents."""
+        is_like = one.anatomy
+        driving = load_driving(is_like.fiber, is_like.ending, self.profile.pulse.width_us)
+        first = np.r_[True, np.diff(one.owner) > 0] if len(one.owner) else np.zeros(0, np.bool_)
+        found = [np.zeros((0, len(self.profile.electrodes)), np.float32)]
+        owners = [np.zeros(0, np.intp)]
+        # The first branch goes on along the axon, the others end where they join it.
+        for which, length_mm in (
+            (first, _length(one.course_mm[first], one.course_mm.shape[1] - 1)),
+            (~first, _length(one.course_mm[~first], 2) + len(driving.along) * driving.internode_mm),
+        ):
+            indices = np.flatnonzero(which)
+            for part in np.array_split(indices, max(1, len(indices) // _AT_ONCE)):
+                if len(part):
+                    rows, owner = self._part(one, driving, part, length_mm)
+                    found.append(rows)
+                    owners.append(owner)
+        return np.concatenate(found), np.concatenate(owners)
+
+    def _part(
+        self, one: Population, driving: DrivingFunction, part: NDArray[np.intp], length_mm: float
+    ) -> tuple[Floats, NDArray[np.intp]]:
+        spacing = driving.internode_mm
+        nodes = max(int(np.ceil(length_mm / spacing)), len(driving.near_end.T) + 4, 12)
+        points = course_points(one, part, nodes, spacing)
+        operator = driving.operator(nodes)
+        kept = np.arange(len(operator))
+        near, every = len(driving.near_end), max(1, int(_NODE_MM / spacing))
+        kept = kept[(kept < near) | ((kept - near) % every == 0)]
+        drive = operator[kept] @ potential_mv(self.profile, points)
+        owner = one.owner[part]
+        drive /= one.factor[owner][:, None, None]
+        rows = drive.reshape(-1, drive.shape[-1])
+        longest = strength(self.profile.limits.pulse_us, one.anatomy.chronaxie_us)
+        longest /= strength(self.profile.pulse.width_us, one.anatomy.chronaxie_us)
+        can = self._most(rows) * max(longest, 1.0) >= 1 - 5 * one.anatomy.noise
+        return rows[can].astype(np.float32), np.repeat(owner, len(kept))[can]
+
+    def _most(self, rows: Array) -> Array:
+        """Return the largest drive that currents within the profile's limits may have, (N,).
+
+        Electrodes' currents sum to zero, each is limited, and so is the sum of all anodes.
+        """
+        limits = self.profile.limits
+        ranked = np.sort(rows, axis=1)
+        each = float(limits.current_ma)
+        total = float(limits.total_ma or np.inf)
+        share = np.clip(total - each * np.arange(rows.shape[1]), 0, each)
+        return np.asarray((ranked[:, ::-1] - ranked) @ np.where(share > 0, share, 0.0))
+
+
+def strength(width_us: Any, chronaxie_us: Any) -> Any:
+    """Return the effect of a pulse of some width, relative to an endless one (Weiss 1901)."""
+    return 1 / (1 + chronaxie_us / np.maximum(width_us, 1.0))
+
+
+def course_points(
+    one: Population, branches: NDArray[np.intp], nodes: int, spacing_mm: float
+) -> Array:
+    """Return places of nodes along branches, (B, N, 3) mm, ending first."""
+    points = _along(one.course_mm[branches], np.arange(nodes, dtype=np.float64) * spacing_mm)
+    return _rounded(points, int(one.anatomy.bend_mm / spacing_mm / 2))
+
+
+def _length(course_mm: Array, corners: int) -> float:
+    """Return the longest of courses up to a corner, mm."""
+    if not len(course_mm):
+        return 0.0
+    steps = np.linalg.norm(np.diff(course_mm[:, : corners + 1], axis=1), axis=2)
+    return float(steps.sum(axis=1).max())
+
+
+def _along(course_mm: Array, along_mm: Array) -> Array:
+    """Return places along courses, (B, N, 3), at distances from their ends, (N,)."""
+    steps = np.diff(course_mm, axis=1)
+    lengths = np.linalg.norm(steps, axis=2)
+    begins = np.cumsum(lengths, axis=1) - lengths
+    points = np.repeat(course_mm[:, :1], len(along_mm), axis=1)
+    for index in range(steps.shape[1]):
+        last = index == steps.shape[1] - 1
+        done = along_mm - begins[:, index, None]
+        # A course goes straight on beyond its last corner.
+        done = np.maximum(done, 0) if last else np.clip(done, 0, lengths[:, index, None])
+        length = np.maximum(lengths[:, index], 1e-12)
+        points += done[..., None] * (steps[:, index] / length[:, None])[:, None]
+    return np.asarray(points)
+
+
+def _rounded(points_mm: Array, reach: int) -> Array:
+    """Return courses without sharp bends: means over so many nodes to either side, ends kept."""
+    reach = min(reach, points_mm.shape[1] - 1)
+    if reach < 1:
+        return points_mm
+    pad = ((0, 0), (reach + 1, reach), (0, 0))
+    sums = np.cumsum(np.pad(points_mm, pad, mode="reflect", reflect_type="odd"), axis=1)
+    return np.asarray((sums[:, 2 * reach + 1 :] - sums[:, : -2 * reach - 1]) / (2 * reach + 1))

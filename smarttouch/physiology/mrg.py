@@ -1,0 +1,96 @@
+"""Thresholds of the MRG fiber model, by NEURON through PyFibers: an optional extra.
+
+The double-cable model of McIntyre, Richardson and Grill (J. Neurophysiol. 87, 2002), with
+sodium and potassium channels, paranodes and myelin, as PyFibers interpolates it to a diameter.
+Install with ``pip install "smarttouch[fibers]"`` and run ``pyfibers_compile`` once.
+"""
+
+import logging
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.errors import DesignError
+
+Array = NDArray[np.float64]
+
+_STEP_MS, _STOP_MS = 0.01, 1.5
+_RUNG, _PRECISION = 1.15, 0.01
+_START, _MOST = 0.6, 50.0
+
+
+class MrgFiber:
+    """MRG fiber that any potentials can be laid on.
+
+    Parameters
+    ----------
+    end : {"through", "active"}
+        Whether its first node is an ending, sealed, or it runs on to both sides.
+    diameter_um : float, µm
+    nodes : int
+        Odd.
+
+    Raises
+    ------
+    DesignError
+        If PyFibers or NEURON is missing.
+    """
+
+    def __init__(
+        self, end: Literal["through", "active"], diameter_um: float = 5.7, nodes: int = 31
+    ) -> None:
+        try:
+            from pyfibers import FiberModel, build_fiber
+        except (ImportError, OSError) as error:
+            raise DesignError(
+                f"the MRG model needs PyFibers and NEURON, which are not ready here ({error}): "
+                'pip install "smarttouch[fibers]", then run pyfibers_compile',
+                about="pyfibers",
+                problem="missing",
+                remedy="smarttouch[fibers]",
+            ) from None
+        logging.getLogger("pyfibers").setLevel(logging.ERROR)
+        self._fiber: Any = build_fiber(
+            FiberModel.MRG_INTERPOLATION,
+            diameter=diameter_um,
+            n_nodes=nodes,
+            passive_end_nodes=False,
+        )
+        along = np.asarray(self._fiber.longitudinal_coordinates) / 1000
+        self.internode_mm = float(self._fiber.delta_z) / 1000
+        self.along_mm: Array = along - (along.mean() if end == "through" else along[0])
+        """Places of its sections along it, from the ending or from the middle, (S,) mm."""
+
+    def thresholds_ma(self, potential_mv_per_ma: Array, width_us: float, near_ma: Array) -> Array:
+        """Return the thresholds in fields, (C, S) mV per mA at `along_mm`: (C,) mA.
+
+        Parameters are those of `membrane.thresholds_ma`. NaN where nothing fires.
+        """
+        from pyfibers import ScaledStim
+
+        def pulse(time_ms: float) -> float:
+            return 1.0 if time_ms < width_us / 1000 else 0.0
+
+        stimulus: Any = ScaledStim(
+            waveform=pulse, dt=_STEP_MS, tstop=_STOP_MS + width_us / 1000, pad_waveform=True
+        )
+
+        def fires(current_ma: float) -> bool:
+            found = stimulus.run_sim(current_ma, self._fiber, fail_on_end_excitation=None)
+            return bool(found[0])
+
+        thresholds = []
+        for field, near in zip(potential_mv_per_ma, near_ma, strict=True):
+            self._fiber.potentials = field
+            current = _START * near
+            while fires(current):
+                current /= 2
+            while current < _MOST * near and not fires(current := current * _RUNG):
+                pass
+            low, high = current / _RUNG, current
+            while high / low > 1 + _PRECISION:
+                middle = float(np.sqrt(low * high))
+                low, high = (low, middle) if fires(middle) else (middle, high)
+            thresholds.append(high if current < _MOST * near else np.nan)
+        return np.array(thresholds)

@@ -1,0 +1,116 @@
+"""Spikes of a finger's afferents: which fires when, under the slots of a scan sequence."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.afferent import Afferent
+from smarttouch.physiology.finger import Finger, strength
+
+Floats = NDArray[np.float32]
+
+
+class Slots(Protocol):
+    """Currents in time: a scan sequence, or anything that has the same fields."""
+
+    @property
+    def current_ua(self) -> NDArray[np.int16]: ...
+    @property
+    def width_us(self) -> NDArray[np.uint16]: ...
+    @property
+    def discharge_us(self) -> NDArray[np.uint16]: ...
+    @property
+    def period_us(self) -> int: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Spikes:
+    """Spikes of one sequence.
+
+    Attributes
+    ----------
+    fired : ndarray, (A, S) bool
+        Whether each afferent fired in each slot.
+    time_us : ndarray, (S,), µs
+        When each slot began, from the first sequence on.
+    """
+
+    fired: NDArray[np.bool_]
+    time_us: NDArray[np.int64]
+
+    @property
+    def counts(self) -> NDArray[np.intp]:
+        """Number of spikes of each afferent, (A,)."""
+        return np.asarray(self.fired.sum(axis=1))
+
+
+class SpikeModel:
+    """Afferents of a finger that fire, with their thresholds, noise and refractoriness.
+
+    An afferent fires in a slot where the drive of any of its nodes reaches its threshold, unless
+    it fired a refractory time ago or less. A pulse counts by its width, by Weiss's law.
+
+    Parameters
+    ----------
+    finger : Finger
+    seed : int
+        Of the noise from pulse to pulse.
+    """
+
+    def __init__(self, finger: Finger, seed: int = 1) -> None:
+        self.finger = finger
+        self._rows, self._starts = finger.rows
+        anatomy = [finger.anatomy.of(each) for each in Afferent]
+        classes = finger.classes
+        self._chronaxie_us = np.array([each.chronaxie_us for each in anatomy], np.float32)
+        self._noise = np.array([each.noise for each in anatomy], np.float32)[classes]
+        self._refractory_us = np.array([each.refractory_us for each in anatomy])[classes]
+        self._random = np.random.default_rng(seed)
+        self._reference = strength(finger.profile.pulse.width_us, self._chronaxie_us)
+        self._last_us = np.full(len(classes), -np.inf)
+        self._now_us = 0
+
+    def drive(self, current_ua: NDArray[Any], width_us: NDArray[Any]) -> Floats:
+        """Return the largest drive of each afferent in each slot: 1 is its threshold.
+
+        Parameters
+        ----------
+        current_ua : ndarray, (S, E), µA
+            Positive cathodic.
+        width_us : ndarray, (S,), µs
+
+        Returns
+        -------
+        ndarray, (A, S) float32
+        """
+        if not len(self._starts):
+            return np.zeros((0, len(current_ua)), np.float32)
+        current_ma = np.asarray(current_ua, np.float32).T / np.float32(1000)
+        highest = np.maximum.reduceat(self._rows @ current_ma, self._starts, axis=0)
+        width = np.asarray(width_us, np.float32)[:, None]
+        by_class = (strength(width, self._chronaxie_us) / self._reference).astype(np.float32)
+        highest *= by_class.T[self.finger.classes]
+        return np.asarray(highest)
+
+    def fire(self, slots: Slots, above: Floats | None = None) -> Spikes:
+        """Return the spikes of one sequence; the next one begins where it ends.
+
+        Parameters
+        ----------
+        slots : Slots
+        above : ndarray, (A, S), optional
+            Its `drive`, where it is known from before.
+        """
+        lasts = slots.width_us.astype(np.int64) + slots.discharge_us
+        time_us = self._now_us + np.cumsum(lasts) - lasts
+        if above is None:
+            above = self.drive(slots.current_ua, slots.width_us)
+        noise = self._random.standard_normal(above.shape, np.float32)
+        fired = above >= 1 + self._noise[:, None] * noise
+        for slot, begin_us in enumerate(time_us):
+            fired[:, slot] &= begin_us - self._last_us >= self._refractory_us
+            self._last_us[fired[:, slot]] = begin_us
+        self._now_us += slots.period_us
+        return Spikes(fired, time_us)

@@ -1,0 +1,190 @@
+"""Letters on many fingers: what the board delivers, and what the afferents make of it.
+
+A letter is recognized by its correlation with the letters as they were meant: at the board from
+the answers of one receptor under each electrode, at the nerve from the spikes, put where the
+receptors are. No person was asked; errors at the nerve are of this reader, not of readers.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from statistics import fmean, median
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.afferent import Afferent, Mode
+from smarttouch.delivered.perception import Perception
+from smarttouch.errors import ExperimentError
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.physiology.felt import Felt, felt, felt_map, over
+from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.profile import Profile
+from smarttouch.psychophysics.letters import ALPHABET, draw_letter
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.sources.stimulus import Stimulus
+from smarttouch.stimulation.sequence import ScanSequence
+
+Floats = NDArray[np.float32]
+
+_PERIODS = 10
+"""Periods of a letter that a finger feels: noise and refractoriness differ between them."""
+
+
+@dataclass(frozen=True)
+class LetterFelt:
+    """One letter on one finger.
+
+    Attributes
+    ----------
+    letter : str
+    seed : int
+        Of the finger.
+    felt : Felt
+    read_as : str
+        Letter that the spikes resemble most; empty without a spike.
+    """
+
+    letter: str
+    seed: int
+    felt: Felt
+    read_as: str
+
+
+def letter_sequence(
+    letter: str, profile: Profile, bank: KernelBank, mode: Mode
+) -> tuple[ScanSequence, NDArray[np.bool_]]:
+    """Return the scan sequence of a letter at full comfort, and its electrodes, (E,)."""
+    drawn = draw_letter(letter, profile)
+    activation = np.zeros((len(Afferent), len(drawn)), np.float32)
+    activation[mode.afferents[0]] = drawn
+    pipeline = Pipeline(profile, bank, RunConfig(mode=mode))
+    force_n = profile.force.full_n
+    period_us = round(1e6 / profile.pulse.rate_hz)
+    after_ramp_ns = int(1e9 * (profile.limits.ramp_s + 1))
+    for time_ns in (0, after_ramp_ns):
+        step = pipeline.process(Stimulus(activation, time_ns, force_n, period_us))
+    return step.sequence, drawn > 0
+
+
+def feel_letters(
+    profile: Profile,
+    bank: KernelBank,
+    mode: Mode,
+    anatomy: str,
+    seeds: Sequence[int],
+    letters: str = ALPHABET,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> list[LetterFelt]:
+    """Put letters on fingers, each at full comfort in one mode.
+
+    Parameters
+    ----------
+    profile : Profile
+        Of an array with rows and columns.
+    bank : KernelBank
+    mode : Mode
+        RA, SAI or PC.
+    anatomy : str
+        Name or file of the fingers' anatomy.
+    seeds : sequence of int
+        Of the fingers.
+    letters : str
+    progress : callable
+        Is given the number of finished fingers and of all.
+    """
+    shown = {each: letter_sequence(each, profile, bank, mode) for each in letters}
+    places = profile.electrodes.position_mm
+    known = _templates(profile)
+    found = []
+    for done, seed in enumerate(seeds):
+        finger = Finger(profile, seed, anatomy)
+        for letter, (sequence, active) in shown.items():
+            model = SpikeModel(finger, seed)
+            above = model.drive(sequence.current_ua, sequence.width_us)
+            counts = np.sum([model.fire(sequence, above).counts for _ in range(_PERIODS)], axis=0)
+            spread = felt_map(finger, counts, places).sum(axis=0)
+            read_as = _most_like(spread, known)
+            found.append(
+                LetterFelt(letter, seed, felt(finger, counts, active, mode.afferents), read_as)
+            )
+        progress(done + 1, len(seeds))
+    return found
+
+
+def read_at_board(
+    profile: Profile, bank: KernelBank, mode: Mode, letters: str = ALPHABET
+) -> dict[str, str]:
+    """Return what each letter is read as from the answers under the electrodes."""
+    answers = Perception(profile, bank, mode.afferents)
+    known = _templates(profile)
+    read = {}
+    for letter in letters:
+        sequence, _ = letter_sequence(letter, profile, bank, mode)
+        width = sequence.width_us.astype(np.float32)
+        numbers = np.zeros(sequence.slots, np.uint32)
+        answer = answers.answers(numbers, width, sequence.current_ua).get(0)
+        read[letter] = "" if answer is None else _most_like(answer, known)
+    return read
+
+
+def summary(found: Sequence[LetterFelt]) -> dict[str, float]:
+    """Return medians over fingers of the means over letters, and error rates at the nerve."""
+    by_finger: dict[int, list[LetterFelt]] = {}
+    for each in found:
+        by_finger.setdefault(each.seed, []).append(each)
+    errors = sorted(fmean(one.read_as != one.letter for one in them) for them in by_finger.values())
+    worst = errors[-max(1, len(errors) // 10) :]
+    figures = {
+        name: over(
+            median,
+            (over(fmean, (getattr(one.felt, name) for one in them)) for them in by_finger.values()),
+        )
+        for name in ("silent_points", "wrong_class", "misplaced")
+    }
+    return {**figures, "median": median(errors), "worst_tenth": fmean(worst)}
+
+
+def _templates(profile: Profile) -> dict[str, Floats]:
+    return {each: _centered(draw_letter(each, profile)) for each in ALPHABET}
+
+
+def _most_like(values: Floats, known: dict[str, Floats]) -> str:
+    if not values.any():
+        return ""
+    mine = _centered(values)
+    return max(known, key=lambda each: float(known[each] @ mine))
+
+
+def _centered(values: Floats) -> Floats:
+    """Return values of mean 0 and length 1."""
+    away = np.asarray(values, np.float32) - values.mean()
+    return np.asarray(away / max(float(np.linalg.norm(away)), 1e-9), np.float32)
+
+
+def error_at_board(
+    profile: Profile, bank: KernelBank, mode: Mode, letters: str = ALPHABET
+) -> float:
+    """Return the part of letters that are read as another from the answers at the electrodes."""
+    read = read_at_board(profile, bank, mode, letters)
+    return fmean(letter != seen for letter, seen in read.items())
+
+
+def require_letters(text: str) -> str:
+    """Return letters from A to Z, each once.
+
+    Raises
+    ------
+    ExperimentError
+        If there are others, or none.
+    """
+    letters = "".join(dict.fromkeys(text.upper()))
+    if not letters or set(letters) - set(ALPHABET):
+        raise ExperimentError(
+            f"{text!r} must be letters from A to Z, as in T or AEIOU",
+            about="LETTERS",
+            problem="unknown" if letters else "too few",
+            value=text,
+        )
+    return letters

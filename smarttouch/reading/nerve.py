@@ -1,0 +1,106 @@
+"""Legibility at the nerve: lines as the afferents of simulated fingers report them."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from statistics import fmean, median
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.afferent import Afferent
+from smarttouch.delivered.line import LinePicture
+from smarttouch.physiology.felt import felt, over
+from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.reading.deliver import DeliveredLine
+
+_FIELD_MM = 1.0
+"""Standard deviation of a receptive field. Ours."""
+_FULL_QUANTILE = 0.99
+
+
+@dataclass(frozen=True, eq=False)
+class DeliveredSlots:
+    """Slots of one delivered sequence, as `SpikeModel` takes them."""
+
+    current_ua: NDArray[np.int16]
+    width_us: NDArray[np.uint16]
+    discharge_us: NDArray[np.uint16]
+    period_us: int
+
+
+@dataclass(frozen=True, eq=False)
+class NerveReading:
+    """Lines on one finger.
+
+    Attributes
+    ----------
+    pictures : list of LinePicture
+    silent_points, wrong_class, misplaced : float
+        Means over the sequences that had slots, see `felt.Felt`; NaN if none of them fired. Active
+        are the electrodes at which the board's own answer is above the threshold.
+    """
+
+    pictures: list[LinePicture]
+    silent_points: float
+    wrong_class: float
+    misplaced: float
+
+
+def read_at_nerve(
+    lines: Sequence[DeliveredLine], finger: Finger, wanted: Collection[Afferent]
+) -> NerveReading:
+    """Return what a finger feels of delivered lines.
+
+    At each electrode stand the spikes of the receptors around it, of all classes, relative to
+    nearly the most that any electrode has.
+
+    Parameters
+    ----------
+    lines : sequence of DeliveredLine
+    finger : Finger
+    wanted : collection of Afferent
+        Classes that the lines were for.
+    """
+    profile = finger.profile
+    places = profile.electrodes.position_mm
+    away = finger.receptor_mm[:, None] - places
+    field = np.exp(-(away**2).sum(axis=2) / (2 * _FIELD_MM**2)).astype(np.float32)
+    period_us = round(1e6 / profile.pulse.rate_hz)
+    found, values = [], []
+    for line in lines:
+        model = SpikeModel(finger)
+        for number, pose in line.poses.items():
+            which = line.numbers == number
+            width = line.width_us[which].astype(np.uint16)
+            discharge = np.full(len(width), profile.pulse.discharge_us, np.uint16)
+            slots = DeliveredSlots(line.current_ua[which], width, discharge, period_us)
+            counts = model.fire(slots).counts
+            values.append((line, pose.x_mm, counts @ field))
+            if number in line.answers:
+                found.append(felt(finger, counts, line.answers[number] > 0, wanted))
+    full = float(np.quantile([each.max() for _, _, each in values], _FULL_QUANTILE))
+    pictures = {id(line): LinePicture(profile.electrodes, line.length_mm) for line in lines}
+    for line, x_mm, each in values:
+        shown = np.clip(each / max(full, 1e-9), 0, 1).astype(np.float32)
+        pictures[id(line)].add(x_mm, shown)
+    measures = (
+        over(fmean, (getattr(each, name) for each in found))
+        for name in ("silent_points", "wrong_class", "misplaced")
+    )
+    return NerveReading(list(pictures.values()), *measures)
+
+
+def nerve_figures(
+    readings: Sequence[NerveReading], errors: Sequence[float]
+) -> dict[str, float | dict[str, float]]:
+    """Return medians over fingers, and error rates at the nerve, for a JSON file."""
+    ranked = sorted(errors)
+    worst = ranked[-max(1, len(ranked) // 10) :]
+    return {
+        "at_nerve": {"median": median(ranked), "worst_tenth": fmean(worst)},
+        **{
+            name: over(median, (getattr(each, name) for each in readings))
+            for name in ("wrong_class", "misplaced", "silent_points")
+        },
+    }

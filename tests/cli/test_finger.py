@@ -1,0 +1,57 @@
+"""`smarttouch finger` and `fit-fiber`: figures, pictures, and what they refuse."""
+
+import json
+import sys
+
+import pytest
+from PIL import Image
+
+from smarttouch.errors import DesignError, ExperimentError, ProfileError, SmartTouchError
+
+from ..raising import assert_says
+from .conftest import refused
+
+
+def test_a_letter_on_one_finger(program_here, tmp_path):
+    done = program_here(
+        "finger", "IT", "--profile=smarttouch-4x4", "--anatomy=paper", "--fingers=2",
+        "--json=felt.json", "--plot=felt.png",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    table = json.loads((tmp_path / "felt.json").read_text())
+    assert (table["letters"], table["fingers"], table["anatomy"]) == ("IT", 2, "paper")
+    for name in ("wrong_class", "misplaced", "silent_points", "at_board"):
+        assert 0 <= table[name] <= 1
+    assert 0 <= table["at_nerve"]["median"] <= table["at_nerve"]["worst_tenth"] <= 1
+    with Image.open(tmp_path / "felt.png") as picture:
+        assert min(picture.size) > 400
+        assert len(picture.getcolors(1 << 22)) > 50
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kind", "says"),
+    [
+        (["4"], ExperimentError, {"about": "LETTERS", "problem": "unknown", "value": "4"}),
+        (["T", "--anatomy=none"], ProfileError, {"about": "anatomy", "value": "none"}),
+        (["T", "--profile=line-7"], ExperimentError, {"about": "profile", "value": 1}),
+        (["T", "--mode=SAII"], SmartTouchError, {"about": "--mode"}),
+    ],
+)
+def test_fingers_of_nonsense(program_here, arguments, kind, says):
+    error = refused(program_here("finger", *arguments))
+    assert isinstance(error, kind)
+    assert_says(error, **says)
+
+
+def test_a_fiber_that_is_not_offered(program_here):
+    error = refused(program_here("fit-fiber", "giant"))
+    assert_says(error, value="giant", allowed=("fingertip", "trunk", "mrg"))
+
+
+def test_mrg_without_its_extra(monkeypatch):
+    from smarttouch.physiology.mrg import MrgFiber
+
+    monkeypatch.setitem(sys.modules, "pyfibers", None)
+    with pytest.raises(DesignError) as caught:
+        MrgFiber("through")
+    assert_says(caught.value, about="pyfibers", problem="missing")

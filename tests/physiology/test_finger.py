@@ -1,0 +1,153 @@
+"""A finger: as dense as its anatomy, the same from the same seed, and linear in the currents."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.afferent import Afferent
+from smarttouch.errors import DesignError, ProfileError
+from smarttouch.physiology.anatomy import list_anatomies, load_anatomy
+from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.profile import load_profile
+
+from ..raising import raises
+
+ANATOMIES = ("branched", "paper")
+
+
+@pytest.fixture(scope="module")
+def small():
+    return load_profile("smarttouch-4x4")
+
+
+@pytest.fixture(scope="module", params=ANATOMIES)
+def model(small, request):
+    return SpikeModel(Finger(small, 3, request.param))
+
+
+def patterns(profile, seed, slots=8):
+    """Random currents that sum to zero and stay within the profile's limits, µA."""
+    random = np.random.default_rng(seed)
+    raw = random.normal(size=(slots, len(profile.electrodes)))
+    raw -= raw.mean(axis=1, keepdims=True)
+    limits = profile.limits
+    most = 1000 * limits.current_ma / np.abs(raw).max(axis=1)
+    if limits.total_ma is not None:
+        most = np.minimum(most, 2000 * limits.total_ma / np.abs(raw).sum(axis=1))
+    return raw * most[:, None]
+
+
+def test_the_shipped_anatomies():
+    assert list_anatomies() == sorted(ANATOMIES)
+
+
+@pytest.mark.parametrize("anatomy", ANATOMIES)
+def test_the_same_seed_is_the_same_finger(small, anatomy):
+    one, again, other = (Finger(small, seed, anatomy) for seed in (1, 1, 2))
+    for afferent in Afferent:
+        first, second = one.populations[afferent], again.populations[afferent]
+        assert np.array_equal(first.course_mm, second.course_mm)
+        assert np.array_equal(first.factor, second.factor)
+        assert len(first.factor) != len(other.populations[afferent].factor) or not np.allclose(
+            first.receptor_mm, other.populations[afferent].receptor_mm
+        )
+
+
+@pytest.mark.parametrize("anatomy", ANATOMIES)
+def test_densities_are_those_of_the_anatomy(anatomy):
+    finger = Finger(load_profile("electric-mouse"), 1, anatomy)
+    area_cm2 = 4 * finger.reach_mm.prod() / 100
+    for afferent, density in ((Afferent.RA, 141), (Afferent.SAI, 70), (Afferent.PC, 21)):
+        count, expected = len(finger.populations[afferent].factor), density * area_cm2
+        assert abs(count - expected) < 4 * np.sqrt(expected)
+
+
+def test_densities_fall_beyond_the_tip(small):
+    anatomy = load_anatomy("paper").model_copy(update={"tip_mm": 5.0, "margin_mm": 10.0})
+    finger = Finger(small, 1, anatomy)
+    y = finger.receptor_mm[finger.classes == Afferent.RA, 1] + finger.reach_mm[1]
+    tip, beyond = np.sum(y < 5) / 5, np.sum(y > 5) / (y.max() - 5)
+    assert beyond / tip == pytest.approx(1.6 / 4.2, rel=0.25)
+
+
+@pytest.mark.parametrize("anatomy", ANATOMIES)
+def test_courses_lie_in_the_skin_and_endings_under_ridges(small, anatomy):
+    finger = Finger(small, 1, anatomy)
+    for one in finger.populations.values():
+        assert one.course_mm[..., 2].min() > 0
+        assert np.all(np.diff(one.course_mm[..., 2], axis=1) > -1e-9)
+    endings = finger.populations[Afferent.RA].course_mm[:, 0, 1] / finger.anatomy.ridge_mm
+    assert endings == pytest.approx(np.round(endings), abs=1e-9)
+
+
+def test_branches_gather_around_the_receptor(small):
+    one = Finger(small, 1, "branched").populations[Afferent.RA]
+    assert len(one.owner) == one.anatomy.endings * len(one.factor)
+    away = one.course_mm[:, 0, :2] - one.receptor_mm[one.owner]
+    assert away[:, 0].std() == pytest.approx(one.anatomy.branch_spread_mm, rel=0.15)
+
+
+@given(seed=st.integers(0, 2**32 - 1), factor=st.floats(0.1, 5))
+def test_drive_grows_with_the_current(model, seed, factor):
+    """What fires at some current fires at every larger one."""
+    current = patterns(model.finger.profile, seed, 2)
+    width = np.full(2, 200)
+    one, more = model.drive(current, width), model.drive(factor * current, width)
+    assert more == pytest.approx(factor * one, rel=1e-3, abs=1e-4)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_drive_of_two_patterns_together_is_at_most_the_sum(model, seed):
+    one, other = patterns(model.finger.profile, seed, 2)
+    width = np.full(3, 200)
+    drive = np.maximum(model.drive(np.array([one, other, one + other]), width), 0)
+    assert np.all(drive[:, 2] <= drive[:, 0] + drive[:, 1] + 1e-3)
+
+
+def test_nodes_that_are_left_out_are_never_fired_by_legal_currents(small, monkeypatch):
+    kept = SpikeModel(Finger(small, 5, "branched"))
+    with monkeypatch.context() as every:
+        every.setattr(Finger, "_most", lambda _, rows: np.full(len(rows), np.inf))
+        whole = SpikeModel(Finger(small, 5, "branched"))
+    assert len(kept.finger.rows[0]) < 0.9 * len(whole.finger.rows[0])
+    currents, width = patterns(small, 1, 100), np.full(100, small.pulse.width_us)
+    fired = whole.drive(currents, width) >= 1
+    assert fired.any()
+    assert np.array_equal(kept.drive(currents, width) >= 1, fired)
+
+
+def test_another_anatomy_from_a_file(tmp_path, small):
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        'title = "One class"\n[ra]\ndensity_per_cm2 = 100\n'
+        "[sai]\ndensity_per_cm2 = 0\n[pc]\ndensity_per_cm2 = 0\n"
+    )
+    finger = Finger(small, 1, path)
+    assert finger.anatomy.name == "mine"
+    assert set(finger.classes) == {Afferent.RA}
+    SpikeModel(finger).drive(patterns(small, 1), np.full(8, 200))
+
+
+def test_what_is_wrong_with_an_anatomy(tmp_path, small):
+    with raises(ProfileError, about="anatomy", problem="unknown", value="none-such"):
+        Finger(small, 1, "none-such")
+    path = tmp_path / "mine.toml"
+    path.write_text('title = "x"\n[ra]\ndensity_per_cm2 = -1\n[sai]\n[pc]\nlegs = 3\n')
+    with raises(ProfileError, about=lambda about: "density" in about) as caught:
+        Finger(small, 1, path)
+    assert {each.problem for each in caught.value.complaints} >= {"too small", "missing", "unknown"}
+    path.write_text("[ra")
+    with raises(ProfileError, problem="malformed"):
+        Finger(small, 1, path)
+
+
+def test_layered_skin_is_not_offered(small, changed):
+    layers = [{"thickness_mm": 0.3, "conductivity_s_per_m": 0.02}, {"conductivity_s_per_m": 0.4}]
+    layered = changed(
+        small,
+        {"skin.medium": "layered", "skin.layers": layers, "skin.conductivity_s_per_m": None},
+    )
+    with raises(DesignError, about="skin.medium", value="layered"):
+        _ = Finger(layered, 1, "paper").rows
