@@ -168,7 +168,7 @@ def start_emulator(tmp_path):
                 "--port-only",
                 f"--electrodes={electrodes}",
                 f"--books={books}",
-                "--linger=2",
+                "--linger=30",
                 *more,
             ],
             stdout=subprocess.PIPE,
