@@ -7,6 +7,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_ext"))
 
+# After the path, of which the extensions are.
 from smarttouch.version import __version__  # noqa: E402
 
 project = "SmartTouch"

@@ -10,6 +10,7 @@ try:
     import termios
     import tty
 except ImportError:
+    # A module cannot be None for a type checker; whoever needs one asks first.
     fcntl = pty = resource = termios = tty = None  # type: ignore[assignment]
 
 __all__ = ["fcntl", "pty", "resource", "termios", "tty"]

@@ -1,4 +1,4 @@
-"""What many tests start from."""
+"""Fixtures and options shared by all tests."""
 
 import fcntl
 import gc

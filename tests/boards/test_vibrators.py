@@ -276,6 +276,7 @@ class FakeSound(types.ModuleType):
         super().__init__("sounddevice")
         self.opened, self.refuse = [], refuse
 
+    # Named as sounddevice names it.
     def OutputStream(self, **options):  # noqa: N802
         if self.refuse is not None:
             raise self.refuse

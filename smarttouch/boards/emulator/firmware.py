@@ -57,7 +57,8 @@ class Firmware(ABC):
         """The host has closed the line, which the device need not notice."""
         self.idle(now_ns)
 
-    def zero(self, reason: str, now_ns: int) -> None:  # noqa: B027 (sensors carry no current)
+    # Not abstract: sensors carry no current and leave it out.
+    def zero(self, reason: str, now_ns: int) -> None:  # noqa: B027
         """Lose power; does nothing unless it is overridden."""
 
     def take_order(self, words: list[str]) -> bool:
