@@ -22,12 +22,12 @@ from smarttouch.boards.etactilekit_wire import (
     VOLTS_PER_COUNT,
 )
 from smarttouch.boards.impedance import Impedance, judge
+from smarttouch.boards.job import Job
 from smarttouch.boards.kept_board import KEPT_MS
 from smarttouch.boards.probe import one_each
 from smarttouch.boards.scale import scale_of
 from smarttouch.boards.scan_lock import ScanLock
 from smarttouch.boards.slow_line import slow_line_notes
-from smarttouch.boards.streamed import Job
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from smarttouch.boards.etactilekit_line import ETactileKitLine
 from smarttouch.boards.etactilekit_pulses import SHORTEST_US, Settings
+from smarttouch.boards.job import Job
 from smarttouch.boards.scan_lock import WIDEST, ScanLock, Span
 from smarttouch.boards.single_source import one_against_all
-from smarttouch.boards.streamed import Job
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits
 

@@ -26,10 +26,11 @@ import numpy as np
 
 from smarttouch.boards.board import Capabilities
 from smarttouch.boards.impedance import Impedance, judge
+from smarttouch.boards.job import Job
 from smarttouch.boards.probe import one_each
 from smarttouch.boards.scale import scale_of
 from smarttouch.boards.single_source import one_against_all
-from smarttouch.boards.streamed import Job, StreamedBoard
+from smarttouch.boards.streamed import StreamedBoard
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits

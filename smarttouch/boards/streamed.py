@@ -5,11 +5,11 @@ import threading
 import time
 from abc import abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import ClassVar
 
 from smarttouch.boards.board import Board, BoardReport
 from smarttouch.boards.host_statistics import HostStatistics
+from smarttouch.boards.job import Job
 from smarttouch.boards.recovery import start_anew
 from smarttouch.clock import LATE_NS
 from smarttouch.errors import BoardError, LineLostError
@@ -34,18 +34,6 @@ BOOT_S = 1.0
 """Boot time of a board that resets when its port is opened."""
 RECOVER_S = 3.0
 """Time to wait for a lost port."""
-
-
-@dataclass(frozen=True, eq=False)
-class Job:
-    """Sequence on its way to the board."""
-
-    number: int
-    sequence: ScanSequence
-    data: bytes
-    times: int
-    due_ns: int = 0
-    """Planned start, by the board's clock."""
 
 
 class StreamedBoard(Board):

@@ -10,7 +10,7 @@ from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
 from smarttouch.boards.etactilekit import ETactileKitBoard
 from smarttouch.boards.host_statistics import HostStatistics
-from smarttouch.boards.streamed import Job
+from smarttouch.boards.job import Job
 
 US, MS = 1000, 1_000_000
 
