@@ -37,7 +37,7 @@ for kind, call in wrong.items():
 
 # %%
 # A kernel is asked for by a class and a site of the array.
-kernel: st.Kernel = st.design_kernel(profile, "SAI", 27)
+kernel = st.design_kernel(profile, "SAI", 27)
 print(f"site 27: {kernel.off_target:.3f} at {kernel.off_target_class.name}\n")
 try:
     st.design_kernel(profile, "SAI", 64)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         SourceError,
     )
     from smarttouch.front import design_kernel, load_kernels, replay, run, steps
-    from smarttouch.kernels.problem import Kernel
+    from smarttouch.physiology.finger import Finger
     from smarttouch.profile import Profile, list_profiles, load_profile
     from smarttouch.recording.recorder import Recorder
     from smarttouch.running.config import RunConfig
@@ -51,8 +51,8 @@ __all__ = [
     "Board",
     "BoardError",
     "Display",
+    "Finger",
     "Frame",
-    "Kernel",
     "Listener",
     "OpticalSource",
     "Profile",
@@ -85,7 +85,7 @@ _WHERE = {
     "errors": ("BoardError", "ProfileError", "SafetyError", "SourceError", "SmartTouchError"),
     "front": ("design_kernel", "load_kernels", "replay", "run", "steps"),
     "tactile_image": ("TactileImage",),
-    "kernels.problem": ("Kernel",),
+    "physiology.finger": ("Finger",),
     "afferent": ("Afferent",),
     "profile": ("Profile", "list_profiles", "load_profile"),
     "recording.recorder": ("Recorder",),

@@ -17,6 +17,10 @@ class Afferent(IntEnum):
     """Pacinian corpuscle: vibration, best at 250 Hz."""
 
 
+CLASS_COLORS = {Afferent.RA: "#d55e00", Afferent.SAI: "#0072b2", Afferent.PC: "#009e73"}
+"""Color of each class in pictures, of Okabe and Ito's set for color-blind readers (2008)."""
+
+
 class Mode(StrEnum):
     """Modes: the afferent classes that are driven, and by what."""
 

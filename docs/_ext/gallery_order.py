@@ -5,6 +5,7 @@ ORDER = (
     "own_array",
     "own_kernels",
     "whole_frames",
+    "one_finger",
     "natural_mode",
     "electric_mouse",
     "primary_colors",

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from smarttouch.physiology.activation import potential_mv
 from smarttouch.physiology.anatomy import Anatomy, ClassAnatomy, load_anatomy
 from smarttouch.physiology.driving import DrivingFunction, load_driving
 from smarttouch.profile import Profile
+
+if TYPE_CHECKING:
+    from smarttouch.physiology.feeling import Feeling
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -72,11 +75,13 @@ class Finger:
 
     Examples
     --------
-    >>> from smarttouch.physiology.finger import Finger
     >>> import smarttouch as st
-    >>> finger = Finger(st.load_profile("smarttouch-4x4"), seed=1, anatomy="paper")
-    >>> finger.populations[st.Afferent.RA].receptor_mm.shape[1]
-    2
+    >>> profile = st.load_profile("electric-mouse")
+    >>> finger = st.Finger(profile, seed=1, anatomy="paper")
+    >>> step = next(st.steps(st.open_source("text:a", profile), profile, intensity=1))
+    >>> feeling = finger.feel(step)
+    >>> feeling.counts.shape == finger.classes.shape
+    True
     """
 
     def __init__(
@@ -85,6 +90,25 @@ class Finger:
         self.profile, self.seed = profile, seed
         self.anatomy = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
         self.populations = {each: self._populate(each) for each in Afferent}
+
+    def feel(self, given: Any, seed: int = 1) -> "Feeling":
+        """Return what it feels of a step, a scan sequence, or a list of them.
+
+        Parameters
+        ----------
+        given : Step, StepResult, ScanSequence, or iterable of these
+        seed : int
+            Of the noise from pulse to pulse.
+        """
+        from smarttouch.physiology.feeling import feel
+
+        return feel(self, given, seed)
+
+    def _repr_html_(self) -> str:
+        """Return its receptors among the electrodes, for notebooks."""
+        from smarttouch.physiology.feeling import finger_svg
+
+        return finger_svg(self)
 
     @property
     def reach_mm(self) -> Array:

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.afferent import Afferent
+from smarttouch.afferent import CLASS_COLORS, Afferent
 from smarttouch.physiology.felt import felt_map
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import Slots, SpikeModel
-from smarttouch.plotting.style import CLASS_COLORS, GREY, new_figure, plain
+from smarttouch.plotting.style import GREY, new_figure, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smarttouch.afferent import Afferent
+from smarttouch.afferent import CLASS_COLORS, Afferent
 from smarttouch.kernels.problem import Array, Kernel
 from smarttouch.physiology.activation import field
 from smarttouch.physiology.afferents import depth_mm, directions
 from smarttouch.plotting.paper import draw_field, draw_weights
-from smarttouch.plotting.style import CLASS_COLORS, GREY, SIGNED_MAP, new_figure, plain
+from smarttouch.plotting.style import GREY, SIGNED_MAP, new_figure, plain
 from smarttouch.profile import Profile
 
 if TYPE_CHECKING:

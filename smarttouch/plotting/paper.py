@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smarttouch.afferent import Afferent
+from smarttouch.afferent import CLASS_COLORS, Afferent
 from smarttouch.kernels.design import design_kernel
 from smarttouch.kernels.problem import Array, Problem
 from smarttouch.physiology.activation import field
@@ -13,7 +13,6 @@ from smarttouch.physiology.potential import line_in_plane
 from smarttouch.plotting.style import (
     ANODIC,
     CATHODIC,
-    CLASS_COLORS,
     GREY,
     SIGNED_MAP,
     new_figure,

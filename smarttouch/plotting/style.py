@@ -5,7 +5,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from smarttouch.afferent import Afferent
 from smarttouch.errors import SmartTouchError
 from smarttouch.files import write_bytes
 
@@ -14,8 +13,6 @@ if TYPE_CHECKING:
 
 CATHODIC, ANODIC = "#b35806", "#542788"
 """Colors of `SIGNED_MAP`, in which no class of afferents is drawn."""
-CLASS_COLORS = {Afferent.RA: "#d55e00", Afferent.SAI: "#0072b2", Afferent.PC: "#009e73"}
-"""Colors of Okabe and Ito's set (2008)."""
 SIGNED_MAP = "PuOr_r"
 """Color map: orange for cathodic or depolarizing, purple for the other sign."""
 GREY = "#707070"

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
+from smarttouch.afferent import CLASS_COLORS, Afferent
 from smarttouch.plotting.colors import ClassRow, color_figure, thresholds_figure
-from smarttouch.plotting.style import CLASS_COLORS
 
 from ..said import numbers_in
 

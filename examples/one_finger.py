@@ -1,0 +1,40 @@
+"""
+What one finger feels
+=====================
+
+Under the electrodes lie afferents, at places that differ from finger to finger. Which of them fire,
+and where their receptors are, is what is felt.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import smarttouch as st
+from smarttouch.afferent import CLASS_COLORS
+
+profile = st.load_profile("electric-mouse")
+finger = st.Finger(profile, seed=1, anatomy="paper")
+print(f"{len(finger.classes)} afferents")
+
+# %%
+# Steps of a run, without a board, and what the finger feels of them.
+steps = list(st.steps(st.open_source("text:T", profile, speed_mm_s=40), profile, seconds=2))
+strongest = max(steps, key=lambda step: np.abs(step.sequence.current_ua).sum(dtype=int))
+feeling = finger.feel(strongest)
+for name, count in feeling.felt.afferents.items():
+    print(f"{name.name}: {count} fired")
+print(f"silent points: {feeling.felt.silent_points:.2f}")
+feeling
+
+# %%
+# The receptors that fired, among the electrodes.
+figure, axes = plt.subplots(figsize=(5, 5), layout="constrained")
+axes.scatter(*profile.electrodes.position_mm.T, s=120, c="white", edgecolors="#707070")
+axes.scatter(*profile.electrodes.position_mm[feeling.active].T, s=120, c="#c8c8c8")
+for afferent, color in CLASS_COLORS.items():
+    fired = (finger.classes == afferent) & (feeling.counts > 0)
+    axes.scatter(*finger.receptor_mm[fired].T, s=12, c=color, label=afferent.name)
+axes.set(xlabel="x (mm)", ylabel="y (mm), palm below", aspect="equal")
+axes.invert_yaxis()
+axes.legend()
+plt.show()

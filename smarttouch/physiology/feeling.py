@@ -1,0 +1,158 @@
+"""What one finger makes of scan sequences: its spikes, where they are felt, and a picture."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.afferent import CLASS_COLORS, Afferent
+from smarttouch.cells import titled
+from smarttouch.physiology.felt import Felt, felt
+from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.spikes import Slots, SpikeModel, Spikes
+
+_AT_ONCE = 32
+"""Slots whose drives are computed together."""
+_PX_PER_MM = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Feeling:
+    """What a finger feels of scan sequences that follow each other.
+
+    Attributes
+    ----------
+    finger : Finger
+    spikes : tuple of Spikes
+        Of each sequence.
+    active : ndarray, (E,) bool
+        Electrodes at which something was meant to be felt.
+    wanted : tuple of Afferent
+        Classes that were meant to feel it; all where sequences came without their steps.
+    """
+
+    finger: Finger
+    spikes: tuple[Spikes, ...]
+    active: NDArray[np.bool_]
+    wanted: tuple[Afferent, ...]
+
+    @cached_property
+    def counts(self) -> NDArray[np.intp]:
+        """Number of spikes of each afferent, (A,)."""
+        counts = np.zeros(len(self.finger.classes), np.intp)
+        for each in self.spikes:
+            counts += each.counts
+        return counts
+
+    @cached_property
+    def felt(self) -> Felt:
+        """Afferents that fired, silent points, and spikes of other classes and elsewhere."""
+        return felt(self.finger, self.counts, self.active, self.wanted)
+
+    def _repr_html_(self) -> str:
+        """Return the receptors that fired, by class, among the electrodes, for notebooks."""
+        fired = ", ".join(f"{count} {each.name}" for each, count in self.felt.afferents.items())
+        title = f"{self.felt.spikes} spikes of {fired} afferents"
+        return titled(title, finger_svg(self.finger, self.counts, self.active))
+
+
+def feel(finger: Finger, given: Any, seed: int = 1) -> Feeling:
+    """Return what a finger feels of a step, a scan sequence, or several in their order.
+
+    Parameters
+    ----------
+    finger : Finger
+    given : Step, StepResult, ScanSequence, or iterable of these
+    seed : int
+        Of the noise from pulse to pulse.
+    """
+    parts = list(given) if isinstance(given, Iterable) else [given]
+    steps = [getattr(each, "step", each) for each in parts]
+    sequences: list[Slots] = [getattr(each, "sequence", each) for each in steps]
+    active = np.zeros(len(finger.profile.electrodes), np.bool_)
+    wanted: set[Afferent] = set()
+    for each in steps:
+        if hasattr(each, "tactile"):
+            active |= each.tactile.activation.any(axis=0)
+            wanted.update(each.mode.afferents)
+        else:
+            active[getattr(each, "site", [])] = True
+            wanted.update(Afferent)
+    model = SpikeModel(finger, seed)
+    return Feeling(finger, tuple(fire_all(model, sequences)), active, tuple(sorted(wanted)))
+
+
+def fire_all(model: SpikeModel, sequences: Sequence[Slots]) -> Iterator[Spikes]:
+    """Yield the spikes of sequences that follow each other; equal slots are computed once."""
+    if not sequences:
+        return
+    current_ua = np.concatenate([each.current_ua for each in sequences])
+    width_us = np.concatenate([each.width_us for each in sequences])
+    first, which = distinct_slots(current_ua, width_us)
+    parts = np.split(first, range(_AT_ONCE, len(first), _AT_ONCE))
+    above = np.hstack([model.drive(current_ua[part], width_us[part]) for part in parts])
+    begin = 0
+    for each in sequences:
+        end = begin + len(each.width_us)
+        yield model.fire(each, above[:, which[begin:end]])
+        begin = end
+
+
+def distinct_slots(
+    current_ua: NDArray[np.int16], width_us: NDArray[Any]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the distinct slots, by their first, and the index of the distinct one for each slot.
+
+    Trains repeat the same few pulses: what follows from a pulse need be computed once.
+    """
+    width = np.ascontiguousarray(width_us, np.float32).view(np.int16).reshape(-1, 2)
+    rows = np.hstack([current_ua.astype(np.int16, copy=False), width])
+    whole = np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))
+    _, first, which = np.unique(rows.view(whole)[:, 0], return_index=True, return_inverse=True)
+    return first, which
+
+
+def finger_svg(
+    finger: Finger,
+    counts: NDArray[np.intp] | None = None,
+    active: NDArray[np.bool_] | None = None,
+) -> str:
+    """Return a finger from above: receptors by class, those that fired larger, and electrodes.
+
+    Parameters
+    ----------
+    finger : Finger
+    counts : ndarray, (A,), optional
+        Spikes of each afferent.
+    active : ndarray, (E,) bool, optional
+        Electrodes that are drawn filled.
+    """
+    reach = finger.reach_mm
+    wide, high = np.ceil(2 * reach * _PX_PER_MM).astype(int)
+
+    def dot(place_mm: NDArray[Any], radius_mm: float, style: str) -> str:
+        x, y = (place_mm + reach) * _PX_PER_MM
+        return f'<circle cx="{x:.0f}" cy="{y:.0f}" r="{radius_mm * _PX_PER_MM:.1f}" {style}/>'
+
+    electrodes = finger.profile.electrodes
+    lit = np.zeros(len(electrodes), np.bool_) if active is None else active
+    drawn = [
+        dot(
+            place, electrodes.pitch_mm / 4, f'fill="{"#c8c8c8" if on else "none"}" stroke="#707070"'
+        )
+        for place, on in zip(electrodes.position_mm, lit, strict=True)
+    ]
+    colors = [CLASS_COLORS[Afferent(each)] for each in finger.classes]
+    fires = np.zeros(len(colors), np.intp) if counts is None else counts
+    order = np.argsort(fires, kind="stable")
+    drawn += [
+        dot(finger.receptor_mm[each], 0.25 if fires[each] else 0.08, f'fill="{colors[each]}"')
+        for each in order
+    ]
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide}" height="{high}" '
+        f'style="max-width:100%">{"".join(drawn)}</svg>'
+    )
