@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.emulator.simulated import SimulatedBoard
-from smarttouch.errors import SmartTouchError
+from smarttouch.errors import DesignError, SmartTouchError
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
 
@@ -17,28 +17,39 @@ if TYPE_CHECKING:
     from smarttouch.boards.emulator.simulated import Pulses
     from smarttouch.delivered.drawing import FeltDrawing
     from smarttouch.patterns import PatternFile
+    from smarttouch.physiology.finger import Finger
+    from smarttouch.profile import Profile
 
 
 class FeltPicture(Listener):
-    """Draws what the skin got beside what the finger passed over.
+    """Draws what was delivered, and what a finger felt of it, below what the finger passed over.
 
-    Needs a board that tells of every pulse: ``emulator:`` or ``simulated:``.
+    Needs a board that tells of every pulse: ``emulator:`` or ``simulated:``. Where no finger can
+    be made of a profile, a note says so, and what was delivered is drawn alone.
 
     Parameters
     ----------
     path : Path
         PNG file.
+    finger : int
+        Seed of the finger.
+    anatomy : str or Path
+        Of the finger: "branched", "paper" or a TOML file.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, finger: int = 1, anatomy: str | Path = "branched") -> None:
         super().__init__()
         self.path = path
+        self._seed, self._anatomy = finger, anatomy
         self._open = contextlib.ExitStack()
         self._drawing: FeltDrawing | None = None
         self._pulses: Callable[[], Pulses] | None = None
 
     def prepare(self, run: RunContext) -> None:
         """Begin the picture, and have the board keep books."""
+        from smarttouch.physiology.anatomy import load_anatomy
+
+        load_anatomy(self._anatomy)
         board = getattr(run.board, "electric", run.board)
         if isinstance(board, EmulatorBoard):
             from smarttouch.boards.emulator.delivery_log import read_delivered
@@ -76,8 +87,19 @@ class FeltPicture(Listener):
         """Draw the delivered pulses."""
         assert self._drawing is not None
         assert self._pulses is not None
-        self._drawing.deliver(*self._pulses())
+        self._drawing.deliver(*self._pulses(), self._finger(run.profile))
         self._drawing.save(self.path)
+
+    def _finger(self, profile: "Profile") -> "Finger | None":
+        from smarttouch.physiology.finger import Finger
+
+        try:
+            finger = Finger(profile, self._seed, self._anatomy)
+            _ = finger.rows
+        except DesignError as error:
+            self.notes.append(f"the picture shows what was delivered, and no finger: {error}")
+            return None
+        return finger
 
     def close(self) -> None:
         """Remove the books."""
@@ -118,6 +140,8 @@ class Patterns(Listener):
 def output_listeners(
     *,
     felt: Path | None = None,
+    finger: int = 1,
+    anatomy: str = "branched",
     frames: Path | None = None,
     record: Path | None = None,
     markers: bool = False,
@@ -128,7 +152,7 @@ def output_listeners(
 
         yield Markers()
     if felt is not None:
-        yield FeltPicture(felt)
+        yield FeltPicture(felt, finger, anatomy)
     if frames is not None:
         yield Patterns(frames)
     if record is not None:

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.cli.options import JsonOption, QuietOption
+from smarttouch.cli.options import AnatomyOption, JsonOption, QuietOption
 
 _NAMES = {
     "silent_points": "silent points",
@@ -23,9 +23,7 @@ def finger(
         str, typer.Option(metavar="NAME|FILE", help="Device and skin.")
     ] = "electric-mouse",
     mode: Annotated[str, typer.Option(metavar="RA|SAI|PC", help="Whose receptors.")] = "RA",
-    anatomy: Annotated[
-        str, typer.Option(metavar="branched|paper|FILE", help="Course of the afferents.")
-    ] = "branched",
+    anatomy: AnatomyOption = "branched",
     fingers: Annotated[
         int, typer.Option(min=1, max=1000, metavar="N", help="So many, by seeds from 1 on.")
     ] = 10,

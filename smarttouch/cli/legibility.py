@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from smarttouch.cli.option_groups import takes_options
-from smarttouch.cli.options import JsonOption, QuietOption, ScanOption
+from smarttouch.cli.options import AnatomyOption, JsonOption, QuietOption, ScanOption
 from smarttouch.cli.source_options import DocumentOptions, FeelOptions
 from smarttouch.cli.standard_input import or_standard_input
 
@@ -34,9 +34,7 @@ def legibility(
     fingers: Annotated[
         int, typer.Option(min=0, max=1000, metavar="N", help="Simulated fingers that feel it, too.")
     ] = 0,
-    anatomy: Annotated[
-        str, typer.Option(metavar="branched|paper|FILE", help="Of these fingers.")
-    ] = "branched",
+    anatomy: AnatomyOption = "branched",
     json_file: JsonOption = None,
     scan: ScanOption = "auto",
     quiet: QuietOption = False,

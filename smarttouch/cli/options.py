@@ -22,6 +22,14 @@ JsonOption = Annotated[
     Path | None,
     typer.Option("--json", metavar="FILE", rich_help_panel=KEPT, help="Figures of the run."),
 ]
+AnatomyOption = Annotated[
+    str,
+    typer.Option(
+        "--anatomy",
+        metavar="branched|paper|FILE",
+        help="Course of simulated afferents.",
+    ),
+]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Show nothing but errors.")]
 ScanOption = Annotated[
     str,

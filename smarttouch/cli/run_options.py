@@ -12,6 +12,7 @@ from smarttouch.cli.options import (
     BOARD,
     FINGER,
     KEPT,
+    AnatomyOption,
     JsonOption,
     ProfileOption,
     QuietOption,
@@ -97,6 +98,13 @@ class RunOptions(OptionGroup):
         Path | None,
         typer.Option(metavar="PNG", rich_help_panel=KEPT, help="Picture of what is read and felt."),
     ] = None
+    finger: Annotated[
+        int,
+        typer.Option(
+            min=0, metavar="SEED", rich_help_panel=KEPT, help="Whose afferents are drawn or judge."
+        ),
+    ] = 1
+    anatomy: AnatomyOption = "branched"
     frames: Annotated[
         Path | None,
         typer.Option(

@@ -38,6 +38,8 @@ class Outputs:
     """Files of a run, and whether anything is shown."""
 
     felt: Path | None = None
+    finger: int = 1
+    anatomy: str = "branched"
     frames: Path | None = None
     record: Path | None = None
     markers: bool = False
@@ -64,7 +66,12 @@ class Outputs:
         """Return a listener for each of them."""
         return [
             *output_listeners(
-                felt=self.felt, frames=self.frames, record=self.record, markers=self.markers
+                felt=self.felt,
+                finger=self.finger,
+                anatomy=self.anatomy,
+                frames=self.frames,
+                record=self.record,
+                markers=self.markers,
             )
         ]
 

@@ -82,13 +82,15 @@ class DeliveredAnswers(Perception):
     def __init__(self, profile: Profile, bank: KernelBank, afferents: tuple[Afferent, ...]) -> None:
         super().__init__(profile, bank, afferents)
         self.poses: dict[int, Pose] = {}
+        self.period_us: dict[int, int] = {}
         self.answer: dict[int, Floats] = {}
         self._silent = np.zeros(len(profile.electrodes), np.float32)
 
     def watch(self, sent: StepResult) -> None:
-        """Remember the pose of a step."""
+        """Remember the pose of a step, and how long it lasted."""
         if sent.number is not None and sent.sequence.intensity > 0:
             self.poses[sent.number] = sent.input.pose
+            self.period_us[sent.number] = sent.sequence.period_us
 
     def deliver(
         self, numbers: NDArray[np.uint32], width_us: Floats, current_ua: NDArray[np.int16]

@@ -14,7 +14,7 @@ from smarttouch.physiology.felt import Felt, felt
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import Slots, SpikeModel, Spikes
 
-_AT_ONCE = 32
+_AT_ONCE = 16
 """Slots whose drives are computed together."""
 _PX_PER_MM = 16
 

@@ -5,28 +5,15 @@ from dataclasses import dataclass
 from statistics import fmean, median
 
 import numpy as np
-from numpy.typing import NDArray
 
 from smarttouch.afferent import Afferent
 from smarttouch.delivered.line import LinePicture
+from smarttouch.delivered.population import FIELD_MM, delivered_spikes
 from smarttouch.physiology.felt import felt, over
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.reading.deliver import DeliveredLine
 
-_FIELD_MM = 1.0
-"""Standard deviation of a receptive field. Ours."""
 _FULL_QUANTILE = 0.99
-
-
-@dataclass(frozen=True, eq=False)
-class DeliveredSlots:
-    """Slots of one delivered sequence, as `SpikeModel` takes them."""
-
-    current_ua: NDArray[np.int16]
-    width_us: NDArray[np.uint16]
-    discharge_us: NDArray[np.uint16]
-    period_us: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,17 +52,14 @@ def read_at_nerve(
     profile = finger.profile
     places = profile.electrodes.position_mm
     away = finger.receptor_mm[:, None] - places
-    field = np.exp(-(away**2).sum(axis=2) / (2 * _FIELD_MM**2)).astype(np.float32)
-    period_us = round(1e6 / profile.pulse.rate_hz)
+    field = np.exp(-(away**2).sum(axis=2) / (2 * FIELD_MM**2)).astype(np.float32)
+    silent = np.zeros(len(field), np.intp)
     found, values = [], []
     for line in lines:
-        model = SpikeModel(finger)
+        periods = dict.fromkeys(line.poses, round(1e6 / profile.pulse.rate_hz))
+        spikes = delivered_spikes(finger, line.numbers, line.width_us, line.current_ua, periods)
         for number, pose in line.poses.items():
-            which = line.numbers == number
-            width = line.width_us[which].astype(np.uint16)
-            discharge = np.full(len(width), profile.pulse.discharge_us, np.uint16)
-            slots = DeliveredSlots(line.current_ua[which], width, discharge, period_us)
-            counts = model.fire(slots).counts
+            counts = spikes.get(number, silent)
             values.append((line, pose.x_mm, counts @ field))
             if number in line.answers:
                 found.append(felt(finger, counts, line.answers[number] > 0, wanted))

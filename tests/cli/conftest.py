@@ -10,7 +10,9 @@ import termios
 import time
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from smarttouch import cli
 from smarttouch.errors import SmartTouchError
@@ -39,6 +41,16 @@ def refused(done):
     assert done.stderr.startswith("smarttouch: ")
     assert done.stderr.count("\n") == 1
     return done.error
+
+
+def panels(path, count):
+    """Return the panels of a picture of what was felt as ink, from the top."""
+    with Image.open(path) as sheet:
+        ink = 255.0 - np.asarray(sheet.convert("L"), float)
+    # 28 pixels of words above each, and 24 of margin below and above.
+    step = (len(ink) - 24) // count
+    tops = range(52, len(ink) - 24, step)
+    return [ink[top : top + step - 52, 24:-24] for top in tops]
 
 
 @pytest.fixture(autouse=True)

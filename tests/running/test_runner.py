@@ -4,10 +4,18 @@ import threading
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from smarttouch.afferent import Afferent, Mode
-from smarttouch.errors import BoardError, BoardStoppedError, SmartTouchError, SourceError
+from smarttouch.errors import (
+    BoardError,
+    BoardStoppedError,
+    ProfileError,
+    SmartTouchError,
+    SourceError,
+)
 from smarttouch.events import Advice, IntensityChanged, ModeChanged, RunEnded
+from smarttouch.kernels.bank import load_bank
 from smarttouch.outputs import FeltPicture, Patterns
 from smarttouch.recording.recorder import Recorder
 from smarttouch.running.config import RunConfig
@@ -224,3 +232,37 @@ def test_a_picture_of_what_was_felt_needs_every_pulse(profile, source, tmp_path)
     display = open_display("memory:", profile)
     with raises(SmartTouchError, about="felt", problem="conflict"):
         Runner(source, display, RunConfig(), listeners=[FeltPicture(tmp_path / "a.png")]).run()
+
+
+def test_where_no_finger_can_be_made_what_was_delivered_is_drawn(profile, tmp_path, changed):
+    layers = (
+        {"thickness_mm": 0.3, "conductivity_s_per_m": 0.01},
+        {"conductivity_s_per_m": 0.3},
+    )
+    layered = changed(
+        profile,
+        {"skin.medium": "layered", "skin.layers": layers, "skin.conductivity_s_per_m": None},
+    )
+    shapes = []
+    for each in (profile, layered):
+        display, picture = open_display("simulated:", profile), FeltPicture(tmp_path / "a.png")
+        display.profile = each
+        source = open_source("text:a", profile)
+        statistics = Runner(
+            source, display, RunConfig(seconds=0.2), listeners=[picture],
+            load_kernels=lambda _: load_bank(profile),
+        ).run()  # fmt: skip
+        with Image.open(tmp_path / "a.png") as drawn:
+            shapes.append(len(drawn.getbands()))
+        assert len(picture.notes) == (each is layered)
+        assert picture.notes == statistics.notes[len(statistics.notes) - len(picture.notes) :]
+    assert shapes == [3, 1]
+
+
+def test_a_picture_of_no_anatomy_is_refused_before_the_board(profile, source, tmp_path):
+    display = open_display("simulated:", profile)
+    with raises(ProfileError, about="anatomy", problem="unknown", value="none"):
+        Runner(
+            source, display, RunConfig(), listeners=[FeltPicture(tmp_path / "a.png", 1, "none")]
+        ).run()
+    assert not (tmp_path / "a.png").exists()
