@@ -1,0 +1,146 @@
+"""A finger that feels a run while it goes on, in a process of its own, without holding it up."""
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from smarttouch.delivered.population import DeliveredSlots
+from smarttouch.errors import SmartTouchError
+from smarttouch.physiology.feeling import Feeling, fire_all
+from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.running.listener import Listener, RunContext
+from smarttouch.running.step import StepResult
+
+_SERVE = "import sys; from smarttouch.delivered.live import serve; serve(int(sys.argv[1]))"
+_POLITE = 5
+"""Niceness of the process: the sending of packets goes first."""
+_ENDS_WITHIN_S = 5.0
+
+
+class LiveFinger(Listener):
+    """Lets a finger feel the newest step of a run whenever it is done with the one before.
+
+    The loop never waits for it: it hands over a step only to an idle process, and goes on. A thread
+    would not do, as it could be held up while it has the interpreter.
+
+    Parameters
+    ----------
+    finger : Finger
+    draw : callable, optional
+        Given each `Feeling` in that process, which must be able to import it.
+
+    Attributes
+    ----------
+    newest : Feeling or None
+    drawn : object
+        What ``draw`` returned of the newest.
+    felt, skipped : int
+        Numbers of steps that were felt, and that came while the finger was at another.
+    """
+
+    def __init__(self, finger: Finger, draw: Callable[[Feeling], Any] | None = None) -> None:
+        super().__init__()
+        self.newest: Feeling | None = None
+        self.drawn: Any = None
+        self.felt = self.skipped = 0
+        self._finger, self._draw = finger, draw
+        self._line: Connection | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._given: Feeling | None = None
+        """What the process is at, without its spikes."""
+
+    def prepare(self, run: RunContext) -> None:
+        """Start the process; it is ready when it knows what drives its afferents."""
+        ours, theirs = socket.socketpair()
+        with theirs:
+            command = [sys.executable, "-c", _SERVE, str(theirs.fileno())]
+            environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+            self._process = subprocess.Popen(
+                command, pass_fds=[theirs.fileno()], env=environment, stdin=subprocess.DEVNULL
+            )
+        self._line = Connection(ours.detach())
+        with self._alive() as line:
+            line.send((self._finger, self._draw))
+        self._receive()
+
+    def step(self, result: StepResult) -> None:
+        """Take what was felt, if it is there, and hand over a step, if nothing is under way."""
+        assert self._line is not None
+        if self._given is not None and self._line.poll():
+            self._take()
+        if self._given is not None:
+            self.skipped += 1
+            return
+        sequence, active = result.sequence, np.asarray(result.tactile.activation.any(axis=0))
+        self._given = Feeling(self._finger, (), active, result.step.mode.afferents)
+        slots = DeliveredSlots(
+            sequence.current_ua, sequence.width_us, sequence.discharge_us, sequence.period_us
+        )
+        with self._alive() as line:
+            line.send((slots, active, self._given.wanted))
+
+    def finish(self, run: RunContext) -> None:
+        """Take the last: the board is closed."""
+        if self._given is not None:
+            self._take()
+
+    def close(self) -> None:
+        """End the process."""
+        line, process = self._line, self._process
+        self._line = self._process = self._given = None
+        if line is not None:
+            line.close()
+        if process is not None:
+            try:
+                process.wait(_ENDS_WITHIN_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def _take(self) -> None:
+        assert self._given is not None
+        spikes, self.drawn = self._receive()
+        self.newest = Feeling(self._finger, (spikes,), self._given.active, self._given.wanted)
+        self._given = None
+        self.felt += 1
+
+    def _receive(self) -> Any:
+        with self._alive() as line:
+            return line.recv()
+
+    @contextlib.contextmanager
+    def _alive(self) -> Iterator[Connection]:
+        assert self._line is not None
+        try:
+            yield self._line
+        except (EOFError, OSError):
+            raise SmartTouchError(
+                "the process that simulates the finger has ended: see what it wrote, and run again",
+                about="finger",
+                problem="ended",
+            ) from None
+
+
+def serve(number: int) -> None:
+    """Feel what comes by a socket until it is closed."""
+    os.nice(_POLITE)
+    with Connection(number) as line:
+        finger, draw = line.recv()
+        _ = finger.rows
+        line.send(None)
+        while True:
+            try:
+                slots, active, wanted = line.recv()
+            except EOFError:
+                return
+            (spikes,) = fire_all(SpikeModel(finger), [slots])
+            feeling = Feeling(finger, (spikes,), active, wanted)
+            line.send((spikes, None if draw is None else draw(feeling)))
