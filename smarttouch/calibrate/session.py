@@ -12,9 +12,8 @@ from smarttouch.calibrate.limits import AscendingLimits, Thresholds
 from smarttouch.calibrate.progress import Progress
 from smarttouch.calibrate.stimulus import ceiling_ma, slew_ma_s
 from smarttouch.errors import CalibrationError
-from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
-from smarttouch.psychophysics.observers.observer import SimulatedObserver
+from smarttouch.psychophysics.observers.known import KnownObserver
 from smarttouch.psychophysics.procedures.procedure import Condition
 from smarttouch.psychophysics.stimuli import Stimuli, Train
 from smarttouch.psychophysics.trial import Answer, Trial
@@ -183,8 +182,8 @@ class ThresholdSession:
 
 
 def simulated_finger(
-    profile: Profile, measuring: Profile, bank: KernelBank, ceilings_ma: Sequence[float], seed: int
-) -> SimulatedObserver:
+    profile: Profile, measuring: Profile, ceilings_ma: Sequence[float], seed: int
+) -> KnownObserver:
     """Return an observer with electrodes that differ, none above its ceiling."""
     random = np.random.default_rng(seed)
     threshold_ma, enough_ma = [], []
@@ -192,12 +191,11 @@ def simulated_finger(
         felt_ma = min(usual_ma * float(np.exp(0.2 * random.standard_normal())), 0.6 * top_ma)
         threshold_ma.append(felt_ma)
         enough_ma.append(min(felt_ma * random.uniform(1.5, 2.2), 0.95 * top_ma))
-    return SimulatedObserver(
+    return KnownObserver(
         measuring,
-        bank,
+        np.array(threshold_ma, np.float32),
+        np.array(enough_ma, np.float32),
         seed,
-        threshold_ma=np.array(threshold_ma, np.float32),
-        enough_ma=np.array(enough_ma, np.float32),
         guess=0.005,
         lapse=0.03,
     )

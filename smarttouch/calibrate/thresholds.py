@@ -126,9 +126,8 @@ class ThresholdProcedure:
         )
         listeners: list[Listener] = [_Prompts(source, say)]
         if self.simulate:
-            bank = single_bank(measuring)
             tops_ma = [float(each) for each in measuring.full_ma]
-            finger = simulated_finger(profile, measuring, bank, tops_ma, self.seed)
+            finger = simulated_finger(profile, measuring, tops_ma, self.seed)
             listeners = [Subject(source, finger, _LOOK_S, REACTION_S)]
 
         def on_key(key: str) -> None:

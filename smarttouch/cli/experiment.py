@@ -40,7 +40,7 @@ def list_all() -> None:
 
 @experiment.command("run")
 @drives_a_board
-@takes_options(scan="points")
+@takes_options(scan="points", anatomy="paper")
 def run_listed(
     context: typer.Context,
     run: RunOptions,

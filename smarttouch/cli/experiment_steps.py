@@ -54,7 +54,9 @@ def sit(
             force=force,
             screen=BlindScreen,
             keys=source.keys,
-            listeners=[sitting.subject(source, simulate, config.seed)] if simulate else (),
+            listeners=()
+            if simulate is None
+            else [sitting.subject(source, simulate, config.seed, options.finger, options.anatomy)],
         )
     finally:
         say(sitting.after())

@@ -47,10 +47,19 @@ class ExperimentSession:
         source.url = f"experiment:{self.session.title}"
         return source
 
-    def subject(self, source: ExperimentSource, simulate: str, seed: int) -> Subject:
-        """Return a listener who answers in place of a person."""
+    def subject(
+        self,
+        source: ExperimentSource,
+        simulate: str,
+        seed: int,
+        finger: int = 1,
+        anatomy: str | Path = "paper",
+    ) -> Subject:
+        """Return a listener who answers in place of a person, with a finger by its seed."""
         drawn = getattr(self.made.task, "drawn", None)
-        observer = make_observer(simulate, self.profile, seed + self.session.resumed, drawn)
+        observer = make_observer(
+            simulate, self.profile, seed + self.session.resumed, drawn, finger, anatomy
+        )
         return Subject(source, observer)
 
     def before(self) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from smarttouch.boards.board import Board
 from smarttouch.boards.emulator.simulated import Pulses, SimulatedBoard
 from smarttouch.errors import ExperimentError
 from smarttouch.kernels.bank import load_bank
+from smarttouch.physiology.finger import Finger
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.observers.interval import Interval
 from smarttouch.psychophysics.observers.observer import (
@@ -158,6 +160,8 @@ def make_observer(
     profile: Profile,
     seed: int,
     templates: Mapping[str, NDArray[np.float32]] | None = None,
+    finger: int = 1,
+    anatomy: str | Path = "paper",
 ) -> Observer:
     """Return who answers: ``model``, or ``random``, ``first`` and ``silent``, who are of no use.
 
@@ -165,11 +169,15 @@ def make_observer(
     ----------
     kind : str
     profile : Profile
-        Profile whose kernels the model uses.
+        Profile of the finger whose spikes the model judges.
     seed : int
         Of its noise.
     templates : mapping of str to ndarray, (E,), optional
         The letters that it knows.
+    finger : int
+        Seed of the model's finger.
+    anatomy : str or Path
+        Of the model's finger.
     """
     if kind == "random":
         return RandomObserver(seed)
@@ -177,9 +185,10 @@ def make_observer(
         return SameObserver()
     if kind == "silent":
         return SilentObserver()
-    return TwoLooks(
-        SimulatedObserver(profile, load_bank(profile), seed, templates=templates or {}), seed
+    judging = SimulatedObserver(
+        Finger(profile, finger, anatomy), load_bank(profile), seed, templates=templates or {}
     )
+    return TwoLooks(judging, seed)
 
 
 @dataclass

@@ -309,7 +309,7 @@ def test_a_simulated_subject_answers_for_a_person(procedure, profile):
     assert [each.partition(":")[0] for each in said] == ["electrode 5"]
     measuring = measuring_profile(profile)
     tops_ma = measuring.full_ma.tolist()
-    truth = simulated_finger(profile, measuring, single_bank(measuring), tops_ma, 0)
+    truth = simulated_finger(profile, measuring, tops_ma, 0)
     assert found[5].threshold_ma == pytest.approx(truth.threshold_ma[5], rel=0.12)
     assert found[5].comfort_ma == pytest.approx(truth.enough_ma[5], rel=0.12)
 
@@ -448,7 +448,7 @@ def test_progress_of_version_0_1_goes_on(procedure, tmp_path):
 
 def test_a_simulated_finger_stays_below_the_ceiling(profile):
     measuring = measuring_profile(profile)
-    made = simulated_finger(profile, measuring, single_bank(measuring), [2.4] * 64, 3)
+    made = simulated_finger(profile, measuring, [2.4] * 64, 3)
     assert (made.threshold_ma < made.enough_ma).all()
     assert (made.enough_ma < 2.4).all()
     assert len(set(made.threshold_ma.tolist())) > 30

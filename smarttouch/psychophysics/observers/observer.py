@@ -1,28 +1,30 @@
-"""Simulated observers for experiments: subjects with known thresholds."""
+"""Simulated observers for experiments: one that judges spikes, and some of no use."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtri
 
 from smarttouch.afferent import Afferent
-from smarttouch.delivered.perception import strength
 from smarttouch.errors import ExperimentError
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.profile import Profile
-from smarttouch.psychophysics.observers.felt_map import SiteResponse
+from smarttouch.physiology.finger import Finger
 from smarttouch.psychophysics.observers.interval import Interval
-from smarttouch.psychophysics.observers.percept import FrequencySense, Recruitment
+from smarttouch.psychophysics.observers.known import chance_of_yes
+from smarttouch.psychophysics.observers.nerve import Nerve
+from smarttouch.psychophysics.observers.percept import FrequencySense
 
 __all__ = [
     "Interval", "Observer", "RandomObserver", "SameObserver", "SilentObserver",
     "SimulatedObserver",
 ]  # fmt: skip
 
+_YES_OR_NO = ("felt", "enough")
 GRATING_LIMIT_MM = 0.94
 """Finest grooves whose direction a fingertip identifies (Van Boven and Johnson, Neurology 44,
 1994). That places are told apart as well as grooves, and in 75 %, is our assumption."""
@@ -86,24 +88,25 @@ class SilentObserver:
 
 @dataclass
 class SimulatedObserver:
-    """Observer that applies a model to delivered pulses, with noise and known thresholds.
-
-    Everything but the frequency sense is a plain assumption, so that procedures have a
-    known truth to find.
+    """Observer that judges the spikes of one finger, with noise and a criterion.
 
     Attributes
     ----------
-    profile : Profile
+    finger : Finger
     bank : KernelBank
-        The profile's.
+        Of the finger's profile.
     seed : int
     frequency : FrequencySense
         Model of the perceived frequency of trains.
-    threshold_ma, enough_ma : ndarray, (E,) mA, optional
-        Strongest electrode's current that is felt, or enough, in half of the trials; the
-        profile's threshold and strongest comfortable current if not given.
+    felt_afferents : float
+        Afferents that fire in a slot, on average, where in half of the trials it is felt. Ours:
+        one that answers every second slot (spikes of a single RA afferent can be felt, Vallbo
+        et al. 1984).
+    enough_afferents : float, optional
+        Afferents where it is enough in half of the trials; if not given, as many as RA pulses of
+        the profile's strongest comfortable current fire at three of four sites.
     slope : float
-        Standard deviation of both, in natural logarithms of current.
+        Standard deviation of both, in natural logarithms of afferents.
     guess, lapse : float
         Rate of false detections, and rate at which the answer is not
         what was felt: of two or more alternatives any one.
@@ -115,12 +118,12 @@ class SimulatedObserver:
         The patterns it knows, by their names.
     """
 
-    profile: Profile
+    finger: Finger
     bank: KernelBank
     seed: int = 0
     frequency: FrequencySense = field(default_factory=FrequencySense)
-    threshold_ma: NDArray[np.float32] | None = None
-    enough_ma: NDArray[np.float32] | None = None
+    felt_afferents: float = 0.5
+    enough_afferents: float | None = None
     slope: float = 0.1
     guess: float = 0.02
     lapse: float = 0.02
@@ -130,12 +133,7 @@ class SimulatedObserver:
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
-        self._recruitment = Recruitment(self.profile, self.bank)
-        self._skin = SiteResponse(self.profile, self.bank)
-        self._middles_ma = {
-            "felt": self.profile.threshold_ma if self.threshold_ma is None else self.threshold_ma,
-            "enough": self.profile.full_ma if self.enough_ma is None else self.enough_ma,
-        }
+        self._nerve = Nerve(self.finger, self.seed)
         self._judges: dict[str, Callable[[Sequence[Interval]], str | None]] = {
             "faster": self._faster,
             "two": self._two,
@@ -152,7 +150,7 @@ class SimulatedObserver:
         ExperimentError
             If it does not know the task, or not the letters.
         """
-        if task in self._middles_ma:
+        if task in _YES_OR_NO:
             return "y" if self._random.random() < self._chance_of(task, intervals) else "n"
         judged = (
             self._which(intervals, alternatives)
@@ -166,7 +164,7 @@ class SimulatedObserver:
     # -- the truth ---------------------------------------------------------
 
     def ratio(self, afferent: Afferent, site: int) -> float:
-        """Return the ratio of PC to RA that a mode's pulses recruit at a site.
+        """Return the ratio of PC to RA that a mode's pulses fire at a site, see `Response`.
 
         Parameters
         ----------
@@ -175,33 +173,24 @@ class SimulatedObserver:
         site : int
             The electrode.
         """
-        current_ua = 1000 * self.profile.full_ma[site] * self.bank.kernels(afferent)[site]
-        pulse = Interval(
-            np.zeros(1),
-            np.full(1, self.profile.pulse.width_us, np.float32),
-            np.rint(current_ua).astype(np.int16)[None],
-        )
-        return self._recruitment.of(pulse).ratio
+        return self._nerve.of(self._train(afferent, [site])).ratio
 
     def chance_higher(self, standard_hz: float, comparison_hz: float, ratio: float = 0.0) -> float:
         """Return the chance that a comparison is judged faster than a standard, lapses included."""
         chance = self.frequency.chance_higher(standard_hz, comparison_hz, ratio)
         return self.lapse / 2 + (1 - self.lapse) * chance
 
-    def chance_felt(self, current_ma: float, electrode: int, task: str = "felt") -> float:
-        """Return the probability that a pulse is called felt, or with that task enough."""
-        middle_ma = float(self._middles_ma[task][electrode])
-        above = math.log(current_ma / middle_ma) if current_ma > 0 else -math.inf
-        found = float(ndtr(above / self.slope))
-        # No current is never enough.
-        guess = self.guess if task == "felt" else 0.0
-        return guess + (1 - guess - self.lapse) * found
+    def chance_felt(self, afferents: float, task: str = "felt") -> float:
+        """Return the probability that so many afferents a slot are called felt, or enough."""
+        middle = self.felt_afferents if task == "felt" else self._enough
+        above = math.log(afferents / middle) if afferents > 0 else -math.inf
+        return chance_of_yes(above / self.slope, task, self.guess, self.lapse)
 
     # -- the tasks ---------------------------------------------------------
 
     def _judge(self, task: str) -> Callable[[Sequence[Interval]], str | None]:
         if task not in self._judges:
-            known = (*self._judges, *self._middles_ma, "which")
+            known = (*self._judges, *_YES_OR_NO, "which")
             raise ExperimentError(
                 f"the simulated observer has no answer to {task!r}: it knows {', '.join(known)}",
                 about="task",
@@ -211,20 +200,33 @@ class SimulatedObserver:
             )
         return self._judges[task]
 
+    @cached_property
+    def _enough(self) -> float:
+        """Afferents where it is enough in half of the trials."""
+        if self.enough_afferents is not None:
+            return self.enough_afferents
+        full = self._nerve.of(self._train(Afferent.RA, range(len(self.finger.profile.electrodes))))
+        most = float(np.quantile(full.fired.sum(axis=0), 0.25))
+        return max(most, 2 * self.felt_afferents)
+
+    def _train(self, afferent: Afferent, sites: Sequence[int], apart_s: float = 0.05) -> Interval:
+        """Return a full pulse at each of these sites, or many at one, as an interval."""
+        profile = self.finger.profile
+        which = np.resize(sites, max(20, len(sites)))
+        current_ua = 1000 * profile.full_ma[which, None] * self.bank.kernels(afferent)[which]
+        return Interval(
+            np.arange(len(which), dtype=np.float64) * apart_s,
+            np.full(len(which), profile.pulse.width_us, np.float32),
+            np.rint(current_ua).astype(np.int16),
+        )
+
     def _chance_of(self, task: str, intervals: Sequence[Interval]) -> float:
-        """Return the probability of a yes to the strongest pulse of all."""
-        current_ua = np.concatenate([each.current_ua for each in intervals])
-        if not len(current_ua):
-            return self.chance_felt(0.0, 0, task)
-        width_us = np.concatenate([each.width_us for each in intervals])
-        magnitude = np.abs(current_ua) * strength(width_us, self.profile.pulse)[:, None]
-        strongest = magnitude.argmax(axis=1)
-        felt_ma = magnitude[np.arange(len(magnitude)), strongest] / 1000
-        most = int((felt_ma / self._middles_ma[task][strongest]).argmax())
-        return self.chance_felt(float(felt_ma[most]), int(strongest[most]), task)
+        """Return the probability of a yes to what fires the most afferents in a slot."""
+        most = max((self._nerve.of(each).per_slot for each in intervals), default=0.0)
+        return self.chance_felt(most, task)
 
     def _faster(self, intervals: Sequence[Interval]) -> str | None:
-        felt = [self._recruitment.of(each) for each in intervals]
+        felt = [self._nerve.of(each) for each in intervals]
         if any(each.hz == 0 for each in felt):
             return None
         perceived = np.log([self.frequency.perceived_hz(each.hz, each.ratio) for each in felt])
@@ -232,15 +234,14 @@ class SimulatedObserver:
 
     def _two(self, intervals: Sequence[Interval]) -> str | None:
         """Return the interval whose points are farther apart."""
-        wide_mm = [self._skin.width_mm(self._skin.of(each)) for each in intervals]
+        wide_mm = [self._nerve.of(each).width_mm for each in intervals]
         if any(math.isnan(each) for each in wide_mm):
             return None
         return self._larger(np.array(wide_mm), self.place_mm)
 
     def _side(self, intervals: Sequence[Interval]) -> str | None:
         """Return the side of the last point from the first, in one interval or in two."""
-        first, last = _first_and_last(intervals)
-        at_mm = [self._skin.center_mm(self._skin.of(each))[0] for each in (first, last)]
+        at_mm = [self._nerve.of(each).center_mm[0] for each in _first_and_last(intervals)]
         if any(math.isnan(each) for each in at_mm):
             return None
         return "l" if self._larger(np.array(at_mm), self.place_mm) == "1" else "r"
@@ -256,7 +257,8 @@ class SimulatedObserver:
                 value=missing[0],
                 allowed=tuple(self.templates),
             )
-        felt = np.max([self._skin.of(each) for each in intervals], axis=0)
+        nerve = self._nerve
+        felt = np.max([nerve.at_electrodes(nerve.of(each)) for each in intervals], axis=0)
         if not felt.any():
             return None
         felt = felt / felt.max() + self.letter_noise * self._random.standard_normal(len(felt))

@@ -1,13 +1,12 @@
-"""Model of perceived pulse trains: afferents recruited, and perceived frequency.
+"""Model of the perceived frequency of a pulse train.
 
 The paper's own explanation of its thresholds (Section III-C) as a model. Pulses fire RA
 and, if they reach deep enough, PC. RA's pulses tell the frequency; but who has learned
 from mechanical vibration what a frequency feels like expects ever more PC with it. A train
 with too little PC for its frequency is taken for a slower one.
 
-What follows: in RA mode nothing above 65 Hz is believed, as there the receptors' curves meet;
-in PC mode, whose pulses fire RA more than PC, nothing above 100 Hz or so. What is assumed:
-the part of the afferents that an activating function recruits, the form of the soft
+What follows: where no PC fires nothing above 65 Hz is believed, as there the receptors' curves
+meet; where some do, as in PC mode, something above. What is assumed: the form of the soft
 minimum, and two numbers, the `BASE_WEBER` and `SHARPNESS` that fit the paper's RA mode.
 """
 
@@ -20,11 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from smarttouch.afferent import Afferent
-from smarttouch.delivered.perception import strength
-from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.receptors import MEETING_HZ, best_hz, sensitivity
-from smarttouch.profile import Profile
-from smarttouch.psychophysics.observers.interval import Interval
 
 Array = NDArray[np.float64]
 
@@ -34,89 +29,6 @@ it thresholds stay below the 20 % of the paper up to 45 Hz (Section III-C)."""
 SHARPNESS = 3.2
 """Steepness of the limit of perceived frequency. Ours: with it the threshold at 75 Hz in RA mode
 is 0.68, where the paper has 0.7."""
-
-
-@dataclass(frozen=True)
-class Activity:
-    """Activity of the vibration senses in an interval.
-
-    Attributes
-    ----------
-    hz : float, Hz
-        Of the pulses that fired; 0 where fewer than two did.
-    ra, pc : float
-        Recruited part of the afferents where it is largest, over all pulses.
-    """
-
-    hz: float
-    ra: float
-    pc: float
-
-    @property
-    def ratio(self) -> float:
-        """Ratio of PC to RA; infinite where PC alone fired."""
-        if self.ra == 0:
-            return math.inf if self.pc else 0.0
-        return self.pc / self.ra
-
-
-class Recruitment:
-    """Recruitment model: the part of RA and PC that fires at each pulse.
-
-    A node of Ranvier fires where its activating function (AF) exceeds a threshold, the same
-    for all classes (paper, Section II); here the least AF with which any mode is felt, the
-    profile's detection current through its own kernel. Afferents around a node differ: of
-    an AF x times the threshold a part of 1 − 1/x fires. (That part is our assumption, the
-    simplest that begins at 0 and ends at all.)
-
-    Parameters
-    ----------
-    profile : Profile
-        Thresholds and pulse.
-    bank : KernelBank
-        Receptors, and kernels of the modes that are offered.
-    """
-
-    def __init__(self, profile: Profile, bank: KernelBank) -> None:
-        self._pulse = profile.pulse
-        own = np.stack([(bank.receptor[each] * bank.kernels(each)).sum(1) for each in bank.weights])
-        # Masked sites have no kernel: nothing fires there.
-        least = np.where(own > 0, own, np.inf).min(axis=0)
-        self._threshold_ua = np.asarray(1000 * profile.threshold_ma * least, np.float32)
-        self._axons: dict[Afferent, NDArray[np.float32]] = {
-            each: np.ascontiguousarray(bank.receptor[each].T)
-            for each in (Afferent.RA, Afferent.PC)
-            if each in bank.receptor
-        }
-
-    def of(self, interval: Interval) -> Activity:
-        """Return the activity of a whole interval."""
-        if not len(interval.time_s):
-            return Activity(0.0, 0.0, 0.0)
-        slots, which = interval.distinct()
-        does = strength(interval.width_us[slots], self._pulse)
-        current_ua = interval.current_ua[slots] * does[:, None]
-        ra, pc = (self._recruited(current_ua, each)[which] for each in (Afferent.RA, Afferent.PC))
-        hz = _hz(interval.time_s, ra) or _hz(interval.time_s, pc)
-        return Activity(hz, float(ra.max(axis=1).sum()), float(pc.max(axis=1).sum()))
-
-    def _recruited(
-        self, current_ua: NDArray[np.float32], afferent: Afferent
-    ) -> NDArray[np.float32]:
-        """Return the part that each slot fires under each electrode, (N, E) in [0, 1)."""
-        axons = self._axons.get(afferent)
-        if axons is None:
-            return np.zeros_like(current_ua)
-        above = current_ua @ axons
-        above /= self._threshold_ua
-        return np.asarray(1 - 1 / np.maximum(above, 1), np.float32)
-
-
-def _hz(time_s: Array, recruited: NDArray[np.float32]) -> float:
-    """Return the frequency of pulses at the place that fires most."""
-    fired_s = time_s[recruited[:, recruited.sum(axis=0).argmax()] > 0]
-    period_s = float(np.median(np.diff(fired_s))) if len(fired_s) > 1 else 0.0
-    return 1 / period_s if period_s > 0 else 0.0
 
 
 @dataclass(frozen=True)

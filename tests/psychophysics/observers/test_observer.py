@@ -1,4 +1,4 @@
-"""Subjects of known truth: what they are made to find is what they find."""
+"""An observer that judges spikes, one of known thresholds, and some of no use."""
 
 import math
 
@@ -10,7 +10,10 @@ from scipy.special import ndtr
 
 from smarttouch.afferent import Afferent
 from smarttouch.errors import ExperimentError
+from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.receptors import sensitivity
+from smarttouch.psychophysics.observers.known import KnownObserver
+from smarttouch.psychophysics.observers.nerve import Nerve
 from smarttouch.psychophysics.observers.observer import (
     GRATING_LIMIT_MM,
     Interval,
@@ -19,7 +22,7 @@ from smarttouch.psychophysics.observers.observer import (
     SilentObserver,
     SimulatedObserver,
 )
-from smarttouch.psychophysics.observers.percept import FrequencySense, Recruitment
+from smarttouch.psychophysics.observers.percept import FrequencySense
 
 from ...raising import raises
 
@@ -77,10 +80,16 @@ def points(pulse):
     return make
 
 
+@pytest.fixture(scope="module")
+def finger(profile):
+    """Return the finger that is simulated where none is asked for."""
+    return Finger(profile, 1, "paper")
+
+
 @pytest.fixture
-def observer(profile, bank):
+def observer(finger, bank):
     def make(**parameters):
-        return SimulatedObserver(profile, bank, **parameters)
+        return SimulatedObserver(finger, bank, **parameters)
 
     return make
 
@@ -92,58 +101,70 @@ def share(count, ask, wanted):
     return sum(ask() == wanted for _ in range(count)) / count
 
 
-@given(st.lists(st.tuples(st.integers(-2, 2), st.integers(-2, 2), st.sampled_from([99.5, 100]))))
-def test_distinct_slots_give_all_slots_back(slots):
-    current = np.array([each[:2] for each in slots], np.int16).reshape(-1, 2)
-    width = np.array([each[2] for each in slots], np.float32)
-    first, which = Interval(np.arange(len(slots)) / 50, width, current).distinct()
-    np.testing.assert_array_equal(current[first][which], current)
-    np.testing.assert_array_equal(width[first][which], width)
-    assert len(first) == len(set(slots))
+class TestNerve:
+    def test_ra_mode_reaches_no_pc(self, finger, train):
+        response = Nerve(finger).of(train(30))
+        assert response.hz == pytest.approx(30)
+        assert response.ratio == 0
+        assert response.per_slot == pytest.approx(1, abs=0.1)
 
+    def test_pc_mode_reaches_both_and_more_pc_with_more_current(self, finger, train):
+        """Paper, Section III-C: RA are activated, too, as they lie above."""
+        found = [Nerve(finger).of(train(50, PC, level=level)) for level in (0.5, 0.6, 0.8, 1.0)]
+        spikes = [
+            {each: response.counts[finger.classes == each].sum() for each in Afferent}
+            for response in found
+        ]
+        for each in Afferent:
+            assert [one[each] for one in spikes] == sorted(one[each] for one in spikes)
+        assert spikes[-1][RA] > spikes[-1][PC] > 0
+        assert found[-1].ratio > 0.5
 
-class TestRecruitment:
-    def test_ra_mode_reaches_ra_alone(self, profile, bank, train):
-        activity = Recruitment(profile, bank).of(train(30))
-        assert activity.hz == pytest.approx(30)
-        assert activity.pc == 0
-        assert 0.9 * 15 < activity.ra < 15
+    def test_a_shorter_pulse_fires_fewer(self, finger, train):
+        nerve = Nerve(finger)
+        short, full, weak = (
+            nerve.of(train(50, PC, **how)).per_slot
+            for how in ({"width_us": 100}, {}, {"level": 0.5})
+        )
+        assert weak < short < full
 
-    def test_pc_mode_reaches_both_and_ra_more(self, profile, bank, train):
-        """Paper, Section III-C: the RA are always more activated, as they lie above."""
-        tell = Recruitment(profile, bank).of
-        ratios = [tell(train(50, PC, level=level)).ratio for level in (0.5, 0.6, 0.8, 1.0)]
-        assert ratios == sorted(ratios)
-        assert ratios[0] == pytest.approx(0, abs=0.02)
-        assert 0.5 < ratios[-1] < 1
-
-    def test_a_shorter_pulse_recruits_less(self, profile, bank, train):
-        tell = Recruitment(profile, bank).of
-        short, half = train(50, PC, width_us=100), train(50, PC, level=2 / 3)
-        # By Weiss's law with a chronaxie of 200 µs, 100 µs do two thirds of 200 µs.
-        assert tell(short).ratio == pytest.approx(tell(half).ratio, rel=0.02)
-
-    def test_the_frequency_is_that_of_ra_where_sai_pulses_between(self, profile, bank, train):
+    def test_the_frequency_is_that_of_ra_where_sai_pulses_between(self, finger, train):
         slow, fast = train(20), train(80, SAI, level=0.5)
         both = Interval(
-            np.concatenate([slow.time_s, fast.time_s + 0.001]),
+            np.concatenate([slow.time_s, fast.time_s + 0.003]),
             np.concatenate([slow.width_us, fast.width_us]),
             np.concatenate([slow.current_ua, fast.current_ua]),
         )
         order = np.argsort(both.time_s)
         sorted_ = Interval(both.time_s[order], both.width_us[order], both.current_ua[order])
-        assert Recruitment(profile, bank).of(sorted_).hz == pytest.approx(20)
+        assert Nerve(finger).of(sorted_).hz == pytest.approx(20)
 
-    def test_silence_has_no_frequency(self, profile, bank, train):
-        tell = Recruitment(profile, bank).of
-        faint = train(50, level=0.01)
-        for interval in (NOTHING, faint):
-            assert (tell(interval).hz, tell(interval).ratio) == (0, 0)
-        assert tell(train(50, seconds=0.01)).hz == 0
+    def test_pulses_within_the_refractory_time_are_one(self, finger, train):
+        one = train(50)
+        twice = Interval(
+            np.repeat(one.time_s, 2) + np.tile([0, 0.001], len(one.time_s)),
+            np.repeat(one.width_us, 2),
+            np.repeat(one.current_ua, 2, axis=0),
+        )
+        alone, doubled = (Nerve(finger).of(each).counts for each in (one, twice))
+        assert np.abs(alone - doubled).max() <= 1
+        assert alone.max() == len(one.time_s)
 
-    def test_a_bank_without_pc_tells_of_ra_alone(self, profile, bank, make_bank, train):
-        alone = make_bank(bank.weights[RA], bank.receptor[RA])
-        assert Recruitment(profile, alone).of(train(30)).pc == 0
+    def test_silence_has_no_frequency_and_no_place(self, finger, train):
+        for interval in (NOTHING, train(50, level=0.01)):
+            response = Nerve(finger).of(interval)
+            assert (response.hz, response.ratio, response.per_slot) == (0, 0, 0)
+            assert np.isnan([*response.center_mm, response.width_mm]).all()
+        assert Nerve(finger).of(train(50, seconds=0.01)).hz == 0
+
+    def test_places_are_those_of_the_receptors(self, finger, profile, points):
+        nerve = Nerve(finger)
+        for site in (9, 27, 54):
+            found = nerve.of(points(site)).center_mm
+            assert np.linalg.norm(found - profile.electrodes.position_mm[site]) < 1.0
+        far = [nerve.of(points(24, 24 + steps)).width_mm for steps in (1, 3, 6)]
+        assert far == sorted(far)
+        assert far == pytest.approx([2.0, 6.0, 12.0], abs=1.0)
 
 
 class TestFrequencySense:
@@ -189,16 +210,18 @@ class TestTheThresholdsOfThePaper:
         assert weber[75] == pytest.approx(0.70, abs=0.03)
         assert weber[90] == math.inf
 
-    def test_in_pc_mode_it_comes_back_and_is_lost_above_100_hz(self, observer):
+    def test_in_pc_mode_it_goes_on(self, observer):
         subject = observer()
         ratio = subject.ratio(PC, MIDDLE)
         weber = {hz: weber_fraction(subject.frequency, hz, ratio) for hz in (45, 60, 75, 90, 100)}
-        assert weber[60] < 0.18
-        assert weber[75] < 0.22
-        assert weber[90] < 0.3
-        assert weber[100] > 0.3
-        assert weber_fraction(subject.frequency, 120, ratio) > 0.7
-        assert weber_fraction(subject.frequency, 150, ratio) == math.inf
+        assert max(weber.values()) < 0.22
+
+    def test_with_axons_that_branch_it_does_not(self, profile, bank):
+        """A dozen times as many RA fire, and no more PC: what the paper found is not explained."""
+        subject = SimulatedObserver(Finger(profile, 1, "branched"), bank)
+        ratio = subject.ratio(PC, MIDDLE)
+        assert 0 < ratio < 0.4
+        assert weber_fraction(subject.frequency, 90, ratio) == math.inf
 
     @pytest.mark.parametrize(
         ("afferent", "standard_hz"), [(RA, 30), (RA, 60), (RA, 75), (PC, 75), (PC, 100)]
@@ -228,9 +251,9 @@ class TestTheTasks:
         assert felt == pytest.approx(0.8, abs=0.05)
 
     @pytest.mark.parametrize("task", ["felt", "enough"])
-    def test_a_level_is_felt_as_its_truth_says(self, observer, train, profile, task):
+    def test_a_level_is_felt_as_its_truth_says(self, profile, train, task):
         middle = np.linspace(0.9, 1.5, 64)
-        subject = observer(seed=4, threshold_ma=middle, enough_ma=middle + 0.5, guess=0.1)
+        subject = KnownObserver(profile, middle, middle + 0.5, seed=4, guess=0.1)
         at_ma = middle[MIDDLE] + 0.5 * (task == "enough")
         for factor in (0.9, 1.0, 1.1):
             current_ma = float(factor * at_ma)
@@ -242,6 +265,26 @@ class TestTheTasks:
         assert subject.chance_felt(float(at_ma), MIDDLE, task) == pytest.approx(
             guess + (1 - guess - 0.02) / 2
         )
+        assert subject.respond("enough", [NOTHING], "yn") == "n"
+
+    @pytest.mark.parametrize("task", ["felt", "enough"])
+    def test_more_current_is_felt_more_often(self, observer, train, task):
+        subject = observer(seed=4, guess=0.1)
+        found = []
+        for level in (0.2, 0.5, 0.7, 0.8, 1.0):
+            trial = [train(50, level=level)]
+            found.append(share(150, lambda trial=trial: subject.respond(task, trial, "yn"), "y"))
+        assert found[0] == pytest.approx(0.1 if task == "felt" else 0.0, abs=0.08)
+        assert found == pytest.approx(sorted(found), abs=0.1)
+        assert found[-1] > (0.9 if task == "felt" else 0.35)
+
+    def test_half_of_the_trials_at_the_criterion(self, observer):
+        subject = observer(guess=0.1, lapse=0.02, felt_afferents=2.0, enough_afferents=7.0)
+        assert subject.chance_felt(2.0) == pytest.approx(0.1 + 0.88 / 2)
+        assert subject.chance_felt(7.0, "enough") == pytest.approx(0.98 / 2)
+        assert subject.chance_felt(0.0) == pytest.approx(0.1)
+        assert subject.chance_felt(0.0, "enough") == 0
+        assert subject.chance_felt(50.0) == pytest.approx(0.98)
 
     def test_nothing_is_felt_as_often_as_it_guesses(self, observer):
         subject = observer(seed=5, guess=0.2)
@@ -252,31 +295,34 @@ class TestTheTasks:
         assert asked["felt"] == pytest.approx(0.2, abs=0.04)
         assert asked["enough"] == 0
 
-    def test_two_points_are_told_from_one_by_their_distance(self, observer, points):
+    def test_two_points_are_told_from_one_by_their_distance(self, observer, points, finger):
         subject = observer(seed=6, lapse=0.0)
         one, near, far = points(27), points(27, 28), points(27, 30)
-        for two, distance_mm in ((near, 2.0), (far, 6.0)):
-            right = share(1000, lambda two=two: subject.respond("two", [one, two], "12"), "2")
-            assert right == pytest.approx(chance_apart(subject, distance_mm), abs=0.04)
-        assert share(300, lambda: subject.respond("two", [far, one], "12"), "1") > 0.97
+        for two in (near, far):
+            wider_mm = Nerve(finger).of(two).width_mm - Nerve(finger).of(one).width_mm
+            right = share(300, lambda two=two: subject.respond("two", [one, two], "12"), "2")
+            assert right == pytest.approx(chance_apart(subject, wider_mm), abs=0.08)
+        assert share(200, lambda: subject.respond("two", [far, one], "12"), "1") > 0.97
 
     def test_the_grating_limit_is_told_three_times_of_four(self, observer):
         assert chance_apart(observer(lapse=0.0), GRATING_LIMIT_MM) == pytest.approx(0.75)
 
-    def test_sides_are_told_in_two_intervals_or_one(self, observer, points):
+    def test_sides_are_told_in_two_intervals_or_one(self, observer, points, finger):
         subject = observer(seed=8, lapse=0.0)
         left, right = points(26), points(27)
-        truth = chance_apart(subject, 2.0)
+        at_mm = [Nerve(finger).of(each).center_mm[0] for each in (left, right)]
+        truth = chance_apart(subject, at_mm[1] - at_mm[0])
+        assert truth > 0.6
         for trial, wanted in (([left, right], "r"), ([right, left], "l")):
-            told = share(600, lambda trial=trial: subject.respond("side", trial, "lr"), wanted)
-            assert told == pytest.approx(truth, abs=0.05)
+            told = share(300, lambda trial=trial: subject.respond("side", trial, "lr"), wanted)
+            assert told == pytest.approx(truth, abs=0.08)
         joined = Interval(
             np.concatenate([left.time_s, left.time_s + 1]),
             np.tile(left.width_us, 2),
             np.concatenate([left.current_ua, right.current_ua]),
         )
-        told = share(600, lambda: subject.respond("side", [joined], "lr"), "r")
-        assert told == pytest.approx(truth, abs=0.05)
+        told = share(300, lambda: subject.respond("side", [joined], "lr"), "r")
+        assert told == pytest.approx(truth, abs=0.08)
 
     def test_letters_are_recognized_by_what_is_felt(self, observer, points):
         shapes = {"I": (3, 11, 19, 27, 35, 43, 51), "L": (3, 11, 19, 27, 35, 36, 37), "O": (9, 54)}
