@@ -65,6 +65,7 @@ def finger(
             {
                 "profile": chosen.name, "mode": wanted.value, "anatomy": anatomy,
                 "fingers": fingers, "letters": drawn,
+                "fired": letters_felt.fired(found),
                 **figures, "at_board": at_board, "at_nerve": at_nerve,
             },
         )  # fmt: skip

@@ -7,8 +7,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.afferent import CLASS_COLORS, Afferent
+from smarttouch.afferent import Afferent
 from smarttouch.physiology.feeling import fire_all
+from smarttouch.physiology.felt import in_color
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.sources.frame import Pose
@@ -116,11 +117,7 @@ def felt_in_color(
         spread = spread / np.maximum(wide, wide.max(initial=0) / 20 + 1e-9)
     total = spread.sum(axis=0)
     dark = float(np.quantile(total[total > 0], _DARK_QUANTILE)) if total.any() else 1.0
-    image = np.ones((*shape, 3), np.float32)
-    for afferent, color in CLASS_COLORS.items():
-        ink = 1 - np.array([int(color[at : at + 2], 16) for at in (1, 3, 5)]) / 255
-        image -= spread[afferent][..., None] / dark * ink.astype(np.float32)
-    return np.asarray(np.rint(255 * np.clip(image, 0, 1)), np.uint8)
+    return np.asarray(np.rint(255 * in_color(spread, dark)), np.uint8)
 
 
 def _pixels(

@@ -3,11 +3,12 @@
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from math import isnan, nan
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.afferent import Afferent
+from smarttouch.afferent import CLASS_COLORS, Afferent
 from smarttouch.physiology.finger import Finger
 
 
@@ -99,3 +100,20 @@ def felt_map(
     weight = np.exp(-(away**2).sum(axis=2) / (2 * blur_mm**2)) * counts[fired, None]
     classes = finger.classes[fired]
     return np.stack([weight[classes == each].sum(axis=0) for each in Afferent]).astype(np.float32)
+
+
+def in_color(spikes: NDArray[Any], most: float) -> NDArray[np.float32]:
+    """Return spikes as inks on white, in the color of each class, (..., 3) in [0, 1].
+
+    Parameters
+    ----------
+    spikes : ndarray, (3, ...)
+        Of each class.
+    most : float
+        Spikes of all classes together that have the whole color.
+    """
+    image = np.ones((*spikes.shape[1:], 3), np.float32)
+    for afferent, color in CLASS_COLORS.items():
+        ink = 1 - np.array([int(color[at : at + 2], 16) for at in (1, 3, 5)]) / 255
+        image -= spikes[afferent][..., None] / max(most, 1e-9) * ink.astype(np.float32)
+    return np.clip(image, 0, 1)

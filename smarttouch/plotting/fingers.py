@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.afferent import CLASS_COLORS, Afferent
-from smarttouch.physiology.felt import felt_map
+from smarttouch.afferent import CLASS_COLORS
+from smarttouch.physiology.felt import felt_map, in_color
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import Slots, SpikeModel
 from smarttouch.plotting.style import GREY, new_figure, plain
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PIXELS = 120
-_QUIET = "#c8c8c8"
+_QUIET = "#d8d8d8"
 
 
 def letter_figure(finger: Finger, slots: Slots, active: NDArray[np.bool_]) -> "Figure":
@@ -30,14 +30,17 @@ def letter_figure(finger: Finger, slots: Slots, active: NDArray[np.bool_]) -> "F
         Electrodes of the pattern.
     """
     counts = SpikeModel(finger).fire(slots).counts
-    figure = new_figure(8.4, 7.6)
-    delivered, fired, felt, side = figure.subplots(2, 2).ravel()
+    figure = new_figure(10.5, 6.0)
+    parts: Any = figure.subfigures(2, 1, height_ratios=(3.6, 2.0))
+    above, below = parts
+    delivered, fired, felt = above.subplots(1, 3, sharey=True)
+    side = below.subplots()
     _draw_array(delivered, finger, active)
-    _draw_courses(fired, finger, counts > 0, 1)
+    _draw_courses(fired, finger, counts, 1)
     _draw_array(fired, finger, active, outline=True)
     _draw_felt(felt, finger, counts)
     _draw_array(felt, finger, active, outline=True)
-    _draw_courses(side, finger, counts > 0, 2)
+    _draw_courses(side, finger, counts, 2)
     half_x, half_y = finger.reach_mm
     for axes in (delivered, fired, felt):
         axes.set_xlim(-half_x, half_x)
@@ -45,16 +48,19 @@ def letter_figure(finger: Finger, slots: Slots, active: NDArray[np.bool_]) -> "F
         axes.set_aspect("equal")
     side.set_xlim(-half_y, half_y)
     deepest = max(one.course_mm[:, 1, 2].max() for one in finger.populations.values())
-    side.set_ylim(min(deepest, 4.0) + 0.5, 0)
-    plain(delivered, "Delivered: active electrodes", "x (mm)", "y (mm), palm below")
-    plain(fired, "Afferents from above: those that fired in color", "x (mm)", "y (mm)")
-    plain(felt, "Felt: spikes where the receptors are", "x (mm)", "y (mm)")
-    plain(side, "The same from the side", "y (mm), palm at the right", "depth (mm)")
+    side.set_ylim(min(deepest, 3.0) + 0.5, 0)
+    plain(delivered, "Delivered: active electrodes", "x (mm)", "y (mm), fingertip above")
+    plain(fired, "Fired: axons in color, dots are their endings", "x (mm)")
+    plain(felt, "Felt: spikes where the receptors are", "x (mm)")
+    plain(
+        side, f"The same axons from the side: {finger.anatomy.title}",
+        "y (mm), fingertip at the left", "depth (mm)",
+    )  # fmt: skip
     for afferent, color in CLASS_COLORS.items():
         of_class = finger.classes == afferent
         label = f"{afferent.name}: {np.sum(of_class & (counts > 0))} of {of_class.sum()} fired"
-        side.plot([], [], color=color, label=label)
-    side.legend(fontsize=7, loc="lower right")
+        side.plot([], [], color=color, lw=2, label=label)
+    side.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
     return figure
 
 
@@ -71,34 +77,33 @@ def _draw_array(
             axes.add_patch(Circle(place, radius, facecolor=color, edgecolor=line, lw=0.6, zorder=3))
 
 
-def _draw_courses(axes: Any, finger: Finger, fired: NDArray[np.bool_], across: int) -> None:
+def _draw_courses(axes: Any, finger: Finger, counts: NDArray[np.intp], across: int) -> None:
     """Draw courses in the plane of x and y (across 1), or of y and depth (2)."""
     from matplotlib.collections import LineCollection
 
     first = 0
     for afferent, one in finger.populations.items():
-        fires = fired[first : first + len(one.factor)][one.owner]
+        fires = (counts[first : first + len(one.factor)] > 0)[one.owner]
         first += len(one.factor)
         for which, color, width, order in (
-            (~fires, _QUIET, 0.25, 1), (fires, CLASS_COLORS[afferent], 0.5, 2),
+            (~fires, _QUIET, 0.2, 1), (fires, CLASS_COLORS[afferent], 0.6, 2 + 1 / (1 + afferent)),
         ):  # fmt: skip
             lines = one.course_mm[which][..., across - 1 : across + 1]
+            # Many that cross are to be told apart.
+            alpha = min(1.0, 20 / max(1, len(lines)) ** 0.5)
             axes.add_collection(
-                LineCollection(list(lines), colors=color, linewidths=width, zorder=order)
+                LineCollection(
+                    list(lines), colors=color, linewidths=width, zorder=order, alpha=alpha
+                )
             )
-            axes.plot(*lines[:, 0].T, ".", color=color, ms=1.5, zorder=order)
+            axes.plot(
+                *lines[:, 0].T, ".", color=color, ms=1 if color == _QUIET else 3, zorder=order
+            )
 
 
 def _draw_felt(axes: Any, finger: Finger, counts: NDArray[np.intp]) -> None:
-    from matplotlib.colors import to_rgb
-
     half_x, half_y = finger.reach_mm
     x, y = np.meshgrid(np.linspace(-half_x, half_x, _PIXELS), np.linspace(-half_y, half_y, _PIXELS))
     spikes = felt_map(finger, counts, np.column_stack([x.ravel(), y.ravel()]), 0.6)
-    strongest = max(float(spikes.max()), 1e-9)
-    image = np.ones((_PIXELS * _PIXELS, 3))
-    for afferent in Afferent:
-        ink = 1 - np.array(to_rgb(CLASS_COLORS[afferent]))
-        image -= spikes[afferent][:, None] / strongest * ink
-    shown = np.clip(image, 0, 1).reshape(_PIXELS, _PIXELS, 3)
+    shown = in_color(spikes, float(spikes.sum(axis=0).max())).reshape(_PIXELS, _PIXELS, 3)
     axes.imshow(shown, extent=(-half_x, half_x, half_y, -half_y), interpolation="bilinear")

@@ -146,6 +146,11 @@ def summary(found: Sequence[LetterFelt]) -> dict[str, float]:
     return {**figures, "median": median(errors), "worst_tenth": fmean(worst)}
 
 
+def fired(found: Sequence[LetterFelt]) -> dict[str, float]:
+    """Return how many afferents of each class fire: medians over letters and fingers."""
+    return {each.name: median(one.felt.afferents[each] for one in found) for each in Afferent}
+
+
 def _templates(profile: Profile) -> dict[str, Floats]:
     return {each: _centered(draw_letter(each, profile)) for each in ALPHABET}
 

@@ -10,6 +10,7 @@ import numpy as np
 from smarttouch.braille.files import read_text
 from smarttouch.braille.tables import open_table
 from smarttouch.delivered.line import LinePicture
+from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.reading.braille import Braille
 from smarttouch.reading.deliver import DeliveredLine, Reading, deliver_lines, ideal_picture
@@ -127,7 +128,7 @@ def legibility_at_nerve(
     found: Legibility,
     reading: Reading,
     fingers: int,
-    anatomy: str,
+    anatomy: str | Anatomy,
     progress: Progress = _in_silence,
 ) -> dict[str, Any]:
     """Let simulated fingers feel delivered letter shapes, and recognize what each felt.
@@ -139,8 +140,8 @@ def legibility_at_nerve(
     reading : Reading
     fingers : int
         Number of them, by seeds from 1 on.
-    anatomy : str
-        Name or file of their anatomy.
+    anatomy : str or Anatomy
+        Of them: a name, a file, or the anatomy itself.
     progress : callable
 
     Returns
@@ -317,6 +318,7 @@ def measure_legibility(
         ]
         text = cells.delivered if cells.text is None else cells.text
         return Measured({**how, **speed, **asdict(cells)}, rows, text)
+    course = load_anatomy(anatomy)
     require_rows(reading.profile, source.note)
     said = source.words if truth is None else read_text(truth)
     found = legibility_of_shapes(source, reading, presented, said, progress)
@@ -331,7 +333,7 @@ def measure_legibility(
     shape = {"as": "shapes", "style": presented.style.value, "rows": rows_of(reading.profile)}
     figures = {f.name: getattr(found, f.name) for f in fields(found) if f.name != "delivered"}
     if fingers:
-        nerve = legibility_at_nerve(found, reading, fingers, anatomy, progress)
+        nerve = legibility_at_nerve(found, reading, fingers, course, progress)
         figures |= {"fingers": fingers, "anatomy": anatomy, **nerve}
         rows += [
             (f"error rate, nerve, {name.replace('_', ' ')}", f"{rate:.3f}")

@@ -13,7 +13,7 @@ from PIL import Image
 
 from smarttouch.braille.tables import open_table
 from smarttouch.documents.printed_text import print_text
-from smarttouch.errors import BrailleError, PageError, ReadingError, SmartTouchError
+from smarttouch.errors import BrailleError, PageError, ProfileError, ReadingError, SmartTouchError
 from smarttouch.recording.reader import Recording
 
 from ..braille.embossed import emboss
@@ -132,6 +132,34 @@ def test_legibility_of_a_page(program_here, tmp_path, page_file):
     assert figures["character_error_rate"] <= figures["sampling_limit"] + 0.1
     assert (figures["rows"], figures["style"], figures["lines"]) == (8, "graded", 2)
     assert figures["text"] in done.stdout
+
+
+@needs_tesseract
+def test_legibility_at_the_nerve_of_fingers(program_here, tmp_path):
+    found = {}
+    for anatomy in ("paper", "branched"):
+        done = program_here(
+            "legibility", "text:touch it", "--fingers", 2, "--anatomy", anatomy, "--json", "f.json"
+        )
+        assert done.returncode == 0, done.stderr
+        found[anatomy] = figures = figures_of(tmp_path / "f.json")
+        assert (figures["fingers"], figures["anatomy"]) == (2, anatomy)
+        assert figures["at_board"] == figures["character_error_rate"]
+        assert set(figures["at_nerve"]) == {"median", "worst_tenth"}
+        assert 0 <= figures["at_nerve"]["median"] <= figures["at_nerve"]["worst_tenth"]
+        for name in ("wrong_class", "misplaced", "silent_points"):
+            assert 0 <= figures[name] <= 1
+        assert f"{figures['at_nerve']['worst_tenth']:.3f}" in done.stdout
+    # Axons that branch are reached more often, and further from their receptors.
+    paper, branched = found["paper"], found["branched"]
+    assert branched["silent_points"] < paper["silent_points"]
+    assert branched["misplaced"] > paper["misplaced"]
+    assert branched["wrong_class"] > paper["wrong_class"]
+
+
+def test_legibility_of_no_anatomy_is_refused_before_anything_is_read(program_here):
+    done = program_here("legibility", "text:touch", "--fingers", 2, "--anatomy", "none")
+    says(ProfileError, about="anatomy", problem="unknown", value="none")(refused(done))
 
 
 @needs_tesseract
