@@ -25,16 +25,10 @@ from smarttouch.psychophysics.observers.observer import (
 from smarttouch.psychophysics.observers.percept import FrequencySense
 
 from ...raising import raises
+from .weber import weber_fraction
 
 RA, SAI, PC = Afferent
 MIDDLE = 27
-
-
-def weber_fraction(sense, standard_hz, ratio):
-    """Return how much higher a comparison is judged so in 75 %; infinite if none is."""
-    n, limit_hz = sense.sharpness, sense.believable_hz(ratio)
-    left = (standard_hz**-n + limit_hz**-n) * (1 + sense.weber) ** -n - limit_hz**-n
-    return float(left ** (-1 / n) / standard_hz - 1) if left > 0 else math.inf
 
 
 def chance_apart(subject, distance_mm):

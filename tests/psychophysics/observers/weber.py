@@ -1,0 +1,10 @@
+"""Discrimination thresholds of a frequency sense, in closed form."""
+
+import math
+
+
+def weber_fraction(sense, standard_hz, ratio):
+    """Return how much higher a comparison is judged so in 75 %; infinite if none is."""
+    n, limit_hz = sense.sharpness, sense.believable_hz(ratio)
+    left = (standard_hz**-n + limit_hz**-n) * (1 + sense.weber) ** -n - limit_hz**-n
+    return float(left ** (-1 / n) / standard_hz - 1) if left > 0 else math.inf
