@@ -4,7 +4,7 @@ Run with::
 
     pytest tests/benchmarks/test_live_finger.py --benchmark-only -n0
 
-A line of text on the board emulator; a finger feels the newest step in a process of its own, and a
+Lines of text on the board emulator; a finger feels the newest step in a process of its own, and a
 picture is made of it.
 """
 
@@ -18,11 +18,11 @@ from smarttouch.physiology.feeling import Feeling
 @pytest.mark.timeout(0)
 @pytest.mark.parametrize("anatomy", [None, "paper", "branched"])
 def test_period_error_with_a_finger(row, quick, anatomy):
-    profile, seconds = st.load_profile("electric-mouse"), 1.0 if quick else 30.0
+    profile, seconds = st.load_profile("electric-mouse"), 1.0 if quick else 20.0
     live = (
         None if anatomy is None else LiveFinger(st.Finger(profile, 1, anatomy), Feeling._repr_html_)
     )
-    source = st.open_source("text:the quick brown fox jumps over the lazy dog", profile)
+    source = st.open_source(f"text:{'the quick brown fox jumps over the lazy dog ' * 6}", profile)
     with st.open_display("emulator:", profile) as display:
         statistics = st.run(
             source, display, seconds=seconds, listeners=[] if live is None else [live]
@@ -46,4 +46,5 @@ def test_period_error_with_a_finger(row, quick, anatomy):
     if live is not None:
         assert live.felt > 0
         assert live.drawn == live.newest._repr_html_()
-        assert live.felt + live.skipped == figures["sequences"]
+        # A step that the board lost is felt, and is no sequence.
+        assert live.felt + live.skipped >= figures["sequences"]
