@@ -22,12 +22,32 @@ JsonOption = Annotated[
     Path | None,
     typer.Option("--json", metavar="FILE", rich_help_panel=KEPT, help="Figures of the run."),
 ]
+
+
+def _seed(value: int) -> int:
+    if value < 0:
+        raise typer.BadParameter(f"the seed {value} must be 0 or more")
+    return value
+
+
+FingerOption = Annotated[
+    int,
+    typer.Option(
+        "--finger",
+        metavar="SEED",
+        rich_help_panel=KEPT,
+        callback=_seed,
+        show_default=False,
+        help="Whose afferents are drawn, or judge.",
+    ),
+]
 AnatomyOption = Annotated[
     str,
     typer.Option(
         "--anatomy",
-        metavar="branched|paper|FILE",
-        help="Course of simulated afferents.",
+        metavar="NAME|FILE",
+        show_default=False,
+        help="Of simulated fingers: branched or paper.",
     ),
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Show nothing but errors.")]

@@ -13,6 +13,7 @@ from smarttouch.cli.options import (
     FINGER,
     KEPT,
     AnatomyOption,
+    FingerOption,
     JsonOption,
     ProfileOption,
     QuietOption,
@@ -79,8 +80,8 @@ class RunOptions(OptionGroup):
         typer.Option(
             metavar="0..1",
             rich_help_panel=FINGER,
-            help="Of the strongest. Real boards begin at 0; keys raise it up to this. Without a "
-            "keyboard it must be given, and is reached slowly.",
+            help="Of the strongest. Real boards begin at 0; keys raise it to this. Must be given "
+            "without keyboard.",
         ),
     ] = None
     softness: Annotated[
@@ -98,12 +99,7 @@ class RunOptions(OptionGroup):
         Path | None,
         typer.Option(metavar="PNG", rich_help_panel=KEPT, help="Picture of what is read and felt."),
     ] = None
-    finger: Annotated[
-        int,
-        typer.Option(
-            min=0, metavar="SEED", rich_help_panel=KEPT, help="Whose afferents are drawn or judge."
-        ),
-    ] = 1
+    finger: FingerOption = 1
     anatomy: AnatomyOption = "branched"
     frames: Annotated[
         Path | None,

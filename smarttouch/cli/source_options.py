@@ -105,7 +105,7 @@ class FeelOptions(OptionGroup):
         typer.Option(
             metavar="HOW",
             rich_help_panel=_FEEL,
-            help="Braille by moving line, or by cell.",
+            help="Braille: line or cell.",
         ),
     ] = "line"
     embossed: Annotated[

@@ -25,54 +25,40 @@ MIDDLE = 27
 STANDARDS_HZ = (30, 45, 60, 75, 90, 100, 120)
 
 
+LEVELS = np.arange(0.2, 1.005, 0.02)
+
+
 @pytest.mark.timeout(0)
 @pytest.mark.parametrize("anatomy", ["paper", "branched"])
-def test_frequency(row, quick, profile, bank, anatomy):
+def test_frequency_and_detection(row, quick, profile, bank, anatomy):
     sense, limits = FrequencySense(), {}
-    found = {RA: [], PC: []}
+    ratios, felt_ma = {RA: [], PC: []}, {each: [] for each in (RA, SAI, PC)}
     for seed in range(1, 3 if quick else 21):
-        observer = SimulatedObserver(st.Finger(profile, seed, anatomy), bank)
-        for mode, ratios in found.items():
-            ratios.append(observer.ratio(mode, MIDDLE))
-    for mode, ratios in found.items():
+        finger = st.Finger(profile, seed, anatomy)
+        observer = SimulatedObserver(finger, bank)
+        for mode, found in ratios.items():
+            found.append(observer.ratio(mode, MIDDLE))
+        for mode, found in felt_ma.items():
+            found.append(first_felt_ma(finger, bank.kernels(mode)[MIDDLE]))
+    for mode, found in ratios.items():
         weber = {
-            hz: float(np.median([weber_fraction(sense, hz, ratio) for ratio in ratios]))
+            hz: float(np.median([weber_fraction(sense, hz, ratio) for ratio in found]))
             for hz in STANDARDS_HZ
         }
-        limits[mode] = np.median([sense.believable_hz(ratio) for ratio in ratios])
+        limits[mode] = np.median([sense.believable_hz(ratio) for ratio in found])
         row(
             "75 % threshold of frequency, median of fingers",
             {
                 "anatomy": anatomy,
                 "mode": mode.name,
                 "PC for RA, median (least to most)": (
-                    f"{np.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
+                    f"{np.median(found):.2f} ({min(found):.2f} to {max(found):.2f})"
                 ),
                 "believed up to, Hz": f"{limits[mode]:.0f}",
             }
             | {f"{hz} Hz": f"{each:.2f}" for hz, each in weber.items()},
         )
-    assert limits[RA] == pytest.approx(65)
-    # With axons that branch too few PC fire among the many RA.
-    assert (limits[PC] > limits[RA]) == (anatomy == "paper")
-
-
-@pytest.mark.timeout(0)
-@pytest.mark.parametrize("anatomy", ["paper", "branched"])
-def test_detection(row, quick, profile, bank, anatomy):
-    levels = np.arange(0.2, 1.005, 0.02)
-    for mode in (RA, SAI, PC):
-        found = []
-        for seed in range(1, 3 if quick else 21):
-            full_ua = 1000 * profile.full_ma[MIDDLE] * bank.kernels(mode)[MIDDLE]
-            current_ua = np.rint(levels[:, None] * full_ua).astype(np.int16)
-            train = Interval(
-                np.arange(len(levels)) * 0.02, np.full(len(levels), 200, np.float32), current_ua
-            )
-            fired = Nerve(st.Finger(profile, seed, anatomy)).of(train).fired.any(axis=0)
-            found.append(
-                levels[fired.argmax()] * profile.full_ma[MIDDLE] if fired.any() else np.nan
-            )
+    for mode, found in felt_ma.items():
         felt = np.array(found)[np.isfinite(found)]
         row(
             "Current at which the first afferent fires, mA",
@@ -85,3 +71,15 @@ def test_detection(row, quick, profile, bank, anatomy):
             },
         )
         assert 0 < np.median(felt) < profile.full_ma[MIDDLE]
+    assert limits[RA] == pytest.approx(65)
+    # With axons that branch too few PC fire among the many RA.
+    assert (limits[PC] > limits[RA]) == (anatomy == "paper")
+
+
+def first_felt_ma(finger, kernel):
+    """Return the weakest current at which an afferent fires, mA; NaN where none does."""
+    full_ma = finger.profile.full_ma[MIDDLE]
+    current_ua = np.rint(1000 * LEVELS[:, None] * full_ma * kernel).astype(np.int16)
+    time_s, width_us = np.arange(len(LEVELS)) * 0.02, np.full(len(LEVELS), 200, np.float32)
+    fired = Nerve(finger).of(Interval(time_s, width_us, current_ua)).fired.any(axis=0)
+    return LEVELS[fired.argmax()] * full_ma if fired.any() else np.nan
