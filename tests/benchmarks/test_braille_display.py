@@ -5,12 +5,12 @@ import time
 
 import numpy as np
 import pytest
-from tests.braille_display.real import Brltty, free_port, require_brltty
 
 import smarttouch as st
 from smarttouch.braille_display.connection import Address, BrlttyConnection
 from smarttouch.braille_display.source import BrailleDisplaySource
 from smarttouch.reading.window import profile_for_reading
+from tests.braille_display.real import Brltty, free_port, require_brltty
 
 HANGS_S = 120
 SHOWN_S = 0.2

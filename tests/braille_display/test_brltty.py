@@ -1,17 +1,16 @@
-"""A real BRLTTY: what programs write is delivered dot by dot, keys arrive, restarts are survived."""
+"""A real BRLTTY: texts are delivered dot by dot, keys arrive, restarts are survived."""
 
 import os
 import random
 
 import numpy as np
 import pytest
-from tests.braille_display.real import Brltty, cells_of, free_port, require_brltty
 
 from smarttouch.afferent import Mode
+from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.braille.cells import POSITION, dots_to_cells
 from smarttouch.braille_display.connection import Address, BrlttyConnection
 from smarttouch.braille_display.source import BrailleDisplaySource
-from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.delivered.perception import DeliveredAnswers
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
@@ -21,6 +20,7 @@ from smarttouch.reading.window import profile_for_reading
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.runner import Runner
+from tests.braille_display.real import Brltty, cells_of, free_port, require_brltty
 
 HANGS_S = 60
 ROUTE = 1 << 16
@@ -45,6 +45,15 @@ def brltty(tmp_path):
     connection.close()
 
 
+def put(writer, connection, text, shown, cursor=0):
+    """Write a text until it is shown: just after its start BRLTTY can lose what is written."""
+    for _ in range(HANGS_S):
+        writer.write(text, cursor)
+        if connection.wait_until(shown, 1.0):
+            return
+    raise AssertionError(text, connection.shown)
+
+
 class Dictation(BrailleDisplaySource):
     """Has the next text written as soon as one has been felt."""
 
@@ -62,9 +71,7 @@ class Dictation(BrailleDisplaySource):
             if text is None:
                 return None
             self._text, self._count = text, self._count + 1
-            self._writer.write(text)
-            there = self.connection.wait_until(lambda: self._shows(text), HANGS_S)
-            assert there, (text, self._shown, self.connection.shown)
+            put(self._writer, self.connection, text, lambda: self._shows(text))
         return super().read(time_ns)
 
     def _take(self, shown):
@@ -130,8 +137,7 @@ def test_keys_arrive_at_the_program(brltty):
     real.start()
     source = BrailleDisplaySource(connection, PROFILE, Presentation.CELL)
     with real.writer() as writer:
-        writer.write("hello")
-        assert connection.wait_until(lambda: connection.shown.text == "hello", HANGS_S)
+        put(writer, connection, "hello", lambda: connection.shown.text == "hello")
         source.read(0)
         source.keys["]"]()
         source.read(1)
@@ -147,10 +153,8 @@ def test_the_cursor_is_found(brltty):
     real, connection = brltty
     real.start()
     with real.writer() as writer:
-        writer.write("hello", 3)
-        assert connection.wait_until(lambda: connection.shown.cursor == 2, HANGS_S)
-        writer.write("hello", 5)
-        assert connection.wait_until(lambda: connection.shown.cursor == 4, HANGS_S)
+        put(writer, connection, "hello", lambda: connection.shown.cursor == 2, cursor=3)
+        put(writer, connection, "hello", lambda: connection.shown.cursor == 4, cursor=5)
 
 
 def test_it_survives_ten_restarts_of_brltty(brltty):

@@ -3,10 +3,10 @@
 import socket
 
 import pytest
-from tests.braille_display.real import free_port
 
 from smarttouch.braille_display.connection import USUAL_PORT, Address, BrlttyConnection
 from smarttouch.errors import SourceError
+from tests.braille_display.real import free_port
 
 HANGS_S = 60
 
@@ -17,7 +17,7 @@ HANGS_S = 60
         ("", "127.0.0.1", USUAL_PORT, True),
         ("listen", "127.0.0.1", USUAL_PORT, True),
         ("listen:4101", "127.0.0.1", 4101, True),
-        ("listen:0.0.0.0:4101", "0.0.0.0", 4101, True),  # noqa: S104
+        ("listen:0.0.0.0:4101", "0.0.0.0", 4101, True),
         ("desk.local:4101", "desk.local", 4101, False),
         ("[::1]:4101", "::1", 4101, False),
     ],

@@ -1,5 +1,7 @@
 """Cells under the finger, with a told clock and a connection that is told what BRLTTY shows."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -94,7 +96,7 @@ def test_a_line_moves_through_electrode_by_electrode():
     for _ in range(4 * layout.cell):
         windows.append(finger.window(finger.after(1 / layout.cell)))
     np.testing.assert_array_equal(first, windows[0])
-    for before, now in zip(windows, windows[1:], strict=False):
+    for before, now in pairwise(windows):
         np.testing.assert_array_equal(now[:, :-1], before[:, 1:])
     assert not windows[-1].any()
     assert finger.source.at_end
