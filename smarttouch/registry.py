@@ -11,6 +11,7 @@ from smarttouch.errors import SmartTouchError
 
 _OWN = {
     "smarttouch.sources": {
+        "brltty": "smarttouch.braille_display.source:open_brltty",
         "camera": "smarttouch.sources.camera:open_camera",
         "frames": "smarttouch.sources.video:open_frames",
         "page": "smarttouch.sources.page:open_page",

@@ -11,6 +11,8 @@ from smarttouch.braille.cells import BLANK, pattern
 from smarttouch.errors import BrailleError
 
 INSTALL = "apt install liblouis20 liblouis-data"
+JOINERS = "\u200c\u200d"
+"""Invisible characters that shape those beside them, and have cells of their own in some codes."""
 _LIBRARIES = ("liblouis.so.20", "liblouis.so", "liblouis.20.dylib", "liblouis.dylib")
 
 _DOTS = 0x8000
@@ -85,7 +87,7 @@ class LouisCode:
         return known
 
     def _defines(self, character: str) -> bool:
-        if unicodedata.category(character).startswith("C"):
+        if unicodedata.category(character).startswith("C") and character not in JOINERS:
             return False
         if character.isascii():
             # Some tables show the undefined as a question mark or a blank.

@@ -4,6 +4,7 @@ import re
 import unicodedata
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple, Protocol
 
 from smarttouch.braille import louis
@@ -14,6 +15,11 @@ from smarttouch.braille.louis import LouisCode
 from smarttouch.errors import BrailleError
 
 DEFAULT_TABLE = "en-1"
+_MARKED = re.compile(
+    r"[^\W\d_]"
+    r"[\u0300-\u036f\u064b-\u065f\u0670\u093c\u09bc\u0a3c\u0b3c\u0cbc\u3099\u309a]+"
+)
+"""A letter and the marks that may belong to it."""
 MISSING_NOTE = (
     f"liblouis is not here: built-in English grade 1; for other tables and grade 2: {louis.INSTALL}"
 )
@@ -60,7 +66,7 @@ class Table:
 
     def missing(self, text: str) -> str:
         """Return the characters of a text that the table has no cells for, each once."""
-        return self.code.missing(_tidy(text).replace("\n", ""))
+        return self.code.missing(_tidy(text, self.code).replace("\n", ""))
 
     def to_cells(self, text: str, leave_out: bool = False) -> str:
         """Return a text as cells, line by line.
@@ -77,7 +83,8 @@ class Table:
         BrailleError
             If the table has no cells for a character, and it is not to be left out.
         """
-        tidy, missing = _tidy(text), self.missing(text)
+        tidy = _tidy(text, self.code)
+        missing = self.code.missing(tidy.replace("\n", ""))
         if missing and not leave_out:
             others = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
             raise BrailleError(
@@ -192,10 +199,33 @@ def open_table(name: str = DEFAULT_TABLE) -> Table:
     return Table(name, known.title, known.built_in(), MISSING_NOTE if known.file else None)
 
 
-def _tidy(text: str) -> str:
-    """Return a text with letters and their accents composed, plain spaces, nothing invisible."""
+def _tidy(text: str, code: Code) -> str:
+    """Return a text with plain spaces and whole letters, nothing invisible but joiners.
+
+    Marks are joined with their letter where one character is both, and otherwise left in
+    their order: Unicode's own forms would reorder Arabic marks and take Punjabi letters apart.
+    """
     # Half-width kana have their voice marks apart.
     whole = re.sub(r"[ｦ-ﾟ]+", lambda found: unicodedata.normalize("NFKC", found[0]), text)
-    composed = unicodedata.normalize("NFC", whole.replace("\r\n", "\n"))
-    visible = (each for each in composed if unicodedata.category(each) != "Cf")
-    return re.sub(r"[^\S\n]", " ", "".join(visible))
+    plain = re.sub(r"[^\S\n]", " ", whole.replace("\r\n", "\n"))
+    visible = "".join(
+        each for each in plain if unicodedata.category(each) != "Cf" or each in louis.JOINERS
+    )
+
+    def joined(found: re.Match[str]) -> str:
+        letter = found[0]
+        one = unicodedata.normalize("NFC", letter)
+        if len(one) == len(letter):
+            one = _excluded().get(letter, letter)
+        return letter if code.missing(one) else one
+
+    tidy = _MARKED.sub(joined, visible)
+    lacking = {each for each in louis.JOINERS if each in tidy and code.missing(each)}
+    return tidy.translate(dict.fromkeys(map(ord, lacking)))
+
+
+@cache
+def _excluded() -> dict[str, str]:
+    """Return the letters that Unicode takes apart for good, by their parts."""
+    every = map(chr, range(0x0900, 0x1000))
+    return {parts: each for each in every if len(parts := unicodedata.normalize("NFC", each)) > 1}

@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 from smarttouch.cli.board import board
 from smarttouch.cli.boards import boards
 from smarttouch.cli.braille import braille
+from smarttouch.cli.braille_display import braille_display
 from smarttouch.cli.calibrate import calibrate
 from smarttouch.cli.color import color
 from smarttouch.cli.design import design
@@ -41,7 +42,12 @@ _FEWEST_FILES = 64
 
 _COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
     "Run": {"live": live, "mouse": mouse, "color": color, "stop": stop},
-    "Read, Braille": {"read": read, "braille": braille, "legibility": legibility},
+    "Read, Braille": {
+        "read": read,
+        "braille": braille,
+        "braille-display": braille_display,
+        "legibility": legibility,
+    },
     "Calibrate": {"calibrate": calibrate},
     "Experiment": {"experiment": experiment},
     "Boards, sensors": {"boards": boards, "board": board, "sensor": sensor, "report": report},

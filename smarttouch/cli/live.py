@@ -27,8 +27,8 @@ def live(
             "--sensor",
             callback=or_standard_input,
             metavar="URL",
-            help="page:, text:, camera:, video:, frames:, serial-array: or recording: and a place; "
-            "options behind it: page:a.png?dpi=300&speed_mm_s=40",
+            help="page:, text:, camera:, video:, frames:, serial-array:, brltty:, recording: and a "
+            "place; options behind it: page:a.png?dpi=300&speed_mm_s=40",
         ),
     ] = None,
     mode: ModeOption = "RA",
@@ -69,4 +69,12 @@ def live(
         display = run.display(chosen)
         # All that is kept has been opened once.
         saved.keep_run(context, run, config, source, options)
-        run_in_terminal(opened, display, config, outputs, force=force)
+        run_in_terminal(
+            opened,
+            display,
+            config,
+            outputs,
+            force=force,
+            keys=opened.keys,
+            keys_help=opened.keys_help,
+        )

@@ -201,10 +201,12 @@ def _proof_of(message: Message, slots: int) -> SelectivityReport | None:
     return SelectivityReport(points, other, spill)
 
 
-def _asked(message: Message) -> tuple[int, float]:
-    """Return period, µs, and level of a stimulus."""
-    period_us, level = int(message["period_us"]), float(message["level"])
-    if not (0 <= period_us <= _LONGEST_US and 0 <= level <= 1):
+def _asked(message: Message) -> tuple[int | None, float]:
+    """Return period, µs, if it has one of its own, and level of a stimulus."""
+    period_us, level = message["period_us"], float(message["level"])
+    if period_us is not None:
+        period_us = int(period_us)
+    if not (0 <= (period_us or 0) <= _LONGEST_US and 0 <= level <= 1):
         raise ValueError(f"not a stimulus: {period_us} µs at a level of {level}")
     return period_us, level
 

@@ -68,7 +68,10 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
     "/request": (
         "smarttouch.PulseRequest",
         {
-            "period_us": {**_INTEGER, "description": "until the source is asked again"},
+            "period_us": {
+                "type": ["integer", "null"],
+                "description": "until the source is asked again; null: by the profile's rates",
+            },
             "level": {**_NUMBER, "description": "of the strongest, in [0, 1]"},
             "image": {"type": "boolean", "description": "whether there was one to see"},
         },

@@ -1,6 +1,7 @@
 """Contract of a source: optical ones give frames, stimulus sources give stimuli."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from typing import ClassVar
 
 from smarttouch.events import Emit, emit_nowhere
@@ -28,6 +29,13 @@ class Source(Device, ABC):
     """Distinct frames or stimuli that it delivered."""
     dropped_frames: int = 0
     """Those that came but were never read."""
+    keys_help: ClassVar[str] = ""
+    """Words on its keys."""
+
+    @property
+    def keys(self) -> Mapping[str, Callable[[], None]]:
+        """Functions of single keys, callable from any thread; none if it has no controls."""
+        return {}
 
     @abstractmethod
     def read(self, time_ns: int) -> Input | None:

@@ -1,6 +1,6 @@
 """Stimuli: tactile images that a source gives by itself, without an image to be felt."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +13,15 @@ _ORIGIN = Pose(0.0, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class Stimulus(TactileImage):
-    """Tactile image with its own period and level: one pulse of each class at each active site.
+    """Tactile image with its own level and, if it wishes, its own period: see `TactileImage`.
 
     Attributes
     ----------
     activation, time_ns, force_n, level
         See `TactileImage`; the force is NaN where the source does not know.
-    period_us : int, µs
-        Until the source wants to be read again.
+    period_us : int, µs, optional
+        Until the source wants to be read again; every class that is active pulses once. None:
+        the mode's classes pulse at the profile's rates.
     pose : Pose
         Where the finger is.
     number : int
@@ -33,7 +34,6 @@ class Stimulus(TactileImage):
         Grey levels of what lies under the finger, where there is something to see.
     """
 
-    period_us: int = field()
     pose: Pose = _ORIGIN
     number: int = 0
     age_ns: int = 0

@@ -7,6 +7,7 @@ import pytest
 from smarttouch.braille import louis
 from smarttouch.braille.cells import is_cell
 from smarttouch.braille.louis import LouisCode
+from smarttouch.braille.tables import open_table
 from smarttouch.errors import BrailleError
 
 from ..raising import raises
@@ -124,3 +125,21 @@ def test_it_is_found_under_its_own_names(monkeypatch):
 @needs_liblouis
 def test_cells_only():
     assert all(map(is_cell, LouisCode("en-ueb-g2.ctb").encode("Any text, of 3 signs: €.")))
+
+
+@needs_liblouis
+@pytest.mark.parametrize(
+    ("table", "text", "same"),
+    [
+        ("fr-1", "e\u0301te\u0301", "\u00e9t\u00e9"),
+        ("pa.tbl", "\u0a38\u0a3c\u0a47", "\u0a36\u0a47"),
+        ("ar-ar-g1.utb", "\u062f\u0651\u064c", None),
+        ("fa-ir-g1.utb", "\u0645\u06cc\u200c\u062e", None),
+    ],
+    ids=["accents are joined", "letters Unicode takes apart", "Arabic marks", "Persian joiners"],
+)
+def test_texts_stay_as_liblouis_knows_them(table, text, same):
+    opened = open_table(table)
+    assert opened.missing(text) == ""
+    code = LouisCode("fr-bfu-comp6.utb" if table == "fr-1" else table)
+    assert opened.to_cells(text) == code.encode(same or text)

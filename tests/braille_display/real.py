@@ -1,0 +1,133 @@
+"""A real BRLTTY with a program that writes to it through BrlAPI."""
+
+import contextlib
+import json
+import re
+import shutil
+import socket
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+_PYTHON = "/usr/bin/python3"
+_TABLE = Path("/etc/brltty/Text/en-nabcc.ttb")
+_WRITER = """
+import json, sys, brlapi
+api = brlapi.Connection(host=sys.argv[1].encode())
+api.enterTtyModeWithPath([1])
+width = api.displaySize[0]
+print(json.dumps(width), flush=True)
+for line in sys.stdin:
+    asked, value, *cursor = json.loads(line)
+    if asked == "write":
+        told = brlapi.WriteStruct()
+        told.regionBegin, told.regionSize = 1, width
+        told.text, told.cursor = value.ljust(width), cursor[0] if cursor else 0
+        api.write(told)
+        print("true", flush=True)
+    else:
+        key = api.readKeyWithTimeout(value)
+        print(json.dumps(key if key is None else api.expandKeyCode(key)), flush=True)
+"""
+
+
+def require_brltty():
+    """Skip where BRLTTY or its Python binding is not installed."""
+    if shutil.which("brltty") is None or not _TABLE.exists():
+        pytest.skip("brltty is not installed")
+    found = subprocess.run([_PYTHON, "-c", "import brlapi"], capture_output=True, check=False)
+    if found.returncode:
+        pytest.skip("python3-brlapi is not installed")
+
+
+def free_port():
+    """Return a free TCP port of this machine."""
+    with socket.create_server(("127.0.0.1", 0)) as one:
+        return one.getsockname()[1]
+
+
+def cells_of(text):
+    """Return the cells of a text by BRLTTY's own table, U+2800 and up."""
+    return "".join(_nabcc()[each] for each in text)
+
+
+def _nabcc():
+    found = re.findall(r"^char \\X([0-9A-F]{2}) \(([ 1-8]*)\)", _TABLE.read_text(), re.MULTILINE)
+    return {
+        chr(int(code, 16)): chr(0x2800 + sum(1 << (int(dot) - 1) for dot in dots if dot != " "))
+        for code, dots in found
+    }
+
+
+class Brltty:
+    """BRLTTY with its virtual display, started anew as often as one likes.
+
+    Parameters
+    ----------
+    device : str
+        As behind its option ``-d``.
+    folder : Path
+        For its process number.
+    """
+
+    def __init__(self, device: str, folder: Path) -> None:
+        self._device, self._folder = device, folder
+        # BrlAPI's host ":4" is port 4101 + 4.
+        self.host = f":{free_port() - 4101}"
+        self.process: subprocess.Popen | None = None
+
+    def start(self) -> None:
+        """Start it, without the greeting, which a writing program can crash (BRLTTY 6.5)."""
+        self.process = subprocess.Popen(
+            ["brltty", "-q", "-n", "-E", "-e", "-b", "vr", "-d", self._device, "-x", "no",
+             "-t", "en-nabcc", "-A", f"auth=none,host={self.host}", "-f", "/dev/null",
+             "-P", str(self._folder / "brltty.pid")],
+            stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+
+    def kill(self) -> None:
+        """End it without a chance to say so."""
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+        self.process = None
+
+    @contextlib.contextmanager
+    def writer(self) -> Iterator["Writer"]:
+        """Connect a program through BrlAPI, as soon as it answers."""
+        for _ in range(600):
+            program = subprocess.Popen(
+                [_PYTHON, "-c", _WRITER, self.host],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+            )
+            with program:
+                if program.stdout.readline():
+                    yield Writer(program)
+                    program.kill()
+                    return
+        raise RuntimeError("BrlAPI does not answer")
+
+
+class Writer:
+    """A program at BrlAPI."""
+
+    def __init__(self, program: subprocess.Popen) -> None:
+        self._program = program
+
+    def write(self, text: str, cursor: int = 0) -> None:
+        """Put a text on the display, with a cursor under a cell counted from 1."""
+        self._ask(["write", text, cursor])
+
+    def key(self, timeout_ms: int = 60_000) -> dict:
+        """Return the next key."""
+        return self._ask(["key", timeout_ms])
+
+    def _ask(self, what):
+        self._program.stdin.write(json.dumps(what) + "\n")
+        self._program.stdin.flush()
+        return json.loads(self._program.stdout.readline())
