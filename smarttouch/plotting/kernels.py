@@ -135,14 +135,15 @@ def _patches(profile: Profile) -> list[Any]:
     from matplotlib.patches import Annulus, Circle, Rectangle
 
     array = profile.electrodes
-    first, second = array.size_mm
-    patches: list[Any] = []
-    for x, y in array.position_mm:
-        if array.shape == "rectangle":
-            patches.append(Rectangle((x - first / 2, y - second / 2), first, second))
-        elif array.shape == "annulus":
-            patches.append(Annulus((x, y), first / 2, (first - second) / 2))
-        else:
-            radius = first / 2 if array.shape == "disc" else 0.1 * array.pitch_mm
-            patches.append(Circle((x, y), radius))
+    patches: list[Any] = [None] * len(array)
+    for (shape, (first, second)), which in array.kinds.items():
+        for index in which:
+            x, y = array.position_mm[index]
+            if shape == "rectangle":
+                patches[index] = Rectangle((x - first / 2, y - second / 2), first, second)
+            elif shape == "annulus":
+                patches[index] = Annulus((x, y), first / 2, (first - second) / 2)
+            else:
+                radius = first / 2 if shape == "disc" else 0.1 * array.pitch_mm
+                patches[index] = Circle((x, y), radius)
     return patches
