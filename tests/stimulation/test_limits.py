@@ -55,5 +55,5 @@ def test_each_shape_of_an_array_is_bound_by_its_own_area(changed):
     }
     limits = SafetyLimits.of(changed(load_profile("electric-mouse"), {"array": array}))
     area_cm2 = np.pi / 400 * np.array([0.25, 28.0])
-    assert limits.charge_pc[0] == pytest.approx(1e8 * area_cm2[0], rel=1e-6)
+    assert limits.charge_pc[0] == pytest.approx(1e8 * area_cm2[0], abs=1)
     assert limits.charge_pc[0] < limits.charge_pc[1] == 500_000
