@@ -12,6 +12,7 @@ _NAMES = {
     "misplaced": "misplaced spikes",
     "median": "error rate at the nerve, median",
     "worst_tenth": "error rate at the nerve, worst tenth",
+    "nociceptive": "current over full comfort at which a pain fiber fires (a rough model)",
 }
 
 
@@ -47,6 +48,7 @@ def finger(
     from smarttouch.profile import load_profile
     from smarttouch.psychophysics import letters_felt
     from smarttouch.psychophysics.letters import ALPHABET
+    from smarttouch.psychophysics.nociceptive import bystander_margins
 
     chosen, wanted = load_profile(profile), Mode(parse_afferent(mode).name)
     drawn = ALPHABET if letters is None else letters_felt.require_letters(letters)
@@ -60,6 +62,8 @@ def finger(
         )
     figures = letters_felt.summary(found)
     at_board = letters_felt.error_at_board(chosen, bank, wanted, drawn)
+    margin = bystander_margins(chosen, bank, wanted, anatomy, range(1, fingers + 1), drawn)
+    figures["nociceptive"] = margin["nociceptive"]
     if json_file is not None:
         at_nerve = {each: figures.pop(each) for each in ("median", "worst_tenth")}
         write_json(

@@ -26,7 +26,7 @@ TouchSim, where no RA of nine answers 30 Hz at 8 µm and some 45 µm are needed.
 LOCKED = 1.8
 """Amplitude of a spike in every cycle over that of the first spikes. Ours: 45 over 25 µm."""
 SPREAD = 0.35
-"""Standard deviation of the logarithm of thresholds, and of SAI's rates, between afferents. Ours."""
+"""Standard deviation of the logarithm of thresholds and of SAI's rates between afferents. Ours."""
 PROBE_MM = 1.0
 """Radius of what touches the skin, if not given. Ours."""
 

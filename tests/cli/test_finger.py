@@ -22,6 +22,7 @@ def test_a_letter_on_one_finger(program_here, tmp_path):
     assert (table["letters"], table["fingers"], table["anatomy"]) == ("IT", 2, "paper")
     for name in ("wrong_class", "misplaced", "silent_points", "at_board"):
         assert 0 <= table[name] <= 1
+    assert table["nociceptive"] > 0
     assert 0 <= table["at_nerve"]["median"] <= table["at_nerve"]["worst_tenth"] <= 1
     with Image.open(tmp_path / "felt.png") as picture:
         assert min(picture.size) > 400
