@@ -33,11 +33,26 @@ def finger(
     plot_file: Annotated[
         str | None, typer.Option("--plot", metavar="PNG", help="Draw the first letter on finger 1.")
     ] = None,
+    table: Annotated[
+        str | None,
+        typer.Option(
+            metavar="effects|published",
+            help="Print instead what was published beside what fingers show.",
+        ),
+    ] = None,
     json_file: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Put letters on simulated fingers: which afferents fire, where, and what is read of it."""
     from pathlib import Path
+
+    if table is not None:
+        from smarttouch.cli import finger_tables
+        from smarttouch.cli.files import parse_choice
+
+        chosen_table = parse_choice("--table", table, finger_tables.NAMES)
+        finger_tables.print_comparison(chosen_table, letters, anatomy, fingers, json_file, quiet)
+        return
 
     from smarttouch.afferent import Mode
     from smarttouch.cli.files import parse_afferent, require_folder, write_json

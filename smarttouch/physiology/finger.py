@@ -250,7 +250,8 @@ class Finger:
         each = float(limits.current_ma)
         total = float(limits.total_ma or np.inf)
         share = np.clip(total - each * np.arange(rows.shape[1]), 0, each)
-        return np.asarray((ranked[:, ::-1] - ranked) @ np.where(share > 0, share, 0.0))
+        # From the highest to the lowest, then inward; beyond the middle there is nothing to gain.
+        return np.asarray(np.maximum(ranked[:, ::-1] - ranked, 0) @ share)
 
 
 def strength(width_us: Any, chronaxie_us: Any) -> Any:

@@ -29,12 +29,26 @@ def test_a_letter_on_one_finger(program_here, tmp_path):
         assert len(picture.getcolors(1 << 22)) > 50
 
 
+@pytest.mark.parametrize(("name", "columns"), [("effects", 3), ("published", 4)])
+def test_tables_of_what_was_published(program_here, tmp_path, name, columns):
+    done = program_here(
+        "finger", "IT", f"--table={name}", "--anatomy=paper", "--fingers=1", "--json=t.json"
+    )
+    assert done.returncode == 0, done.stderr
+    table = json.loads((tmp_path / "t.json").read_text())
+    assert (table["anatomy"], table["fingers"]) == ("paper", 1)
+    assert len(table[name]) >= 10
+    assert {len(row) for row in table[name]} == {columns}
+    assert all(row["fingers"] for row in table[name])
+
+
 @pytest.mark.parametrize(
     ("arguments", "kind", "says"),
     [
         (["4"], ExperimentError, {"about": "LETTERS", "problem": "unknown", "value": "4"}),
         (["T", "--anatomy=none"], ProfileError, {"about": "anatomy", "value": "none"}),
         (["T", "--profile=line-7"], ExperimentError, {"about": "profile", "value": 1}),
+        (["--table=none"], SmartTouchError, {"about": "--table"}),
         (["T", "--mode=SAII"], SmartTouchError, {"about": "--mode"}),
     ],
 )

@@ -118,6 +118,14 @@ def test_nodes_that_are_left_out_are_never_fired_by_legal_currents(small, monkey
     assert np.array_equal(kept.drive(currents, width) >= 1, fired)
 
 
+@pytest.mark.parametrize("total_ma", [None, 5.0])
+def test_two_electrodes_reach_nodes_whatever_the_total(small, changed, total_ma):
+    array = {"layout": "free", "positions_mm": [[0, 0], [3, 0]]}
+    pair = changed(small, {"array": array, "limits.total_ma": total_ma})
+    model = SpikeModel(Finger(pair, 1, "branched"))
+    assert (model.drive(np.array([[-4000, 4000]]), np.array([200])) >= 1).any()
+
+
 def test_another_anatomy_from_a_file(tmp_path, small):
     path = tmp_path / "mine.toml"
     path.write_text(
