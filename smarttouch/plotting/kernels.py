@@ -113,7 +113,7 @@ def _draw_array(axes: Any, profile: Profile, weights: Array) -> Any:
     from matplotlib.collections import PatchCollection
 
     collection = PatchCollection(
-        _patches(profile), cmap=SIGNED_MAP, edgecolor=GREY, linewidth=0.3, clim=(-1, 1)
+        electrode_patches(profile), cmap=SIGNED_MAP, edgecolor=GREY, linewidth=0.3, clim=(-1, 1)
     )
     collection.set_array(weights)
     axes.add_collection(collection)
@@ -126,12 +126,13 @@ def _outline(axes: Any, profile: Profile) -> None:
     from matplotlib.collections import PatchCollection
 
     axes.add_collection(
-        PatchCollection(_patches(profile), facecolor="none", edgecolor=GREY, linewidth=0.3)
+        PatchCollection(electrode_patches(profile), facecolor="none", edgecolor=GREY, linewidth=0.3)
     )
     axes.set_aspect("equal")
 
 
-def _patches(profile: Profile) -> list[Any]:
+def electrode_patches(profile: Profile) -> list[Any]:
+    """Return a patch of each electrode in its own shape and size."""
     from matplotlib.patches import Annulus, Circle, Rectangle
 
     array = profile.electrodes

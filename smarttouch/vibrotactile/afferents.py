@@ -20,11 +20,11 @@ from smarttouch.physiology.receptors import best_hz, threshold_um
 from smarttouch.vibrotactile.split import SAI_FULL_N, SAI_RATE_HZ, cycles, pressed, turning
 from smarttouch.vibrotactile.trace import Array, Trace
 
-AFFERENT_UM = {Afferent.RA: 25.0, Afferent.PC: 0.3}
+AFFERENT_UM = {Afferent.RA: 30.0, Afferent.PC: 0.3}
 """Median amplitude at the class's best frequency at which an afferent begins to fire. Ours, after
 TouchSim, where no RA of nine answers 30 Hz at 8 µm and some 45 µm are needed."""
 LOCKED = 1.8
-"""Amplitude of a spike in every cycle over that of the first spikes. Ours: 45 over 25 µm."""
+"""Amplitude of a spike in every cycle over that of the first spikes. Ours."""
 SPREAD = 0.35
 """Standard deviation of the logarithm of thresholds and of SAI's rates between afferents. Ours."""
 PROBE_MM = 1.0
