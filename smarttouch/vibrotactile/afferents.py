@@ -20,9 +20,12 @@ from smarttouch.physiology.receptors import best_hz, threshold_um
 from smarttouch.vibrotactile.split import SAI_FULL_N, SAI_RATE_HZ, cycles, pressed, turning
 from smarttouch.vibrotactile.trace import Array, Trace
 
-AFFERENT_UM = {Afferent.RA: 30.0, Afferent.PC: 0.3}
+AFFERENT_UM = {Afferent.RA: 30.0, Afferent.PC: 1.2}
 """Median amplitude at the class's best frequency at which an afferent begins to fire. Ours, after
-TouchSim, where no RA of nine answers 30 Hz at 8 µm and some 45 µm are needed."""
+TouchSim, where no RA of nine answers 30 Hz at 8 µm and some 45 µm are needed, and so that PC comes
+in above RA at 30 Hz, as it does in feeling."""
+DEEPER_MM = {Afferent.PC: 2.0}
+"""Width that a stimulus gains on its way down to a class. Ours: as much as PC lies deep."""
 LOCKED = 1.8
 """Amplitude of a spike in every cycle over that of the first spikes. Ours."""
 SPREAD = 0.35
@@ -87,7 +90,9 @@ def skin_spikes(
     """
     random = np.random.default_rng([seed, finger.seed])
     away = np.linalg.norm(finger.receptor_mm - np.asarray(place_mm), axis=1)
-    follows = 2 / np.pi * np.arcsin(np.minimum(1, radius_mm / np.maximum(away, 1e-9)))
+    gained = np.array([DEEPER_MM.get(each, 0.0) for each in Afferent])[finger.classes]
+    wide = np.minimum(1, (radius_mm + gained) / np.maximum(away, 1e-9))
+    follows = 2 / np.pi * np.arcsin(wide)
     follows *= np.exp(-random.normal(0, SPREAD, len(away)))
     found = [(np.zeros(0, np.intp), np.zeros(0))]
     for afferent in Afferent:
