@@ -60,7 +60,7 @@ def test_a_cathode_blurs_what_an_anode_focuses(mouse):
     assert cathodic.afferents > anodic.afferents > 0
 
 
-@pytest.mark.parametrize("flat_mm", [3.0, 7.0])
+@pytest.mark.parametrize("flat_mm", [5.0, 7.0])
 def test_pc_is_felt_toward_the_fingertip(mouse, flat_mm):
     """Section III-B.4: 1 to 3 mm, however far its axons are taken to run flat."""
     anatomy, none = load_anatomy("paper"), {"density_per_cm2": 0.0}
