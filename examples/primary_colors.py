@@ -22,7 +22,7 @@ thresholds_figure()
 
 # %%
 # Two vibrations and a press at once.
-trace = open_trace("tone:30Hz,6um+tone:250Hz,1.5um+press:0.45N")
+trace = open_trace("tone:30Hz,9um+tone:250Hz,1.5um+press:0.45N")
 answers = split(trace)
 for afferent, answer in answers.items():
     print(f"{afferent.name}: drive {answer.drive.mean():.2f}")

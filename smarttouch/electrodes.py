@@ -39,11 +39,15 @@ class ElectrodeArray:
     size_mm : tuple of float, mm
         Outer and inner diameter of an annulus, diameter and 0 of a disc, width
         and height of a rectangle.
+    own : tuple of (shape, size_mm), optional
+        Shape and size of each electrode, where they differ; `shape` and `size_mm` are then those
+        of the first.
 
     Raises
     ------
     ProfileError
-        If there are fewer than two electrodes, or two stand at the same place.
+        If there are fewer than two electrodes, or two stand at the same place and neither is a
+        ring around the other.
     """
 
     position_mm: NDArray[np.float64]
@@ -51,6 +55,7 @@ class ElectrodeArray:
     pitch_mm: float
     shape: Shape = "disc"
     size_mm: tuple[float, float] = (1.0, 0.0)
+    own: tuple[tuple[Shape, tuple[float, float]], ...] | None = None
 
     def __post_init__(self) -> None:
         if len(self) < 2:
@@ -63,11 +68,13 @@ class ElectrodeArray:
                 allowed=2,
             )
         apart = self.distance_mm + np.diag(np.full(len(self), np.inf))
-        first, second = divmod(int(apart.argmin()), len(self))
-        if apart[first, second] < COINCIDENT_MM:
+        touching = apart < COINCIDENT_MM if self.own is None else self._overlap(apart)
+        if touching.any():
+            first, second = divmod(int(touching.argmax()), len(self))
             x, y = self.position_mm[first]
+            how = "coincide" if self.own is None else "overlap"
             raise ProfileError(
-                f"electrodes {first} and {second} coincide at ({x:g}, {y:g}) mm: move one of them",
+                f"electrodes {first} and {second} {how} at ({x:g}, {y:g}) mm: move one of them",
                 about="electrodes",
                 problem="conflict",
                 value=(first, second),
@@ -84,14 +91,31 @@ class ElectrodeArray:
         return np.asarray(np.hypot(apart[..., 0], apart[..., 1]))
 
     @cached_property
-    def area_mm2(self) -> float:
-        """Area of each electrode, mm²; a point stands for a disc of 1 mm."""
-        first, second = self.size_mm
-        if self.shape == "rectangle":
-            return first * second
-        if self.shape == "point":
-            first, second = 1.0, 0.0
-        return float(np.pi / 4 * (first**2 - second**2))
+    def kinds(self) -> dict[tuple[Shape, tuple[float, float]], NDArray[np.intp]]:
+        """Electrodes of each shape and size, in order of the first of each."""
+        every = self.own or ((self.shape, self.size_mm),) * len(self)
+        return {
+            kind: np.array([index for index, each in enumerate(every) if each == kind], np.intp)
+            for kind in dict.fromkeys(every)
+        }
+
+    @cached_property
+    def area_mm2(self) -> NDArray[np.float64]:
+        """Area of each electrode, (E,) mm²; a point stands for a disc of 1 mm."""
+        areas = np.zeros(len(self))
+        for kind, which in self.kinds.items():
+            areas[which] = _area_mm2(*kind)
+        return areas
+
+    def _overlap(self, apart_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which pairs lie on each other, (E, E); of rectangles, which coincide."""
+        outer, hole = np.zeros(len(self)), np.zeros(len(self))
+        for (shape, (first, second)), which in self.kinds.items():
+            outer[which] = first / 2 if shape in ("disc", "annulus") else 0
+            hole[which] = second / 2 if shape == "annulus" else 0
+        inside = apart_mm + outer[:, None] <= hole
+        touching = apart_mm < np.maximum(outer[:, None] + outer, COINCIDENT_MM)
+        return np.asarray(touching & ~inside & ~inside.T)
 
     @cached_property
     def extent_mm(self) -> tuple[float, float]:
@@ -154,17 +178,34 @@ def lines(count: int, pitch_mm: float, width_mm: float, length_mm: float) -> Ele
 
 
 def free(
-    position_mm: Sequence[tuple[float, float]], shape: Shape, size_mm: tuple[float, float]
+    position_mm: Sequence[tuple[float, float]],
+    shape: Shape,
+    size_mm: tuple[float, float],
+    own: tuple[tuple[Shape, tuple[float, float]], ...] | None = None,
 ) -> ElectrodeArray:
     """Return electrodes anywhere, numbered as given; the origin is moved to their middle."""
     position = np.array(position_mm, np.float64).reshape(-1, 2)
     if len(position):
         position -= (position.max(axis=0) + position.min(axis=0)) / 2
     apart = np.linalg.norm(position[:, None] - position[None], axis=2)
+    if own is not None:
+        # A ring is as far away as its middle line.
+        line = [sum(size) / 4 if each == "annulus" else 0.0 for each, size in own]
+        apart = np.maximum(apart, np.abs(np.subtract.outer(line, line)))
+        shape, size_mm = own[0]
     np.fill_diagonal(apart, np.inf)
     # Most electrodes' distance to their neighbor: one close pair must not set it for all.
     pitch = float(np.median(apart.min(axis=1))) if len(position) > 1 else 1.0
-    return ElectrodeArray(position, (pitch, pitch), pitch, shape, size_mm)
+    return ElectrodeArray(position, (pitch, pitch), pitch, shape, size_mm, own)
+
+
+def _area_mm2(shape: Shape, size_mm: tuple[float, float]) -> float:
+    first, second = size_mm
+    if shape == "rectangle":
+        return first * second
+    if shape == "point":
+        first, second = 1.0, 0.0
+    return float(np.pi / 4 * (first**2 - second**2))
 
 
 def _nearest(columns: int, pitch_x_mm: float, rows: int, pitch_y_mm: float) -> float:

@@ -10,6 +10,7 @@ ORDER = (
     "electric_mouse",
     "primary_colors",
     "frequency_discrimination",
+    "paper_effects",
     "strength_duration",
     "read_a_page",
     "braille_page",

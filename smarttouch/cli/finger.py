@@ -12,6 +12,7 @@ _NAMES = {
     "misplaced": "misplaced spikes",
     "median": "error rate at the nerve, median",
     "worst_tenth": "error rate at the nerve, worst tenth",
+    "nociceptive": "current over full comfort at which a pain fiber fires (a rough model)",
 }
 
 
@@ -30,11 +31,26 @@ def finger(
     plot_file: Annotated[
         str | None, typer.Option("--plot", metavar="PNG", help="Draw the first letter on finger 1.")
     ] = None,
+    table: Annotated[
+        str | None,
+        typer.Option(
+            metavar="effects|published",
+            help="Print instead what was published beside what fingers show.",
+        ),
+    ] = None,
     json_file: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Put letters on simulated fingers: which afferents fire, where, and what is read of it."""
     from pathlib import Path
+
+    if table is not None:
+        from smarttouch.cli import finger_tables
+        from smarttouch.cli.files import parse_choice
+
+        chosen_table = parse_choice("--table", table, finger_tables.NAMES)
+        finger_tables.print_comparison(chosen_table, letters, anatomy, fingers, json_file, quiet)
+        return
 
     from smarttouch.afferent import Mode
     from smarttouch.cli.files import parse_afferent, require_folder, write_json
@@ -45,6 +61,7 @@ def finger(
     from smarttouch.profile import load_profile
     from smarttouch.psychophysics import letters_felt
     from smarttouch.psychophysics.letters import ALPHABET
+    from smarttouch.psychophysics.nociceptive import bystander_margins
 
     chosen, wanted = load_profile(profile), Mode(parse_afferent(mode).name)
     drawn = ALPHABET if letters is None else letters_felt.require_letters(letters)
@@ -58,6 +75,8 @@ def finger(
         )
     figures = letters_felt.summary(found)
     at_board = letters_felt.error_at_board(chosen, bank, wanted, drawn)
+    margin = bystander_margins(chosen, bank, wanted, anatomy, range(1, fingers + 1), drawn)
+    figures["nociceptive"] = margin["nociceptive"]
     if json_file is not None:
         at_nerve = {each: figures.pop(each) for each in ("median", "worst_tenth")}
         write_json(

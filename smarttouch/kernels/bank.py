@@ -138,7 +138,8 @@ def problem_hash(profile: Profile) -> str:
     limits = profile.limits
     problem = {
         "version": DESIGN_VERSION,
-        "array": profile.array.model_dump(),
+        # What is not given is left out, so that keys that came later change no hash.
+        "array": profile.array.model_dump(exclude_none=True),
         "skin": profile.skin.model_dump(exclude={"spread"}),
         "output": profile.output.model_dump(exclude={"masked", "wiring", "ua_per_count"}),
     }

@@ -33,15 +33,16 @@ def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
     """
     array = profile.electrodes
     kept = []
+    upright = any(shape == "rectangle" and size[0] != size[1] for shape, size in array.kinds)
+    kind = np.zeros(len(array))
+    for number, which in enumerate(array.kinds.values()):
+        kind[which] = number
     for matrix in _SQUARE:
-        if (
-            array.shape == "rectangle"
-            and matrix[0, 0] == 0
-            and array.size_mm[0] != array.size_mm[1]
-        ):
+        if upright and matrix[0, 0] == 0:
             continue
         moved = array.position_mm @ matrix.T
         gaps = np.linalg.norm(moved[:, None, :] - array.position_mm[None, :, :], axis=2)
+        gaps[kind[:, None] != kind] = np.inf
         if gaps.min(axis=1).max() > 1e-6:
             continue
         aims = targets(profile, afferent).direction

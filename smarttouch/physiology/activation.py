@@ -39,9 +39,11 @@ def field(
     float
         Factor for volts and millimeters per milliampere.
     """
+    if len(electrodes.kinds) > 1:
+        return _field_of_kinds(electrodes, skin, position_mm, depth_mm)
     away = position_mm[:, None, :] - electrodes.position_mm[None, :, :]
     x, y = away[..., 0], away[..., 1]
-    shape, (outer, inner) = electrodes.shape, electrodes.size_mm
+    ((shape, (outer, inner)),) = electrodes.kinds
     if skin.medium == "plane":
         return potential.line_in_plane(x, depth_mm), 1 / (
             2 * np.pi * skin.conductivity * electrodes.cell_mm[1]
@@ -72,6 +74,27 @@ def field(
     conductivity = 1.0 if skin.layers else skin.conductivity
     half_spaces = 2 if skin.medium == "infinite" else 1
     return found, 1 / (2 * np.pi * conductivity * half_spaces)
+
+
+def _field_of_kinds(
+    electrodes: ElectrodeArray,
+    skin: Skin,
+    position_mm: NDArray[np.float64],
+    depth_mm: float | NDArray[np.float64],
+) -> tuple[Field, float]:
+    """Return `field` of an array that mixes shapes, from that of each shape alone."""
+    whole = Field(*np.zeros((len(Field._fields), len(position_mm), len(electrodes))))
+    scale = 1.0
+    for (shape, size_mm), which in electrodes.kinds.items():
+        # One electrode is no array: the second one's column is not used.
+        places = electrodes.position_mm[which]
+        if len(which) == 1:
+            places = np.vstack([places, places + electrodes.pitch_mm])
+        alone = replace(electrodes, position_mm=places, shape=shape, size_mm=size_mm, own=None)
+        part, scale = field(alone, skin, position_mm, depth_mm)
+        for into, values in zip(whole, part, strict=True):
+            into[:, which] = values[:, : len(which)]
+    return whole, scale
 
 
 def af_matrix(
@@ -146,14 +169,20 @@ def potential_mv(profile: Profile, points_mm: NDArray[np.float64]) -> NDArray[np
             allowed=("half-space", "infinite", "plane"),
         )
     flat, depth = points_mm.reshape(-1, 3)[:, :2], points_mm.reshape(-1, 3)[:, 2:]
-    if electrodes.shape == "disc" and skin.medium != "plane":
+    if skin.medium != "plane" and {shape for shape, _ in electrodes.kinds} <= {"disc", "annulus"}:
         r2 = np.zeros((len(flat), len(electrodes)))
         for axis in (0, 1):
             away = flat[:, axis, None] - electrodes.position_mm[:, axis]
             r2 += away * away
         half_spaces = 2 if skin.medium == "infinite" else 1
         scale = 1 / (2 * np.pi * skin.conductivity * half_spaces)
-        found = -potential.disc_potential(np.sqrt(r2), depth, electrodes.size_mm[0] / 2)
+        found = np.sqrt(r2, out=r2)
+        for (shape, (outer, inner)), which in electrodes.kinds.items():
+            if shape == "disc":
+                found[:, which] = -potential.disc_potential(found[:, which], depth, outer / 2)
+            else:
+                r = found[:, which]
+                found[:, which] = -potential.annulus_potential(r, depth, outer / 2, inner / 2)
     else:
         fields, scale = field(electrodes, skin, flat, depth)
         found = fields.potential

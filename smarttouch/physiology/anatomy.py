@@ -1,5 +1,7 @@
 """Anatomies of a finger: densities, courses and thresholds of its afferents, as TOML files."""
 
+import math
+from enum import IntEnum
 from pathlib import Path
 from typing import Literal
 
@@ -8,10 +10,23 @@ from pydantic import Field, ValidationError
 from smarttouch.afferent import Afferent
 from smarttouch.errors import ProfileError
 from smarttouch.files import MOST_TOML_BYTES, parse_toml, read_text
+from smarttouch.physiology.driving import DrivingFunction, load_driving
+from smarttouch.physiology.free_endings import THRESHOLD_MV, free_ending
 from smarttouch.profile.complaints import table_error
 from smarttouch.profile.table import Positive, Table
 
 _SHIPPED = Path(__file__).with_name("anatomies")
+
+
+class Bystander(IntEnum):
+    """Class of afferents that a display must not fire."""
+
+    SAII = 3
+    """Ruffini ending: stretch of the skin."""
+    A_DELTA = 4
+    """Thinly myelinated nociceptor: pricking pain."""
+    C = 5
+    """Unmyelinated nociceptor: burning pain."""
 
 
 class ClassAnatomy(Table):
@@ -19,8 +34,12 @@ class ClassAnatomy(Table):
 
     density_per_cm2: float = Field(ge=0, le=1000)
     """Axons per area at the fingertip."""
-    fiber: Literal["fingertip", "trunk", "mrg"] = "fingertip"
+    fiber: Literal["fingertip", "trunk", "mrg", "unmyelinated"] = "fingertip"
     """Fiber whose driving function they have."""
+    diameter_um: Positive = 0.5
+    """Diameter of an unmyelinated fiber; the others have their own."""
+    threshold_mv: Positive = THRESHOLD_MV
+    """Depolarization that fires an unmyelinated fiber."""
     ending: Literal["through", "active", "passive"] = "passive"
     """Kind of their endings; "through" where the receptor's end of the axon cannot fire."""
     depth_mm: Positive | None = None
@@ -62,6 +81,19 @@ class ClassAnatomy(Table):
     refractory_us: float = Field(default=2000.0, ge=0, le=100_000)
     """Time after a spike without another. Ours: Aβ fibers follow up to some 500 Hz."""
 
+    def driving(self, width_us: float) -> DrivingFunction:
+        """Return the driving function of the fibers for a pulse width."""
+        if self.fiber == "unmyelinated":
+            return free_ending(self.diameter_um, width_us, self.threshold_mv)
+        return load_driving(self.fiber, self.ending, width_us)
+
+
+class BystanderAnatomy(ClassAnatomy):
+    """Afferents of a class that must not fire: its depth has no key in the profile."""
+
+    depth_mm: Positive
+    """Depth of the endings."""
+
 
 class Anatomy(Table):
     """What the afferents of a finger are like."""
@@ -78,12 +110,34 @@ class Anatomy(Table):
     """Density beyond it (Johansson and Vallbo 1979: finger to tip as 1.6 to 4.2, in a step)."""
     margin_mm: float = Field(default=3.0, ge=0, le=20)
     """Skin around the electrodes that belongs to the finger."""
+    pad_radius_mm: Positive | None = None
+    """Radius of the pad's curvature: beyond the contact, depths grow by the gap to the array, as
+    if what fills it conducted like skin. Flat if none."""
+    contact_mm2: Positive | None = None
+    """Area of contact at 1 N; electrodes beyond it deliver nothing. All touch if none."""
+    contact_exponent: float = Field(default=1 / 3, ge=0, le=1)
+    """Power of the force with which the area grows. Ours."""
     ra: ClassAnatomy
     sai: ClassAnatomy
     pc: ClassAnatomy
+    saii: BystanderAnatomy | None = None
+    a_delta: BystanderAnatomy | None = None
+    c: BystanderAnatomy | None = None
 
     def of(self, afferent: Afferent) -> ClassAnatomy:
         return (self.ra, self.sai, self.pc)[afferent]
+
+    @property
+    def bystanders(self) -> dict[Bystander, ClassAnatomy]:
+        """Classes that must not fire, as far as they are given."""
+        given = zip(Bystander, (self.saii, self.a_delta, self.c), strict=True)
+        return {each: is_like for each, is_like in given if is_like is not None}
+
+    def contact_radius_mm(self, force_n: float) -> float:
+        """Return the radius of the area of contact; infinite where all touch."""
+        if self.contact_mm2 is None:
+            return math.inf
+        return math.sqrt(self.contact_mm2 * force_n**self.contact_exponent / math.pi)
 
 
 def list_anatomies() -> list[str]:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from smarttouch.afferent import Afferent
 from smarttouch.physiology import afferents as nominal
 from smarttouch.physiology.activation import potential_mv
-from smarttouch.physiology.anatomy import Anatomy, ClassAnatomy, load_anatomy
-from smarttouch.physiology.driving import DrivingFunction, load_driving
+from smarttouch.physiology.anatomy import Anatomy, Bystander, ClassAnatomy, load_anatomy
+from smarttouch.physiology.driving import DrivingFunction
 from smarttouch.profile import Profile
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class Population:
 
     Attributes
     ----------
-    afferent : Afferent
+    afferent : Afferent or Bystander
     receptor_mm : ndarray, (A, 2), mm
         Middle of each afferent's endings, where what it fires is felt.
     course_mm : ndarray, (B, P, 3), mm
@@ -45,7 +45,7 @@ class Population:
     anatomy : ClassAnatomy
     """
 
-    afferent: Afferent
+    afferent: Afferent | Bystander
     receptor_mm: Array
     course_mm: Array
     owner: NDArray[np.intp]
@@ -89,7 +89,9 @@ class Finger:
     ) -> None:
         self.profile, self.seed = profile, seed
         self.anatomy = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
-        self.populations = {each: self._populate(each) for each in Afferent}
+        self.populations: dict[Any, Population] = {
+            each: self._populate(each, self.anatomy.of(each)) for each in Afferent
+        }
 
     def feel(self, given: Any, seed: int = 1) -> "Feeling":
         """Return what it feels of a step, a scan sequence, or a list of them.
@@ -119,9 +121,18 @@ class Finger:
     @cached_property
     def classes(self) -> NDArray[np.int8]:
         """Class of each afferent, (A,)."""
-        return np.concatenate(
-            [np.full(len(one.factor), each, np.int8) for each, one in self.populations.items()]
-        )
+        count = [len(one.factor) for one in self.populations.values()]
+        return np.repeat(np.arange(len(count), dtype=np.int8), count)
+
+    @property
+    def touching(self) -> NDArray[np.bool_]:
+        """Whether each electrode is within the contact at the force of full intensity, (E,)."""
+        from_middle = np.linalg.norm(self.profile.electrodes.position_mm, axis=1)
+        return np.asarray(from_middle <= self._contact_mm + 1e-9)
+
+    @property
+    def _contact_mm(self) -> float:
+        return self.anatomy.contact_radius_mm(self.profile.force.full_n)
 
     @cached_property
     def receptor_mm(self) -> Floats:
@@ -151,10 +162,9 @@ class Finger:
             found.append(rows[order])
             starts.append(count + np.searchsorted(owner[order], every))
             count += len(rows)
-        return np.ascontiguousarray(np.concatenate(found)), np.concatenate(starts)
+        return np.concatenate(found) * self.touching, np.concatenate(starts)
 
-    def _populate(self, afferent: Afferent) -> Population:
-        is_like = self.anatomy.of(afferent)
+    def _populate(self, afferent: Afferent | Bystander, is_like: ClassAnatomy) -> Population:
         random = np.random.default_rng([self.seed, int(afferent)])
         receptor = self._places(is_like, random)
         count, endings = len(receptor), is_like.endings
@@ -164,18 +174,26 @@ class Finger:
         ending = (receptor[:, None] + spread).reshape(-1, 2)
         if is_like.on_ridges:
             ending[:, 1] = np.round(ending[:, 1] / self.anatomy.ridge_mm) * self.anatomy.ridge_mm
-        depth = nominal.depth_mm(self.profile.skin, afferent)
-        depth = is_like.depth_mm or depth
+        depth = is_like.depth_mm or nominal.depth_mm(self.profile.skin, Afferent(afferent))
         depths = np.repeat(random.normal(depth, is_like.depth_spread_mm, count), endings)
         depths = np.maximum(depths, _SHALLOWEST_MM)
         turn = np.radians(random.normal(is_like.flat_deg, is_like.flat_spread_deg, count))[owner]
         lean = np.tan(np.radians(random.normal(0, is_like.lean_deg, (count * endings, 2))))
         joint = receptor[owner]
         course = self._courses(is_like, ending, joint, depths, turn, lean)
+        course[..., 2] += self._gap_mm(course[..., :2])
         factor = np.exp(random.normal(0, is_like.threshold_spread, count))
         factor *= is_like.threshold_factor
         middle = ending.reshape(count, endings, 2).mean(axis=1)
         return Population(afferent, middle, course, owner, factor, is_like)
+
+    def _gap_mm(self, place_mm: Array) -> Array:
+        """Return how far the curved pad lies below the array beside the contact."""
+        if self.anatomy.pad_radius_mm is None:
+            return np.zeros(place_mm.shape[:-1])
+        contact = 0.0 if self.anatomy.contact_mm2 is None else self._contact_mm
+        beyond = (place_mm**2).sum(axis=-1) - contact**2
+        return np.asarray(np.maximum(beyond, 0) / (2 * self.anatomy.pad_radius_mm))
 
     def _places(self, is_like: ClassAnatomy, random: np.random.Generator) -> Array:
         """Return places all over the finger, (A, 2) mm, as dense as the anatomy says."""
@@ -210,7 +228,7 @@ class Finger:
     def _drives(self, one: Population) -> tuple[Floats, NDArray[np.intp]]:
         """Return the drive at the nodes of each branch that can fire, and their afferents."""
         is_like = one.anatomy
-        driving = load_driving(is_like.fiber, is_like.ending, self.profile.pulse.width_us)
+        driving = is_like.driving(self.profile.pulse.width_us)
         first = np.r_[True, np.diff(one.owner) > 0] if len(one.owner) else np.zeros(0, np.bool_)
         found = [np.zeros((0, len(self.profile.electrodes)), np.float32)]
         owners = [np.zeros(0, np.intp)]
@@ -256,7 +274,8 @@ class Finger:
         each = float(limits.current_ma)
         total = float(limits.total_ma or np.inf)
         share = np.clip(total - each * np.arange(rows.shape[1]), 0, each)
-        return np.asarray((ranked[:, ::-1] - ranked) @ np.where(share > 0, share, 0.0))
+        # From the highest to the lowest, then inward; beyond the middle there is nothing to gain.
+        return np.asarray(np.maximum(ranked[:, ::-1] - ranked, 0) @ share)
 
 
 def strength(width_us: Any, chronaxie_us: Any) -> Any:

@@ -7,19 +7,22 @@ up to a few hertz. They are tied down by
 - the best frequencies and bands of the paper (Sections I and III-C): RA best at 30 Hz,
   20 to 70 Hz; PC best at 250 Hz, 60 to 800 Hz; SAI static. RA's band is taken as where
   its threshold is at most 3 dB above its best. PC's threshold is as high at 800 as at
-  60 Hz, and passes RA's at 65 Hz, halfway between where the paper lets PC come in (60)
-  and RA end (70);
+  60 Hz;
+- the fingertip, where both are alike at 40 Hz (Güçlü and Bolanowski). The paper lets PC
+  come in at 60 and RA end at 70 Hz, as its reviews of other skin had it;
 - the slopes of the four-channel model (Bolanowski, Gescheider, Verrillo and Checkosky,
   J. Acoust. Soc. Am. 84, 1988): about -12 dB per octave below the best frequency of the
   Pacinian channel, about -5 below that of NP I (RA), none for NP III (SAI);
-- two levels. PC at its best: -20 dB re 1 µm under 2.9 cm² (the same), 3 dB higher for each
-  halving of the area (Verrillo, J. Acoust. Soc. Am. 35, 1963): rounded to -10 dB for the
-  0.3 cm² of a finger pad under an array. SAI: 28 dB (Bolanowski et al.). RA's level
+- two levels. PC at its best: -10 dB re 1 µm under the 0.3 cm² of a finger pad. That is an
+  extrapolation: -20 dB under 2.9 cm² of the thenar (the same), 3 dB for each halving of the
+  area (Verrillo, J. Acoust. Soc. Am. 35, 1963); on the fingertip these 3 dB are shown from
+  0.025 to 0.1 cm² only (Gescheider 2002). SAI: 28 dB (Bolanowski et al.). RA's level
   follows from where the curves meet.
 
-RA and SAI then meet at about 2 Hz, where the four-channel model has 3. Recordings
-from human afferents agree on the order (Johansson, Landström and Lundström, Brain Res.
-244, 1982: RA 8 to 64 Hz, PC above, SAI below). How round the valleys are is ours.
+RA and SAI then meet at about 5 Hz. Recordings from human afferents agree on the order
+(Johansson, Landström and Lundström, Brain Res. 244, 1982: RA 8 to 64 Hz, PC above, SAI
+below). How round the valleys are is ours. These are thresholds of feeling; a single
+afferent needs more (`smarttouch.vibrotactile.afferents`).
 """
 
 from dataclasses import dataclass
@@ -36,8 +39,8 @@ PC_BEST_HZ, PC_BAND_HZ = 250.0, (60.0, 800.0)
 """Best frequency and band of PC (paper, Section III-C)."""
 BAND_DB = 3.0
 """Rise of RA's threshold from its best to the edges of its band: half the power. Ours."""
-MEETING_HZ = 65.0
-"""Frequency of equal thresholds of RA and PC. Ours, between 60 and 70 Hz of the paper."""
+MEETING_HZ = 40.0
+"""Frequency of equal thresholds of RA and PC on the fingertip (Güçlü and Bolanowski)."""
 PC_BEST_DB, SAI_DB = -10.0, 28.0
 """Thresholds, dB re 1 µm of amplitude: see above."""
 SAI_CORNER_HZ = 5.0

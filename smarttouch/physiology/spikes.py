@@ -6,7 +6,6 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.afferent import Afferent
 from smarttouch.physiology.finger import Finger, strength
 
 Floats = NDArray[np.float32]
@@ -62,7 +61,7 @@ class SpikeModel:
     def __init__(self, finger: Finger, seed: int = 1) -> None:
         self.finger = finger
         self._rows, self._starts = finger.rows
-        anatomy = [finger.anatomy.of(each) for each in Afferent]
+        anatomy = [one.anatomy for one in finger.populations.values()]
         classes = finger.classes
         self._chronaxie_us = np.array([each.chronaxie_us for each in anatomy], np.float32)
         self._noise = np.array([each.noise for each in anatomy], np.float32)[classes]

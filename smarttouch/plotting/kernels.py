@@ -113,7 +113,7 @@ def _draw_array(axes: Any, profile: Profile, weights: Array) -> Any:
     from matplotlib.collections import PatchCollection
 
     collection = PatchCollection(
-        _patches(profile), cmap=SIGNED_MAP, edgecolor=GREY, linewidth=0.3, clim=(-1, 1)
+        electrode_patches(profile), cmap=SIGNED_MAP, edgecolor=GREY, linewidth=0.3, clim=(-1, 1)
     )
     collection.set_array(weights)
     axes.add_collection(collection)
@@ -126,23 +126,25 @@ def _outline(axes: Any, profile: Profile) -> None:
     from matplotlib.collections import PatchCollection
 
     axes.add_collection(
-        PatchCollection(_patches(profile), facecolor="none", edgecolor=GREY, linewidth=0.3)
+        PatchCollection(electrode_patches(profile), facecolor="none", edgecolor=GREY, linewidth=0.3)
     )
     axes.set_aspect("equal")
 
 
-def _patches(profile: Profile) -> list[Any]:
+def electrode_patches(profile: Profile) -> list[Any]:
+    """Return a patch of each electrode in its own shape and size."""
     from matplotlib.patches import Annulus, Circle, Rectangle
 
     array = profile.electrodes
-    first, second = array.size_mm
-    patches: list[Any] = []
-    for x, y in array.position_mm:
-        if array.shape == "rectangle":
-            patches.append(Rectangle((x - first / 2, y - second / 2), first, second))
-        elif array.shape == "annulus":
-            patches.append(Annulus((x, y), first / 2, (first - second) / 2))
-        else:
-            radius = first / 2 if array.shape == "disc" else 0.1 * array.pitch_mm
-            patches.append(Circle((x, y), radius))
+    patches: list[Any] = [None] * len(array)
+    for (shape, (first, second)), which in array.kinds.items():
+        for index in which:
+            x, y = array.position_mm[index]
+            if shape == "rectangle":
+                patches[index] = Rectangle((x - first / 2, y - second / 2), first, second)
+            elif shape == "annulus":
+                patches[index] = Annulus((x, y), first / 2, (first - second) / 2)
+            else:
+                radius = first / 2 if shape == "disc" else 0.1 * array.pitch_mm
+                patches[index] = Circle((x, y), radius)
     return patches

@@ -1,12 +1,13 @@
 """Electrode arrays in profiles."""
 
+from collections.abc import Iterator
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from smarttouch import electrodes
-from smarttouch.electrodes import ElectrodeArray
-from smarttouch.profile.table import Number, Positive, Table, UnfitError
+from smarttouch.electrodes import ElectrodeArray, Shape
+from smarttouch.profile.table import Number, Positive, Table, UnfitError, raise_all
 
 
 class GridLayout(Table):
@@ -94,30 +95,62 @@ class FreeLayout(Table):
     """Shape of all electrodes."""
     size_mm: tuple[float, float] = (1.0, 0.0)
     """Diameter (and inner diameter) of a disc or annulus; width and height of a rectangle."""
+    shapes: tuple[Literal["point", "disc", "annulus", "rectangle"], ...] | None = None
+    """Shape of each electrode, where they differ; given with ``sizes_mm``. A ring may stand around
+    another electrode (paper, Section III-C)."""
+    sizes_mm: tuple[tuple[float, float], ...] | None = None
+    """Size of each electrode, where they differ, as in ``size_mm``; given with ``shapes``."""
 
     @model_validator(mode="after")
     def _sized(self) -> Self:
-        first, second = self.size_mm
-        inside = {
-            "point": True,
-            "disc": first > 0 and second == 0,
-            "annulus": first > second > 0,
-            "rectangle": first > 0 and second > 0,
-        }
-        if not inside[self.shape]:
-            raise UnfitError(
-                f"size_mm {list(self.size_mm)} does not go with shape {self.shape!r}: "
-                "give [diameter, 0] of a disc, [outer, inner] of an annulus, [width, height] of "
-                "a rectangle",
-                about="array.size_mm",
-                problem="conflict",
-                value=self.size_mm,
-                remedy="array.shape",
-            )
+        raise_all(self._misfits())
         return self
 
+    def _misfits(self) -> Iterator[UnfitError]:
+        yield from _unsized(self.shape, self.size_mm, "size_mm", "shape")
+        count = len(self.positions_mm)
+        given = {"shapes": self.shapes, "sizes_mm": self.sizes_mm}
+        if self.shapes is None and self.sizes_mm is None:
+            return
+        for key, values in given.items():
+            if len(values or ()) != count:
+                yield UnfitError(
+                    f"array.{key} lists {len(values or ())} of {count} electrodes: give one for "
+                    "each, of both shapes and sizes_mm, or neither",
+                    about=f"array.{key}",
+                    problem="too few" if len(values or ()) < count else "too many",
+                    value=len(values or ()),
+                    allowed=count,
+                )
+        for shape, size in zip(self.shapes or (), self.sizes_mm or (), strict=False):
+            yield from _unsized(shape, size, "sizes_mm", "shapes")
+
     def build(self) -> ElectrodeArray:
-        return electrodes.free(self.positions_mm, self.shape, self.size_mm)
+        own = None
+        if self.shapes is not None and self.sizes_mm is not None:
+            own = tuple(zip(self.shapes, self.sizes_mm, strict=True))
+        return electrodes.free(self.positions_mm, self.shape, self.size_mm, own)
+
+
+def _unsized(
+    shape: Shape, size_mm: tuple[float, float], key: str, remedy: str
+) -> Iterator[UnfitError]:
+    first, second = size_mm
+    fits = {
+        "point": True,
+        "disc": first > 0 and second == 0,
+        "annulus": first > second > 0,
+        "rectangle": first > 0 and second > 0,
+    }
+    if not fits[shape]:
+        yield UnfitError(
+            f"{key} {list(size_mm)} does not go with shape {shape!r}: give [diameter, 0] of a "
+            "disc, [outer, inner] of an annulus, [width, height] of a rectangle",
+            about=f"array.{key}",
+            problem="conflict",
+            value=size_mm,
+            remedy=f"array.{remedy}",
+        )
 
 
 ArrayLayout = Annotated[

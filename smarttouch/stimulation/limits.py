@@ -154,7 +154,7 @@ class SafetyLimits:
             total_ma=CEILING_TOTAL_MA if limits.total_ma is None else limits.total_ma,
             electrode_ma=limits.electrode_ma,
             full_us=profile.pulse.width_us if profile.pulse.carrier == "width" else None,
-            area_mm2=profile.electrodes.area_mm2,
+            area_mm2=tuple(profile.electrodes.area_mm2.tolist()),
             threshold_ma=tuple(profile.threshold_ma.tolist()),
             density_uc_cm2=limits.density_uc_cm2,
             session_s=limits.session_s,
@@ -257,7 +257,8 @@ class SafetyLimits:
 def rms_ma_cm2(profile: Profile) -> float:
     """Return the root mean square density of the strongest electrode's own pulses, mA/cm²."""
     share = profile.pulse.width_us * 1e-6 * profile.pulse.rate_hz
-    return float(profile.full_ma.max()) * math.sqrt(share) / (profile.electrodes.area_mm2 / 100)
+    densest = float((profile.full_ma / (profile.electrodes.area_mm2 / 100)).max())
+    return densest * math.sqrt(share)
 
 
 def decimal(value: float) -> Fraction:

@@ -147,7 +147,7 @@ def mix_colors(
     >>> trace = open_trace("tone:30Hz,8um+press:0.45N", seconds=1.0)
     >>> mixture = mix_colors(trace, profile, load_bank(profile))
     >>> [mixture.pulses(each) for each in Afferent]  # RA, SAI, PC
-    [29, 24, 0]
+    [27, 24, 0]
     >>> mixture.stimuli[0].activation.shape
     (3, 64)
     """

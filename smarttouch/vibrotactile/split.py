@@ -28,9 +28,10 @@ from smarttouch.physiology.receptors import sensitivity, threshold_um
 from smarttouch.stimulation.rates import SLOWEST
 from smarttouch.vibrotactile.trace import Array, Trace
 
-SPAN_DB = 15.0
+SPAN_DB = 5.0
 """From threshold to a drive of 1. Ours: a tone of 30 Hz that far above RA's threshold just reaches
-PC's, so that RA alone can be driven in full."""
+PC's, so that RA alone can be driven in full; it is also about where an afferent that begins to
+fire does so in each cycle."""
 SAI_FORCE_N = 0.0013
 """Median force at which human SAI afferents begin to fire (Johansson, Vallbo and Westling, Brain
 Res. 184, 1980)."""
@@ -117,7 +118,7 @@ def split(
         )
     return {
         Afferent.RA: _vibration(trace, Afferent.RA, span_db),
-        Afferent.SAI: _pressure(trace, sai_full_n, sai_rate_hz),
+        Afferent.SAI: pressed(trace, sai_full_n, sai_rate_hz),
         Afferent.PC: _vibration(trace, Afferent.PC, span_db),
     }
 
@@ -131,20 +132,30 @@ def shares(answers: Mapping[Afferent, Answer]) -> dict[Afferent, float]:
     }
 
 
-def _vibration(trace: Trace, afferent: Afferent, span_db: float) -> Answer:
+def turning(trace: Trace, afferent: Afferent) -> NDArray[np.complex128]:
+    """Return the vibration as a class sees it, in units of its threshold: an analytic signal."""
     padded, first, frequency_hz = _padded(trace.displacement_um, trace.sample_hz)
     gain = 1 / threshold_um(afferent, frequency_hz)
     half = np.zeros(len(padded), np.complex128)
     half[: len(gain)] = 2 * rfft(padded) * gain
-    turning = ifft(half)[first : first + len(trace.force_n)]
-    level = np.abs(turning)
+    return np.asarray(ifft(half)[first : first + len(trace.force_n)])
+
+
+def cycles(wave: NDArray[np.complex128], driven: NDArray[np.bool_], trace: Trace) -> Array:
+    """Return the samples at which each cycle of `turning` begins while driven."""
+    return _upward(wave, driven, round(_GAP_S * trace.sample_hz))
+
+
+def _vibration(trace: Trace, afferent: Afferent, span_db: float) -> Answer:
+    wave = turning(trace, afferent)
     with np.errstate(divide="ignore"):
-        drive = np.clip(20 * np.log10(level) / span_db, 0, 1)
-    spike_s = _upward(turning, drive > 0, round(_GAP_S * trace.sample_hz)) / trace.sample_hz
+        drive = np.clip(20 * np.log10(np.abs(wave)) / span_db, 0, 1)
+    spike_s = cycles(wave, drive > 0, trace) / trace.sample_hz
     return Answer(afferent, drive, _rate_hz(spike_s, trace, drive), spike_s)
 
 
-def _pressure(trace: Trace, full_n: float, rate_hz: float) -> Answer:
+def pressed(trace: Trace, full_n: float, rate_hz: float) -> Answer:
+    """Return the response of SAI, driven in full at a force and then firing at a rate."""
     drives = []
     rows = (
         (trace.force_n, SAI_FORCE_N, full_n),

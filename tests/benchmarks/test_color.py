@@ -72,7 +72,7 @@ def test_who_answers_where(row, quick):
 
 
 def test_a_frame(profile, bank, row, quick, seconds):
-    spec = "tone:30Hz,6um+tone:250Hz,1.5um+press:0.45N"
+    spec = "tone:30Hz,9um+tone:250Hz,1.5um+press:0.45N"
     mixture, spent = mix_colors(open_trace(spec, seconds), profile, bank), []
     for _ in range(1 if quick else 50):
         sensor, now_us, frames = ColorSource(spec, profile, mixture), 0, 0

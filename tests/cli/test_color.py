@@ -43,7 +43,7 @@ def test_split_alone_needs_no_board(run_color, tmp_path):
     said = run_color("tone:30Hz,8um+press:0.45N", "--split-only", "--json", "f.json", "--plot",
                      "a.png")  # fmt: skip
     rows = rows_of(said)
-    assert rows["RA"][2:] == ["30.0", "Hz", "63%"]
+    assert rows["RA"][2:] == ["30.0", "Hz", "46%"]
     assert rows["PC"] == ["0.00", "0.00", "–", "0%"]
     figures = json.loads((tmp_path / "f.json").read_text())
     assert figures["classes"]["SAI"]["answered"]["peak_drive"] == pytest.approx(0.5, abs=0.01)
@@ -51,7 +51,7 @@ def test_split_alone_needs_no_board(run_color, tmp_path):
 
 
 def test_all_three_on_an_emulated_board(run_color, tmp_path):
-    spec = "tone:30Hz,6um+tone:250Hz,1.5um+press:0.45N"
+    spec = "tone:30Hz,9um+tone:250Hz,1.5um+press:0.45N"
     said = run_color(spec, "--seconds", 1, "--board", "simulated:", "--json", "f.json", "--record",
                      "r.mcap", "--plot", "a.png")  # fmt: skip
     rows = rows_of(said)

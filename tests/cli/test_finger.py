@@ -24,10 +24,24 @@ def test_a_letter_on_one_finger(program_here, tmp_path):
         assert 0 <= table[name] <= 1
     assert set(table["fired"]) == {"RA", "SAI", "PC"}
     assert table["fired"]["RA"] > 0
+    assert table["nociceptive"] > 0
     assert 0 <= table["at_nerve"]["median"] <= table["at_nerve"]["worst_tenth"] <= 1
     with Image.open(tmp_path / "felt.png") as picture:
         assert min(picture.size) > 400
         assert len(picture.getcolors(1 << 22)) > 50
+
+
+@pytest.mark.parametrize(("name", "columns"), [("effects", 3), ("published", 4)])
+def test_tables_of_what_was_published(program_here, tmp_path, name, columns):
+    done = program_here(
+        "finger", "IT", f"--table={name}", "--anatomy=paper", "--fingers=1", "--json=t.json"
+    )
+    assert done.returncode == 0, done.stderr
+    table = json.loads((tmp_path / "t.json").read_text())
+    assert (table["anatomy"], table["fingers"]) == ("paper", 1)
+    assert len(table[name]) >= 10
+    assert {len(row) for row in table[name]} == {columns}
+    assert all(row["fingers"] for row in table[name])
 
 
 @pytest.mark.parametrize(
@@ -36,6 +50,7 @@ def test_a_letter_on_one_finger(program_here, tmp_path):
         (["4"], ExperimentError, {"about": "LETTERS", "problem": "unknown", "value": "4"}),
         (["T", "--anatomy=none"], ProfileError, {"about": "anatomy", "value": "none"}),
         (["T", "--profile=line-7"], ExperimentError, {"about": "profile", "value": 1}),
+        (["--table=none"], SmartTouchError, {"about": "--table"}),
         (["T", "--mode=SAII"], SmartTouchError, {"about": "--mode"}),
     ],
 )

@@ -146,3 +146,14 @@ def test_a_class_cannot_be_selected_against_itself(profile, others):
     problem = "conflict" if others else "missing"
     with raises(DesignError, about="others", problem=problem, value=tuple(others)):
         Problem(profile, Afferent.RA, others)
+
+
+def test_a_ring_is_no_mirror_image_of_the_disc_in_it(profile, changed):
+    array = {
+        "layout": "free",
+        "positions_mm": [[0, 0], [0, 0], [9, 0], [-9, 0]],
+        "shapes": ["disc", "annulus", "disc", "disc"],
+        "sizes_mm": [[1.0, 0.0], [8.0, 6.0], [1.0, 0.0], [1.0, 0.0]],
+    }
+    found = Problem(changed(profile, {"array": array}), Afferent.RA).symmetries
+    assert sorted({tuple(each) for each in found}) == [(0, 1, 2, 3), (0, 1, 3, 2)]

@@ -7,7 +7,7 @@ import pytest
 
 from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
-from smarttouch.physiology.activation import af_matrix, field
+from smarttouch.physiology.activation import af_matrix, field, potential_mv
 from smarttouch.physiology.afferents import everywhere, targets
 from smarttouch.profile import list_profiles, load_profile
 
@@ -126,3 +126,39 @@ def test_orientation_selection_of_figure_10():
     rising = af_matrix(profile, replace(depth, direction=np.array([[0.0, 0.0, 1.0]])))
     assert rising == pytest.approx(-flat)
     assert flat[3, 3] > 0
+
+
+MIXED = {
+    "layout": "free",
+    "positions_mm": [[0, 0], [0, 0], [6, 1], [9, 1]],
+    "shapes": ["disc", "annulus", "rectangle", "disc"],
+    "sizes_mm": [[1.0, 0], [8.0, 6.0], [0.5, 2.0], [1.0, 0]],
+}
+
+
+def test_an_array_of_several_shapes_has_the_fields_of_each(profile, changed):
+    mixed = changed(profile, {"array": MIXED})
+    nodes = everywhere(mixed, Afferent.SAI)
+    whole = af_matrix(mixed, nodes)
+    for index, (shape, size) in enumerate(zip(MIXED["shapes"], MIXED["sizes_mm"], strict=True)):
+        one = {"layout": "free", "positions_mm": MIXED["positions_mm"], "shape": shape}
+        one["positions_mm"] = [[x + 0.01 * k, y] for k, (x, y) in enumerate(MIXED["positions_mm"])]
+        alone = replace(
+            changed(profile, {"array": one | {"size_mm": size}}).electrodes,
+            position_mm=mixed.electrodes.position_mm[[index, (index + 2) % 4]],
+        )
+        found, scale = field(alone, mixed.skin, nodes.position_mm, nodes.depth_mm)
+        expected = np.concatenate([found.along(each)[:, 0] for each in nodes.direction])
+        assert whole[:, index] == pytest.approx(scale * expected)
+
+
+@pytest.mark.parametrize("depth_mm", [0.3, 0.9, 2.0])
+def test_a_ring_s_potential_is_that_of_its_spectrum(profile, changed, depth_mm):
+    array = {"layout": "free", "positions_mm": [[0, 0], [20, 0]], "shape": "annulus"}
+    rings = changed(profile, {"array": array | {"size_mm": [8.0, 6.0]}})
+    place = (
+        np.column_stack([np.linspace(0, 12, 25), np.zeros(25)]) + rings.electrodes.position_mm[0]
+    )
+    found, scale = field(rings.electrodes, rings.skin, place, depth_mm)
+    points = np.column_stack([place, np.full(25, depth_mm)])
+    assert potential_mv(rings, points) == pytest.approx(1000 * scale * found.potential, rel=2e-3)

@@ -118,6 +118,14 @@ def test_nodes_that_are_left_out_are_never_fired_by_legal_currents(small, monkey
     assert np.array_equal(kept.drive(currents, width) >= 1, fired)
 
 
+@pytest.mark.parametrize("total_ma", [None, 5.0])
+def test_two_electrodes_reach_nodes_whatever_the_total(small, changed, total_ma):
+    array = {"layout": "free", "positions_mm": [[0, 0], [3, 0]]}
+    pair = changed(small, {"array": array, "limits.total_ma": total_ma})
+    model = SpikeModel(Finger(pair, 1, "branched"))
+    assert (model.drive(np.array([[-4000, 4000]]), np.array([200])) >= 1).any()
+
+
 def test_another_anatomy_from_a_file(tmp_path, small):
     path = tmp_path / "mine.toml"
     path.write_text(
@@ -151,3 +159,28 @@ def test_layered_skin_is_not_offered(small, changed):
     )
     with raises(DesignError, about="skin.medium", value="layered"):
         _ = Finger(layered, 1, "paper").rows
+
+
+def test_a_curved_pad_lies_deeper_off_the_axis(small):
+    anatomy = load_anatomy("paper")
+    flat = Finger(small, 1, anatomy)
+    for contact_mm2, within_mm in ((None, 0.0), (np.pi * 9, 3 * small.force.full_n ** (1 / 6))):
+        update = {"pad_radius_mm": 10.0, "contact_mm2": contact_mm2}
+        curved = Finger(small, 1, anatomy.model_copy(update=update))
+        for afferent in Afferent:
+            before, after = (one.populations[afferent].course_mm for one in (flat, curved))
+            away2 = (before[..., :2] ** 2).sum(axis=-1)
+            deeper = np.maximum(away2 - within_mm**2, 0) / 20
+            assert after[..., 2] - before[..., 2] == pytest.approx(deeper, abs=1e-9)
+
+
+def test_electrodes_beyond_the_contact_deliver_nothing(small):
+    anatomy = load_anatomy("paper")
+    small_contact = anatomy.model_copy(update={"contact_mm2": 12.0, "contact_exponent": 0.0})
+    finger, whole = Finger(small, 1, small_contact), Finger(small, 1, anatomy)
+    assert whole.touching.all()
+    away = np.linalg.norm(small.electrodes.position_mm, axis=1)
+    assert np.array_equal(finger.touching, away <= np.sqrt(12 / np.pi))
+    assert 0 < finger.touching.sum() < len(away)
+    assert not finger.rows[0][:, ~finger.touching].any()
+    assert finger.rows[0][:, finger.touching] == pytest.approx(whole.rows[0][:, finger.touching])

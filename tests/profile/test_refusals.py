@@ -7,6 +7,7 @@ import pytest
 
 from smarttouch.errors import ProfileError
 from smarttouch.profile import list_profiles, load_profile
+from smarttouch.profile.written import as_toml
 from smarttouch.resources import data_folder
 
 from ..raising import raises
@@ -201,3 +202,48 @@ def test_an_error_of_one_thing_complains_of_it():
         load_profile("nothing")
     (complaint,) = caught.value.complaints
     assert complaint == ("profile", "unknown", "nothing", tuple(list_profiles()))
+
+
+def with_shapes(edited, shapes, sizes, positions="[[0, 0], [0, 0]]"):
+    path = with_free_array(edited, positions)
+    text = path.read_text().replace(
+        "positions_mm", f"shapes = {shapes}\nsizes_mm = {sizes}\npositions_mm", 1
+    )
+    path.write_text(text)
+    return path
+
+
+CONCENTRIC = ('["disc", "annulus"]', "[[1.0, 0.0], [8.0, 6.0]]")
+
+
+def test_a_ring_around_a_disc(edited, tmp_path):
+    profile = load_profile(with_shapes(edited, *CONCENTRIC))
+    array = profile.electrodes
+    assert array.position_mm.tolist() == [[0, 0], [0, 0]]
+    assert array.area_mm2 == pytest.approx(np.pi / 4 * np.array([1, 64 - 36]))
+    assert array.pitch_mm == pytest.approx(3.5)
+    path = tmp_path / "written.toml"
+    path.write_text(as_toml(profile))
+    assert load_profile(path).array == profile.array
+
+
+@pytest.mark.parametrize(
+    ("shapes", "sizes", "attributes"),
+    [
+        (
+            '["disc", "annulus"]',
+            "[[6.5, 0.0], [8.0, 6.0]]",
+            wrong("electrodes", "conflict", (0, 1)),
+        ),
+        ('["disc", "disc"]', "[[1.0, 0.0], [2.0, 0.0]]", wrong("electrodes", "conflict", (0, 1))),
+        ('["disc"]', "[[1.0, 0.0], [2.0, 0.0]]", wrong("array.shapes", "too few", 1, 2)),
+        (
+            '["disc", "annulus"]',
+            "[[1.0, 0.0], [6.0, 6.0]]",
+            wrong("array.sizes_mm", "conflict", (6, 6), remedy="array.shapes"),
+        ),
+    ],
+)
+def test_impossible_mixtures_of_shapes(edited, shapes, sizes, attributes):
+    with raises(ProfileError, **attributes):
+        load_profile(with_shapes(edited, shapes, sizes))

@@ -32,7 +32,7 @@ from smarttouch.vibrotactile.spec import open_trace
 def run(profile, bank, tmp_path_factory):
     """Record a run of stimuli; return the file and the results of its steps."""
     path, results = tmp_path_factory.mktemp("stimuli") / "run.mcap", []
-    trace = open_trace("tone:30Hz,6um+press:0.45N", 0.8)
+    trace = open_trace("tone:30Hz,9um+press:0.45N", 0.8)
     mixture = mix_colors(trace, profile, bank, sites=[27, 36])
     source = ColorSource("a mixture", profile, mixture, profile.force.full_n)
     with open_display("simulated:", profile) as display:

@@ -1,5 +1,6 @@
 """Limits as whole numbers, and what is told of a profile."""
 
+import numpy as np
 import pytest
 
 from smarttouch.profile import list_profiles, load_profile
@@ -43,3 +44,16 @@ def test_the_smallest_of_charge_density_and_shannon_counts(name):
 def test_a_small_electrode_is_bound_by_its_area():
     limits = SafetyLimits(2, 5.0, 200, 0.5, 200, 0.8, 0.5, 2.4, area_mm2=0.2)
     assert limits.charge_pc.tolist() == [200_000, 200_000]
+
+
+def test_each_shape_of_an_array_is_bound_by_its_own_area(changed):
+    array = {
+        "layout": "free",
+        "positions_mm": [[0, 0], [0, 0]],
+        "shapes": ["disc", "annulus"],
+        "sizes_mm": [[0.5, 0.0], [8.0, 6.0]],
+    }
+    limits = SafetyLimits.of(changed(load_profile("electric-mouse"), {"array": array}))
+    area_cm2 = np.pi / 400 * np.array([0.25, 28.0])
+    assert limits.charge_pc[0] == pytest.approx(1e8 * area_cm2[0], abs=1)
+    assert limits.charge_pc[0] < limits.charge_pc[1] == 500_000

@@ -84,7 +84,7 @@ def test_only_the_sites_that_were_chosen_pulse(profile, bank):
 def test_more_vibration_is_more_current(profile, bank):
     medians = [
         np.median(feel(f"tone:30Hz,{um}um", profile, bank, seconds=1.0)[0][Afferent.RA].drive)
-        for um in (2.5, 4, 7)
+        for um in (7, 8.5, 10)
     ]
     assert medians == sorted(medians)
     assert medians[0] < 0.25 < 0.6 < medians[2]

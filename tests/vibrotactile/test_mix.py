@@ -20,7 +20,7 @@ from smarttouch.vibrotactile.train import merged, shortest_us, thinned
 
 from ..raising import raises
 
-ALL = "tone:30Hz,6um+tone:250Hz,1.5um+press:0.45N"
+ALL = "tone:30Hz,9um+tone:250Hz,1.5um+press:0.45N"
 
 trains = st.lists(
     st.lists(st.integers(4999, 40_000), max_size=30).map(lambda steps: np.cumsum(steps)),
@@ -70,7 +70,7 @@ def test_stimuli_are_within_limits_and_at_the_right_sites(profile, bank):
 
 @pytest.mark.parametrize(
     ("spec", "mode"),
-    [("tone:30Hz,6um", Mode.RA), ("press:0.4N", Mode.SAI), ("tone:250Hz,1um", Mode.PC)],
+    [("tone:30Hz,9um", Mode.RA), ("press:0.4N", Mode.SAI), ("tone:250Hz,1um", Mode.PC)],
 )
 def test_one_class_alone_is_that_mode(spec, mode, profile, bank):
     assert mix_colors(open_trace(spec, 0.3), profile, bank).mode is mode
@@ -93,7 +93,7 @@ def test_vibrators_do_it_instead_of_pulses_of_pc(profile, bank):
     middle = (mixture.time_us > 100_000) & (mixture.time_us < 900_000)
     assert (mixture.drive[middle, Afferent.PC] > 0.8).all()
     assert mixture.pulses(Afferent.RA) == 29
-    quiet = mix_colors(open_trace("tone:30Hz,6um", 1.0), profile, bank, vibrated=True)
+    quiet = mix_colors(open_trace("tone:30Hz,9um", 1.0), profile, bank, vibrated=True)
     assert not quiet.vibrated
 
 
@@ -111,10 +111,10 @@ def test_a_board_without_pc_leaves_it_out_or_refuses():
 
 def test_a_board_with_one_rate_takes_one_class(profile, bank):
     timing = ScanTiming(whole_hz=True)
-    assert mix_colors(open_trace("tone:30Hz,6um"), profile, bank, timing=timing).mode is Mode.RA
+    assert mix_colors(open_trace("tone:30Hz,9um"), profile, bank, timing=timing).mode is Mode.RA
     both = {"problem": "too many", "value": (Afferent.RA, Afferent.SAI), "allowed": 1}
     with raises(ScheduleError, about="classes", **both):
-        mix_colors(open_trace("tone:30Hz,6um+press:1N"), profile, bank, timing=timing)
+        mix_colors(open_trace("tone:30Hz,9um+press:1N"), profile, bank, timing=timing)
 
 
 def test_nothing_to_answer_is_no_stimulus(profile, bank):

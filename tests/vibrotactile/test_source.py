@@ -35,7 +35,7 @@ def asked(source, stretch=1.0):
 
 
 def test_every_request_comes_at_its_time(make_source):
-    source, mixture = make_source("tone:30Hz,6um+tone:250Hz,1.5um+press:0.45N")
+    source, mixture = make_source("tone:30Hz,9um+tone:250Hz,1.5um+press:0.45N")
     pulsing = [(time, each) for time, each in asked(source) if each.activation.any()]
     assert [time for time, _ in pulsing] == mixture.time_us.tolist()
     drives = [each.activation[:, mixture.sites[0]] for _, each in pulsing]
@@ -53,7 +53,7 @@ def test_between_pulses_the_finger_is_looked_at(make_source):
 
 
 def test_where_sequences_are_longer_pulses_wait_and_none_is_lost(make_source):
-    source, mixture = make_source("tone:30Hz,6um+press:0.45N")
+    source, mixture = make_source("tone:30Hz,9um+press:0.45N")
     late = asked(source, stretch=1.7)
     assert sum(each.activation.any() for _, each in late) < len(mixture.time_us)
     for afferent in (Afferent.RA, Afferent.SAI):
@@ -107,7 +107,7 @@ def test_where_pc_cannot_be_driven_it_has_no_price(profile, bank):
 
 
 def test_figures_and_notes_say_what_went_out(profile, bank, make_source):
-    spec = "tone:30Hz,6um+press:0.45N"
+    spec = "tone:30Hz,9um+press:0.45N"
     answers = split(open_trace(spec, 0.5), sai_full_n=profile.force.full_n)
     source, mixture = make_source(spec, sites=range(64))
     asked(source)

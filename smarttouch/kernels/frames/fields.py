@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.errors import DesignError
 from smarttouch.physiology.activation import af_matrix
 from smarttouch.physiology.afferents import Afferents
 from smarttouch.profile import Profile, Skin
@@ -134,6 +135,16 @@ def _products(
 def _kernel(profile: Profile, afferents: Afferents, skin: Skin, dx: Array, dy: Array) -> Array:
     """Return the field of one electrode at all displacements, (D, dy, dx)."""
     array = profile.electrodes
+    if len(array.kinds) > 1:
+        raise DesignError(
+            "whole frames are offered for arrays of one shape of electrode, this one has "
+            f"{len(array.kinds)}: give points slots of their own",
+            about="array.shapes",
+            problem="too many",
+            value=len(array.kinds),
+            allowed=1,
+            remedy="frames.share",
+        )
     # One electrode is no array: the second one's column is not used.
     half = array.pitch_mm
     pair = FreeLayout(

@@ -5,9 +5,10 @@ and, if they reach deep enough, PC. RA's pulses tell the frequency; but who has 
 from mechanical vibration what a frequency feels like expects ever more PC with it. A train
 with too little PC for its frequency is taken for a slower one.
 
-What follows: where no PC fires nothing above 65 Hz is believed, as there the receptors' curves
-meet; where some do, as in PC mode, something above. What is assumed: the form of the soft
-minimum, and two numbers, the `BASE_WEBER` and `SHARPNESS` that fit the paper's RA mode.
+What follows: where no PC fires nothing above `ALONE_HZ` is believed; where some do, as in PC
+mode, something above. What is assumed: the form of the soft minimum, and three numbers that fit
+the paper's RA mode, `ALONE_HZ`, `BASE_WEBER` and `SHARPNESS`. That RA mode gives out near 65 Hz is
+put in by the first, and explains nothing.
 """
 
 import math
@@ -19,13 +20,16 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from smarttouch.afferent import Afferent
-from smarttouch.physiology.receptors import MEETING_HZ, best_hz, sensitivity
+from smarttouch.physiology.receptors import best_hz, sensitivity
 
 Array = NDArray[np.float64]
 
 BASE_WEBER = 0.125
 """75 % discrimination threshold where nothing contradicts the pulses' own frequency. Ours: with
 it thresholds stay below the 20 % of the paper up to 45 Hz (Section III-C)."""
+ALONE_HZ = 65.0
+"""Highest frequency believed without any PC. Ours: between 60 and 70 Hz, where the paper lets PC
+come in and RA end. On the fingertip both are alike at 40 Hz."""
 SHARPNESS = 3.2
 """Steepness of the limit of perceived frequency. Ours: with it the threshold at 75 Hz in RA mode
 is 0.68, where the paper has 0.7."""
@@ -55,8 +59,7 @@ class FrequencySense:
 
         It is the frequency of a mechanical vibration to which PC and RA, each of what it
         answers at its best, answer in that ratio (paper, Fig. 2). No PC at all means that
-        the vibration lies where only RA answers: below the frequency where the threshold
-        curves meet.
+        the vibration lies where only RA answers: below `ALONE_HZ`.
         """
         hz, ratios = self._learned
         return float(np.interp(ratio, ratios, hz))
@@ -64,7 +67,7 @@ class FrequencySense:
     @cached_property
     def _learned(self) -> tuple[Array, Array]:
         # Up to the best frequency of PC: beyond it the ratio falls again.
-        hz = np.geomspace(MEETING_HZ, best_hz(Afferent.PC), 200)
+        hz = np.geomspace(ALONE_HZ, best_hz(Afferent.PC), 200)
         return hz, sensitivity(Afferent.PC, hz) / sensitivity(Afferent.RA, hz)
 
     @cached_property

@@ -1,0 +1,93 @@
+"""
+The paper's effects on simulated fingers
+========================================
+
+Order of sensations, blur by polarity, the shift of PC, and the concentric electrode (Sections III-B
+and III-C): nothing of it was put into the fingers. ``smarttouch finger --table effects`` prints the
+numbers.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import smarttouch as st
+from smarttouch.physiology.finger import Finger
+from smarttouch.plotting.kernels import electrode_patches
+from smarttouch.psychophysics import paper_effects
+
+profile = st.load_profile("electric-mouse")
+sites = paper_effects.inner_sites(profile)
+fingers = [Finger(profile, seed, "paper") for seed in range(1, 9)]
+colors = {st.Afferent.RA: "tab:red", st.Afferent.SAI: "tab:green", st.Afferent.PC: "tab:blue"}
+
+# %%
+# SAI mode on lines, with a current that rises: pressure first, vibration later, as in Section
+# III-B.1 (there at 0.4, 0.6 and 1.0 mA; the fingers' cables need some fifteen times as much).
+_, order = plt.subplots(figsize=(5, 4.5), layout="constrained")
+stages = paper_effects.stages("paper", range(1, 8))
+least_ma = min(current_ma[0] for current_ma in stages.values())
+for afferent, current_ma in stages.items():
+    order.step(current_ma / least_ma, np.arange(1, 11), where="post", color=colors[afferent],
+               label=afferent.name)  # fmt: skip
+    print(f"{afferent.name} joins at {current_ma[0] / least_ma:.1f} times the first current")
+order.set(xlim=(0.8, 4), xlabel="current over that of the first afferent", ylabel="afferents",
+          title="SAI mode: pressure, then vibration")  # fmt: skip
+order.legend()
+plt.show()
+
+# %%
+# Receptors of the axons that one electrode fires, from the electrode: an anode reaches what lies
+# below it, a cathode axons in passing (Fig. 15).
+_, blur = plt.subplots(figsize=(5, 4.5), layout="constrained")
+for cathodic, color in ((True, "tab:purple"), (False, "tab:orange")):
+    current_ma = 2.4 * paper_effects.against_all(profile, cathodic)
+    away = [
+        finger.receptor_mm[who] - profile.electrodes.position_mm[site]
+        for finger in fingers
+        for site, who in zip(sites, paper_effects.fired(finger, current_ma[sites]).T, strict=True)
+    ]
+    name = "cathodic" if cathodic else "anodic"
+    blur.scatter(*np.concatenate(away).T, s=8, color=color, label=name)
+    found = paper_effects.shift(fingers, current_ma, sites, list(st.Afferent))
+    print(f"{name}: receptors {found.away_mm:.1f} mm from the electrode")
+blur.set(
+    xlabel="x (mm)", ylabel="y (mm), palm below", aspect="equal", title="One electrode, 2.4 mA"
+)
+blur.invert_yaxis()
+blur.legend()
+plt.show()
+
+# %%
+# PC mode: the receptors of the PC axons that fire lie toward the fingertip (Section III-B.4).
+_, shifted = plt.subplots(figsize=(5, 4.5), layout="constrained")
+current_ma = 2.4 * paper_effects.kernel_ma(profile, st.load_kernels(profile), st.Afferent.PC)
+found = paper_effects.shift(fingers, current_ma, sites, [st.Afferent.PC])
+toward_mm = [
+    profile.electrodes.position_mm[site, 1] - finger.receptor_mm[who & (finger.classes == 2), 1]
+    for finger in fingers
+    for site, who in zip(sites, paper_effects.fired(finger, current_ma[sites]).T, strict=True)
+]
+shifted.hist(np.concatenate(toward_mm), bins=np.arange(-4, 10), color=colors[st.Afferent.PC])
+shifted.axvspan(1, 3, color="0.9", zorder=0)
+shifted.axvline(-found.y_mm, color="black")
+shifted.set(xlabel="toward the fingertip (mm)", ylabel="afferents", title="PC mode: felt elsewhere")
+plt.show()
+print(f"PC is felt {-found.y_mm:.1f} mm toward the fingertip")
+
+# %%
+# The concentric electrode of Section III-C, an array of two shapes, under an anodic middle.
+_, ring = plt.subplots(figsize=(5, 4.5), layout="constrained")
+electrode = paper_effects.concentric(paper_effects.CONCENTRIC_MM)
+finger = Finger(electrode, 4, "paper")
+fires = paper_effects.fired(finger, np.array([[-2.4, 2.4]]))[:, 0]
+for patch in electrode_patches(electrode):
+    patch.set(facecolor="0.85", edgecolor="0.4")
+    ring.add_patch(patch)
+for afferent, color in colors.items():
+    mine = finger.classes == afferent
+    ring.scatter(*finger.receptor_mm[mine].T, s=6, color=color, alpha=0.25)
+    ring.scatter(*finger.receptor_mm[mine & fires].T, s=30, color=color, label=afferent.name)
+    print(f"{afferent.name}: {np.sum(mine & fires)} fire under the concentric electrode")
+ring.set(xlim=(-4.5, 4.5), ylim=(4.5, -4.5), aspect="equal", title="Disc of 1 mm in a ring, anodic")
+ring.legend()
+plt.show()
