@@ -21,8 +21,9 @@ from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA
 from smarttouch.stimulation.kernel_sums import Found, KernelSums
 from smarttouch.stimulation.points import Slots, constant_us, felt_at
-from smarttouch.stimulation.sequence import SelectivityReport, round_charge_balanced
+from smarttouch.stimulation.sequence import SelectivityReport
 from smarttouch.stimulation.sharing import unsupported_reason
+from smarttouch.stimulation.sums import round_charge_balanced
 
 Array = NDArray[np.float64]
 

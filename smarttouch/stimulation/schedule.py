@@ -16,7 +16,7 @@ from smarttouch.stimulation.points import PointSlots, Slots, constant_us, joined
 from smarttouch.stimulation.rates import PulseRates, rate_share
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
-from smarttouch.stimulation.sums import SlotAdder, common_us
+from smarttouch.stimulation.sums import SlotAdder, extent_us
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.tactile_image import TactileImage
 
@@ -300,8 +300,7 @@ class ScanScheduler:
     def _shortest_us(self, width_us: NDArray[np.uint16]) -> int:
         """Return the shortest period that slots of these widths need, µs."""
         timing, slots = self._timing, len(width_us)
-        each_us = common_us(width_us) if slots else 0
-        pulses_us = slots * each_us if each_us is not None else int(width_us.sum(dtype=np.int64))
+        _, _, pulses_us = extent_us(width_us.tobytes())
         mean_us = pulses_us / slots if slots else 0.0
         shortest = timing.shortest_period_us(slots, self._electrodes, mean_us, self._discharge_us)
         return max(shortest, timing.possible_period_us(pulses_us / self._duty))

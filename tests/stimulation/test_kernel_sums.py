@@ -8,7 +8,7 @@ from smarttouch.kernels.frames.bound import proved_sets
 from smarttouch.kernels.frames.operator import AIM, FrameOperator
 from smarttouch.stimulation.frames import FrameSlots
 from smarttouch.stimulation.kernel_sums import _parts
-from smarttouch.stimulation.sequence import round_charge_balanced
+from smarttouch.stimulation.sums import round_charge_balanced
 
 INTENSITIES = (1.0, 0.6, 0.3, 0.1, 0.03, 0.01, 0.003)
 
