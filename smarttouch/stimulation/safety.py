@@ -210,7 +210,8 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
                 limit=name,
             )
         slots = len(plain) if slots is None else slots
-        fields[name] = np.frombuffer(plain.tobytes(), kind).reshape(plain.shape)
+        flat = np.frombuffer(plain.tobytes(), kind)
+        fields[name] = flat if dimensions == 1 else flat.reshape(plain.shape)
     for name in _WHOLE:
         value = getattr(sequence, name)
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
