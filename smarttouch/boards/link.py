@@ -38,14 +38,6 @@ OPEN_SHARE = 0.97
 Measured = tuple[ScanSequence, NDArray[np.float32]]
 
 
-def encode_scan(kind: protocol.Output, scan: ScanSequence, times: int, measure: bool) -> bytes:
-    """Return the payload of a SEQUENCE."""
-    return encode_sequence(
-        kind, scan.period_us, scan.width_us, scan.discharge_us, scan.site, scan.current_ua, times,
-        measure, scan.recharge_ua, scan.recharge_us,
-    )  # fmt: skip
-
-
 class LinkBoard(Board):
     """Board at the far end of a serial line: ``link:PORT``.
 
@@ -110,7 +102,11 @@ class LinkBoard(Board):
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         self._number += 1
-        payload = encode_scan(self._kind, sequence, times, self.capabilities.measures)
+        payload = encode_sequence(
+            self._kind, sequence.period_us, sequence.width_us, sequence.discharge_us,
+            sequence.site, sequence.current_ua, times, self.capabilities.measures,
+            sequence.recharge_ua, sequence.recharge_us,
+        )  # fmt: skip
         self._wait_for_room()
         ppb = parts_per_billion(sequence.intensity)
         if self._is_late(self._due_ns) or not self._rise.permits(ppb, self._clock.now_ns()):

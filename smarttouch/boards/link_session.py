@@ -80,8 +80,15 @@ class HostSession:
         message = decode(packet)
         if message.kind == Kind.CAPABILITIES:
             taken = self._take_capabilities(message)
-        else:
-            taken = self._take(message)
+        elif taken := (
+            message.session == self.number
+            and message.number > self._taken
+            and message.version == VERSION
+        ):
+            self._taken = message.number
+            if message.kind in _ANSWERS:
+                taken = self._was_asked(message)
+                self.begun |= taken and message.kind == Kind.BEGUN
         if not taken:
             self.refuse()
         return message if taken else None
@@ -99,16 +106,6 @@ class HostSession:
         if self.begun or message.about < self._offered:
             return message.session == self.number
         self.number, self._offered = message.session, message.about
-        return True
-
-    def _take(self, message: Message) -> bool:
-        fresh = message.session == self.number and message.number > self._taken
-        if not fresh or message.version != VERSION:
-            return False
-        self._taken = message.number
-        if message.kind in _ANSWERS and not self._was_asked(message):
-            return False
-        self.begun |= message.kind == Kind.BEGUN
         return True
 
     def _was_asked(self, message: Message) -> bool:

@@ -161,11 +161,15 @@ class ScanScheduler:
         self._timing = timing
         self._electrodes = len(profile.electrodes)
         self._adder = SlotAdder(SafetyLimits.of(profile).felt_ua)
-        self._one_width = bank.single or pulse.carrier != "width"
-        self._shortest: dict[int, int] = {}
-        """Shortest period by the number of slots, where all have one width."""
         # Before anything is sent: the longest scan must be possible too.
-        self._shortest_us(np.full(self._electrodes, pulse.width_us, np.uint16))
+        self._shortest_us(self._electrodes, self._electrodes * pulse.width_us)
+        self._shortest: list[int] = []
+        """Shortest period by the number of slots, where all have one width."""
+        if bank.single or pulse.carrier != "width":
+            self._shortest = [
+                self._shortest_us(slots, slots * pulse.width_us)
+                for slots in range(self._electrodes + 1)
+            ]
         self._felt_us, self._charge_us = math.inf, math.inf
         if not bank.single:
             self._bound_exposure(pulse.width_us)
@@ -214,7 +218,10 @@ class ScanScheduler:
             made = joined([made, *(one.slots(image.activation[of], scale) for one, of in others)])
         site, current_ua, width_us, proof = made
         slots = len(site)
-        shortest_us = self._shortest.get(slots) or self._shortest_us(width_us)
+        if slots < len(self._shortest):
+            shortest_us = self._shortest[slots]
+        else:
+            shortest_us = self._shortest_us(slots, extent_us(width_us.tobytes())[2])
         if self._timing.whole_hz:
             asked_us = self._timing.possible_period_us(asked_us)
         period_us = max(asked_us, shortest_us)
@@ -331,13 +338,9 @@ class ScanScheduler:
             )
         return needed_us
 
-    def _shortest_us(self, width_us: NDArray[np.uint16]) -> int:
-        """Return the shortest period that slots of these widths need, µs; remember it."""
-        timing, slots = self._timing, len(width_us)
-        _, _, pulses_us = extent_us(width_us.tobytes())
+    def _shortest_us(self, slots: int, pulses_us: int) -> int:
+        """Return the shortest period of slots whose pulses take so long together, µs."""
+        timing = self._timing
         mean_us = pulses_us / slots if slots else 0.0
         shortest = timing.shortest_period_us(slots, self._electrodes, mean_us, self._discharge_us)
-        shortest = max(shortest, timing.possible_period_us(pulses_us / self._duty))
-        if self._one_width:
-            self._shortest[slots] = shortest
-        return shortest
+        return max(shortest, timing.possible_period_us(pulses_us / self._duty))

@@ -12,8 +12,8 @@ from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.rules import MAX_CURRENT_UA, MAX_SLOTS
-from smarttouch.boards.link import encode_scan
 from smarttouch.boards.link_protocol import Kind
+from smarttouch.boards.link_sequence import encode_sequence
 from smarttouch.boards.link_session import HostSession
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
@@ -23,6 +23,7 @@ from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.framing import Deframer
 
 _BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2
+"""Longest time that the host says nothing."""
 
 Pulses = tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]
 """Sequence of each slot (N,), its width (N,) µs, and its delivered current (N, E) µA, positive
@@ -53,8 +54,9 @@ class SimulatedBoard(Board):
     """Emulated ``link`` firmware in the same thread, driven by its wire format: ``simulated:``.
 
     The bytes on the wire, the checks of the firmware and the results of the skin model
-    are those of ``emulator:``. Only time is not: a sequence is over as
-    soon as it has been computed, so long texts need not be waited for.
+    are those of ``emulator:``. Only time is not: it passes in sequences, without waiting, so long
+    texts need not be waited for. A sequence is computed when the next one comes, or when
+    somebody looks.
 
     Parameters
     ----------
@@ -93,6 +95,7 @@ class SimulatedBoard(Board):
 
     def take_pulses(self) -> Pulses:
         """Return all pulses delivered since the last call."""
+        self._catch_up()
         return self._books.take()
 
     def _open(self) -> None:
@@ -110,15 +113,31 @@ class SimulatedBoard(Board):
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         self._number += 1
-        payload = encode_scan(self._kind, sequence, times, False)
+        payload = encode_sequence(
+            self._kind, sequence.period_us, sequence.width_us, sequence.discharge_us,
+            sequence.site, sequence.current_ua, times, False,
+            sequence.recharge_ua, sequence.recharge_us,
+        )  # fmt: skip
         with self._speaking:
             self._say(Kind.SEQUENCE, self._number, payload)
-            self._wait(sequence.period_us * times * 1000)
+            end_ns = self._now_ns + sequence.period_us * times * 1000
+            while end_ns - self._now_ns > _BEAT_NS:
+                self._now_ns += _BEAT_NS
+                self._say(Kind.HEARTBEAT)
+            self._now_ns = end_ns
         return self._number
 
     def _say(self, kind: Kind, about: int = 0, payload: bytes = b"") -> None:
         packet = self._session.encode(kind, about, payload)
-        for answer in self._deframer.feed(self._firmware.feed(packet, self._now_ns)):
+        self._hear(self._firmware.feed(packet, self._now_ns))
+
+    def _catch_up(self) -> None:
+        """Let the firmware execute what is over by now."""
+        with self._speaking:
+            self._hear(self._firmware.advance(self._now_ns))
+
+    def _hear(self, answers: bytes) -> None:
+        for answer in self._deframer.feed(answers):
             message = self._session.take(answer)
             if message is None:
                 continue
@@ -134,14 +153,8 @@ class SimulatedBoard(Board):
                     value=message.about,
                 )
 
-    def _wait(self, time_ns: int) -> None:
-        """Advance the time while the host stays alive."""
-        end_ns = self._now_ns + time_ns
-        while self._now_ns < end_ns:
-            self._now_ns = min(end_ns, self._now_ns + _BEAT_NS)
-            self._say(Kind.HEARTBEAT)
-
     def report(self) -> BoardReport:
+        self._catch_up()
         return BoardReport(*self._firmware.account())
 
     def _stop(self) -> None:

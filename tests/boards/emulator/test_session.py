@@ -185,7 +185,7 @@ def test_hellos_that_lead_to_nothing_are_counted():
     assert (session.old, session.foreign) == (MOST_HOSTS, 0)
     assert hello(99, 1) is not None
     assert session.foreign == 2 * MOST_HOSTS
-    offer = next(Deframer().feed(hello(99, 2)))
+    (offer,) = Deframer().feed(hello(99, 2))
     assert session.begin(protocol.Message(Kind.BEGIN, 3, protocol.decode(offer).session))
     assert session.foreign == 2 * MOST_HOSTS
     session.live = False
