@@ -12,8 +12,9 @@ from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.impedance import SATURATED, Impedance, judge
 from smarttouch.boards.link_line import ANSWER_S, LinkLine
 from smarttouch.boards.link_offer import accepted, malformed
-from smarttouch.boards.link_protocol import Kind, Message, Refusal
+from smarttouch.boards.link_protocol import Kind, Refusal
 from smarttouch.boards.link_sequence import decode_volts, encode_sequence
+from smarttouch.boards.link_session import Message
 from smarttouch.boards.pairs import measure_in_pairs
 from smarttouch.boards.probe import probe_sequences
 from smarttouch.boards.recovery import start_anew

@@ -101,8 +101,8 @@ class SimulatedBoard(Board):
     def _open(self) -> None:
         self._power_up()
         with self._speaking:
-            self._say(Kind.HELLO)
-            self._say(Kind.BEGIN)
+            self._exchange(self._session.encode(Kind.HELLO))
+            self._exchange(self._session.encode(Kind.BEGIN))
 
     def _power_up(self) -> None:
         self._books = _KeptBooks(self._gate.limits.electrodes)
@@ -119,25 +119,22 @@ class SimulatedBoard(Board):
             sequence.recharge_ua, sequence.recharge_us,
         )  # fmt: skip
         with self._speaking:
-            self._say(Kind.SEQUENCE, self._number, payload)
+            self._exchange(self._session.encode(Kind.SEQUENCE, self._number, payload))
             end_ns = self._now_ns + sequence.period_us * times * 1000
             while end_ns - self._now_ns > _BEAT_NS:
                 self._now_ns += _BEAT_NS
-                self._say(Kind.HEARTBEAT)
+                self._exchange(self._session.encode(Kind.HEARTBEAT))
             self._now_ns = end_ns
         return self._number
-
-    def _say(self, kind: Kind, about: int = 0, payload: bytes = b"") -> None:
-        packet = self._session.encode(kind, about, payload)
-        self._hear(self._firmware.feed(packet, self._now_ns))
 
     def _catch_up(self) -> None:
         """Let the firmware execute what is over by now."""
         with self._speaking:
-            self._hear(self._firmware.advance(self._now_ns))
+            self._exchange(b"")
 
-    def _hear(self, answers: bytes) -> None:
-        for answer in self._deframer.feed(answers):
+    def _exchange(self, packet: bytes) -> None:
+        """Give the firmware a packet, or none, and take its answers."""
+        for answer in self._deframer.feed(self._firmware.feed(packet, self._now_ns)):
             message = self._session.take(answer)
             if message is None:
                 continue
@@ -159,4 +156,4 @@ class SimulatedBoard(Board):
 
     def _stop(self) -> None:
         with self._speaking:
-            self._say(Kind.STOP)
+            self._exchange(self._session.encode(Kind.STOP))
