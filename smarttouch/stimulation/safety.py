@@ -195,7 +195,9 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
         if values is None and not of_slots:
             continue
         # As a plain array: a class of somebody else's may answer for another array than it is.
-        plain = np.asarray(values) if isinstance(values, np.ndarray) else None
+        plain = values if type(values) is np.ndarray else None
+        if plain is None and isinstance(values, np.ndarray):
+            plain = np.asarray(values)
         if (
             plain is None
             or plain.dtype != kind
@@ -213,7 +215,9 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
         flat = np.frombuffer(plain.tobytes(), kind)
         fields[name] = flat if dimensions == 1 else flat.reshape(plain.shape)
     for name in _WHOLE:
-        value = getattr(sequence, name)
+        fields[name] = value = getattr(sequence, name)
+        if type(value) is int:
+            continue
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
             raise SafetyError(f"{name} is {value!r}, must be a whole number", limit=name)
         fields[name] = int(value)

@@ -21,14 +21,13 @@ from smarttouch.stimulation.exposure import (
 from smarttouch.stimulation.frames import FrameSlots
 from smarttouch.stimulation.limits import SafetyLimits
 from smarttouch.stimulation.points import PointSlots, constant_us, joined
-from smarttouch.stimulation.rates import PulseRates, rate_share
+from smarttouch.stimulation.rates import PulseRates, rate_share, rates_of
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 from smarttouch.stimulation.sums import SlotAdder, extent_us
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.tactile_image import TactileImage
 
-_SLOWEST_HZ = 0.1
 _PULSE_US = PER_PULSE / (PLANNED * MOST_PER_US)
 """Period planned for each pulse of an electrode."""
 _Maker = tuple[PointSlots, Afferent] | tuple[FrameSlots, list[Afferent]]
@@ -90,40 +89,7 @@ class ScanScheduler:
         timing = ScanTiming() if timing is None else timing
         timing.check(profile)
         pulse, limits = profile.pulse, profile.limits
-        rates_hz = {afferents[0]: pulse.rate_hz if rate_hz is None else rate_hz}
-        if Afferent.PC in afferents and len(afferents) > 1:
-            # All three never pulse by themselves.
-            rates_hz = {}
-        elif len(afferents) > 1:
-            rates_hz = {Afferent.RA: pulse.ra_rate_hz, Afferent.SAI: pulse.sai_rate_hz}
-            if rate_hz is not None:
-                raise ScheduleError(
-                    f"one rate of {rate_hz:g} Hz is not for several classes at once: set "
-                    "pulse.ra_rate_hz and pulse.sai_rate_hz of the profile",
-                    about="rate_hz",
-                    problem="conflict",
-                    value=rate_hz,
-                    remedy="pulse.ra_rate_hz",
-                )
-            if timing.whole_hz or timing.every_electrode or timing.in_index_order:
-                raise ScheduleError(
-                    "natural mode pulses at two rates, and this board scans all electrodes at "
-                    "one: choose RA or SAI",
-                    about="mode",
-                    problem="impossible",
-                    value="natural",
-                    allowed=("RA", "SAI"),
-                )
-        for each_hz in rates_hz.values():
-            if not _SLOWEST_HZ <= each_hz <= limits.rate_hz:
-                raise ScheduleError(
-                    f"a rate of {each_hz:g} Hz is not possible: it must be at least "
-                    f"{_SLOWEST_HZ:g} Hz and at most the profile's limit of {limits.rate_hz:g} Hz",
-                    about="rate_hz",
-                    problem="out of range",
-                    value=each_hz,
-                    allowed=(_SLOWEST_HZ, limits.rate_hz),
-                )
+        rates_hz = rates_of(profile, afferents, rate_hz, timing)
         self._vibrated = vibrated
         driven = [each for each in afferents if not (vibrated and each is Afferent.PC)]
         self._driven = tuple(driven)
@@ -228,7 +194,7 @@ class ScanScheduler:
         # No electrode gets more pulses than there are slots.
         felt_us = min(self._felt_us, _PULSE_US * slots)
         if max(self._charge_us, felt_us) > min(period_us, BURST_US):
-            needed_us = self._exposed_us(current_ua, width_us)
+            needed_us = self._checked_us(self._load(current_ua, width_us))
             period_us = max(period_us, self._timing.possible_period_us(needed_us))
         return ScanSequence(
             current_ua=current_ua,
@@ -313,10 +279,6 @@ class ScanScheduler:
             load[0] = math.inf
             load[1] += frames.most_ua * width_us * PER_PC
         self._felt_us, self._charge_us = (load.max(axis=1) / (PLANNED * MOST_PER_US)).tolist()
-
-    def _exposed_us(self, current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> int:
-        """Return the shortest period that keeps the exposure of every electrode, µs."""
-        return self._checked_us(self._load(current_ua, width_us))
 
     def _load(self, current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> Load:
         if not len(width_us):
