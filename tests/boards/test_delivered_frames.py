@@ -68,7 +68,7 @@ def test_delivered_currents_do_what_was_planned(profile, bank, afferent):
 
 
 @pytest.mark.parametrize("look", [SimulatedBoard.report, SimulatedBoard.take_pulses])
-def test_all_that_was_sent_is_there_when_somebody_looks(profile, look):
+def test_a_sequence_is_over_when_it_was_sent(profile, look):
     """Also what takes so long that a host must say now and then that it is there."""
     one, limits = np.ones(1, np.uint16), SafetyLimits.of(profile)
     current_ua = np.zeros((1, 64), np.int16)

@@ -54,9 +54,8 @@ class SimulatedBoard(Board):
     """Emulated ``link`` firmware in the same thread, driven by its wire format: ``simulated:``.
 
     The bytes on the wire, the checks of the firmware and the results of the skin model
-    are those of ``emulator:``. Only time is not: it passes in sequences, without waiting, so long
-    texts need not be waited for. A sequence is computed when the next one comes, or when
-    somebody looks.
+    are those of ``emulator:``. Only time is not: a sequence is over as
+    soon as it has been computed, so long texts need not be waited for.
 
     Parameters
     ----------
@@ -95,7 +94,6 @@ class SimulatedBoard(Board):
 
     def take_pulses(self) -> Pulses:
         """Return all pulses delivered since the last call."""
-        self._catch_up()
         return self._books.take()
 
     def _open(self) -> None:
@@ -110,6 +108,7 @@ class SimulatedBoard(Board):
         self._deframer = Deframer()
         self._session = HostSession()
         self._now_ns = self._number = 0
+        self._unheard = b""
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         self._number += 1
@@ -125,16 +124,14 @@ class SimulatedBoard(Board):
                 self._now_ns += _BEAT_NS
                 self._exchange(self._session.encode(Kind.HEARTBEAT))
             self._now_ns = end_ns
+            self._unheard = self._firmware.advance(end_ns)
         return self._number
 
-    def _catch_up(self) -> None:
-        """Let the firmware execute what is over by now."""
-        with self._speaking:
-            self._exchange(b"")
-
     def _exchange(self, packet: bytes) -> None:
-        """Give the firmware a packet, or none, and take its answers."""
-        for answer in self._deframer.feed(self._firmware.feed(packet, self._now_ns)):
+        """Give the firmware a packet, and take its answers with what it has said since the last."""
+        answers = self._unheard + self._firmware.feed(packet, self._now_ns)
+        self._unheard = b""
+        for answer in self._deframer.feed(answers):
             message = self._session.take(answer)
             if message is None:
                 continue
@@ -151,7 +148,6 @@ class SimulatedBoard(Board):
                 )
 
     def report(self) -> BoardReport:
-        self._catch_up()
         return BoardReport(*self._firmware.account())
 
     def _stop(self) -> None:
