@@ -49,13 +49,13 @@ class Capabilities:
             If it is of another size, needs something that the board has not, or is repeated
             too often.
         """
-        if sequence.electrodes != self.electrodes:
+        if (electrodes := sequence.current_ua.shape[1]) != self.electrodes:
             raise BoardError(
-                f"the sequence is for {sequence.electrodes} electrodes, the board has "
+                f"the sequence is for {electrodes} electrodes, the board has "
                 f"{self.electrodes}: use the profile of this board",
                 about="electrodes",
                 problem="conflict",
-                value=sequence.electrodes,
+                value=electrodes,
                 allowed=self.electrodes,
             )
         if sequence.vibration is not None and not self.vibrates:

@@ -12,8 +12,9 @@ from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.impedance import SATURATED, Impedance, judge
 from smarttouch.boards.link_line import ANSWER_S, LinkLine
 from smarttouch.boards.link_offer import accepted, malformed
-from smarttouch.boards.link_protocol import Kind, Message, Refusal
+from smarttouch.boards.link_protocol import Kind, Refusal
 from smarttouch.boards.link_sequence import decode_volts, encode_sequence
+from smarttouch.boards.link_session import Message
 from smarttouch.boards.pairs import measure_in_pairs
 from smarttouch.boards.probe import probe_sequences
 from smarttouch.boards.recovery import start_anew
@@ -22,8 +23,7 @@ from smarttouch.clock import LATE_NS
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.limits import parts_per_billion
-from smarttouch.stimulation.rise import Rise
-from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.safety import Rise, SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.port import Port, UsbIdentity, identity_of, open_port, reopen_port
 
@@ -37,14 +37,6 @@ OPEN_SHARE = 0.97
 """Part of the compliance: if every slot reaches it, nothing touches the electrodes."""
 
 Measured = tuple[ScanSequence, NDArray[np.float32]]
-
-
-def encode_scan(kind: protocol.Output, scan: ScanSequence, times: int, measure: bool) -> bytes:
-    """Return the payload of a SEQUENCE."""
-    return encode_sequence(
-        kind, scan.period_us, scan.width_us, scan.discharge_us, scan.site, scan.current_ua, times,
-        measure, scan.recharge_ua, scan.recharge_us,
-    )  # fmt: skip
 
 
 class LinkBoard(Board):
@@ -111,7 +103,11 @@ class LinkBoard(Board):
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         self._number += 1
-        payload = encode_scan(self._kind, sequence, times, self.capabilities.measures)
+        payload = encode_sequence(
+            self._kind, sequence.period_us, sequence.width_us, sequence.discharge_us,
+            sequence.site, sequence.current_ua, times, self.capabilities.measures,
+            sequence.recharge_ua, sequence.recharge_us,
+        )  # fmt: skip
         self._wait_for_room()
         ppb = parts_per_billion(sequence.intensity)
         if self._is_late(self._due_ns) or not self._rise.permits(ppb, self._clock.now_ns()):

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 
 from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.link_protocol import Kind, Message
-from smarttouch.boards.link_session import ANSWERS, HostSession
+from smarttouch.boards.link_protocol import Kind
+from smarttouch.boards.link_session import ANSWERS, HostSession, Message, draw_half
 from smarttouch.errors import BoardError, BoardStoppedError, LineLostError
 from smarttouch.realtime import prioritized
 from smarttouch.wire.framing import Deframer
@@ -54,7 +54,7 @@ class LinkLine:
         hear: Callable[[Message], None],
         aftermath: Callable[[], str],
         tend: Callable[[], None] = lambda: None,
-        draw: Callable[[], int] = protocol.draw_half,
+        draw: Callable[[], int] = draw_half,
     ) -> None:
         self.name = name
         self.session = HostSession(draw)

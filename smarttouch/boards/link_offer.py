@@ -2,7 +2,8 @@
 
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.capabilities import Capabilities
-from smarttouch.boards.link_protocol import Feature, Message
+from smarttouch.boards.link_protocol import Feature
+from smarttouch.boards.link_session import Message
 from smarttouch.errors import BoardError, OtherDeviceError
 from smarttouch.profile.device import Output
 

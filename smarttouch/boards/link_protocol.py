@@ -121,13 +121,9 @@ What a board does:
   else of another version is.
 """
 
-import secrets
 import struct
-from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Literal, get_args
-
-from smarttouch.wire.framing import HEAD_BYTES, Packet, frame_packet, parse_head
 
 VERSION = 3
 SILENCE_MS = 100
@@ -145,9 +141,6 @@ OUTPUTS: tuple[Output, ...] = get_args(Output)
 CAPABILITIES = struct.Struct("<HBBHHHH")
 ALIVE = struct.Struct("<h")
 REPORT = struct.Struct("<IIQIdddBII")
-_HEAD = struct.Struct("<QII")
-WHOLE_HEAD_BYTES = HEAD_BYTES + _HEAD.size
-"""Bytes of a decoded packet before its payload."""
 
 
 class Kind(IntEnum):
@@ -188,42 +181,3 @@ class Refusal(IntEnum):
     GARBLED = 6
     OLD = 7
     FOREIGN = 8
-
-
-@dataclass(frozen=True)
-class Message:
-    """Packet of this protocol; of another version only ``kind`` and ``version`` are known."""
-
-    kind: int
-    number: int
-    session: int = 0
-    heard: int = 0
-    about: int = 0
-    payload: bytes = b""
-    version: int = VERSION
-
-
-def encode(
-    kind: Kind, session: int, number: int, heard: int = 0, about: int = 0, payload: bytes = b""
-) -> bytes:
-    """Return a packet in its wire format."""
-    return frame_packet(VERSION, kind, number, _HEAD.pack(session, heard, about), payload)
-
-
-def decode(packet: Packet) -> Message:
-    """Return a packet as a message; one that is too short has session 0, which is never valid."""
-    if packet.version != VERSION or len(packet.payload) < _HEAD.size:
-        return Message(packet.kind, packet.number, version=packet.version)
-    session, heard, about = _HEAD.unpack_from(packet.payload)
-    payload = packet.payload[_HEAD.size :]
-    return Message(packet.kind, packet.number, session, heard, about, payload)
-
-
-def decode_head(head: bytes) -> Message:
-    """Return the message that begins with these `WHOLE_HEAD_BYTES`; its CRC is yet to come."""
-    return decode(parse_head(head))
-
-
-def draw_half() -> int:
-    """Return 32 random bits that are not all 0."""
-    return secrets.randbelow(HALF) + 1

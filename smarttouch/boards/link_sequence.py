@@ -81,9 +81,9 @@ def encode_sequence(
     flags = _MEASURE * measure | _RECHARGE * (recharge_ua is not None)
     parts = [
         _SEQUENCE.pack(period_us, slots, electrodes, switched, flags, times),
-        _u16(width_us),
-        _u16(discharge_us),
-        _u16(site),
+        width_us.astype("<u2", copy=False).tobytes(),
+        discharge_us.astype("<u2", copy=False).tobytes(),
+        site.astype("<u2", copy=False).tobytes(),
     ]
     if switched:
         source = np.maximum(current_ua, 0).sum(axis=1, dtype=np.int64)

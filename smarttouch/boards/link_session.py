@@ -1,20 +1,17 @@
-"""Host's end of a session: numbers packets, and accepts only fresh, requested ones."""
+"""Messages of ``link``, and the host's end of a session: it accepts only fresh, requested ones."""
 
+import secrets
+import struct
 from collections.abc import Callable
+from dataclasses import dataclass
 
-from smarttouch.boards.link_protocol import (
-    HALF,
-    LAST_NUMBER,
-    VERSION,
-    Kind,
-    Message,
-    decode,
-    draw_half,
-    encode,
-)
+from smarttouch.boards.link_protocol import HALF, LAST_NUMBER, VERSION, Kind
 from smarttouch.errors import LineLostError
-from smarttouch.wire.framing import Packet
+from smarttouch.wire.framing import HEAD_BYTES, Packet, frame_packet, parse_head
 
+_HEAD = struct.Struct("<QII")
+WHOLE_HEAD_BYTES = HEAD_BYTES + _HEAD.size
+"""Bytes of a decoded packet before its payload."""
 ANSWERS = {
     Kind.HELLO: Kind.CAPABILITIES,
     Kind.BEGIN: Kind.BEGUN,
@@ -22,6 +19,45 @@ ANSWERS = {
     Kind.STATUS: Kind.REPORT,
 }
 _ANSWERS = frozenset(ANSWERS.values())
+
+
+@dataclass(frozen=True)
+class Message:
+    """Packet of this protocol; of another version only ``kind`` and ``version`` are known."""
+
+    kind: int
+    number: int
+    session: int = 0
+    heard: int = 0
+    about: int = 0
+    payload: bytes = b""
+    version: int = VERSION
+
+
+def encode(
+    kind: Kind, session: int, number: int, heard: int = 0, about: int = 0, payload: bytes = b""
+) -> bytes:
+    """Return a packet in its wire format."""
+    return frame_packet(VERSION, kind, number, _HEAD.pack(session, heard, about), payload)
+
+
+def decode(packet: Packet) -> Message:
+    """Return a packet as a message; one that is too short has session 0, which is never valid."""
+    if packet.version != VERSION or len(packet.payload) < _HEAD.size:
+        return Message(packet.kind, packet.number, version=packet.version)
+    session, heard, about = _HEAD.unpack_from(packet.payload)
+    payload = packet.payload[_HEAD.size :]
+    return Message(packet.kind, packet.number, session, heard, about, payload)
+
+
+def decode_head(head: bytes) -> Message:
+    """Return the message that begins with these `WHOLE_HEAD_BYTES`; its CRC is yet to come."""
+    return decode(parse_head(head))
+
+
+def draw_half() -> int:
+    """Return 32 random bits that are not all 0."""
+    return secrets.randbelow(HALF) + 1
 
 
 class HostSession:
@@ -80,8 +116,15 @@ class HostSession:
         message = decode(packet)
         if message.kind == Kind.CAPABILITIES:
             taken = self._take_capabilities(message)
-        else:
-            taken = self._take(message)
+        elif taken := (
+            message.session == self.number
+            and message.number > self._taken
+            and message.version == VERSION
+        ):
+            self._taken = message.number
+            if message.kind in _ANSWERS:
+                taken = self._was_asked(message)
+                self.begun |= taken and message.kind == Kind.BEGUN
         if not taken:
             self.refuse()
         return message if taken else None
@@ -99,16 +142,6 @@ class HostSession:
         if self.begun or message.about < self._offered:
             return message.session == self.number
         self.number, self._offered = message.session, message.about
-        return True
-
-    def _take(self, message: Message) -> bool:
-        fresh = message.session == self.number and message.number > self._taken
-        if not fresh or message.version != VERSION:
-            return False
-        self._taken = message.number
-        if message.kind in _ANSWERS and not self._was_asked(message):
-            return False
-        self.begun |= message.kind == Kind.BEGUN
         return True
 
     def _was_asked(self, message: Message) -> bool:

@@ -16,8 +16,7 @@ from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.realtime import prioritized
 from smarttouch.stimulation.limits import parts_per_billion
-from smarttouch.stimulation.rise import Rise
-from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.safety import Rise, SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.port import (
     LINE_ERRORS,

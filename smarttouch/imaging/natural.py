@@ -28,11 +28,16 @@ class NaturalDrive:
     ----------
     electrodes : int
         E.
+
+    Attributes
+    ----------
+    last_ns : int, optional
+        Time of the last image; None, and the next is all new.
     """
 
     def __init__(self, electrodes: int) -> None:
         self._slow = np.zeros(electrodes, np.float32)
-        self._time_ns: int | None = None
+        self.last_ns: int | None = None
 
     def drive(
         self,
@@ -54,23 +59,19 @@ class NaturalDrive:
         touching : bool
             A lifted finger remembers nothing.
         """
-        if self._time_ns is None or not touching:
+        if self.last_ns is None or not touching:
             self._slow[:] = 0
         change, sustained = activation[Afferent.RA], activation[Afferent.SAI]
         np.subtract(ink, self._slow, out=change)
-        if self._time_ns is not None and touching:
-            elapsed_s = max(0, time_ns - self._time_ns) / 1e9
+        if self.last_ns is not None and touching:
+            elapsed_s = max(0, time_ns - self.last_ns) / 1e9
             np.minimum(ink, self._slow, out=sustained)
             sustained[sustained < FAINTEST_CHANGE] = 0
             self._slow += change * np.float32(1 - math.exp(-elapsed_s / ADAPTATION_S))
-        self._time_ns = time_ns if touching else None
+        self.last_ns = time_ns if touching else None
         change[change < 0] *= -LEAVING
         change -= FAINTEST_CHANGE
         change *= 1 / (1 - FAINTEST_CHANGE)
         # On a few numbers, quicker than np.clip.
         np.maximum(change, 0, out=change)
         np.minimum(change, 1, out=change)
-
-    def forget(self) -> None:
-        """Reset: the next image is all new."""
-        self._time_ns = None

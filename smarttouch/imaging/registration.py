@@ -48,6 +48,8 @@ class Registration:
     working_shape : tuple of int
         Rows and columns at which the frame is binarized: never finer than
         `PIXELS_PER_CELL` needs.
+    weights : sparse array, (E, pixels) float32
+        What each pixel of 255 adds to the mean under each electrode.
     """
 
     def __init__(
@@ -63,8 +65,7 @@ class Registration:
             _reduced_side(columns, _whole(width_mm / finest)),
         )
         self._reduced = np.empty(self.working_shape, np.uint8)
-        self._ink = np.empty(self.working_shape, np.float32)
-        self._weights = _aperture_matrix(electrodes, optics, self.working_shape)
+        self.weights = _aperture_matrix(electrodes, optics, self.working_shape)
 
     def reduce(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Bring a frame to the working shape by area averaging.
@@ -79,8 +80,7 @@ class Registration:
 
     def sample(self, ink: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the mean of ``ink`` (0 or 255) under each electrode, (E,) in [0, 1]."""
-        np.copyto(self._ink, ink)
-        return np.asarray(self._weights @ self._ink.reshape(-1), np.float32)
+        return np.asarray(self.weights @ ink.reshape(-1), np.float32)
 
 
 def _whole(side: float) -> int:

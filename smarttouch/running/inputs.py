@@ -51,16 +51,30 @@ class Inputs:
     statistics: RunStatistics
     emit: Emit
     _before: ControlState | None = None
+    _last_seen: int | None = None
     _blind: bool = False
     _lifted_until_ns: int = 0
 
-    def read(self, time_ns: int) -> Input | None:
-        """Return what the source gives with the force that counts: zero where nothing is known."""
+    def read(self, time_ns: int, now_ns: int) -> tuple[Input, float] | None:
+        """Return what the source gives, with the force that counts, and the level that flows.
+
+        The force is zero where nothing is known. None at the end of the source.
+
+        Parameters
+        ----------
+        time_ns : int
+            Time of the run.
+        now_ns : int
+            By the loop's clock.
+        """
         given = self.source.read(time_ns)
         if given is None:
             return None
-        self.statistics.see(given)
-        force_n = self._force_n(given, time_ns)
+        self.statistics.seen += given.number != self._last_seen
+        self._last_seen = given.number
+        force_n = given.force_n
+        if self.force is not None or self.board.force_n is not None:
+            force_n = self._force_n(given, time_ns)
         blind = given.stale or math.isnan(force_n)
         self.statistics.blind += blind
         if blind is not self._blind:
@@ -68,7 +82,17 @@ class Inputs:
             self.emit(lost if blind else InputRestored(time_ns))
             self._blind = blind
         counts_n = 0.0 if blind else force_n
-        return given if counts_n == given.force_n else replace(given, force_n=counts_n)
+        if counts_n != given.force_n:
+            given = replace(given, force_n=counts_n)
+        state = self.controls.state(time_ns)
+        level = state.current_level
+        if state is not self._before:
+            self._say_changes(state, time_ns)
+        if state.mode is not self.pipeline.mode:
+            self.pipeline.change_mode(state.mode)
+        if self.board.lifted or now_ns < self._lifted_until_ns:
+            self._handle_lift(time_ns, now_ns)
+        return given, level
 
     def _force_n(self, given: Input, time_ns: int) -> float:
         """Return the force of whoever was asked, NaN if unknown; the board may lower it."""
@@ -83,22 +107,17 @@ class Inputs:
             return force_n
         return min(force_n, on_board)
 
-    def control(self, time_ns: int) -> ControlState:
-        """Return what the user asks for now; emit what has changed."""
-        state, before = self.controls.state(time_ns), self._before
-        if state != before:
-            if before is None or state.level != before.level:
-                self.emit(IntensityChanged(time_ns, state.level))
-            if state.paused != (before is not None and before.paused):
-                self.emit(Paused(time_ns) if state.paused else Resumed(time_ns))
-            if before is None or state.mode is not before.mode:
-                self.emit(ModeChanged(time_ns, state.mode))
-            self._before = state
-        if state.mode is not self.pipeline.mode:
-            self.pipeline.change_mode(state.mode)
-        return state
+    def _say_changes(self, state: ControlState, time_ns: int) -> None:
+        """Emit what has changed of what the user asks for."""
+        before, self._before = self._before, state
+        if before is None or state.level != before.level:
+            self.emit(IntensityChanged(time_ns, state.level))
+        if state.paused != (before is not None and before.paused):
+            self.emit(Paused(time_ns) if state.paused else Resumed(time_ns))
+        if before is None or state.mode is not before.mode:
+            self.emit(ModeChanged(time_ns, state.mode))
 
-    def handle_lifts(self, time_ns: int, now_ns: int) -> None:
+    def _handle_lift(self, time_ns: int, now_ns: int) -> None:
         """Keep intensity at zero for a while after the board found the finger lifted."""
         if self.board.lifted and now_ns >= self._lifted_until_ns:
             # Only a pulse can tell whether the finger is back: try again, from zero.

@@ -2,10 +2,8 @@
 
 import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-
-import numpy as np
 
 from smarttouch.boards.board import Board
 from smarttouch.clock import LATE_NS, Clock
@@ -23,7 +21,7 @@ from smarttouch.running.listener import Listener
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulator import Regulator
 from smarttouch.running.statistics import RunStatistics
-from smarttouch.running.step import Step, StepResult
+from smarttouch.running.step import StepResult
 from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.source import Source
 from smarttouch.stopping import StopRequest
@@ -104,7 +102,12 @@ def run_loop(
         listeners = [source, *listeners]
     source.emit = emit = emit_to(listeners)
     inputs = Inputs(source, force, board, pipeline, controls, statistics, emit)
-    loop = _Loop(inputs, regulator or Regulator(), stop, listeners, clock or board.clock)
+    steps = [
+        each.step for each in listeners if getattr(each.step, "__func__", None) is not Listener.step
+    ]
+    regulator = regulator or Regulator()
+    regulates = None if regulator.is_idle(board) else regulator
+    loop = _Loop(inputs, regulates, stop, steps, clock or board.clock)
     with contextlib.nullcontext(Pace()) if board.simulated_time else paced() as pace:
         statistics.real_time = pace.real_time
         for note in pace.notes if board.on_a_finger else ():
@@ -116,18 +119,21 @@ def run_loop(
 @dataclass
 class _Loop:
     inputs: Inputs
-    regulator: Regulator
+    regulator: Regulator | None
     stop: StopRequest
-    listeners: Sequence[Listener]
+    steps: Sequence[Callable[[StepResult], None]]
+    """Methods of listeners that follow each step."""
     clock: Clock
     elapsed_ns: int = 0
     _shift_ns: int = 0
-    _before_ns: int | None = None
-    _period_ns: int = 0
+    _expected_ns: int | None = None
+    """When this step is expected, by the one before."""
     _over_ns: int = 0
 
     def run(self, seconds: float | None) -> None:
         statistics, clock, stop = self.inputs.statistics, self.clock, self.stop
+        board = self.inputs.board
+        own_time = not board.simulated_time and clock is not board.clock
         start_ns = clock.now_ns()
         while not stop.event.is_set():
             deadline_ns = start_ns + self.elapsed_ns + self._shift_ns
@@ -135,15 +141,16 @@ class _Loop:
             if stop.event.is_set():
                 break
             # In this order: a pause of the computer between the two makes the frame late.
-            board_ns, now_ns = self.inputs.board.clock.now_ns(), clock.now_ns()
+            board_ns = board.clock.now_ns() if own_time else None
+            now_ns = clock.now_ns()
             statistics.seconds = (now_ns - start_ns) / 1e9
             if seconds is not None and statistics.seconds >= seconds:
                 stop.ask(f"{seconds:g} s are over", at_once=False)
                 break
             late_ns = now_ns - deadline_ns
-            if not self._step(now_ns, late_ns, board_ns):
+            if not self._step(now_ns, late_ns, now_ns if board_ns is None else board_ns):
                 break
-        self.inputs.board.drain()
+        board.drain()
         statistics.seconds = (clock.now_ns() - start_ns) / 1e9
 
     def _step(self, now_ns: int, late_ns: int, board_ns: int) -> bool:
@@ -153,25 +160,30 @@ class _Loop:
         stalled = waits_ns > LATE_NS
         # After a stall the plan is a new one.
         due_ns = board_ns if stalled else board_ns - waits_ns
-        inputs, clock, elapsed_ns = self.inputs, self.clock, self.elapsed_ns
-        pipeline, statistics = inputs.pipeline, inputs.statistics
+        inputs, clock = self.inputs, self.clock
+        pipeline, statistics, board = inputs.pipeline, inputs.statistics, inputs.board
         if stalled:
             # The board may have fallen silent.
             pipeline.restart_softly()
-        given = inputs.read(elapsed_ns)
-        if given is None:
+        read = inputs.read(self.elapsed_ns, now_ns)
+        if read is None:
             return False
-        state = inputs.control(elapsed_ns)
-        inputs.handle_lifts(elapsed_ns, now_ns)
         in_hand_ns, worked_ns = clock.now_ns(), time.thread_time_ns()
-        step = self.regulator.regulate(pipeline.process(given, state.current_level), inputs.board)
+        step = pipeline.process(*read)
+        if self.regulator is not None:
+            step = self.regulator.regulate(step, board)
         sending_ns = clock.now_ns()
+        number: int | None = None
         try:
-            number = self._send(step, due_ns)
+            number = board.send(step.sequence, due_ns=due_ns)
         except BoardStoppedError:
             if not self.stop.event.is_set():
                 raise
             return False
+        except BoardRestartedError as lost:
+            statistics.restarts += not isinstance(lost, SequenceLateError)
+            inputs.emit(BoardRestarted(self.elapsed_ns, str(lost)))
+            pipeline.restart_softly()
         sent_ns = clock.now_ns()
         work_us = (time.thread_time_ns() - worked_ns) / 1000
         result = StepResult(
@@ -179,16 +191,18 @@ class _Loop:
             number,
             (sent_ns - in_hand_ns) / 1000,
             work_us,
-            inputs.board.acknowledged,
-            inputs.board.refused,
+            board.acknowledged,
+            board.refused,
         )
         period_ns = 1000 * step.sequence.period_us
         if number is None:
             self._shift_ns += sent_ns - now_ns
-            self._before_ns = None
+            self._expected_ns = None
             self._over_ns = 0
         else:
-            self._count(result, now_ns)
+            expected_ns, self._expected_ns = self._expected_ns, now_ns + period_ns
+            error_us = None if expected_ns is None else abs(now_ns - expected_ns) / 1000
+            statistics.enter(result, error_us)
             self._over_ns = sent_ns + period_ns
             waited_ns = sent_ns - sending_ns
             if HELD_UP_NS < waited_ns < LATE_NS:
@@ -199,35 +213,6 @@ class _Loop:
                 statistics.late += 1
                 self._shift_ns += late_ns
         self.elapsed_ns += period_ns
-        for listener in self.listeners:
-            listener.step(result)
+        for follow in self.steps:
+            follow(result)
         return True
-
-    def _send(self, step: Step, due_ns: int) -> int | None:
-        """Send; return the board's number of the sequence, None if it is to begin anew."""
-        inputs = self.inputs
-        try:
-            return inputs.board.send(step.sequence, due_ns=due_ns)
-        except BoardRestartedError as lost:
-            inputs.statistics.restarts += not isinstance(lost, SequenceLateError)
-            inputs.emit(BoardRestarted(self.elapsed_ns, str(lost)))
-            inputs.pipeline.restart_softly()
-            return None
-
-    def _count(self, result: StepResult, now_ns: int) -> None:
-        statistics, sequence = self.inputs.statistics, result.step.sequence
-        statistics.feel(result.step.input)
-        statistics.slots += sequence.slots
-        statistics.weigh(sequence.proof)
-        statistics.slowed += sequence.period_us > result.step.asked_us
-        statistics.asked_us += result.step.asked_us
-        statistics.lowest_rate_hz = min(statistics.lowest_rate_hz, sequence.rate_hz)
-        statistics.scan_us += sequence.period_us
-        statistics.latency.add(result.latency_us)
-        statistics.motion_to_bytes.add(result.latency_us + result.step.input.age_ns / 1000)
-        statistics.work.add(result.work_us)
-        activation = result.step.tactile.activation
-        statistics.active += np.count_nonzero(activation.any(axis=0)) / activation.shape[1]
-        if self._before_ns is not None:
-            statistics.period_error.add(abs(now_ns - self._before_ns - self._period_ns) / 1000)
-        self._before_ns, self._period_ns = now_ns, 1000 * sequence.period_us

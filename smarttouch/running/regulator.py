@@ -36,6 +36,11 @@ class Regulator:
     _waited: int = 0
     _longest_us: int = 0
 
+    def is_idle(self, board: Board) -> bool:
+        """Whether nothing that a board measures is asked for or used."""
+        measures = getattr(board.take_volts, "__func__", None) is not Board.take_volts
+        return not measures and self.adaptation is None and self.ledger is None
+
     def regulate(self, step: Step, board: Board) -> Step:
         """Return the step with its sequence as it is to be sent."""
         if observed := tuple(board.take_volts()):

@@ -1,13 +1,13 @@
 """Run statistics in constant memory."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from smarttouch.sources.stimulus import Input
-from smarttouch.stimulation.sequence import SelectivityReport
+from smarttouch.running.step import StepResult
 
 _PER_E = 100
 """Bins for each factor of e: a figure is true to half a percent."""
@@ -19,29 +19,31 @@ class LatencyHistogram:
     """Histogram of durations in bins of one percent; the largest is kept as it is."""
 
     def __init__(self) -> None:
-        self._bins = np.zeros(_PER_E * _FACTORS + 1, np.int64)
+        self.bins = np.zeros(_PER_E * _FACTORS + 1, np.int64)
         self.count = 0
         self.largest_us = 0.0
         self.total_us = 0.0
-
-    def add(self, value_us: float) -> None:
-        """Count one duration, µs."""
-        self.count += 1
-        self.total_us += value_us
-        self.largest_us = max(self.largest_us, value_us)
-        index = 0 if value_us <= 1 else min(len(self._bins) - 1, int(_PER_E * math.log(value_us)))
-        self._bins[index] += 1
 
     def quantile(self, share: float) -> float:
         """Return the duration that so many are not above, µs."""
         if not self.count:
             return 0.0
-        index = int(np.searchsorted(np.cumsum(self._bins), share * self.count))
+        index = int(np.searchsorted(np.cumsum(self.bins), share * self.count))
         return min(self.largest_us, math.exp((index + 0.5) / _PER_E))
 
     def figures(self) -> dict[str, float]:
         """Return p50, p99 and the maximum, µs."""
         return {"p50": self.quantile(0.5), "p99": self.quantile(0.99), "max": self.largest_us}
+
+
+def add_durations(durations: Iterable[tuple[LatencyHistogram, float]]) -> None:
+    """Count a duration in each of some histograms, µs."""
+    for histogram, value_us in durations:
+        histogram.count += 1
+        histogram.total_us += value_us
+        histogram.largest_us = max(histogram.largest_us, value_us)
+        index = 0 if value_us <= 1 else min(_PER_E * _FACTORS, int(_PER_E * math.log(value_us)))
+        histogram.bins[index] += 1
 
 
 @dataclass
@@ -97,26 +99,39 @@ class RunStatistics:
     """Sentences that a user should know after the run."""
     figures: dict[str, Any] = field(default_factory=dict)
     """All figures of the run by name, complete after its end; for JSON."""
-    _last_seen: int | None = None
     _last_felt: int | None = None
 
-    def see(self, given: Input) -> None:
-        """Count a frame or stimulus that was read."""
-        self.seen += given.number != self._last_seen
-        self._last_seen = given.number
+    def enter(self, result: StepResult, error_us: float | None) -> None:
+        """Enter a step whose sequence was sent.
 
-    def feel(self, given: Input) -> None:
-        """Count a frame or stimulus that was sent."""
+        Parameters
+        ----------
+        result : StepResult
+        error_us : float, optional
+            Error of the time since the step before; None if that was not sent.
+        """
+        step, sequence = result.step, result.step.sequence
         self.frames += 1
-        self.felt += given.number != self._last_felt
-        self._last_felt = given.number
-
-    def weigh(self, proof: SelectivityReport | None) -> None:
-        """Keep the worst of what points that share slots do."""
-        if proof is not None and proof.shared is not None:
-            other, spill = proof.shared
-            self.off_target = max(self.off_target, other)
-            self.spill = max(self.spill, spill)
+        self.felt += step.input.number != self._last_felt
+        self._last_felt = step.input.number
+        self.slots += len(sequence.width_us)
+        if sequence.proof is not None and (shared := sequence.proof.shared) is not None:
+            self.off_target = max(self.off_target, shared[0])
+            self.spill = max(self.spill, shared[1])
+        self.slowed += sequence.period_us > step.asked_us
+        self.asked_us += step.asked_us
+        self.scan_us += sequence.period_us
+        self.lowest_rate_hz = min(self.lowest_rate_hz, 1e6 / sequence.period_us)
+        activation = step.tactile.activation
+        self.active += np.count_nonzero(activation.any(axis=0)) / activation.shape[1]
+        took = [
+            (self.latency, result.latency_us),
+            (self.motion_to_bytes, result.latency_us + step.input.age_ns / 1000),
+            (self.work, result.work_us),
+        ]
+        if error_us is not None:
+            took.append((self.period_error, error_us))
+        add_durations(took)
 
     @property
     def work_share(self) -> float:

@@ -107,11 +107,12 @@ class PageSource(OpticalSource):
         self._seed = seed
         optics = profile.optics
         self._shape = (optics.sensor_rows, optics.sensor_columns)
-        self._pixel_mm = (
+        pixel_mm = (
             optics.field_width_mm / optics.sensor_columns / OVERSAMPLING,
             optics.field_height_mm / optics.sensor_rows / OVERSAMPLING,
         )
-        self._surface, self._surface_mm, self._margin = _surface(page, min(self._pixel_mm))
+        self._surface, self._surface_mm, self._margin = _surface(page, min(pixel_mm))
+        self._step = pixel_mm[0] / self._surface_mm, pixel_mm[1] / self._surface_mm
         fine = (self._shape[0] * OVERSAMPLING, self._shape[1] * OVERSAMPLING)
         self._fine = np.empty(fine, np.uint8)
         self._coarse = np.empty(self._shape, np.uint8)
@@ -123,7 +124,7 @@ class PageSource(OpticalSource):
             return None
         pose, force_n = self.path.at(time_ns / 1e9)
         cos, sin = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
-        step_x, step_y = (side / self._surface_mm for side in self._pixel_mm)
+        step_x, step_y = self._step
         rows, columns = self._fine.shape
         to_page = np.array(
             [

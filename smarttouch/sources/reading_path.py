@@ -1,7 +1,9 @@
 """Path of a finger over a page: line by line, or as recorded."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -77,7 +79,7 @@ class ReadingPath:
         lines = find_lines(page, light_on_dark) or [_whole(page)]
         self.lines = [sweep for line in lines for sweep in _sweeps(line, field[1])]
         self._force_n = _PRESS * profile.force.full_n
-        self._phases = np.random.default_rng(seed).uniform(0, 2 * math.pi, 2)
+        self._phases = np.random.default_rng(seed).uniform(0, 2 * math.pi, 2).tolist()
         rows: list[tuple[float, float, float, float, float]] = []
         time_s = 0.0
         for line in self.lines:
@@ -95,19 +97,15 @@ class ReadingPath:
             course = (np.interp(times, passing, each) for each in (x, y, angle))
             press = np.interp(times, (lifting_at, time_s), (1.0, 0.0))
             rows.extend(zip(times, *course, press, strict=True))
-        self._table = np.array(rows)
+        self._table = np.array(rows).T.copy()
         self.duration_s = time_s
 
     def at(self, time_s: float) -> tuple[Pose, float]:
         """Return the pose and the force in newtons."""
-        times = self._table[:, 0]
-        x, y, angle, press = (
-            float(np.interp(time_s, times, column)) for column in self._table.T[1:]
-        )
-        slow = sum(
-            math.sin(2 * math.pi * rate * time_s + phase)
-            for rate, phase in zip((0.7, 1.9), self._phases, strict=True)
-        )
+        x, y, angle, press = _at(self._table, time_s)
+        first, second = self._phases
+        slow = math.sin(2 * math.pi * 0.7 * time_s + first)
+        slow += math.sin(2 * math.pi * 1.9 * time_s + second)
         return Pose(x, y, angle), press * self._force_n * (1 + _WAVER / 2 * slow)
 
 
@@ -121,17 +119,19 @@ class RecordedPath:
     """
 
     def __init__(self, path: Path) -> None:
-        self._table = read_csv(path, SourceError).numbers(_COLUMNS)
-        self._start_s = float(self._table[0, 0])
-        self.duration_s = float(self._table[-1, 0]) - self._start_s
+        self._table = read_csv(path, SourceError).numbers(_COLUMNS).T.copy()
+        self._table[0] -= self._table[0, 0]
+        self.duration_s = float(self._table[0, -1])
 
     def at(self, time_s: float) -> tuple[Pose, float]:
         """Return the pose and the force in newtons."""
-        times = self._table[:, 0] - self._start_s
-        x, y, angle, force = (
-            float(np.interp(time_s, times, self._table[:, column])) for column in range(1, 5)
-        )
+        x, y, angle, force = _at(self._table, time_s)
         return Pose(x, y, math.radians(angle)), force
+
+
+def _at(table: Floats, time_s: float) -> Iterator[float]:
+    """Return what the other rows of a table have at a time of its first."""
+    return map(float, map(partial(np.interp, time_s, table[0]), table[1:]))
 
 
 def _whole(page: Page) -> TextLine:

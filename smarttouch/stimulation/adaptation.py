@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import ScheduleError
 from smarttouch.profile import Profile
-from smarttouch.stimulation.sequence import ScanSequence, round_charge_balanced
+from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.sums import round_charge_balanced
 from smarttouch.stimulation.timing import ScanTiming
 
 NEAR = 0.92

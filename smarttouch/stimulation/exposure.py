@@ -64,10 +64,7 @@ class _Sent:
     load: Load
     most: float
     begun: int = 1
-
-    @property
-    def left(self) -> int:
-        return self.times - self.begun
+    left: int = 0
 
 
 @dataclass
@@ -91,6 +88,7 @@ class Exposure:
 
     def __post_init__(self) -> None:
         self._session = np.zeros((2, self.limits.electrodes))
+        self._most_of_session = self.limits.session_mc * 1e9 * PER_PC
 
     @property
     def dose(self) -> Dose:
@@ -132,31 +130,37 @@ class Exposure:
         burst_us, most = min(period_us, BURST_US), float(load.max())
         if most > MOST_PER_US * burst_us:
             raise _too_much(load, burst_us, f"in {period_us} µs: lower the rate")
-        self._settle(now_ns)
+        window, last = self._window, self._last
+        if last is not None and last.left:
+            self._begin_repetitions(last, now_ns)
+        while window and window[0][0] <= now_ns - WINDOW_NS:
+            self._second_at_most -= window.popleft()[2]
         if self._second_at_most + most > MOST_PER_US * 1_000_000:
-            second = np.add.reduce([load, *(each for _, each, _ in self._window)])
+            second = np.add.reduce([load, *(each for _, each, _ in window)])
             if second.max() > MOST_PER_US * 1_000_000:
                 raise _too_much(second, 1_000_000, "within a second: send less often")
-        self._check_session(period_us, times, load, times * most, flows)
-        if (last := self._last) is not None and last.left:
+        flowing_ns = 1000 * period_us * times * flows
+        seconds = (self._session_ns + flowing_ns) / 1e9
+        if (
+            seconds > self.limits.session_s
+            or self._session_at_most + times * most > self._most_of_session
+        ):
+            self._check_session(seconds, times * load[1])
+        if last is not None and last.left:
             self._session_ns -= last.left * last.period_ns * last.flows
             self._session -= last.left * last.load
             self._session_at_most -= last.left * last.most
-        self._last = _Sent(now_ns, 1000 * period_us, times, flows, load, most)
-        self._remember(now_ns, load, most)
-        self._session_ns += 1000 * period_us * times * flows
+        self._last = _Sent(now_ns, 1000 * period_us, times, flows, load, most, left=times - 1)
+        window.append((now_ns, load, most))
+        self._second_at_most += most
+        self._session_ns += flowing_ns
         self._session += load if times == 1 else times * load
         self._session_at_most += times * most
 
-    def _check_session(
-        self, period_us: int, times: int, load: Load, most: float, flows: bool
-    ) -> None:
-        limits = self.limits
-        seconds = (self._session_ns + 1000 * period_us * times * flows) / 1e9
-        allowed = limits.session_mc * 1e9 * PER_PC
-        if seconds <= limits.session_s and self._session_at_most + most <= allowed:
-            return
-        session = self._session[1] + times * load[1]
+    def _check_session(self, seconds: float, charge: NDArray[np.float64]) -> None:
+        """Raise if the session becomes too long with a sequence, or its charge, (E,), too much."""
+        limits, allowed = self.limits, self._most_of_session
+        session = self._session[1] + charge
         # Repetitions that this sequence cuts short were counted, and are not delivered.
         if (last := self._last) is not None:
             seconds -= last.left * last.period_ns * last.flows / 1e9
@@ -182,22 +186,15 @@ class Exposure:
                 electrode=electrode,
             )
 
-    def _settle(self, now_ns: int) -> None:
-        """Enter the repetitions that have begun since, and drop those older than a second."""
-        if (last := self._last) is not None and last.left:
-            begun = min(last.times, (now_ns - last.start_ns) // last.period_ns + 1)
-            # Those from more than a second ago would be dropped at once.
-            first = max(last.begun, begun - WINDOW_NS // last.period_ns - 1)
-            for index in range(first, begun):
-                start_ns = last.start_ns + index * last.period_ns
-                self._remember(start_ns, last.load, last.most)
-            last.begun = begun
-        while self._window and self._window[0][0] <= now_ns - WINDOW_NS:
-            self._second_at_most -= self._window.popleft()[2]
-
-    def _remember(self, start_ns: int, load: Load, most: float) -> None:
-        self._window.append((start_ns, load, most))
-        self._second_at_most += most
+    def _begin_repetitions(self, last: _Sent, now_ns: int) -> None:
+        """Enter the repetitions that have begun since."""
+        begun = min(last.times, (now_ns - last.start_ns) // last.period_ns + 1)
+        # Those from more than a second ago would be dropped at once.
+        first = max(last.begun, begun - WINDOW_NS // last.period_ns - 1)
+        for index in range(first, begun):
+            self._window.append((last.start_ns + index * last.period_ns, last.load, last.most))
+            self._second_at_most += last.most
+        last.begun, last.left = begun, last.times - begun
 
 
 def _too_much(load: Load, time_us: int, where: str) -> SafetyError:

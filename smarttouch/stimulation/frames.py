@@ -21,8 +21,9 @@ from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA
 from smarttouch.stimulation.kernel_sums import Found, KernelSums
 from smarttouch.stimulation.points import Slots, constant_us, felt_at
-from smarttouch.stimulation.sequence import SelectivityReport, round_charge_balanced
+from smarttouch.stimulation.sequence import SelectivityReport
 from smarttouch.stimulation.sharing import unsupported_reason
+from smarttouch.stimulation.sums import round_charge_balanced
 
 Array = NDArray[np.float64]
 
@@ -81,6 +82,12 @@ class FrameSlots:
     planned : bool
         See `SlotPolicy`. Points of a class of which nothing is proved are shown one by one.
 
+    Attributes
+    ----------
+    most_ua : ndarray, (E,) µA
+        What no electrode carries more of in all slots of a frame, magnitudes added up; infinite
+        if slots are planned.
+
     Raises
     ------
     ScheduleError
@@ -131,11 +138,13 @@ class FrameSlots:
         self._limit_ma = profile.limits.total_ma or CEILING_TOTAL_MA
         # Less what rounding hardly ever adds; where it does, a slot is shown point by point.
         self._planned_ma = self._limit_ma - 0.002 * np.sqrt(len(full_ma))
-        self._felt_at = [felt_at(profile, each) for each in afferents]
+        felt = [felt_at(profile, each) for each in afferents]
+        self._felt_at = felt if any(each is not None for each in felt) else None
         self._faintest = profile.threshold_ma / profile.full_ma
         self._widths_us = constant_us(len(self._points_ma), profile.pulse.width_us)
         self._plans: OrderedDict[bytes, SlotAllocation] = OrderedDict()
         self._sums = None
+        self.most_ua = np.full(len(full_ma), np.inf)
         if not planned:
             self._sums = KernelSums(
                 [proved_sets(FrameOperator(each), self._planned_bounds) for each in judges],
@@ -145,6 +154,8 @@ class FrameSlots:
                 self._bounds,
                 float(self._faintest[self._driven].min()),
             )
+            # In each slot rounding adds less than a whole µA.
+            self.most_ua = 1000 * self._sums.most_ma(self._points_ma) + len(self._points_ma)
 
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
         """Return the slots of the classes' rows of a tactile image, with their proof.
@@ -162,7 +173,13 @@ class FrameSlots:
         intensity : float, in [0, 1]
             Scale of all currents.
         """
-        plan = self._planned(activation if intensity > 0 else 0 * activation)
+        asked = activation if intensity > 0 else 0 * activation
+        if (plan := self._plans.get(key := asked.tobytes())) is None:
+            plan = self._plans[key] = self._plan(asked)
+            if len(self._plans) > REMEMBERED:
+                self._plans.popitem(last=False)
+        else:
+            self._plans.move_to_end(key)
         current_ua, proof, certain = self._finished(plan, intensity)
         if not certain:
             broken = self._broken(current_ua, proof)
@@ -202,18 +219,9 @@ class FrameSlots:
         broken &= proof.points > 1
         return broken
 
-    def _planned(self, activation: NDArray[np.float32]) -> SlotAllocation:
-        key = activation.tobytes()
-        if key not in self._plans:
-            self._plans[key] = self._plan(activation)
-            if len(self._plans) > REMEMBERED:
-                self._plans.popitem(last=False)
-        self._plans.move_to_end(key)
-        return self._plans[key]
-
     def _plan(self, activation: NDArray[np.float32]) -> SlotAllocation:
         asked = activation
-        if any(felt is not None for felt in self._felt_at):
+        if self._felt_at is not None:
             asked = np.array(
                 [
                     row if felt is None else np.append(row, np.float32(0))[felt]

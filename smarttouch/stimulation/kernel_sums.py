@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,16 +98,25 @@ class KernelSums:
         self._certain = [Certainty.of(each, aim, faintest) for _, each in every]
         self.certain_from = max((each.least(bounds) for each in self._certain), default=0.0)
         """Intensity from which no sum breaks a bound, whatever rounding to whole µA does."""
-        self._figures: tuple[float, NDArray[np.float32]] = -1.0, np.empty((2, 0), np.float32)
+        self.figures = lru_cache(maxsize=1)(self._figures)
+        """Upper bounds of any slot's worst other and worst spill at an intensity, of each set, (2,
+        sets)."""
 
-    def figures(self, intensity: float) -> NDArray[np.float32]:
-        """Return the upper bounds of any slot's worst other and worst spill, of each set, (2,
-        sets).
+    def _figures(self, intensity: float) -> NDArray[np.float32]:
+        found = [each.figures(intensity) for each in self._certain]
+        return np.array(found, np.float32).reshape(-1, 2).T
+
+    def most_ma(self, alone_ma: Array) -> Array:
+        """Return what no electrode carries more of in all slots of a frame, magnitudes, (E,) mA.
+
+        Parameters
+        ----------
+        alone_ma : ndarray, (P, E) mA
+            Kernels of points that have a slot by themselves.
         """
-        if intensity != self._figures[0]:
-            found = [each.figures(intensity) for each in self._certain]
-            self._figures = intensity, np.array(found, np.float32).reshape(-1, 2).T
-        return self._figures[1]
+        each_ma = np.abs(alone_ma)
+        np.maximum.at(each_ma, self._points, np.abs(self._kernels_ma))
+        return np.asarray(each_ma.sum(axis=0))
 
     def add_up(self, level: Array) -> Found:
         """Return the slots that several points share, at levels (P,)."""
@@ -119,9 +130,9 @@ class KernelSums:
         owner = self._owner[active]
         parts, most_ma = _parts(totals_ma[active].tolist(), owner.tolist(), self._most_ma)
         count = len(parts)
-        size = np.array([len(part) for part in parts], np.intp)
+        size = np.fromiter(map(len, parts), np.intp, count)
         slot = np.arange(count).repeat(size)
-        index = np.array([each for part in parts for each in part], np.intp)
+        index = np.fromiter(chain.from_iterable(parts), np.intp)
         chosen = active[index]
         levels = np.zeros((count, self._points_n))
         levels[slot, self._points[chosen]] = wanted[chosen]

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -221,14 +221,12 @@ class SafetyLimits:
     def full_ua(self) -> Fraction:
         return Fraction(self.full_ma) * 1000
 
-    def most_ua(self, ppb: int) -> int:
-        """Return the largest current at an intensity in parts per billion, with rounding, µA."""
-        per_ppb, least, below = self._most_ua
-        return (per_ppb * ppb + least) // below
-
     @cached_property
-    def _most_ua(self) -> tuple[int, int, int]:
-        # Whole numbers, as this is computed for each sequence.
+    def most_ua_line(self) -> tuple[int, int, int]:
+        """Largest current at an intensity, with rounding: a line in whole numbers a, b, c.
+
+        At p parts per billion it is (a p + b) // c µA.
+        """
         full, rounding = self.full_ua / PPB, self.rounding_ua
         below = full.denominator * rounding.denominator
         return (
@@ -266,6 +264,7 @@ def decimal(value: float) -> Fraction:
     return Fraction(repr(float(value)))
 
 
+@lru_cache(maxsize=256)
 def parts_per_billion(intensity: float) -> int:
     """Return an intensity in parts per billion, rounded up."""
     above, below = float(intensity).as_integer_ratio()

@@ -12,8 +12,8 @@ from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA
-from smarttouch.stimulation.sequence import SelectivityReport, round_charge_balanced
-from smarttouch.stimulation.sums import rows_of_block
+from smarttouch.stimulation.sequence import SelectivityReport
+from smarttouch.stimulation.sums import round_charge_balanced, rows_of_block
 from smarttouch.stimulation.timing import ScanTiming
 
 SHORTEST_PULSE_US = 10

@@ -3,12 +3,16 @@
 from collections.abc import Mapping
 
 from smarttouch.afferent import Afferent
+from smarttouch.errors import ScheduleError
+from smarttouch.profile import Profile
+from smarttouch.stimulation.timing import ScanTiming
 
 SLOWEST = 0.2
 """Part of the full rate at the lightest touch of something hard: 10 of 50 Hz, the slowest pulses of
 the paper's experiments (Section III-B.2)."""
 _ON_TIME = 0.25
 """Part of its interval: a class that is later than this starts a new grid."""
+_SLOWEST_HZ = 0.1
 
 
 def rate_share(pressure: float, softness: float) -> float:
@@ -26,6 +30,64 @@ def rate_share(pressure: float, softness: float) -> float:
         1 leaves the rate as it is, 0 lets it follow force.
     """
     return softness + (1 - softness) * max(SLOWEST, pressure)
+
+
+def rates_of(
+    profile: Profile, afferents: tuple[Afferent, ...], rate_hz: float | None, timing: ScanTiming
+) -> dict[Afferent, float]:
+    """Return the pulse rate of each class, Hz; none for all three, which never pulse by themselves.
+
+    Parameters
+    ----------
+    profile : Profile
+        Pulse and limits.
+    afferents : tuple of Afferent
+        Classes to use.
+    rate_hz : float, Hz, optional
+        Asked for, with one class; with several, the profile says how often each pulses.
+    timing : ScanTiming
+
+    Raises
+    ------
+    ScheduleError
+        If a rate is impossible, or the board has only one.
+    """
+    pulse, limits = profile.pulse, profile.limits
+    rates_hz = {afferents[0]: pulse.rate_hz if rate_hz is None else rate_hz}
+    if Afferent.PC in afferents and len(afferents) > 1:
+        # All three never pulse by themselves.
+        rates_hz = {}
+    elif len(afferents) > 1:
+        rates_hz = {Afferent.RA: pulse.ra_rate_hz, Afferent.SAI: pulse.sai_rate_hz}
+        if rate_hz is not None:
+            raise ScheduleError(
+                f"one rate of {rate_hz:g} Hz is not for several classes at once: set "
+                "pulse.ra_rate_hz and pulse.sai_rate_hz of the profile",
+                about="rate_hz",
+                problem="conflict",
+                value=rate_hz,
+                remedy="pulse.ra_rate_hz",
+            )
+        if timing.whole_hz or timing.every_electrode or timing.in_index_order:
+            raise ScheduleError(
+                "natural mode pulses at two rates, and this board scans all electrodes at "
+                "one: choose RA or SAI",
+                about="mode",
+                problem="impossible",
+                value="natural",
+                allowed=("RA", "SAI"),
+            )
+    for each_hz in rates_hz.values():
+        if not _SLOWEST_HZ <= each_hz <= limits.rate_hz:
+            raise ScheduleError(
+                f"a rate of {each_hz:g} Hz is not possible: it must be at least "
+                f"{_SLOWEST_HZ:g} Hz and at most the profile's limit of {limits.rate_hz:g} Hz",
+                about="rate_hz",
+                problem="out of range",
+                value=each_hz,
+                allowed=(_SLOWEST_HZ, limits.rate_hz),
+            )
+    return rates_hz
 
 
 class PulseRates:

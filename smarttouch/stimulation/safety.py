@@ -1,23 +1,82 @@
 """The safety gate, which validates every limit on a frozen copy of each scan sequence."""
 
 from threading import Lock
-from typing import Protocol
+from typing import Any, Protocol
 
+import numpy as np
+
+from smarttouch.clock import LATE_NS
 from smarttouch.errors import SafetyError
 from smarttouch.stimulation.exposure import Dose, Exposure
 from smarttouch.stimulation.limits import PPB, SafetyLimits, parts_per_billion
-from smarttouch.stimulation.rise import LEEWAY_PPB, Rise
-from smarttouch.stimulation.sequence import ScanSequence, frozen
+from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.sequence_limits import prove_fields, prove_slots
 from smarttouch.stimulation.sums import SlotAdder
 
 __all__ = ["SafetyGate", "SafetyLimits"]
+
+LEEWAY_PPB = 1000
+"""Tolerance for rounding in the ramp's sum."""
+
+_ARRAYS = tuple(
+    (name, np.dtype(kind), dimensions, of_slots)
+    for name, kind, dimensions, of_slots in (
+        ("current_ua", np.int16, 2, True),
+        ("width_us", np.uint16, 1, True),
+        ("discharge_us", np.uint16, 1, True),
+        ("site", np.uint16, 1, True),
+        ("vibration", np.float32, 1, False),
+        ("recharge_ua", np.int16, 1, False),
+    )
+)
+"""Arrays of a sequence: type, dimensions, and whether they have a row for each slot; the others
+may be None."""
+_WHOLE = ("period_us", "time_ns", "recharge_us")
 
 
 class Now(Protocol):
     """Clock of the gate."""
 
     def now_ns(self) -> int: ...
+
+
+class Rise:
+    """Highest intensity allowed since it was zero, in whole parts per billion.
+
+    By a display's clock it may catch up by no more than one late step.
+
+    Parameters
+    ----------
+    ramp_ns : int
+        Least time from zero to full.
+    """
+
+    def __init__(self, ramp_ns: int) -> None:
+        self._ramp_ns = ramp_ns
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew at zero."""
+        self._ppb = 0
+        self._since_ns: int | None = None
+
+    def risen_ppb(self, now_ns: int) -> int:
+        """Return how far it may have risen by now without having to catch up."""
+        if self._since_ns is None:
+            return self._ppb
+        return min(PPB, self._ppb + max(0, now_ns - self._since_ns) * PPB // self._ramp_ns)
+
+    def permits(self, ppb: int, now_ns: int) -> bool:
+        """Whether an intensity may begin now: `LATE_NS` of the ramp at most are caught up."""
+        if ppb <= self._ppb:
+            return True
+        hurried_ppb = LATE_NS * PPB // self._ramp_ns
+        return ppb - LEEWAY_PPB <= self.risen_ppb(now_ns) + hurried_ppb
+
+    def note(self, ppb: int, now_ns: int) -> None:
+        """Take down an intensity that has begun; what it fell short of or hurried is kept."""
+        self._ppb = ppb if ppb <= self._ppb else min(self.risen_ppb(now_ns), ppb)
+        self._since_ns = now_ns
 
 
 class SafetyGate:
@@ -82,27 +141,22 @@ class SafetyGate:
     def _prove(self, given: ScanSequence, times: int, *, ramped: bool) -> ScanSequence:
         # What is added up is added up in memory that the next sequence will use again.
         with self._lock:
-            return self._proved(frozen(given), times, ramped=ramped)
-
-    def _proved(self, sequence: ScanSequence, times: int, *, ramped: bool) -> ScanSequence:
-        prove_fields(sequence, self.limits)
-        ppb = parts_per_billion(sequence.intensity)
-        load = prove_slots(sequence, self.limits, ppb, self._adder)
-        now_ns = self._read_clock(sequence)
-        if ramped:
-            self._prove_rise(sequence, ppb, now_ns)
-        flows = sequence.slots > 0
-        self._exposure.enter(now_ns, sequence.period_us, times, load, flows=flows)
-        self._now_ns = now_ns
-        if ramped:
-            self._intensity_ppb, self._time_ns = ppb, sequence.time_ns
-            self._rise.note(ppb, now_ns)
-        return sequence
-
-    def _read_clock(self, sequence: ScanSequence) -> int:
-        """Return the display's time; a clock that falls counts as standing still."""
-        now_ns = sequence.time_ns if self._clock is None else self._clock.now_ns()
-        return now_ns if self._now_ns is None else max(now_ns, self._now_ns)
+            sequence, limits = frozen(given), self.limits
+            prove_fields(sequence, limits)
+            ppb = parts_per_billion(sequence.intensity)
+            load = prove_slots(sequence, limits, ppb, self._adder)
+            now_ns = sequence.time_ns if self._clock is None else self._clock.now_ns()
+            # A clock that falls counts as standing still.
+            now_ns = now_ns if self._now_ns is None else max(now_ns, self._now_ns)
+            if ramped:
+                self._prove_rise(sequence, ppb, now_ns)
+            flows = len(sequence.width_us) > 0
+            self._exposure.enter(now_ns, sequence.period_us, times, load, flows=flows)
+            self._now_ns = now_ns
+            if ramped:
+                self._intensity_ppb, self._time_ns = ppb, sequence.time_ns
+                self._rise.note(ppb, now_ns)
+            return sequence
 
     def _prove_rise(self, sequence: ScanSequence, ppb: int, now_ns: int) -> None:
         """Raise if intensity rises too fast, by the time sequences claim or the display's."""
@@ -124,3 +178,56 @@ class SafetyGate:
                 value=ppb / PPB,
                 allowed=min(self._intensity_ppb, self._rise.risen_ppb(now_ns)) / PPB,
             )
+
+
+def frozen(sequence: ScanSequence) -> ScanSequence:
+    """Return an immutable copy: arrays backed by bytes, and plain whole numbers.
+
+    Raises
+    ------
+    SafetyError
+        If a field has another type or shape than it should.
+    """
+    fields: dict[str, Any] = {"proof": sequence.proof}
+    slots: int | None = None
+    for name, kind, dimensions, of_slots in _ARRAYS:
+        values = getattr(sequence, name)
+        if values is None and not of_slots:
+            continue
+        # As a plain array: a class of somebody else's may answer for another array than it is.
+        plain = values if type(values) is np.ndarray else None
+        if plain is None and isinstance(values, np.ndarray):
+            plain = np.asarray(values)
+        if (
+            plain is None
+            or plain.dtype != kind
+            or plain.ndim != dimensions
+            or (of_slots and slots is not None and len(plain) != slots)
+        ):
+            found = type(values).__name__ if plain is None else f"{plain.dtype} {plain.shape}"
+            of = "" if slots is None or not of_slots else f" of {slots} slots"
+            raise SafetyError(
+                f"{name} is {found}, must be {kind} in {dimensions} "
+                f"dimension{'s' * (dimensions > 1)}{of}",
+                limit=name,
+            )
+        slots = len(plain) if slots is None else slots
+        flat = np.frombuffer(plain.tobytes(), kind)
+        fields[name] = flat if dimensions == 1 else flat.reshape(plain.shape)
+    for name in _WHOLE:
+        fields[name] = value = getattr(sequence, name)
+        if type(value) is int:
+            continue
+        if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+            raise SafetyError(f"{name} is {value!r}, must be a whole number", limit=name)
+        fields[name] = int(value)
+    value = sequence.intensity
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating)):
+        raise SafetyError(f"intensity is {value!r}, must be a number", limit="intensity")
+    try:
+        intensity = float(value)
+    except OverflowError:
+        raise SafetyError(
+            "intensity is beyond all numbers, must be one", limit="intensity"
+        ) from None
+    return ScanSequence(**fields, intensity=intensity)

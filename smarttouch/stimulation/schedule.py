@@ -9,18 +9,29 @@ from smarttouch.afferent import Afferent
 from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
-from smarttouch.stimulation.exposure import BURST_US, Load, shortest_period_us
+from smarttouch.stimulation.exposure import (
+    BURST_US,
+    MOST_PER_US,
+    PER_PC,
+    PER_PULSE,
+    PLANNED,
+    Load,
+    shortest_period_us,
+)
 from smarttouch.stimulation.frames import FrameSlots
 from smarttouch.stimulation.limits import SafetyLimits
-from smarttouch.stimulation.points import PointSlots, Slots, constant_us, joined
-from smarttouch.stimulation.rates import PulseRates, rate_share
+from smarttouch.stimulation.points import PointSlots, constant_us, joined
+from smarttouch.stimulation.rates import PulseRates, rate_share, rates_of
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
-from smarttouch.stimulation.sums import SlotAdder, common_us
+from smarttouch.stimulation.sums import SlotAdder, extent_us
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.tactile_image import TactileImage
 
-_SLOWEST_HZ = 0.1
+_PULSE_US = PER_PULSE / (PLANNED * MOST_PER_US)
+"""Period planned for each pulse of an electrode."""
+_Maker = tuple[PointSlots, Afferent] | tuple[FrameSlots, list[Afferent]]
+"""What makes slots, and of which rows of an activation."""
 _BOTH = (Afferent.RA, Afferent.SAI)
 """Classes of opposite polarity: if both are due, points of one are the return of the other's."""
 
@@ -78,40 +89,7 @@ class ScanScheduler:
         timing = ScanTiming() if timing is None else timing
         timing.check(profile)
         pulse, limits = profile.pulse, profile.limits
-        rates_hz = {afferents[0]: pulse.rate_hz if rate_hz is None else rate_hz}
-        if Afferent.PC in afferents and len(afferents) > 1:
-            # All three never pulse by themselves.
-            rates_hz = {}
-        elif len(afferents) > 1:
-            rates_hz = {Afferent.RA: pulse.ra_rate_hz, Afferent.SAI: pulse.sai_rate_hz}
-            if rate_hz is not None:
-                raise ScheduleError(
-                    f"one rate of {rate_hz:g} Hz is not for several classes at once: set "
-                    "pulse.ra_rate_hz and pulse.sai_rate_hz of the profile",
-                    about="rate_hz",
-                    problem="conflict",
-                    value=rate_hz,
-                    remedy="pulse.ra_rate_hz",
-                )
-            if timing.whole_hz or timing.every_electrode or timing.in_index_order:
-                raise ScheduleError(
-                    "natural mode pulses at two rates, and this board scans all electrodes at "
-                    "one: choose RA or SAI",
-                    about="mode",
-                    problem="impossible",
-                    value="natural",
-                    allowed=("RA", "SAI"),
-                )
-        for each_hz in rates_hz.values():
-            if not _SLOWEST_HZ <= each_hz <= limits.rate_hz:
-                raise ScheduleError(
-                    f"a rate of {each_hz:g} Hz is not possible: it must be at least "
-                    f"{_SLOWEST_HZ:g} Hz and at most the profile's limit of {limits.rate_hz:g} Hz",
-                    about="rate_hz",
-                    problem="out of range",
-                    value=each_hz,
-                    allowed=(_SLOWEST_HZ, limits.rate_hz),
-                )
+        rates_hz = rates_of(profile, afferents, rate_hz, timing)
         self._vibrated = vibrated
         driven = [each for each in afferents if not (vibrated and each is Afferent.PC)]
         self._driven = tuple(driven)
@@ -136,6 +114,11 @@ class ScanScheduler:
         self._least_us = math.ceil(1e6 / limits.rate_hz)
         self._rates = PulseRates(rates_hz, self._least_us)
         self._one_rate_hz = rates_hz[afferents[0]] if len(afferents) == 1 else None
+        self._always: tuple[tuple[Afferent, ...], int] | None = None
+        """Classes that are due and their period, where neither ever changes."""
+        if self._one_rate_hz and (self._first is not Afferent.SAI or softness == 1):
+            self._always = (self._first,), timing.possible_period_us(1e6 / self._one_rate_hz)
+        self._makers: dict[tuple[Afferent, ...], list[_Maker]] = {}
         self._discharge_us = pulse.discharge_us
         # At most one slot for each point of each class.
         most = len(profile.electrodes) * len(afferents)
@@ -145,8 +128,17 @@ class ScanScheduler:
         self._electrodes = len(profile.electrodes)
         self._adder = SlotAdder(SafetyLimits.of(profile).felt_ua)
         # Before anything is sent: the longest scan must be possible too.
-        self._shortest_us(np.full(self._electrodes, pulse.width_us, np.uint16))
-        self._full_us = math.inf if bank.single else self._shortest_of_all()
+        self._shortest_us(self._electrodes, self._electrodes * pulse.width_us)
+        self._shortest: list[int] = []
+        """Shortest period by the number of slots, where all have one width."""
+        if bank.single or pulse.carrier != "width":
+            self._shortest = [
+                self._shortest_us(slots, slots * pulse.width_us)
+                for slots in range(self._electrodes + 1)
+            ]
+        self._felt_us, self._charge_us = math.inf, math.inf
+        if not bank.single:
+            self._bound_exposure(pulse.width_us)
 
     def restart(self) -> None:
         """Restart: all classes are due."""
@@ -179,21 +171,35 @@ class ScanScheduler:
             If a period is given that the profile's limits forbid, or a class is active that
             cannot be driven.
         """
-        if image.period_us is None:
-            due, self.asked_us = self._due(image.time_ns, pressure)
+        if image.period_us is not None:
+            due, asked_us = self._active(image.activation, image.period_us), image.period_us
         else:
-            due, self.asked_us = self._active(image.activation, image.period_us), image.period_us
+            due, asked_us = self._always or self._due(image.time_ns, pressure)
+        self.asked_us = asked_us
         # None is due where the rate has fallen since this time was set.
-        parts = self._parts(due or (self._first,), image, intensity if due else 0.0)
-        site, current_ua, width_us, proof = parts[0] if len(parts) == 1 else joined(parts)
-        period_us = max(self._timing.possible_period_us(self.asked_us), self._shortest_us(width_us))
-        if period_us < self._full_us:
-            needed_us = self._exposed_us(current_ua, width_us)
+        classes, scale = (due, intensity) if due else ((self._first,), 0.0)
+        (maker, rows), *others = self._makers.get(classes) or self._makers_of(classes)
+        made = maker.slots(image.activation[rows], scale)
+        if others:
+            made = joined([made, *(one.slots(image.activation[of], scale) for one, of in others)])
+        site, current_ua, width_us, proof = made
+        slots = len(site)
+        if slots < len(self._shortest):
+            shortest_us = self._shortest[slots]
+        else:
+            shortest_us = self._shortest_us(slots, extent_us(width_us.tobytes())[2])
+        if self._timing.whole_hz:
+            asked_us = self._timing.possible_period_us(asked_us)
+        period_us = max(asked_us, shortest_us)
+        # No electrode gets more pulses than there are slots.
+        felt_us = min(self._felt_us, _PULSE_US * slots)
+        if max(self._charge_us, felt_us) > min(period_us, BURST_US):
+            needed_us = self._checked_us(self._load(current_ua, width_us))
             period_us = max(period_us, self._timing.possible_period_us(needed_us))
         return ScanSequence(
             current_ua=current_ua,
             width_us=width_us,
-            discharge_us=self._discharges_us[: len(site)],
+            discharge_us=self._discharges_us[:slots],
             site=site,
             period_us=period_us,
             intensity=float(intensity),
@@ -204,19 +210,18 @@ class ScanScheduler:
             proof=proof,
         )
 
-    def _parts(
-        self, classes: tuple[Afferent, ...], image: TactileImage, intensity: float
-    ) -> list[Slots]:
-        """Return the slots of each class, or of two together."""
+    def _makers_of(self, classes: tuple[Afferent, ...]) -> list[_Maker]:
+        """Return what makes the slots of each class, or of two together; found once."""
         groups: list[tuple[Afferent, ...]] = [(each,) for each in classes]
         if _BOTH in self._frames and set(_BOTH) <= set(classes):
             groups = [_BOTH, *(each for each in groups if each[0] not in _BOTH)]
-        return [
-            self._frames[group].slots(image.activation[list(group)], intensity)
+        makers = self._makers[classes] = [
+            (self._frames[group], list(group))
             if group in self._frames
-            else self._points[group[0]].slots(image.activation[group[0]], intensity)
+            else (self._points[group[0]], group[0])
             for group in groups
         ]
+        return makers
 
     def _active(self, activation: NDArray[np.float32], period_us: int) -> tuple[Afferent, ...]:
         """Return the classes that an image with its own period lets pulse."""
@@ -254,28 +259,26 @@ class ScanScheduler:
         slowed_hz = self._one_rate_hz * (share if self._first is Afferent.SAI else 1.0)
         return (self._first,), self._timing.possible_period_us(1e6 / slowed_hz)
 
-    def _shortest_of_all(self) -> float:
-        """Return a period that keeps the exposure of every electrode, for any image, µs.
+    def _bound_exposure(self, width_us: int) -> None:
+        """Find periods that keep the pulses and the charge of any image within the exposure.
 
-        Infinite where points share slots: what these carry is known when they are planned.
+        Infinite where slots are planned: what these carry is known then.
 
         Raises
         ------
         ScheduleError
-            If a point alone, or all together, are too much for any period.
+            If points that share no slots are too much for any period.
         """
-        if self._frames:
-            return math.inf
         load = np.zeros((2, self._electrodes))
         everywhere = np.ones(self._electrodes, np.float32)
         for points in self._points.values():
             all_points = points.slots(everywhere, 1.0)
             load += self._load(all_points.current_ua, all_points.width_us)
-        return self._checked_us(load)
-
-    def _exposed_us(self, current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> int:
-        """Return the shortest period that keeps the exposure of every electrode, µs."""
-        return self._checked_us(self._load(current_ua, width_us))
+        self._checked_us(load)
+        for frames in self._frames.values():
+            load[0] = math.inf
+            load[1] += frames.most_ua * width_us * PER_PC
+        self._felt_us, self._charge_us = (load.max(axis=1) / (PLANNED * MOST_PER_US)).tolist()
 
     def _load(self, current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> Load:
         if not len(width_us):
@@ -297,11 +300,9 @@ class ScanScheduler:
             )
         return needed_us
 
-    def _shortest_us(self, width_us: NDArray[np.uint16]) -> int:
-        """Return the shortest period that slots of these widths need, µs."""
-        timing, slots = self._timing, len(width_us)
-        each_us = common_us(width_us) if slots else 0
-        pulses_us = slots * each_us if each_us is not None else int(width_us.sum(dtype=np.int64))
+    def _shortest_us(self, slots: int, pulses_us: int) -> int:
+        """Return the shortest period of slots whose pulses take so long together, µs."""
+        timing = self._timing
         mean_us = pulses_us / slots if slots else 0.0
         shortest = timing.shortest_period_us(slots, self._electrodes, mean_us, self._discharge_us)
         return max(shortest, timing.possible_period_us(pulses_us / self._duty))

@@ -1,14 +1,9 @@
 """The scan sequence: all pulses of one frame, as data for a board."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from smarttouch.errors import SafetyError
-
-_INT16, _UINT16, _FLOAT32 = (np.dtype(each) for each in (np.int16, np.uint16, np.float32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,85 +122,3 @@ class ScanSequence:
     def source_ua(self) -> NDArray[np.int32]:
         """Total current of all cathodes in each slot, (S,) µA: one source's current."""
         return np.asarray(np.abs(self.current_ua.astype(np.int32)).sum(axis=1) // 2)
-
-
-def frozen(sequence: ScanSequence) -> ScanSequence:
-    """Return an immutable copy: arrays backed by bytes, and plain whole numbers.
-
-    Raises
-    ------
-    SafetyError
-        If a field has another type or shape than it should.
-    """
-    current = _fixed("current_ua", sequence.current_ua, _INT16, 2)
-    slots = len(current)
-    vibration, recharge = sequence.vibration, sequence.recharge_ua
-    return ScanSequence(
-        current_ua=current,
-        width_us=_fixed("width_us", sequence.width_us, _UINT16, 1, slots),
-        discharge_us=_fixed("discharge_us", sequence.discharge_us, _UINT16, 1, slots),
-        site=_fixed("site", sequence.site, _UINT16, 1, slots),
-        period_us=_whole("period_us", sequence.period_us),
-        intensity=_real("intensity", sequence.intensity),
-        time_ns=_whole("time_ns", sequence.time_ns),
-        vibration=None if vibration is None else _fixed("vibration", vibration, _FLOAT32, 1),
-        proof=sequence.proof,
-        recharge_ua=None if recharge is None else _fixed("recharge_ua", recharge, _INT16, 1),
-        recharge_us=_whole("recharge_us", sequence.recharge_us),
-    )
-
-
-def _fixed(
-    name: str, values: object, kind: np.dtype[Any], dimensions: int, length: int | None = None
-) -> Any:
-    """Return an array backed by bytes; raise a SafetyError if its type is wrong."""
-    # As a plain array: a class of somebody else's may answer for another array than it is.
-    plain = np.asarray(values) if isinstance(values, np.ndarray) else None
-    if (
-        plain is None
-        or plain.dtype != kind
-        or plain.ndim != dimensions
-        or (length is not None and len(plain) != length)
-    ):
-        slots = "" if length is None else f" of {length} slots"
-        found = type(values).__name__ if plain is None else f"{plain.dtype} of shape {plain.shape}"
-        raise SafetyError(
-            f"{name} is {found}, must be {kind} in {dimensions} "
-            f"dimension{'s' * (dimensions > 1)}{slots}",
-            limit=name,
-        )
-    flat = np.frombuffer(plain.tobytes(), kind)
-    return flat if dimensions == 1 else flat.reshape(plain.shape)
-
-
-def _whole(name: str, value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise SafetyError(f"{name} is {value!r}, must be a whole number", limit=name)
-    return int(value)
-
-
-def _real(name: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float | np.floating):
-        raise SafetyError(f"{name} is {value!r}, must be a number", limit=name)
-    try:
-        return float(value)
-    except OverflowError:
-        raise SafetyError(f"{name} is beyond all numbers, must be one", limit=name) from None
-
-
-def round_charge_balanced(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
-    """Return currents in whole µA that sum to zero in every slot, like the given ones.
-
-    The rounding error is carried on from electrode to electrode, so that none is
-    off by a whole µA. Given to one of them, it could raise that above its limit.
-
-    Parameters
-    ----------
-    current_ua : ndarray, (S, E) µA
-    """
-    carried = np.cumsum(current_ua, axis=1)
-    np.rint(carried, out=carried)
-    whole = np.empty(carried.shape, np.int16)
-    whole[:, :1] = carried[:, :1]
-    np.subtract(carried[:, 1:], carried[:, :-1], out=whole[:, 1:], casting="unsafe")
-    return whole

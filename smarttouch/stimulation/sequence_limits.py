@@ -11,7 +11,7 @@ from smarttouch.stimulation.exposure import PER_PC, Load
 from smarttouch.stimulation.limits import PPB, SafetyLimits
 from smarttouch.stimulation.recharge import prove_recharge
 from smarttouch.stimulation.sequence import ScanSequence
-from smarttouch.stimulation.sums import SlotAdder, common_us
+from smarttouch.stimulation.sums import SlotAdder, extent_us
 
 LONGEST_PERIOD_US = 60_000_000
 LARGEST_TIME_NS = 2**62
@@ -21,12 +21,12 @@ _WIDTH_LEEWAY = Fraction(1001, 1000)
 
 def prove_fields(sequence: ScanSequence, limits: SafetyLimits) -> None:
     """Raise unless numbers are in their ranges and arrays have the right length."""
-    electrodes = limits.electrodes
-    if sequence.electrodes != electrodes:
+    electrodes, given = limits.electrodes, sequence.current_ua.shape[1]
+    if given != electrodes:
         raise SafetyError(
-            f"currents are of {sequence.electrodes} electrodes, must be of {electrodes}",
+            f"currents are of {given} electrodes, must be of {electrodes}",
             limit="electrodes",
-            value=sequence.electrodes,
+            value=given,
             allowed=electrodes,
         )
     if not 0 <= sequence.intensity <= 1:
@@ -83,9 +83,10 @@ def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int, adder: S
     SafetyError
         Naming the limit, the slot and electrode, and by how much.
     """
-    slots = sequence.slots
+    slots = len(sequence.width_us)
     longest_us, pulses_us = _prove_times(sequence, limits)
-    prove_recharge(sequence, limits.faint_ua, limits.total_ua)
+    if sequence.recharge_ua is not None or sequence.recharge_us:
+        prove_recharge(sequence, limits.faint_ua, limits.total_ua)
     if not slots:
         return np.zeros((2, limits.electrodes))
     sums = adder.add_up(sequence.current_ua, sequence.width_us)
@@ -130,7 +131,7 @@ def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int, adder: S
 
 def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int]:
     """Return the longest and the total pulse width, µs, or raise if a time breaks its limits."""
-    period_us, slots = sequence.period_us, sequence.slots
+    period_us, slots = sequence.period_us, len(sequence.width_us)
     if not limits.period_us <= period_us <= LONGEST_PERIOD_US:
         raise SafetyError(
             f"a period of {period_us} µs is not from {limits.period_us} µs, for the limit of "
@@ -141,8 +142,8 @@ def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int
         )
     if not slots:
         return 0, 0
-    shortest_us, longest_us, pulses_us = _extent(sequence.width_us)
-    least_us, _, rests_us = _extent(sequence.discharge_us)
+    shortest_us, longest_us, pulses_us = extent_us(sequence.width_us.tobytes())
+    least_us, _, rests_us = extent_us(sequence.discharge_us.tobytes())
     if pulses_us + rests_us > period_us:
         raise SafetyError(
             f"{slots} slots take {pulses_us + rests_us} µs, longer than the period of "
@@ -188,14 +189,6 @@ def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int
     return longest_us, pulses_us
 
 
-def _extent(times_us: NDArray[np.uint16]) -> tuple[int, int, int]:
-    """Return the shortest, the longest and the sum of times, fast if all are the same."""
-    each = common_us(times_us)
-    if each is not None:
-        return each, each, each * len(times_us)
-    return int(times_us.min()), int(times_us.max()), int(times_us.sum(dtype=np.int64))
-
-
 def _magnitude(sequence: ScanSequence) -> NDArray[np.float64]:
     """Return all magnitudes, (S, E) µA, for checks that sums do not cover."""
     return np.abs(sequence.current_ua.astype(np.float64))
@@ -223,7 +216,8 @@ def _above(
 
 def _prove_intensity(limits: SafetyLimits, ppb: int, peak_ua: int, charge_pc: int) -> None:
     """Raise unless current, or charge where width carries intensity, is proportional to it."""
-    highest = limits.most_ua(ppb if limits.full_us is None else PPB)
+    per_ppb, rounding, whole = limits.most_ua_line
+    highest = (per_ppb * (ppb if limits.full_us is None else PPB) + rounding) // whole
     if limits.full_us is not None:
         full = limits.full_ua + limits.rounding_ua
         most_pc = full * round(limits.full_us) * _WIDTH_LEEWAY * ppb / PPB

@@ -1,5 +1,6 @@
 """Exact sums over the slots of a sequence, in memory reused for each frame."""
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,10 +22,19 @@ def rows_of_block(electrodes: int) -> int:
     return max(1, BLOCK // electrodes)
 
 
-def common_us(times_us: NDArray[np.uint16]) -> int | None:
-    """Return the common time of all slots, (S,) with S > 0; None if they differ."""
-    data = times_us.tobytes()
-    return int(times_us[0]) if data == data[:2] * len(times_us) else None
+@lru_cache(maxsize=256)
+def extent_us(data: bytes) -> tuple[int, int, int]:
+    """Return the shortest, the longest and the sum of the times of slots, µs; zeros if none.
+
+    Parameters
+    ----------
+    data : bytes
+        Of the times, uint16: they hardly ever change from frame to frame, and are looked up.
+    """
+    times_us = np.frombuffer(data, np.uint16)
+    if not len(times_us):
+        return 0, 0, 0
+    return int(times_us.min()), int(times_us.max()), int(times_us.sum(dtype=np.int64))
 
 
 class SlotSums(NamedTuple):
@@ -63,7 +73,12 @@ class SlotAdder:
         self._most = max(self._rows, self._electrodes)
         self._scratch: dict[type[np.floating], tuple[NDArray[Any], NDArray[Any]]] = {}
 
-    def add_up(self, current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> SlotSums:
+    def add_up(
+        self,
+        current_ua: NDArray[np.int16],
+        width_us: NDArray[np.uint16],
+        kind: type[np.floating] = np.float32,
+    ) -> SlotSums:
         """Return the sums of slots.
 
         Parameters
@@ -71,26 +86,16 @@ class SlotAdder:
         current_ua : ndarray, (S, E) int16, µA
             With S > 0.
         width_us : ndarray, (S,) uint16, µs
+        kind : type
+            Of the sums: `add_up` begins anew in double precision where single is not exact.
         """
-        sums = self._added(current_ua, width_us, np.float32)
-        # No sum on the way is larger than that of all magnitudes.
-        if sums.highest_ua * self._most >= _EXACT_SINGLE:
-            sums = self._added(current_ua, width_us, np.float64)
-        return sums
-
-    def _added(
-        self,
-        current_ua: NDArray[np.int16],
-        width_us: NDArray[np.uint16],
-        kind: type[np.floating],
-    ) -> SlotSums:
         slots = len(current_ua)
         if kind not in self._scratch:
             block = np.empty((self._rows, self._electrodes), kind)
             self._scratch[kind] = block, np.ones(self._most, kind)
         scratch, ones = self._scratch[kind]
         across = ones[: self._electrodes]
-        each_us = common_us(width_us)
+        each_us, longest_us, _ = extent_us(width_us.tobytes())
         net, total = np.empty(slots, kind), np.empty(slots, kind)
         load = np.zeros((2, self._electrodes))
         felt, charge = load
@@ -104,11 +109,32 @@ class SlotAdder:
             np.abs(block, out=block)
             highest = max(highest, int(_largest(block, axis=None)))
             block.dot(across, out=total[part])
-            if each_us is None:
-                charge += width_us[part].astype(np.float64).dot(block)
-            else:
+            if each_us == longest_us:
                 charge += down.dot(block)
+            else:
+                charge += width_us[part].astype(np.float64).dot(block)
             felt += down.dot(np.greater_equal(block, self._felt_ua, out=block, casting="unsafe"))
+        # No sum on the way is larger than that of all magnitudes.
+        if kind is np.float32 and highest * self._most >= _EXACT_SINGLE:
+            return self.add_up(current_ua, width_us, np.float64)
         felt *= PER_PULSE
-        charge *= PER_PC if each_us is None else PER_PC * each_us
+        charge *= PER_PC * each_us if each_us == longest_us else PER_PC
         return SlotSums(net, total, highest, load)
+
+
+def round_charge_balanced(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
+    """Return currents in whole µA that sum to zero in every slot, like the given ones.
+
+    The rounding error is carried on from electrode to electrode, so that none is
+    off by a whole µA. Given to one of them, it could raise that above its limit.
+
+    Parameters
+    ----------
+    current_ua : ndarray, (S, E) µA
+    """
+    carried = np.cumsum(current_ua, axis=1)
+    np.rint(carried, out=carried)
+    whole = np.empty(carried.shape, np.int16)
+    whole[:, :1] = carried[:, :1]
+    np.subtract(carried[:, 1:], carried[:, :-1], out=whole[:, 1:], casting="unsafe")
+    return whole

@@ -2,7 +2,6 @@
 
 import struct
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from cobs import cobs
@@ -78,35 +77,29 @@ class Deframer:
             start += code
         return bytes(found[:count])
 
-    def feed(self, data: bytes) -> Iterator[Packet]:
-        """Yield every packet completed by these bytes."""
+    def feed(self, data: bytes) -> list[Packet]:
+        """Return every packet completed by these bytes."""
         *whole, rest = data.split(b"\0")
+        packets = []
         for piece in whole:
-            body = bytes(self._waiting) + piece
+            coded = bytes(self._waiting) + piece
             self._waiting.clear()
-            packet = None if self._skipping else _parse(body)
-            self._skipping = False
-            if packet is not None:
-                yield packet
-            elif body:
+            skipped, self._skipping = self._skipping, False
+            try:
+                body = b"" if skipped else cobs.decode(coded)
+            except cobs.DecodeError:
+                body = b""
+            end = len(body) - _CRC.size
+            if end >= _HEAD.size and zlib.crc32(body[:end]) == _CRC.unpack_from(body, end)[0]:
+                version, kind, number = _HEAD.unpack_from(body)
+                packets.append(Packet(kind, number, body[_HEAD.size : end], version))
+            elif coded:
                 self.errors += 1
         self._waiting += rest
         if len(self._waiting) > self._most:
             self._waiting.clear()
             self._skipping = True
-
-
-def _parse(piece: bytes) -> Packet | None:
-    try:
-        body = cobs.decode(piece)
-    except cobs.DecodeError:
-        return None
-    if len(body) < _HEAD.size + _CRC.size:
-        return None
-    checked = body[: -_CRC.size]
-    if zlib.crc32(checked) != _CRC.unpack_from(body, len(checked))[0]:
-        return None
-    return parse_head(checked)
+        return packets
 
 
 def parse_head(body: bytes) -> Packet:

@@ -23,6 +23,7 @@ import pytest
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.link_sequence import encode_sequence
+from smarttouch.boards.link_session import encode
 from smarttouch.errors import BoardRestartedError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits
@@ -30,7 +31,7 @@ from smarttouch.stimulation.sequence import ScanSequence
 
 RAMP_S = 0.5
 COUNTS = (64, 128, 256, 512)
-ACK = len(protocol.encode(protocol.Kind.ACK, 1, 1))
+ACK = len(encode(protocol.Kind.ACK, 1, 1))
 ECHO = """
 import os, sys, tty
 master, slave = os.openpty()
@@ -143,7 +144,7 @@ def packet(sequence):
         "weighted", sequence.period_us, sequence.width_us, sequence.discharge_us,
         sequence.site, sequence.current_ua, 1, True,
     )  # fmt: skip
-    return protocol.encode(protocol.Kind.SEQUENCE, 1, 1, payload=payload)
+    return encode(protocol.Kind.SEQUENCE, 1, 1, payload=payload)
 
 
 @pytest.mark.parametrize("electrodes", COUNTS)

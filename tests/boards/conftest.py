@@ -34,7 +34,7 @@ def claimed_time(request, monkeypatch):
     """
     if "wall_clock" not in request.keywords:
         monkeypatch.setattr(Board, "_time", lambda self: None)
-        monkeypatch.setattr("smarttouch.stimulation.rise.LATE_NS", 3600 * SECOND)
+        monkeypatch.setattr("smarttouch.stimulation.safety.LATE_NS", 3600 * SECOND)
 
 
 @pytest.fixture(scope="session")

@@ -8,6 +8,7 @@ from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.kernels.problem import Problem
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.schedule import ScanScheduler
+from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.sharing import SlotPolicy
 from smarttouch.tactile_image import TactileImage
 
@@ -64,3 +65,24 @@ def test_delivered_currents_do_what_was_planned(profile, bank, afferent):
                 weakest_af = (reached_af[slot] / level)[sites].min()
                 assert others_af[slot] <= 1.03 * profile.frames.other * weakest_af
     assert shared > 100
+
+
+@pytest.mark.parametrize("look", [SimulatedBoard.report, SimulatedBoard.take_pulses])
+def test_a_sequence_is_over_when_it_was_sent(profile, look):
+    """Also what takes so long that a host must say now and then that it is there."""
+    one, limits = np.ones(1, np.uint16), SafetyLimits.of(profile)
+    current_ua = np.zeros((1, 64), np.int16)
+    with SimulatedBoard("", limits, profile.output) as board:
+        for time_ns, times in ((0, 1), (10**9, 25), (2 * 10**9, 1)):
+            current_ua[0, :2] = (500, -500) if time_ns else 0
+            intensity = min(time_ns / 10**9, 1.0)
+            board.send(
+                ScanSequence(current_ua, 100 * one, 100 * one, one, 20_000, intensity, time_ns),
+                times,
+            )
+        found = look(board)
+        if look is SimulatedBoard.report:
+            assert (found.sequences, found.slots, found.violations) == (3, 27, 0)
+        else:
+            assert found[0].tolist() == [1, *[2] * 25, 3]
+        assert (board.acknowledged, board.refused) == (3, 0)

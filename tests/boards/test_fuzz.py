@@ -9,7 +9,6 @@ import os
 import numpy as np
 import pytest
 
-from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.discovery import parse_answer
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
@@ -19,6 +18,7 @@ from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.session import BoardSession
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_sequence import decode_sequence, decode_volts, encode_sequence
+from smarttouch.boards.link_session import decode, encode
 from smarttouch.errors import SmartTouchError
 from smarttouch.wire.framing import Deframer
 
@@ -30,10 +30,10 @@ HALF, SESSION = 5, 5 << 32 | 5
 PAYLOAD = encode_sequence("weighted", 5000, COLUMN, COLUMN, COLUMN * 0, CURRENT, 3, True)
 SEEDS = {
     "link": [
-        protocol.encode(Kind.HELLO, HALF, 1),
-        protocol.encode(Kind.BEGIN, SESSION, 2),
-        protocol.encode(Kind.STATUS, SESSION, 3),
-        protocol.encode(Kind.SEQUENCE, SESSION, 4, about=1, payload=PAYLOAD),
+        encode(Kind.HELLO, HALF, 1),
+        encode(Kind.BEGIN, SESSION, 2),
+        encode(Kind.STATUS, SESSION, 3),
+        encode(Kind.SEQUENCE, SESSION, 4, about=1, payload=PAYLOAD),
     ],
     "kajimoto61": [b"\xff" + bytes(61), b"\xff" + bytes([100] * 61), b"\xfe"],
     "etactilekit": [b"\xf5\xfc\x04\xf4", b"\xfa\x64\x00\xf7\x32\xf6\x3c\x00", b"\xfe" + bytes(8)],
@@ -74,7 +74,7 @@ def test_the_deframer_and_what_it_finds():
         for packet in deframer.feed(piece):
             found += 1
             with contextlib.suppress(ValueError):
-                decode_sequence(protocol.decode(packet).payload)
+                decode_sequence(decode(packet).payload)
     assert found > 10
     assert deframer.errors > 10
 

@@ -149,7 +149,7 @@ def rising(electrodes, part, step):
 @pytest.fixture
 def rise_of_the_line(monkeypatch):
     """The ramp by the clock of the line, as outside these tests."""
-    monkeypatch.setattr("smarttouch.stimulation.rise.LATE_NS", LATE_NS)
+    monkeypatch.setattr("smarttouch.stimulation.safety.LATE_NS", LATE_NS)
 
 
 @pytest.mark.parametrize(("ahead_ms", "sent"), LATE_RISE)

@@ -7,6 +7,7 @@ import pytest
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.link_line import SILENCE_S, LinkLine
 from smarttouch.boards.link_protocol import Kind
+from smarttouch.boards.link_session import encode
 from smarttouch.errors import LineLostError
 
 from ..raising import raises
@@ -28,7 +29,7 @@ class Port:
         if piece == ALIVE:
             self.number += 1
             session, payload = self.line.session.number, protocol.ALIVE.pack(0)
-            return protocol.encode(Kind.ALIVE, session, self.number, payload=payload)
+            return encode(Kind.ALIVE, session, self.number, payload=payload)
         return piece if isinstance(piece, bytes) else b""
 
     def write(self, _):

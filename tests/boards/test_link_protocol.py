@@ -11,13 +11,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.link_protocol import Kind, decode, decode_head, encode
+from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_sequence import (
     decode_sequence,
     decode_volts,
     encode_sequence,
     encode_volts,
 )
+from smarttouch.boards.link_session import WHOLE_HEAD_BYTES, decode, decode_head, encode
 from smarttouch.errors import BoardError
 from smarttouch.wire.framing import LARGEST_PACKET, Deframer, Packet
 
@@ -192,9 +193,9 @@ def test_the_head_of_a_packet_is_known_before_its_end(payload, cut, session):
     deframer = Deframer()
     list(deframer.feed(data[: min(cut, len(data) - 1)]))
     assert deframer.waiting == min(cut, len(data) - 1)
-    head = deframer.head(protocol.WHOLE_HEAD_BYTES)
+    head = deframer.head(WHOLE_HEAD_BYTES)
     if head is None:
-        assert cut <= protocol.WHOLE_HEAD_BYTES
+        assert cut <= WHOLE_HEAD_BYTES
     else:
         message = decode_head(head)
         assert (message.kind, message.session) == (Kind.SEQUENCE, session)

@@ -2,10 +2,9 @@
 
 import pytest
 
-from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards import link_session
-from smarttouch.boards.link_protocol import HALF, VERSION, Kind, decode, draw_half, encode
-from smarttouch.boards.link_session import HostSession
+from smarttouch.boards.link_protocol import HALF, VERSION, Kind
+from smarttouch.boards.link_session import HostSession, decode, draw_half, encode
 from smarttouch.errors import LineLostError
 from smarttouch.wire.framing import Deframer
 
@@ -146,7 +145,7 @@ def test_halves_are_random_and_never_zero(monkeypatch):
     drawn = {draw_half() for _ in range(1000)}
     assert len(drawn) > 990
     assert all(0 < each <= HALF for each in drawn)
-    monkeypatch.setattr(protocol.secrets, "randbelow", lambda limit: limit - 1)
+    monkeypatch.setattr(link_session.secrets, "randbelow", lambda limit: limit - 1)
     assert draw_half() == HALF
-    monkeypatch.setattr(protocol.secrets, "randbelow", lambda limit: 0)
+    monkeypatch.setattr(link_session.secrets, "randbelow", lambda limit: 0)
     assert draw_half() == 1

@@ -8,6 +8,7 @@ import pytest
 
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.link_protocol import Kind
+from smarttouch.boards.link_session import decode, encode
 from smarttouch.errors import BoardError, BoardRestartedError
 from smarttouch.wire.framing import Deframer
 
@@ -109,9 +110,9 @@ def test_a_link_board_that_says_it_is_another_gets_no_sequence(hosted, stranger)
     said = protocol.CAPABILITIES.pack(8, 0, 0, 5000, 100, 120, 0) + b"another firmware"
 
     def answer(heard):
-        (hello,) = (protocol.decode(each) for each in Deframer().feed(heard))
+        (hello,) = (decode(each) for each in Deframer().feed(heard))
         session = hello.session | 1 << 32
-        return protocol.encode(Kind.CAPABILITIES, session, 1, 0, hello.number, said)
+        return encode(Kind.CAPABILITIES, session, 1, 0, hello.number, said)
 
     assert kinds(replaced(hosted, stranger, answer)) == [Kind.HELLO]
 

@@ -5,16 +5,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.running.statistics import LatencyHistogram, RunStatistics
+from smarttouch.afferent import Mode
+from smarttouch.running.statistics import LatencyHistogram, RunStatistics, add_durations
+from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.frame import Frame, Pose
-from smarttouch.stimulation.sequence import SelectivityReport
+from smarttouch.stimulation.sequence import ScanSequence, SelectivityReport
+from smarttouch.tactile_image import TactileImage
 
 
 @given(st.lists(st.floats(1, 1e7), min_size=1, max_size=300), st.floats(0.01, 1))
 def test_quantiles_are_true_to_a_percent(values, share):
     spread = LatencyHistogram()
     for value in values:
-        spread.add(value)
+        add_durations([(spread, value)])
     true = np.quantile(values, share, method="inverted_cdf")
     assert spread.quantile(share) == pytest.approx(true, rel=0.011)
     assert spread.largest_us == max(values)
@@ -24,7 +27,7 @@ def test_quantiles_are_true_to_a_percent(values, share):
 def test_extremes_have_a_place():
     spread = LatencyHistogram()
     for value in (0.0, 0.3, 1e12):
-        spread.add(value)
+        add_durations([(spread, value)])
     assert spread.quantile(0.5) <= 1.01
     assert spread.figures()["max"] == 1e12
     assert LatencyHistogram().figures() == {"p50": 0.0, "p99": 0.0, "max": 0.0}
@@ -32,32 +35,44 @@ def test_extremes_have_a_place():
 
 def test_memory_does_not_grow():
     spread = LatencyHistogram()
-    size = spread._bins.nbytes
+    size = spread.bins.nbytes
     for value in range(10_000):
-        spread.add(value)
-    assert spread._bins.nbytes == size
+        add_durations([(spread, value)])
+    assert spread.bins.nbytes == size
     assert vars(spread).keys() == vars(LatencyHistogram()).keys()
 
 
-@given(st.lists(st.tuples(st.integers(0, 2), st.booleans()), max_size=60))
-def test_frames_are_counted_once(moments):
-    tally, number, seen, felt = RunStatistics(), 0, set(), set()
-    for step, sent in moments:
-        number += step
-        frame = Frame(np.zeros((1, 1), np.uint8), 0, Pose(0, 0), 0.0, number)
-        tally.see(frame)
-        seen.add(number)
-        if sent:
-            tally.feel(frame)
-            felt.add(number)
-    assert (tally.seen, tally.felt) == (len(seen), len(felt))
+def sent(number=0, proof=None):
+    """Return the result of a step of one slot on one electrode, by its input's number."""
+    frame = Frame(np.zeros((1, 1), np.uint8), 0, Pose(0, 0), 0.0, number)
+    tactile = TactileImage(np.zeros((3, 1), np.float32), 0, 0.0)
+    one = np.ones(1, np.uint16)
+    sequence = ScanSequence(one[:, None], one, one, one, 20_000, 1.0, 0, proof=proof)
+    return StepResult(Step(frame, tactile, sequence, Mode.RA), 1, 300.0)
+
+
+@given(st.lists(st.integers(0, 2), max_size=60))
+def test_frames_are_felt_once(steps):
+    tally, numbers = RunStatistics(), np.cumsum(steps, dtype=int).tolist()
+    for number in numbers:
+        tally.enter(sent(number), None)
+    assert (tally.frames, tally.felt) == (len(numbers), len(set(numbers)))
+    assert (tally.slots, tally.scan_us) == (len(numbers), 20_000 * len(numbers))
+
+
+def test_durations_of_a_step():
+    tally = RunStatistics()
+    for error_us in (None, 4.0):
+        tally.enter(sent(), error_us)
+    assert (tally.latency.total_us, tally.motion_to_bytes.total_us) == (600, 600)
+    assert (tally.period_error.count, tally.period_error.total_us) == (1, 4)
 
 
 def test_the_worst_of_shared_slots_is_kept():
     tally, points = RunStatistics(), np.array([3, 1], np.uint16)
     for other, spill in ((0.1, 0.2), (0.2, 0.1)):
         ratio = np.array([other, 0.9], np.float32), np.array([spill, 0.9], np.float32)
-        tally.weigh(SelectivityReport(points, *ratio))
-    tally.weigh(None)
-    tally.weigh(SelectivityReport(np.ones(2, np.uint16), *ratio))
+        tally.enter(sent(proof=SelectivityReport(points, *ratio)), None)
+    tally.enter(sent(), None)
+    tally.enter(sent(proof=SelectivityReport(np.ones(2, np.uint16), *ratio)), None)
     assert (tally.off_target, tally.spill) == pytest.approx((0.2, 0.2))

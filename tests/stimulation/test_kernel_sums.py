@@ -8,7 +8,7 @@ from smarttouch.kernels.frames.bound import proved_sets
 from smarttouch.kernels.frames.operator import AIM, FrameOperator
 from smarttouch.stimulation.frames import FrameSlots
 from smarttouch.stimulation.kernel_sums import _parts
-from smarttouch.stimulation.sequence import round_charge_balanced
+from smarttouch.stimulation.sums import round_charge_balanced
 
 INTENSITIES = (1.0, 0.6, 0.3, 0.1, 0.03, 0.01, 0.003)
 
@@ -102,3 +102,11 @@ def test_currents_are_those_by_definition(slots):
         for intensity in INTENSITIES:
             sent = round_charge_balanced(1000 * intensity * found.current_ma)
             assert np.array_equal(sent, round_charge_balanced(1000 * intensity * expected_ma))
+
+
+def test_no_frame_exposes_an_electrode_more_than_all_points_can(slots, profile):
+    """By this bound schedulers know that a period is long enough without adding up a frame."""
+    for intensity in INTENSITIES:
+        for activation in [np.ones((1, 64), np.float32), *activations(30)]:
+            current_ua = slots.slots(activation, intensity).current_ua.astype(np.int64)
+            assert (np.abs(current_ua).sum(axis=0) <= slots.most_ua).all()

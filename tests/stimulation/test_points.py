@@ -14,9 +14,8 @@ from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.limits import PPB
 from smarttouch.stimulation.points import SHORTEST_PULSE_US, PointSlots
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
+from smarttouch.stimulation.safety import SafetyGate, SafetyLimits, frozen
 from smarttouch.stimulation.schedule import ScanScheduler
-from smarttouch.stimulation.sequence import frozen
 from smarttouch.stimulation.sequence_limits import prove_slots
 from smarttouch.stimulation.sums import SlotAdder
 from smarttouch.stimulation.timing import ScanTiming

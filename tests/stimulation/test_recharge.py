@@ -18,8 +18,8 @@ from smarttouch.stimulation.recharge import (
     prove_recharge,
     recharge_most_ua,
 )
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence, frozen
+from smarttouch.stimulation.safety import SafetyGate, SafetyLimits, frozen
+from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.timing import ScanTiming
 
 

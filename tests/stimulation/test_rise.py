@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from smarttouch.clock import LATE_NS
 from smarttouch.stimulation.limits import PPB
-from smarttouch.stimulation.rise import LEEWAY_PPB, Rise
+from smarttouch.stimulation.safety import LEEWAY_PPB, Rise
 
 RAMP_NS = 500_000_000
 HURRIED_PPB = LATE_NS * PPB // RAMP_NS

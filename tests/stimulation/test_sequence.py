@@ -4,7 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.stimulation.sequence import SelectivityReport, round_charge_balanced
+from smarttouch.stimulation.sequence import SelectivityReport
+from smarttouch.stimulation.sums import round_charge_balanced
 
 
 @given(st.integers(0, 6), st.integers(1, 80), st.integers(0, 2**32 - 1), st.floats(0, 5000))

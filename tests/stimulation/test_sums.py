@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from smarttouch.stimulation import sums as module
 from smarttouch.stimulation.exposure import PER_PC, PER_PULSE
-from smarttouch.stimulation.sums import SlotAdder, common_us
+from smarttouch.stimulation.sums import SlotAdder, extent_us
 
 
 def check(current_ua, width_us, felt_ua):
@@ -67,7 +67,7 @@ def test_memory_is_used_again():
     assert peak < current_ua.nbytes / 4
 
 
-def test_times_in_common():
-    assert common_us(np.array([200, 200, 200], np.uint16)) == 200
-    assert common_us(np.array([200, 201], np.uint16)) is None
-    assert common_us(np.array([7], np.uint16)) == 7
+@given(st.lists(st.integers(0, 2**16 - 1), max_size=300))
+def test_the_extent_of_times(times_us):
+    extent = (min(times_us), max(times_us), sum(times_us)) if times_us else (0, 0, 0)
+    assert extent_us(np.array(times_us, np.uint16).tobytes()) == extent

@@ -16,8 +16,9 @@ from smarttouch.boards.emulator.firmware import Firmware
 from smarttouch.boards.emulator.rules import MAX_CURRENT_UA, MAX_SLOTS, Rules
 from smarttouch.boards.emulator.session import BoardSession
 from smarttouch.boards.emulator.skin import COMPLIANCE_V, Skin
-from smarttouch.boards.link_protocol import Feature, Kind, Message, Output, Refusal
+from smarttouch.boards.link_protocol import Feature, Kind, Output, Refusal
 from smarttouch.boards.link_sequence import WireSequence, decode_sequence, encode_volts
+from smarttouch.boards.link_session import WHOLE_HEAD_BYTES, Message, decode
 from smarttouch.wire.framing import Deframer
 
 NAME = "SmartTouch board emulator 1"
@@ -122,10 +123,10 @@ class LinkFirmware(Firmware):
             if not self._deframer.waiting:
                 self._packet_ns = now_ns
             for packet in self._deframer.feed(piece):
-                self._answer(protocol.decode(packet), now_ns)
+                self._answer(decode(packet), now_ns)
         if self._deframer.errors > garbled and self._greeted:
             self._refuse(0, Refusal.GARBLED, "no packet")
-        head = self._deframer.head(protocol.WHOLE_HEAD_BYTES)
+        head = self._deframer.head(WHOLE_HEAD_BYTES)
         if head is not None and self._session.promises(head, self._packet_ns, now_ns):
             self._heard_ns = now_ns
         self.books.framing_errors = self._deframer.errors

@@ -10,12 +10,9 @@ from smarttouch.boards.link_protocol import (
     LONGEST_PACKET_MS,
     VERSION,
     Kind,
-    Message,
     Refusal,
-    decode_head,
-    draw_half,
-    encode,
 )
+from smarttouch.boards.link_session import Message, decode_head, draw_half, encode
 
 MOST_HOSTS = 8
 """Number of hosts with separate HELLO records."""

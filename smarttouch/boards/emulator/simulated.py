@@ -12,8 +12,8 @@ from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.rules import MAX_CURRENT_UA, MAX_SLOTS
-from smarttouch.boards.link import encode_scan
 from smarttouch.boards.link_protocol import Kind
+from smarttouch.boards.link_sequence import encode_sequence
 from smarttouch.boards.link_session import HostSession
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
@@ -23,6 +23,7 @@ from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.framing import Deframer
 
 _BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2
+"""Longest time that the host says nothing."""
 
 Pulses = tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]
 """Sequence of each slot (N,), its width (N,) µs, and its delivered current (N, E) µA, positive
@@ -98,8 +99,8 @@ class SimulatedBoard(Board):
     def _open(self) -> None:
         self._power_up()
         with self._speaking:
-            self._say(Kind.HELLO)
-            self._say(Kind.BEGIN)
+            self._exchange(self._session.encode(Kind.HELLO))
+            self._exchange(self._session.encode(Kind.BEGIN))
 
     def _power_up(self) -> None:
         self._books = _KeptBooks(self._gate.limits.electrodes)
@@ -107,18 +108,30 @@ class SimulatedBoard(Board):
         self._deframer = Deframer()
         self._session = HostSession()
         self._now_ns = self._number = 0
+        self._unheard = b""
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         self._number += 1
-        payload = encode_scan(self._kind, sequence, times, False)
+        payload = encode_sequence(
+            self._kind, sequence.period_us, sequence.width_us, sequence.discharge_us,
+            sequence.site, sequence.current_ua, times, False,
+            sequence.recharge_ua, sequence.recharge_us,
+        )  # fmt: skip
         with self._speaking:
-            self._say(Kind.SEQUENCE, self._number, payload)
-            self._wait(sequence.period_us * times * 1000)
+            self._exchange(self._session.encode(Kind.SEQUENCE, self._number, payload))
+            end_ns = self._now_ns + sequence.period_us * times * 1000
+            while end_ns - self._now_ns > _BEAT_NS:
+                self._now_ns += _BEAT_NS
+                self._exchange(self._session.encode(Kind.HEARTBEAT))
+            self._now_ns = end_ns
+            self._unheard = self._firmware.advance(end_ns)
         return self._number
 
-    def _say(self, kind: Kind, about: int = 0, payload: bytes = b"") -> None:
-        packet = self._session.encode(kind, about, payload)
-        for answer in self._deframer.feed(self._firmware.feed(packet, self._now_ns)):
+    def _exchange(self, packet: bytes) -> None:
+        """Give the firmware a packet, and take its answers with what it has said since the last."""
+        answers = self._unheard + self._firmware.feed(packet, self._now_ns)
+        self._unheard = b""
+        for answer in self._deframer.feed(answers):
             message = self._session.take(answer)
             if message is None:
                 continue
@@ -134,16 +147,9 @@ class SimulatedBoard(Board):
                     value=message.about,
                 )
 
-    def _wait(self, time_ns: int) -> None:
-        """Advance the time while the host stays alive."""
-        end_ns = self._now_ns + time_ns
-        while self._now_ns < end_ns:
-            self._now_ns = min(end_ns, self._now_ns + _BEAT_NS)
-            self._say(Kind.HEARTBEAT)
-
     def report(self) -> BoardReport:
         return BoardReport(*self._firmware.account())
 
     def _stop(self) -> None:
         with self._speaking:
-            self._say(Kind.STOP)
+            self._exchange(self._session.encode(Kind.STOP))

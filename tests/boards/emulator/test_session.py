@@ -7,15 +7,9 @@ from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.session import MOST_HOSTS, BoardSession
-from smarttouch.boards.link_protocol import (
-    ALIVE_MS,
-    LATE_MS,
-    LONGEST_PACKET_MS,
-    Kind,
-    Refusal,
-)
+from smarttouch.boards.link_protocol import ALIVE_MS, LATE_MS, LONGEST_PACKET_MS, Kind, Refusal
 from smarttouch.boards.link_sequence import encode_sequence
-from smarttouch.boards.link_session import HostSession
+from smarttouch.boards.link_session import HostSession, Message, decode
 from smarttouch.wire.framing import Deframer
 
 MS = 1_000_000
@@ -50,7 +44,7 @@ class Rig:
         answers = []
         for packet in Deframer().feed(self.board.feed(data, round(self.now_ms * MS))):
             message = self.host.take(packet)
-            answers.append(message or protocol.decode(packet))
+            answers.append(message or decode(packet))
         return [each for each in answers if each.kind != Kind.ALIVE]
 
     def wait(self, time_ms, beating=True):
@@ -159,24 +153,24 @@ def test_another_host_cannot_take_a_live_session_over():
 def test_the_challenge_is_used_once():
     drawn = iter(range(1, 100))
     session = BoardSession(lambda: next(drawn))
-    begin = protocol.Message(Kind.BEGIN, 2, 1 << 32 | 5)
+    begin = Message(Kind.BEGIN, 2, 1 << 32 | 5)
     assert session.begin(begin)
     session.live = False
     assert not session.begin(begin)
-    assert session.begin(protocol.Message(Kind.BEGIN, 2, 2 << 32 | 5))
+    assert session.begin(Message(Kind.BEGIN, 2, 2 << 32 | 5))
 
 
 def test_a_session_without_a_hosts_half_is_none():
     session = BoardSession(lambda: 7)
-    assert not session.begin(protocol.Message(Kind.BEGIN, 1, 7 << 32))
-    assert not session.begin(protocol.Message(Kind.BEGIN, 1, 5))
+    assert not session.begin(Message(Kind.BEGIN, 1, 7 << 32))
+    assert not session.begin(Message(Kind.BEGIN, 1, 5))
 
 
 def test_hellos_that_lead_to_nothing_are_counted():
     session = BoardSession()
 
     def hello(half, number):
-        return session.offer(protocol.Message(Kind.HELLO, number, half), b"")
+        return session.offer(Message(Kind.HELLO, number, half), b"")
 
     for half in range(1, MOST_HOSTS + 1):
         assert hello(half, 1) is not None
@@ -185,8 +179,8 @@ def test_hellos_that_lead_to_nothing_are_counted():
     assert (session.old, session.foreign) == (MOST_HOSTS, 0)
     assert hello(99, 1) is not None
     assert session.foreign == 2 * MOST_HOSTS
-    offer = next(Deframer().feed(hello(99, 2)))
-    assert session.begin(protocol.Message(Kind.BEGIN, 3, protocol.decode(offer).session))
+    (offer,) = Deframer().feed(hello(99, 2))
+    assert session.begin(Message(Kind.BEGIN, 3, decode(offer).session))
     assert session.foreign == 2 * MOST_HOSTS
     session.live = False
     assert hello(99, 2) is None

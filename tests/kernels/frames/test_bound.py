@@ -17,7 +17,7 @@ from smarttouch.kernels.frames.figures import FrameBounds
 from smarttouch.kernels.frames.judge import FrameJudge
 from smarttouch.kernels.frames.operator import FrameOperator
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.sequence import round_charge_balanced
+from smarttouch.stimulation.sums import round_charge_balanced
 
 from ...raising import raises
 from .test_operator import make_operator
