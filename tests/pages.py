@@ -2,9 +2,9 @@
 
 The blocks of a page (`console`, `sh`, `bash`, `python`, and files that it names) are run in their
 order, in an empty folder with the files that they read (`tests/page_files.py`); what fails is told
-by page and line. Three things are unlike what a reader does, and no others: commands that run until
-somebody ends them have the `SHORT` options added, devices and places have `STAND_INS`, and what
-would set up an environment (`ENVIRONMENT`) is left out. A comment before a block says what of it
+by page and line. Unlike a reader's: commands that run until somebody ends them have the `SHORT`
+options added, devices and places have `STAND_INS`, what would set up an environment (`ENVIRONMENT`)
+is left out, and a command that fails is tried again (`TRIES`). A comment before a block says what of it
 is not run: ``<!-- not run: "text in a line", "text in another": why -->``.
 """
 
@@ -62,14 +62,7 @@ EMULATED = {
     "/dev/ttyUSB1": ("sensor", "emulate", "hx711"),
 }
 """Devices, and the commands that play them: their ports stand for them."""
-ENVIRONMENT = (
-    "python3 -m venv",
-    ".venv/bin/pip",
-    ". .venv/bin/activate",
-    "pip install",
-    "mkdir",
-    "cd",
-)
+ENVIRONMENT = ("python3 -m venv", ".venv/bin/pip", ". .venv/bin/", "pip install", "mkdir", "cd ")
 """Beginnings of commands that the environment and the folder of a page stand for."""
 
 _PART = re.compile(
