@@ -4,8 +4,8 @@ The blocks of a page (`console`, `sh`, `bash`, `python`, and files that it names
 order, in an empty folder with the files that they read (`tests/page_files.py`); what fails is told
 by page and line. Unlike a reader's: commands that run until somebody ends them have the `SHORT`
 options added, devices and places have `STAND_INS`, what would set up an environment (`ENVIRONMENT`)
-is left out, and a command that fails is tried again (`TRIES`). A comment before a block says what of it
-is not run: ``<!-- not run: "text in a line", "text in another": why -->``.
+is left out, and a command that fails is tried again (`TRIES`). A comment before a block says what
+of it is not run: ``<!-- not run: "text in a line", "text in another": why -->``.
 """
 
 import argparse
