@@ -34,7 +34,8 @@ for pitch_mm in pitches_mm:
         found.append(st.design_kernel(other, name, 5).off_target)
 figure, axes = plt.subplots(figsize=(5, 3), layout="constrained")
 for name, found in off_target.items():
-    axes.plot(pitches_mm, found, "o-", label=name)
+    color = {"RA": "#d55e00", "SAI": "#0072b2"}[name]
+    axes.plot(pitches_mm, found, "o-", color=color, label=name)
 axes.set(xlabel="pitch (mm)", ylabel="largest activation of another class")
 axes.legend(frameon=False)
 plt.show()

@@ -1,7 +1,6 @@
 """README and docs: Python blocks run as they stand, and every command is one the program takes."""
 
 import re
-import shlex
 from pathlib import Path
 
 import pytest
@@ -12,37 +11,29 @@ from smarttouch import RunConfig
 from smarttouch.cli import app
 from smarttouch.running.saved import SavedRun, save_run
 
-ROOT = Path(__file__).parent.parent
+from .forks import Forked
+from .pages import GENERATED, PAGES, ROOT, PageError, Reader, blocks
+
 README = ROOT / "README.md"
-PAGES = [README, ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-GENERATED = {"command-line.md"}
-PACKAGES = {"own-board.md", "own-source.md"}
-"""Pages whose blocks are files of a package, which tests/testing/test_docs.py builds."""
-
-BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-
-
-def blocks(*languages):
-    for page in PAGES:
-        for language, text in BLOCK.findall(page.read_text("utf-8")):
-            if language in languages and page.name not in GENERATED:
-                yield page, text
+BLOCKS = [block for page in PAGES for block in blocks(page)]
+NOT_RUN = 16
+"""Commands of all pages that `tests.pages` leaves out: tools of a checkout, hardware, a screen."""
+DRAWN = ["how-to/profiles.md"]
+"""Pages that take little to run; `.ci/run` runs all, the tutorial has a test of its own."""
 
 
 def commands():
-    """Yield each line of a shell block that starts the program, without its comment."""
-    for page, text in blocks("sh", "console"):
-        for line in text.replace("\\\n", " ").splitlines():
-            for part in line.removeprefix("$ ").split("&&"):
-                words = shlex.split(part, comments=True)
-                if words and Path(words[0]).name == "smarttouch":
-                    yield pytest.param(words[1:], id=f"{page.name}: {' '.join(words[1:])}")
+    """Yield each command that starts the program."""
+    for block in BLOCKS:
+        for _, (program, *words), _ in block.commands():
+            if Path(program).name == "smarttouch":
+                yield pytest.param(words, id=f"{block.page.name}: {' '.join(words)}")
 
 
 PYTHON = [
-    pytest.param(text, id=f"{page.name}: {text.splitlines()[0]}")
-    for page, text in blocks("python")
-    if page.name not in PACKAGES
+    pytest.param(block.text, id=f"{block.page.name}: {block.text.splitlines()[0]}")
+    for block in BLOCKS
+    if block.language == "python" and not block.file
 ]
 
 
@@ -59,8 +50,32 @@ def test_readme_has_the_two_commands(command):
 
 
 def test_there_is_something_to_try():
-    assert len(PYTHON) >= 5
+    assert len([block for block in BLOCKS if block.language == "python"]) >= 10
+    assert len(PYTHON) >= 4
     assert len([*commands()]) >= 50
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_a_page_does_as_it_says(name, tmp_path):
+    Reader(tmp_path, Forked).read(ROOT / "docs" / name)
+
+
+def test_a_page_that_is_wrong_is_told_by_its_line(tmp_path, monkeypatch):
+    monkeypatch.setattr("tests.pages.ROOT", tmp_path)
+    page = tmp_path / "page.md"
+    page.write_text("# Page\n\n```sh\nsmarttouch profiles\nsmarttouch profiles show no.toml\n```\n")
+    reader = Reader(tmp_path, Forked)
+    with pytest.raises(PageError, match=r"^page\.md:5: .*: 2\n"):
+        reader.read(page)
+    assert reader.done == [
+        ["smarttouch", "profiles"],
+        ["smarttouch", "profiles", "show", "no.toml"],
+    ]
+
+
+def test_little_is_not_run():
+    left = [words for block in BLOCKS for _, words, runs in block.commands() if not runs]
+    assert len(left) == NOT_RUN
 
 
 @pytest.mark.parametrize("code", PYTHON)

@@ -15,14 +15,29 @@ print(*names)
 NOT_POSIX = """
 import builtins, os, signal
 real, only_posix = builtins.__import__, {"fcntl", "pty", "resource", "termios", "tty"}
-def imported(name, globals=None, *rest):
+def imported(name, globals=None, *rest, **named):
     if name in only_posix and (globals or {}).get("__name__", "").startswith("smarttouch"):
         raise ImportError(name)
-    return real(name, globals, *rest)
+    return real(name, globals, *rest, **named)
 builtins.__import__ = imported
-del signal.SIGHUP
-for name in [name for name in dir(os) if name.startswith(("sched_", "SCHED_"))]:
+for name in "SIGHUP", "SIGKILL", "SIGUSR1", "SIGUSR2", "SIGPIPE", "SIGALRM":
+    delattr(signal, name)
+gone = {"fork", "openpty", "setsid", "mkfifo", "killpg", "set_blocking"}
+for name in [name for name in dir(os) if name in gone or name.startswith(("sched_", "SCHED_"))]:
     delattr(os, name)
+"""
+
+RUN = """
+import sys
+import smarttouch as st
+from smarttouch.cli import main
+profile = st.load_profile("electric-mouse")
+with st.open_source("text:a", profile) as source, st.open_display("simulated:", profile) as display:
+    figures = st.run(source, display, seconds=0.3, listeners=[st.Recorder("run.mcap")]).figures
+assert figures["emulator_violations"] == 0
+print(figures["sequences"])
+sys.argv = ["smarttouch", "recordings", "info", "run.mcap"]
+main()
 """
 
 
@@ -33,6 +48,16 @@ def test_every_module_is_imported_without_what_only_posix_has():
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
     assert {"smarttouch.cli", "smarttouch.wire.port"} <= {*done.stdout.split()}
+
+
+def test_a_simulated_run_needs_nothing_that_only_posix_has(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", NOT_POSIX + RUN],
+        capture_output=True, text=True, timeout=100, check=False, cwd=tmp_path,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert int(done.stdout.split()[0]) > 5
+    assert (tmp_path / "run.mcap").stat().st_size > 10_000
 
 
 def test_every_module_is_imported():

@@ -8,7 +8,7 @@ from rich.text import Text
 from smarttouch.cli.screen import Screen, bar
 from smarttouch.events import Event
 
-_KEYS = "+ −  amplitude    0  none    space  pause    q, Esc, Ctrl-C  end, goes on another time"
+_KEYS = "+ − amplitude    0 none    space pause    q, Esc end, goes on another time"
 
 
 class BlindScreen(Screen):

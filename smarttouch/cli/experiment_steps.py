@@ -92,7 +92,7 @@ def free_run(
             options.outputs(),
             force=force,
             keys=source.keys,
-            keys_help="← →  rate    [ ]  site    1 to 9  mark    ",
+            keys_help="← → rate    [ ] site    1 to 9 mark    ",
             controls=partial(HandControls, knob=knob),
         )
         if not options.quiet:

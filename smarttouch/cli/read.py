@@ -96,5 +96,5 @@ def read(
             outputs,
             force=force,
             keys=reading.keys,
-            keys_help="← →  line    r  again    ",
+            keys_help="← → line    r again    ",
         )

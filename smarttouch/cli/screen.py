@@ -1,32 +1,35 @@
-"""The terminal while a finger reads: source, electrodes, pressure, rate, limits."""
+"""The terminal while a finger reads: limits, keys, source, electrodes, rate."""
 
 import sys
+import textwrap
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
-from rich.columns import Columns
 from rich.console import Group
 from rich.live import Live
-from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
 from smarttouch import terminal
+from smarttouch.cli.screen_pictures import MOST_ROWS, ArrayPicture, image_text
 from smarttouch.events import Advice, Event
-from smarttouch.profile import Profile
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.report import summary_lines
 from smarttouch.running.step import StepResult
 
-_IMAGE_ROWS = 16
 _REFRESH_PER_S = 10
-_KEYS = (
-    "+ −  intensity    0  none    space  pause    m  mode    q, Esc, Ctrl-C  end, all electrodes "
-    "at zero"
-)
+_KEYS = "+ − intensity    0 none    space pause    m mode    q, Esc end"
+_ROOMY = 20
+"""Rows of a terminal from which an event has two of them."""
+_LEAST_PICTURE = 9
+"""Rows of the pictures and their title that numbers leave them."""
+_NAME = 9
+"""Width of the names of gauges and numbers."""
+
+Rows = tuple[tuple[str, str], ...]
+"""Names, and what is said of them."""
 
 
 class Screen(Listener):
@@ -57,7 +60,7 @@ class Screen(Listener):
         """Begin to show it."""
         self._source, self._profile, self._controls = run.source, run.profile, run.controls
         self._board, self._statistics = run.board, run.statistics
-        self._layout = _ArrayLayout(run.profile)
+        self._array = ArrayPicture(run.profile)
         self._full_ma = float(run.profile.full_ma.max())
         if self._quiet or not self._console.is_terminal:
             return
@@ -95,64 +98,88 @@ class Screen(Listener):
             sys.setswitchinterval(self._interval)
 
     def _render(self) -> Group | Text:
+        """Draw all of it, as high whatever it says, in the rows that there are."""
         sent = self._latest
         if sent is None:
             return Text("waiting for the first frame")
-        title = "asked for" if sent.step.input.image is None else "source sees"
-        given = Panel(_given(sent, self._layout), title=title, expand=False)
-        electrodes = Panel(
-            self._layout.draw(sent.felt_ma / self._full_ma),
-            title=f"{sent.step.mode} electrodes",
-            expand=False,
-        )
+        width, height = self._console.size
+        said = 2 if height >= _ROOMY else 1
+        event = textwrap.wrap(self._event, width, max_lines=said, placeholder=" …")
+        texts = (*self._keys_lines(width), *event, *[""] * (said - len(event)))
+        # The last row stays free: a terminal would scroll when something is printed.
+        left = height - 4 - len(texts)
+        numbers = self._numbers(sent)
+        rows = max(0, min(-(-len(numbers) // 2), left - _LEAST_PICTURE))
         return Group(
-            Text(f"{self._source.title}  →  {self._profile.title}  →  {self._url}", style="bold"),
-            Columns([given, electrodes, Panel(self._numbers(sent), title="now", expand=False)]),
-            Text(self._keys if sys.stdin.isatty() else "", style="dim"),
-            Text(self._event, style="dim"),
+            _line(f"{self._source.title}  →  {self._profile.title}  →  {self._url}", "bold"),
+            _columns(self._gauges(sent, width // 2 - 1), width),
+            *(_line(text, "dim") for text in texts),
+            self._pictures(sent, width, max(2, min(left - rows, 1 + MOST_ROWS))),
+            _columns(numbers[: 2 * rows], width),
         )
 
-    def _numbers(self, sent: StepResult) -> Table:
-        frame, sequence, statistics = sent.step.input, sent.step.sequence, self._statistics
-        limits, force = self._profile.limits, self._profile.force
+    def _keys_lines(self, width: int) -> list[str]:
+        if not sys.stdin.isatty():
+            return []
+        # What belongs to a key stays beside it.
+        groups = (each.replace(" ", "\xa0") for each in self._keys.split("    "))
+        lines = textwrap.wrap("   ".join(groups), width)
+        return [line.replace("\xa0", " ") for line in lines]
+
+    def _pictures(self, sent: StepResult, width: int, rows: int) -> Table:
+        image, half = sent.step.input.image, max(2, (width - 3) // 2)
+        electrodes, rows = sent.felt_ma / self._full_ma, rows - 1
+        if image is None:
+            title = "asked for"
+            asked = sent.step.tactile.activation.max(axis=0)
+            given = self._array.draw(asked, half, rows)
+        else:
+            title = "source sees"
+            given = image_text(image, half, rows, color=not self._console.no_color)
+        beside = max(2, width - 3 - max(len(title), *map(len, given.split())))
+        merged = self._array.merged(beside, rows)
+        what = f"{sent.step.mode} electrodes" + f", {merged} × {merged} each" * (merged > 1)
+        table = Table.grid(padding=(0, 3, 0, 0))
+        table.add_row(Text(title, style="dim"), _line(what, "dim"))
+        # As high as it may be, whatever it is of.
+        given.append("\n" * (rows - len(given.split())))
+        table.add_row(given, self._array.draw(electrodes, beside, rows))
+        return table
+
+    def _gauges(self, sent: StepResult, width: int) -> Rows:
+        """Return what bounds what is felt, each with a bar of what is left of a half's width."""
+        frame, sequence, limits = sent.step.input, sent.step.sequence, self._profile.limits
         peak_ma = float(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0)) / 1000
         charge_uc = peak_ma * float(sequence.width_us.max(initial=0)) / 1000
-        pose, wish = frame.pose, self._controls.state(frame.time_ns)
+        full_n, wish = self._profile.force.full_n, self._controls.state(frame.time_ns)
+        asked = "paused" if wish.paused else f"of {wish.level:.2f}"
+        gauges = (
+            ("intensity", sequence.intensity, f"{sequence.intensity:.2f} {asked}"),
+            ("current", peak_ma / limits.current_ma, f"{peak_ma:.2f}/{limits.current_ma:g} mA"),
+            ("pressure", frame.force_n / full_n, f"{frame.force_n:.2f} N"),
+            ("charge", charge_uc / limits.charge_uc, f"{charge_uc:.2f}/{limits.charge_uc:g} µC"),
+        )
+        room = max(3, width - _NAME - 15)
+        return tuple((name, f"{bar(part, room)} {value}") for name, part, value in gauges)
+
+    def _numbers(self, sent: StepResult) -> Rows:
+        frame, sequence, statistics = sent.step.input, sent.step.sequence, self._statistics
+        limits, dose, pose = self._profile.limits, self._board.dose, frame.pose
         dropped = self._source.dropped_frames + statistics.seen - statistics.felt
         length = "" if self._source.duration_s is None else f" of {self._source.duration_s:.0f}"
-        rows = (
-            ("time", f"{frame.time_ns / 1e9:5.1f}{length} s"),
-            ("finger", f"x {pose.x_mm:5.1f}  y {pose.y_mm:5.1f} mm"),
-            ("pressure", f"{bar(frame.force_n / force.full_n)} {frame.force_n:.2f} N"),
-            ("asked for", f"{bar(wish.level)} {wish.level:.2f}{' paused' * wish.paused}"),
-            ("intensity", f"{bar(sequence.intensity)} {sequence.intensity:.2f}"),
-            (
-                "rate",
-                f"{sequence.rate_hz:.0f} Hz, {sequence.slots} slots of {sequence.points} points",
-            ),
+        slots = f"{sequence.slots} slots"
+        charge = f"{dose.most_mc:.1f}/{limits.session_mc:.0f} mC"
+        return (
+            ("time", f"{frame.time_ns / 1e9:.1f}{length} s"),
+            ("rate", f"{sequence.rate_hz:.0f} Hz, {sequence.points} points, {slots}"),
+            ("latency", f"{frame.age_ns / 1e6 + sent.latency_us / 1e3:.1f} ms, image to last byte"),
+            ("session", f"{dose.seconds:.0f}/{limits.session_s:.0f} s, {charge}"),
+            ("finger", f"x {pose.x_mm:.1f}  y {pose.y_mm:.1f} mm"),
             ("beside", _beside(sequence.proof.shared if sequence.proof else None)),
             ("frames", f"{statistics.felt} felt, {dropped} dropped of {self._source.frames}"),
-            ("latency", f"{frame.age_ns / 1e6 + sent.latency_us / 1e3:.1f} ms, image to last byte"),
-            ("own work", f"{sent.work_us:.0f} µs, {statistics.work_share:.1%} of the scans"),
-            (
-                "current",
-                f"{bar(peak_ma / limits.current_ma)} {peak_ma:.2f}/{limits.current_ma} mA",
-            ),
-            (
-                "charge",
-                f"{bar(charge_uc / limits.charge_uc)} {charge_uc:.2f}/{limits.charge_uc} µC",
-            ),
-            (
-                "session",
-                f"{self._board.dose.seconds:.0f}/{limits.session_s:.0f} s, "
-                f"{self._board.dose.most_mc:.1f}/{limits.session_mc:.0f} mC",
-            ),
             ("board", f"{self._board.acknowledged} of {statistics.frames} acknowledged"),
+            ("own work", f"{sent.work_us:.0f} µs, {statistics.work_share:.1%} of the scans"),
         )
-        table = Table.grid(padding=(0, 1))
-        for name, value in rows:
-            table.add_row(Text(name, style="dim"), Text(value))
-        return table
 
     def summarize(self, figures: dict[str, Any], notes: list[str], files: list[Path]) -> None:
         """Print how the run went."""
@@ -166,7 +193,7 @@ def _beside(shared: tuple[float, float] | None) -> str:
     """Return what points that share slots do beside what they are for."""
     if not shared:
         return "no points share a slot"
-    return f"other classes {shared[0]:.2f}, elsewhere {shared[1]:.2f} of the points"
+    return f"others {shared[0]:.2f}, elsewhere {shared[1]:.2f}"
 
 
 def bar(part: float, width: int = 10) -> str:
@@ -174,61 +201,17 @@ def bar(part: float, width: int = 10) -> str:
     return "█" * filled + "░" * (width - filled)
 
 
-def _given(sent: StepResult, layout: "_ArrayLayout") -> Text:
-    """Draw the image that was read; where there is none, what each electrode is to do."""
-    image = sent.step.input.image
-    if image is not None:
-        return _grey(image)
-    return layout.draw(sent.step.tactile.activation.max(axis=0))
+def _line(text: str, style: str = "") -> Text:
+    """Return a text that never takes a second row."""
+    return Text(text, style=style, no_wrap=True, overflow="ellipsis")
 
 
-def _grey(image: NDArray[np.uint8]) -> Text:
-    """Draw an image in half blocks, two rows of pixels to a line."""
-    height, width = image.shape
-    columns = max(2, min(64, round(2 * _IMAGE_ROWS * width / height)))
-    small = cv2.resize(image, (columns, 2 * _IMAGE_ROWS), interpolation=cv2.INTER_AREA)
-    text = Text()
-    for upper, lower in zip(small[::2], small[1::2], strict=True):
-        for above, below in zip(upper.tolist(), lower.tolist(), strict=True):
-            style = f"rgb({above},{above},{above}) on rgb({below},{below},{below})"
-            text.append("▀", style=style)
-        text.append("\n")
-    text.right_crop(1)
-    return text
-
-
-class _ArrayLayout:
-    """Place of each electrode on a canvas of characters, whatever its array."""
-
-    def __init__(self, profile: Profile) -> None:
-        position = profile.electrodes.position_mm
-        step_x, step_y = _finest(position[:, 0]), _finest(position[:, 1])
-        self._column = np.rint((position[:, 0] - position[:, 0].min()) / step_x).astype(int)
-        self._row = np.rint((position[:, 1] - position[:, 1].min()) / step_y).astype(int)
-        self._width = 3 if step_x >= step_y else 2
-
-    def draw(self, parts: NDArray[np.float32]) -> Text:
-        """Draw electrodes by the part that each has of the strongest, (E,)."""
-        cells = [
-            [(" " * self._width, "")] * (int(self._column.max()) + 1)
-            for _ in range(int(self._row.max()) + 1)
-        ]
-        for row, column, part in zip(
-            self._row.tolist(), self._column.tolist(), parts.clip(0, 1).tolist(), strict=True
-        ):
-            mark = "·" if part == 0 else "○◔◑◕●"[min(4, int(part * 5))]
-            glow = round(90 + 165 * part)
-            style = "grey42" if part == 0 else f"rgb({glow},{round(glow * 0.75)},40)"
-            cells[row][column] = (mark.ljust(self._width), style)
-        text = Text()
-        for line in cells:
-            for mark, style in line:
-                text.append(mark, style=style)
-            text.append("\n")
-        text.right_crop(1)
-        return text
-
-
-def _finest(values: NDArray[np.float64]) -> float:
-    steps = np.diff(np.unique(values.round(6)))
-    return float(steps.min()) if steps.size else 1.0
+def _columns(rows: Rows, width: int) -> Table:
+    """Return names and values, two of them in a row."""
+    table = Table.grid(padding=(0, 1, 0, 0))
+    for each in (_NAME, max(1, width // 2 - _NAME - 2)) * 2:
+        table.add_column(width=each, no_wrap=True, overflow="ellipsis")
+    for left, right in zip_longest(rows[::2], rows[1::2], fillvalue=("", "")):
+        cells = zip((*left, *right), ("dim", "") * 2, strict=True)
+        table.add_row(*(Text(text, style) for text, style in cells))
+    return table

@@ -1,5 +1,6 @@
 """Feed of lines that are prepared while earlier ones are read."""
 
+import atexit
 import threading
 from collections.abc import Iterator
 from typing import Self
@@ -85,6 +86,9 @@ class LineFeed:
             self._changed.notify_all()
         if self._thread.is_alive():
             self._thread.join(JOIN_S)
+        if self._thread.is_alive():
+            # An interpreter that ends beneath a library at work is aborted.
+            atexit.register(self._thread.join)
 
     def _take_all(self, lines: Iterator[TouchLine]) -> None:
         try:

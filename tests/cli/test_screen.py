@@ -1,27 +1,69 @@
-"""What the screen says of shared slots."""
+"""What is on the screen of a run, at several sizes of the terminal."""
 
+import io
+import itertools
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
-from smarttouch.afferent import Afferent
-from smarttouch.cli.screen import _ArrayLayout, _beside, _given
+from smarttouch.afferent import Afferent, Mode
+from smarttouch.cli.screen import Screen, _beside
+from smarttouch.cli.screen_pictures import ArrayPicture, image_text
+from smarttouch.events import Advice, ModeChanged
+from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
+from smarttouch.running.controls import Controls, ControlState
 from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.statistics import RunStatistics
 from smarttouch.running.step import StepResult
 from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 
+SIZES = [(120, 40), (80, 24), (60, 15)]
+MARKS = "·○◔◑◕●"
+
+
+def printed(paper=255, ink=0):
+    image = np.full((64, 64), paper, np.uint8)
+    image[20:44, 20:44] = ink
+    return image
+
 
 @pytest.fixture(params=[NO_SHARING, SlotPolicy((Afferent.RA,), planned=False)])
 def sent(request, make_frame, profile, bank):
-    image = np.full((64, 64), 255, np.uint8)
-    image[20:44, 20:44] = 0
     pipeline = Pipeline(profile, bank, RunConfig(scan=request.param))
-    pipeline.process(make_frame(image, 10**9))
-    return StepResult(pipeline.process(make_frame(image, 2 * 10**9)), 1, 0.0)
+    pipeline.process(make_frame(printed(), 10**9))
+    return StepResult(pipeline.process(make_frame(printed(), 2 * 10**9)), 1, 0.0)
+
+
+@pytest.fixture
+def shown(profile, monkeypatch):
+    """Return a function that gives the lines of a screen of some size, after it was told."""
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
+
+    def lines(size, *told, color=True, keys_help=""):
+        screen = Screen("emulator:", quiet=True, keys_help=keys_help)
+        screen._console = Console(
+            width=size[0], height=size[1], file=io.StringIO(), no_color=not color,
+            force_terminal=True, color_system="truecolor",
+        )  # fmt: skip
+        screen.prepare(SimpleNamespace(
+            source=SimpleNamespace(title="page.png", dropped_frames=0, frames=2, duration_s=9.0),
+            profile=profile,
+            controls=Controls(ControlState(Mode.RA, 0.5)),
+            board=SimpleNamespace(dose=SimpleNamespace(seconds=1.0, most_mc=2.0), acknowledged=1),
+            statistics=RunStatistics(),
+        ))  # fmt: skip
+        for each in told:
+            (screen.step if isinstance(each, StepResult) else screen.event)(each)
+        rendered = screen._console.render_lines(screen._render(), pad=False)
+        return ["".join(part.text for part in line) for line in rendered]
+
+    return lines
 
 
 def test_every_point_that_is_stimulated_is_shown(sent):
@@ -47,12 +89,86 @@ def test_what_shared_slots_do_is_told(sent):
     ]
 
 
-def test_where_there_is_no_image_the_activation_is_drawn(profile, bank):
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("color", [True, False])
+def test_all_that_counts_is_there_and_whole(shown, sent, size, color):
+    seen = shown(size, sent, ModeChanged(10**9, Mode.SAI), color=color)
+    assert len(seen) < size[1]
+    assert all(len(line.rstrip()) <= size[0] for line in seen)
+    top, all_of_it = "\n".join(seen[:5]), "\n".join(seen)
+    for name in ("intensity", "current", "pressure", "charge"):
+        assert name in top
+    peak_ma, limit_ma = np.abs(sent.sequence.current_ua).max() / 1000, 5
+    assert f"{peak_ma:.2f}/{limit_ma} mA" in top
+    assert "0.50" in top
+    for key in ("+ −", "0 ", "space", "m ", "q"):
+        assert key in top
+    assert str(Mode.SAI) in top
+    # Each electrode has a sign of its own.
+    assert sum(all_of_it.count(mark) for mark in MARKS) == 64
+    assert all_of_it.count("·") == 64 - sent.sequence.points
+    if size[1] >= 24:
+        for name in ("time", "rate", "latency", "session", "finger", "frames", "board"):
+            assert re.search(rf"\b{name} ", all_of_it), name
+        assert "…" not in all_of_it
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_it_does_not_jump(shown, sent, size):
+    empty = replace(sent.step, input=replace(sent.step.input, image=printed(255, 255)))
+    long = Advice(10**9, "a sentence that goes on " * 20)
+    told = [(sent,), (StepResult(empty, 2, 0.0),), (sent, ModeChanged(0, Mode.PC)), (sent, long)]
+    seen = [shown(size, *each) for each in told]
+    assert len({len(lines) for lines in seen}) == 1
+    assert len({tuple(line.find("electrodes") for line in lines) for lines in seen}) == 1
+
+
+@pytest.mark.parametrize(("columns", "rows"), [*itertools.product((1, 7, 30), (1, 6))])
+def test_a_terminal_that_is_far_too_small_shows_what_fits(shown, sent, columns, rows):
+    assert shown((columns, rows), sent, keys_help="← → rate    ")
+
+
+@pytest.mark.parametrize("color", [True, False])
+def test_an_image_is_seen(color):
+    drawn = {str(image_text(printed(*greys), 32, 16, color=color)) for greys in
+             ((255, 0), (0, 255), (255, 255), (128, 128), (0, 0))}  # fmt: skip
+    assert len(drawn) == (1 if color else 5)
+    if color:
+        shades = {span.style for span in image_text(printed(255, 0), 32, 16, color=True).spans}
+        assert len(shades) >= 2
+
+
+@pytest.mark.parametrize("shape", [(64, 64), (480, 640), (1, 255), (255, 1), (1, 1)])
+@pytest.mark.parametrize("color", [True, False])
+def test_an_image_stays_within_its_place(shape, color):
+    lines = str(image_text(np.zeros(shape, np.uint8), 30, 10, color=color)).split("\n")
+    assert 1 <= len(lines) <= 10
+    assert {len(line) for line in lines} <= {*range(2, 31)}
+
+
+@pytest.mark.parametrize("name", ["electric-mouse", "kajimoto-61", "optacon-24x6"])
+@pytest.mark.parametrize("place", [(60, 20), (24, 8), (5, 3)])
+def test_an_array_stays_within_its_place(name, place):
+    profile = load_profile(name)
+    picture = ArrayPicture(profile)
+    parts = np.zeros(len(profile.electrodes.position_mm), np.float32)
+    parts[5] = 1
+    drawn = str(picture.draw(parts, *place))
+    lines = drawn.split("\n")
+    assert len(lines) <= place[1]
+    assert max(map(len, lines)) <= place[0]
+    assert drawn.count("●") == 1
+    if picture.merged(*place) == 1:
+        assert drawn.count("·") == len(parts) - 1
+
+
+def test_where_there_is_no_image_the_activation_is_drawn(shown, profile, bank):
     activation = np.zeros((3, 64), np.float32)
     activation[Afferent.RA, [9, 27]] = 1, 0.5
     pipeline = Pipeline(profile, bank, RunConfig())
     step = pipeline.process(Stimulus(activation, 0, 1.0, 20_000))
-    shown = str(_given(StepResult(step, 1, 0.0), _ArrayLayout(profile)))
-    assert shown.count("·") == 62
-    with_image = replace(step, input=replace(step.input, image=np.zeros((8, 8), np.uint8)))
-    assert "▀" in str(_given(StepResult(with_image, 1, 0.0), _ArrayLayout(profile)))
+    seen = "\n".join(shown((80, 24), StepResult(step, 1, 0.0)))
+    assert sum(seen.count(mark) for mark in MARKS) == 128
+    assert seen.count("·") >= 62
+    with_image = replace(step, input=replace(step.input, image=printed()))
+    assert "▀" in "\n".join(shown((80, 24), StepResult(with_image, 1, 0.0)))

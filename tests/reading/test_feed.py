@@ -97,3 +97,19 @@ def test_closed_it_lets_go_of_where_the_lines_come_from(make_line):
     feed.wait_for(0, 10)
     feed.close()
     assert let_go
+
+
+def test_what_is_at_work_when_closed_is_waited_for_at_the_end(make_line, monkeypatch):
+    waited, go_on = [], threading.Event()
+    monkeypatch.setattr("atexit.register", waited.append)
+
+    def slow():
+        yield make_line()
+        go_on.wait(60)
+
+    feed = LineFeed(slow()).start()
+    feed.wait_for(0, 10)
+    feed.close()
+    go_on.set()
+    waited[0](60)
+    assert feed.wait_for_end(0)
