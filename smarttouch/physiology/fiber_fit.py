@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 _OWN_NODES = 4
 _BLOCKS = (np.inf, 4.0, 2.8, 2.0, 1.4)
+_WELL = 0.03
+"""Error up to which no block is looked for."""
 _WORTHWHILE = 0.8
 """Part of the error to which a block has to bring it down."""
 _TOLERANCE = 0.05
@@ -63,6 +65,8 @@ def fit(
         error = threshold_error(driving.highest(potential_mv), threshold_ma).tenth
         if best is None or error < _WORTHWHILE * least:
             best, least = driving, error
+        if least < _WELL:
+            break
     assert best is not None
     return best
 

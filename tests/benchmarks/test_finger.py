@@ -46,7 +46,7 @@ def test_drive_of_a_frame(benchmark, quick, bank, anatomy, times, slots, known):
 
     def frame():
         part = random.uniform(0.7, 1.0, (2, slots, 1))
-        other = 0 if known else part[1] * np.roll(kernels, 7, axis=1)
+        other = 0 if known else part[1] * np.roll(kernels, random.integers(1, 63), axis=1)
         return (np.rint(part[0] * kernels + other), width), {}
 
     model.drive(np.rint(kernels), width)
