@@ -4,10 +4,11 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from smarttouch.afferent import Afferent, Mode
 from smarttouch.kernels.bank import KernelBank, load_bank
+from smarttouch.kernels.driving_problem import DrivingProblem
 from smarttouch.kernels.problem import Kernel, Problem
 from smarttouch.kernels.switching import designer
 from smarttouch.profile import Profile
@@ -200,7 +201,12 @@ def load_kernels(profile: Profile) -> KernelBank:
     return load_bank(profile)
 
 
-def design_kernel(profile: Profile, afferent: Afferent | str, site: int) -> Kernel:
+def design_kernel(
+    profile: Profile,
+    afferent: Afferent | str,
+    site: int,
+    model: Literal["activating", "driving"] = "activating",
+) -> Kernel:
     """Design the kernel of one site, of the kind that the profile's board can make.
 
     Parameters
@@ -210,6 +216,9 @@ def design_kernel(profile: Profile, afferent: Afferent | str, site: int) -> Kern
         Afferent class: RA, SAI or PC.
     site : int
         Electrode over the target.
+    model : {"activating", "driving"}
+        What fires a fiber: the activating function at a node, as in the paper, or a driving
+        function fitted to a cable model; weights are then in mA at the target's threshold.
 
     Raises
     ------
@@ -224,4 +233,5 @@ def design_kernel(profile: Profile, afferent: Afferent | str, site: int) -> Kern
     True
     """
     afferent = afferent if isinstance(afferent, Afferent) else Afferent[afferent]
-    return designer(profile)(Problem(profile, afferent), site)
+    problem = (DrivingProblem if model == "driving" else Problem)(profile, afferent)
+    return designer(profile)(problem, site)

@@ -31,6 +31,10 @@ def design(
     any_node: Annotated[
         bool, typer.Option("--any-node", help="Brute force over the activated node.")
     ] = False,
+    driving: Annotated[
+        bool,
+        typer.Option("--driving", help="By the thresholds of fibers, not the activating function."),
+    ] = False,
     compare: Annotated[
         bool, typer.Option("--compare", help="All kinds of kernels, nominal and worst finger.")
     ] = False,
@@ -63,7 +67,8 @@ def design(
         name
         for name, asked in (
             ("--robust", robust and not three_state), ("--three-state", three_state),
-            ("--any-node", any_node), ("--compare", compare), ("--bank", bank_file is not None),
+            ("--any-node", any_node), ("--driving", driving), ("--compare", compare),
+            ("--bank", bank_file is not None),
         )
         if asked
     ]  # fmt: skip
@@ -112,7 +117,7 @@ def design(
         for each in shown:
             _print(*report.weight_table(chosen, each))
     if json_file is not None:
-        write_json(json_file, report.as_json(chosen, shown))
+        write_json(json_file, report.as_json(chosen, shown, driving))
     if plot_file is not None:
         from smarttouch.plotting.kernels import kernel_figure
         from smarttouch.plotting.style import save

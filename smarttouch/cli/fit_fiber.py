@@ -18,7 +18,12 @@ def fit_fiber(
     json_file: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Fit what fires a fiber, and compare with its cable model on kernels not fitted to."""
+    """Fit what fires a fiber, and compare with its cable model on kernels not fitted to.
+
+    The MRG model takes an hour or two; if interrupted, it goes on where it was the next time.
+    """
+    import platformdirs
+
     from smarttouch.cli.files import parse_choice, require_folder, write_json
     from smarttouch.cli.progress import lines_progress
     from smarttouch.cli.tables import print_table
@@ -30,8 +35,9 @@ def fit_fiber(
 
     chosen, name = load_profile(profile), parse_choice("FIBER", fiber, tuple(FIBERS))
     require_folder(json_file)
+    keep = platformdirs.user_cache_path("smarttouch") / "fibers"
     with lines_progress(quiet, "Fitting") as progress:
-        fits = fit(chosen, load_bank(chosen), name, progress=progress)
+        fits = fit(chosen, load_bank(chosen), name, progress=progress, keep=keep)
     if json_file is not None:
         write_json(json_file, as_json(fits))
     if not quiet:

@@ -1,7 +1,9 @@
 """Fits of driving functions, and their errors on kernels and fibers that they have not seen."""
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +11,7 @@ from numpy.typing import NDArray
 
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.kernels.fiber_cases import FiberCases, along_mm, cases
-from smarttouch.physiology.driving import FIBERS, DrivingFunction, End, as_table
+from smarttouch.physiology.driving import FIBERS, DrivingFunction, End, as_table, load_driving
 from smarttouch.physiology.fiber_fit import ThresholdError, activating, fit, threshold_error
 from smarttouch.physiology.membrane import Fiber, threshold_ma, thresholds_ma
 from smarttouch.profile import Profile
@@ -20,10 +22,11 @@ Progress = Callable[[int, int], None]
 WIDTHS_US = (50.0, 100.0, 200.0, 500.0)
 _EARLY = 0.3
 """Where the search for thresholds begins, of what the activating function predicts."""
-_FADED = 0.3
-"""Slope at a cut, relative to the largest bend, below which a field counts as faded there."""
+_MOST_MA = 50.0
+"""Threshold beyond which a fiber does not fire: ten times what any board may deliver."""
 _FEWER = 3
 """Every third case of the MRG model, which takes seconds each."""
+_AT_ONCE = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +65,7 @@ def fit_fiber(
     fiber: str,
     widths_us: Sequence[float] = WIDTHS_US,
     progress: Progress = lambda _done, _all: None,
+    keep: Path | None = None,
 ) -> list[FiberFit]:
     """Fit a fiber with each of its endings, and judge it on kernels of other sites.
 
@@ -75,33 +79,40 @@ def fit_fiber(
     widths_us : sequence of float, µs
     progress : callable
         Is given the number of finished fits and of all.
+    keep : Path, optional
+        Folder for thresholds of the MRG model, so that a run which is stopped can go on.
     """
     found = []
     ends = ends_of(fiber)
     for end in ends:
         seen, unseen = (cases(profile, bank, end != "through", other) for other in (False, True))
         for width in widths_us:
-            found.append(_fit_one(fiber, end, width, seen, unseen))
+            found.append(_fit_one(fiber, end, width, seen, unseen, keep))
             progress(len(found), len(ends) * len(widths_us))
     return found
 
 
 def _fit_one(
-    name: str, end: End, width_us: float, seen: FiberCases, unseen: FiberCases
+    name: str,
+    end: End,
+    width_us: float,
+    seen: FiberCases,
+    unseen: FiberCases,
+    keep: Path | None = None,
 ) -> FiberFit:
     fiber = replace(FIBERS[name], end=end)
     if name == "mrg":
         thin = np.arange(len(seen.group)) % _FEWER == 0
         seen, unseen = seen[thin], unseen[thin]
-    reach_mm = 4.0 if fiber.internode_mm < 0.2 else 8.0
+    reach_mm = 4.0 if fiber.internode_mm < 0.2 else 15.0 if name == "mrg" else 8.0
     potentials, thresholds = [], []
     for each in (seen, unseen):
         potentials.append(each.potential_mv(along_mm(end, fiber.internode_mm, reach_mm)))
-        thresholds.append(_thresholds(name, fiber, width_us, each, potentials[-1]))
-    reach = 12 if fiber.internode_mm < 0.2 else 8
+        thresholds.append(_thresholds(name, fiber, width_us, each, potentials[-1], keep))
+    reach = 16 if fiber.internode_mm < 0.2 else 8
     driving = fit(fiber, width_us, potentials[0], thresholds[0], reach)
     plain = activating(fiber, potentials[0], thresholds[0])
-    highest = _highest(driving, potentials[1])
+    highest = driving.highest(potentials[1])
     names = np.array(
         [f"{g} {'+' if c else '-'}" for g, c in zip(unseen.group, unseen.cathodic, strict=True)]
     )
@@ -113,34 +124,54 @@ def _fit_one(
         name,
         width_us,
         driving,
-        threshold_error(_highest(driving, potentials[0]), thresholds[0]),
+        threshold_error(driving.highest(potentials[0]), thresholds[0]),
         held_out,
-        threshold_error(_highest(plain, potentials[1]), thresholds[1]),
+        threshold_error(plain.highest(potentials[1]), thresholds[1]),
     )
 
 
-def _highest(driving: DrivingFunction, potential_mv: Array) -> Array:
-    return np.asarray(driving.drive(potential_mv[..., None])[..., 0].max(axis=1))
-
-
 def _thresholds(
-    name: str, fiber: Fiber, width_us: float, each: FiberCases, potential_mv: Array
+    name: str,
+    fiber: Fiber,
+    width_us: float,
+    each: FiberCases,
+    potential_mv: Array,
+    keep: Path | None,
 ) -> Array:
-    near_ma = _near(fiber, width_us, potential_mv)
+    """Return the thresholds of the cable model, (C,) mA; NaN where it does not fire."""
     if name != "mrg":
-        return thresholds_ma(potential_mv, fiber, width_us, near_ma, step_us=width_us / 50)
+        near_ma = _near(fiber, width_us, potential_mv)
+        found = thresholds_ma(potential_mv, fiber, width_us, near_ma, step_us=width_us / 50)
+    else:
+        found = _mrg_thresholds(fiber, width_us, each, potential_mv, keep)
+    return np.where(found > _MOST_MA, np.nan, found)
+
+
+def _mrg_thresholds(
+    fiber: Fiber, width_us: float, each: FiberCases, potential_mv: Array, keep: Path | None
+) -> Array:
+    """Return the thresholds of the MRG model; what is kept of an earlier run is not run again."""
     from smarttouch.physiology.mrg import MrgFiber
 
     model = MrgFiber("active" if fiber.end == "active" else "through")
-    thresholds = model.thresholds_ma(each.potential_mv(model.along_mm), width_us, near_ma)
-    return np.where(_cut_counts(fiber, potential_mv), np.nan, thresholds)
-
-
-def _cut_counts(fiber: Fiber, potential_mv: Array) -> NDArray[np.bool_]:
-    """Return where a field has not faded at the cut of a fiber that should go on, (C,)."""
-    slopes = -np.diff(potential_mv, axis=1)
-    cut = slopes[:, -1] if fiber.end == "active" else np.maximum(slopes[:, -1], -slopes[:, 0])
-    return np.asarray(cut > _FADED * np.diff(potential_mv, 2, axis=1).max(axis=1))
+    # What ships is within some per cent, and an estimate changes nothing but the time.
+    near_ma = 1 / np.maximum(load_driving("mrg", fiber.end, width_us).highest(potential_mv), 1e-3)
+    fields = each.potential_mv(model.along_mm)
+    found = []
+    for first in range(0, len(fields), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        digest = hashlib.sha256(fields[part].tobytes()).hexdigest()[:16]
+        path = keep and keep / f"mrg-{fiber.end}-{width_us:g}-{digest}.npy"
+        if path is not None and path.exists():
+            found.append(np.load(path))
+            continue
+        found.append(model.thresholds_ma(fields[part], width_us, near_ma[part]))
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            half = path.with_suffix(".part.npy")
+            np.save(half, found[-1])
+            half.replace(path)
+    return np.concatenate(found)
 
 
 def _near(fiber: Fiber, width_us: float, potential_mv: Array) -> Array:

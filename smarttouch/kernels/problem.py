@@ -151,23 +151,23 @@ class Problem:
         self.rows = [
             Rows(
                 np.concatenate([self._by_direction(aim, skin) for aim in aims]),
-                np.concatenate([af_matrix(profile, one, skin) for e in others for one in sets[e]]),
-                np.concatenate([af_matrix(profile, one, skin) for one in sets[afferent]]),
+                np.concatenate([self._matrix(one, skin) for e in others for one in sets[e]]),
+                np.concatenate([self._matrix(one, skin) for one in sets[afferent]]),
             )
             for skin in (variants(profile.skin) if spread else [profile.skin])
         ]
         self.other_class = np.concatenate(
             [
-                np.full(len(one.direction) * len(one.position_mm), each, np.int8)
+                np.full(self._layers(one) * len(one.position_mm), each, np.int8)
                 for each in others
                 for one in sets[each]
             ]
         )
         self.grids = [
-            (one.grid, len(one.direction)) for each in others for one in sets[each]
+            (one.grid, self._layers(one)) for each in others for one in sets[each]
         ]  # fmt: skip
         self._own_position_mm = np.concatenate(
-            [np.tile(one.position_mm, (len(one.direction), 1)) for one in sets[afferent]]
+            [np.tile(one.position_mm, (self._layers(one), 1)) for one in sets[afferent]]
         )
 
     @property
@@ -229,7 +229,7 @@ class Problem:
     def axon(self, site: int) -> Array:
         """Return the rows of the target's own axon, the node under the electrode first."""
         sets = along_axon(self.profile, self.afferent, site)
-        return np.concatenate([af_matrix(self.profile, one) for one in sets])
+        return np.concatenate([self._matrix(one, self.profile.skin) for one in sets])
 
     def axon_mm(self, site: int) -> Array:
         """Return the places of the nodes of the target's own axon, (K, 3) x, y and depth."""
@@ -308,4 +308,12 @@ class Problem:
 
     def _by_direction(self, aim: Afferents, skin: Skin) -> Array:
         count = self.electrodes
-        return af_matrix(self.profile, aim, skin).reshape(-1, count, count)
+        return self._matrix(aim, skin).reshape(-1, count, count)
+
+    def _matrix(self, nodes: Afferents, skin: Skin) -> Array:
+        """Return the rows of a set of nodes, layer by layer."""
+        return af_matrix(self.profile, nodes, skin)
+
+    def _layers(self, nodes: Afferents) -> int:
+        """Return how many rows a set has for each place."""
+        return len(nodes.direction)

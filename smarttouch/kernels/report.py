@@ -11,6 +11,7 @@ from smarttouch.kernels.bank import KernelBank
 from smarttouch.kernels.batch import design_sites
 from smarttouch.kernels.comparison import compare
 from smarttouch.kernels.design import design_any_node, design_kernel
+from smarttouch.kernels.driving_problem import DrivingProblem
 from smarttouch.kernels.problem import Kernel, Problem
 from smarttouch.kernels.switching import design_three_state, designer, kind_of
 from smarttouch.profile import Profile
@@ -72,11 +73,15 @@ def kernels_designed(
     robust: bool,
     progress: Advance | None,
 ) -> list[SiteKernel]:
-    """Design kernels anew: one of `DESIGNS`, or as the profile's board needs them."""
-    design_one = designer(profile) if how is None else DESIGNS[how]
+    """Design kernels anew: one of `DESIGNS`, or as the profile's board needs them.
+
+    "driving" is the latter on driving functions.
+    """
+    design_one = DESIGNS[how] if how in DESIGNS else designer(profile)
+    a_problem = DrivingProblem if how == "driving" else Problem
     found = []
     for index, mode in enumerate(modes):
-        problem = Problem(profile, mode, spread=robust)
+        problem = a_problem(profile, mode, spread=robust)
         timed = design_sites(problem, design_one, sites, _part(progress, index, len(modes)))
         found += [SiteKernel(mode, site, *each) for site, each in zip(sites, timed, strict=True)]
     return found
@@ -118,12 +123,18 @@ def middle_kernels(
     return site, found
 
 
-def as_json(profile: Profile, kernels: Sequence[SiteKernel]) -> dict[str, Any]:
-    """Return kernels as a JSON object; weights in mA per V/mm², cathodic positive."""
+def as_json(
+    profile: Profile, kernels: Sequence[SiteKernel], driving: bool = False
+) -> dict[str, Any]:
+    """Return kernels as a JSON object; weights in mA per V/mm², cathodic positive.
+
+    Designed on driving functions, their weights are in mA at the target's threshold.
+    """
+    aim = "the target's threshold" if driving else "an activating function of 1 V/mm² at the target"
     return {
         "profile": profile.name,
         "positive": "cathodic",
-        "weights_unit": "mA for an activating function of 1 V/mm² at the target",
+        "weights_unit": f"mA for {aim}",
         "kernels": [_one_as_json(profile, each) for each in kernels],
     }
 

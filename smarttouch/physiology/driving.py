@@ -48,12 +48,16 @@ class DrivingFunction:
     near_end : ndarray, (H, L), 1/mV
         Weights of the first H nodes that can fire, on the first L differences; (0, 0) of a
         fiber that runs through.
+    block : float
+        Drive of the other sign that stops a passing spike, relative to that of the node which
+        fires: anodes hold up spikes of long pulses. Infinite where they do not.
     """
 
     internode_mm: float
     end: End
     along: Array
     near_end: Array
+    block: float = np.inf
 
     def drive(self, potential_mv: Array) -> Array:
         """Return the drive at each node that can fire: 1 is the threshold.
@@ -68,6 +72,23 @@ class DrivingFunction:
         ndarray, (C, M, E)
         """
         return self.operator(potential_mv.shape[-2]) @ potential_mv
+
+    def highest(self, potential_mv: Array) -> Array:
+        """Return the largest drive of a node whose spike gets out of the field.
+
+        A spike that is blocked on its way toward the last node does not count; 0 if all are.
+
+        Parameters
+        ----------
+        potential_mv : ndarray, (C, N)
+            Potential at the nodes of C fibers, ending first, each for its own current.
+
+        Returns
+        -------
+        ndarray, (C,)
+        """
+        drive = self.drive(potential_mv[..., None])[..., 0]
+        return np.asarray(np.where(passes(drive, self.block), drive, 0.0).max(axis=1))
 
     def operator(self, nodes: int) -> Array:
         """Return the drive as a matrix on the potentials of so many nodes, (M, N) 1/mV."""
@@ -84,6 +105,15 @@ class DrivingFunction:
             row[:] = 0
             row[: weights.size] = weights[:size]
         return np.asarray(smooth @ bend)
+
+
+def passes(drive: Array, block: float) -> NDArray[np.bool_]:
+    """Return whether a spike of each node gets past the nodes after it, (C, M)."""
+    against = np.maximum.accumulate(-drive[:, ::-1], axis=1)[:, ::-1]
+    free = np.ones(drive.shape, np.bool_)
+    if np.isfinite(block):
+        free[:, :-1] = against[:, 1:] < block * drive[:, :-1]
+    return free
 
 
 def bend_operator(end: End, nodes: int) -> Array:
@@ -145,18 +175,23 @@ def load_driving(fiber: str, end: End, width_us: float) -> DrivingFunction:
         part: np.array([fitted[f"{each:g}"][part] for each in widths])
         for part in ("along", "near_end")
     }
+    weights["passing"] = np.array(
+        [1 / (fitted[f"{each:g}"].get("block") or np.inf) for each in widths]
+    )
     at = float(np.interp(np.log(width_us), np.log(widths), np.arange(len(widths))))
     below = min(int(at), len(widths) - 2)
-    along, near_end = (
+    along, near_end, passing = (
         (below + 1 - at) * weights[part][below] + (at - below) * weights[part][below + 1]
-        for part in ("along", "near_end")
+        for part in ("along", "near_end", "passing")
     )
-    return DrivingFunction(FIBERS[fiber].internode_mm, end, along, near_end)
+    block = 1 / float(passing) if passing else np.inf
+    return DrivingFunction(FIBERS[fiber].internode_mm, end, along, near_end, block)
 
 
 def as_table(driving: DrivingFunction) -> dict[str, Any]:
     """Return the weights for a JSON file, rounded to five digits."""
-    return {
+    table: dict[str, Any] = {} if np.isinf(driving.block) else {"block": driving.block}
+    return table | {
         "along": [float(f"{weight:.5g}") for weight in driving.along],
         "near_end": [[float(f"{weight:.5g}") for weight in row] for row in driving.near_end],
     }

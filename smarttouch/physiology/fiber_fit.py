@@ -11,12 +11,17 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import least_squares
 
-from smarttouch.physiology.driving import DrivingFunction, bend_operator
+from smarttouch.physiology.driving import DrivingFunction, bend_operator, passes
 from smarttouch.physiology.membrane import Axon, Fiber
 
 Array = NDArray[np.float64]
 
-_OWN_NODES, _OWN_REACH = 4, 13
+_OWN_NODES = 4
+_BLOCKS = (np.inf, 4.0, 2.8, 2.0, 1.4)
+_WELL = 0.03
+"""Error up to which no block is looked for."""
+_WORTHWHILE = 0.8
+"""Part of the error to which a block has to bring it down."""
 _TOLERANCE = 0.05
 """Error up to which squares count; beyond it they grow more slowly (soft L1)."""
 _TIED = 0.1
@@ -46,39 +51,57 @@ def fit(
         Neighbors of a node, to either side, that count.
     """
     counts = np.isfinite(threshold_ma)
-    features = _features(fiber, potential_mv[counts], reach)
-    threshold_ma = threshold_ma[counts]
+    potential_mv, threshold_ma = potential_mv[counts], threshold_ma[counts]
+    features = _features(fiber, potential_mv, reach)
     start = _linear_start(fiber, width_us, reach)
     start /= np.median(threshold_ma * (features @ start).max(axis=1))
+    best, least = None, np.inf
+    for block in _BLOCKS:
+        found = _weights(features, threshold_ma, start, block)
+        near_end = found[reach + 1 :].reshape(-1, reach + _OWN_NODES)
+        driving = DrivingFunction(
+            fiber.internode_mm, fiber.end, found[: reach + 1], near_end, block
+        )
+        error = threshold_error(driving.highest(potential_mv), threshold_ma).tenth
+        if best is None or error < _WORTHWHILE * least:
+            best, least = driving, error
+        if least < _WELL:
+            break
+    assert best is not None
+    return best
+
+
+def _weights(features: Array, threshold_ma: Array, start: Array, block: float) -> Array:
+    """Return the weights that best give thresholds, near those to start from."""
     every = np.arange(len(features))
     scale = np.abs(start) + 0.01 * np.abs(start).max()
 
+    def fires(weights: Array) -> tuple[NDArray[np.intp], Array]:
+        drive = features @ weights
+        node = np.where(passes(drive, block), drive, drive.min() - 1).argmax(axis=1)
+        return node, drive[every, node]
+
     def errors(weights: Array) -> Array:
-        reached = threshold_ma * (features @ weights).max(axis=1)
+        reached = threshold_ma * fires(weights)[1]
         straight = reached / _LEAST - 1 + np.log(_LEAST)
         missed = np.where(reached > _LEAST, np.log(np.maximum(reached, _LEAST)), straight)
         return np.concatenate([missed, _TIED * (weights - start) / scale])
 
     def slopes(weights: Array) -> Array:
-        drive = features @ weights
-        node = drive.argmax(axis=1)
-        highest = drive[every, node]
+        node, highest = fires(weights)
         steep = 1 / np.maximum(highest, _LEAST / threshold_ma)
         return np.vstack([features[every, node] * steep[:, None], np.diag(_TIED / scale)])
 
-    found = least_squares(
-        errors,
-        start,
-        slopes,
-        x_scale=scale,
-        loss="soft_l1",
-        f_scale=_TOLERANCE,
-        max_nfev=200,
-    ).x
-    along, near_end = found[: reach + 1], found[reach + 1 :]
-    rows = 0 if fiber.end == "through" else _OWN_NODES
-    return DrivingFunction(
-        fiber.internode_mm, fiber.end, along, near_end.reshape(rows, _OWN_REACH if rows else 0)
+    return np.asarray(
+        least_squares(
+            errors,
+            start,
+            slopes,
+            x_scale=scale,
+            loss="soft_l1",
+            f_scale=_TOLERANCE,
+            max_nfev=200,
+        ).x
     )
 
 
@@ -95,11 +118,12 @@ def _features(fiber: Fiber, potential_mv: Array, reach: int) -> Array:
     if fiber.end == "through":
         return along
     along = along[:, _OWN_NODES + (fiber.end == "passive") :]
-    features = np.zeros((count, along.shape[1] + _OWN_NODES, reach + 1 + _OWN_NODES * _OWN_REACH))
+    wide = reach + _OWN_NODES
+    features = np.zeros((count, along.shape[1] + _OWN_NODES, reach + 1 + _OWN_NODES * wide))
     features[:, _OWN_NODES:, : reach + 1] = along
     for node in range(_OWN_NODES):
-        own = reach + 1 + node * _OWN_REACH
-        features[:, node, own : own + _OWN_REACH] = bends[:, :_OWN_REACH]
+        own = reach + 1 + node * wide
+        features[:, node, own : own + wide] = bends[:, :wide]
     return features
 
 
@@ -113,7 +137,7 @@ def _linear_start(fiber: Fiber, width_us: float, reach: int) -> Array:
     if fiber.end == "through":
         return np.asarray(along)
     first = int(fiber.end == "passive")
-    return np.concatenate([along, answer[first:, :_OWN_REACH][:_OWN_NODES].ravel()])
+    return np.concatenate([along, answer[first:, : reach + _OWN_NODES][:_OWN_NODES].ravel()])
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,6 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 _AT_ONCE = 256
-_NODE_MM = 0.25
-"""Largest distance of the nodes that are looked at, where nodes lie closer: drives are smooth."""
 _SHALLOWEST_MM = 0.2
 
 
@@ -233,36 +231,34 @@ class Finger:
         found = [np.zeros((0, len(self.profile.electrodes)), np.float32)]
         owners = [np.zeros(0, np.intp)]
         # The first branch goes on along the axon, the others end where they join it.
-        for which, length_mm in (
-            (first, _length(one.course_mm[first], one.course_mm.shape[1] - 1)),
-            (~first, _length(one.course_mm[~first], 2) + len(driving.along) * driving.internode_mm),
-        ):
+        for which, corners in ((first, one.course_mm.shape[1] - 1), (~first, 2)):
             indices = np.flatnonzero(which)
             for part in np.array_split(indices, max(1, len(indices) // _AT_ONCE)):
                 if len(part):
-                    rows, owner = self._part(one, driving, part, length_mm)
+                    rows, owner = self._part(one, driving, part, corners)
                     found.append(rows)
                     owners.append(owner)
         return np.concatenate(found), np.concatenate(owners)
 
     def _part(
-        self, one: Population, driving: DrivingFunction, part: NDArray[np.intp], length_mm: float
+        self, one: Population, driving: DrivingFunction, part: NDArray[np.intp], corners: int
     ) -> tuple[Floats, NDArray[np.intp]]:
+        """Return the drive at nodes of some branches, up to a corner of each."""
         spacing = driving.internode_mm
-        nodes = max(int(np.ceil(length_mm / spacing)), len(driving.near_end.T) + 4, 12)
-        points = course_points(one, part, nodes, spacing)
-        operator = driving.operator(nodes)
-        kept = np.arange(len(operator))
-        near, every = len(driving.near_end), max(1, int(_NODE_MM / spacing))
-        kept = kept[(kept < near) | ((kept - near) % every == 0)]
-        drive = operator[kept] @ potential_mv(self.profile, points)
+        length_mm = _length(one.course_mm[part], corners)
+        nodes = int(np.ceil(length_mm.max() / spacing)) + len(driving.along) + 1
+        points = course_points(one, part, max(nodes, len(driving.near_end.T) + 4), spacing)
+        drive = driving.drive(potential_mv(self.profile, points))
         owner = one.owner[part]
         drive /= one.factor[owner][:, None, None]
-        rows = drive.reshape(-1, drive.shape[-1])
         longest = strength(self.profile.limits.pulse_us, one.anatomy.chronaxie_us)
         longest /= strength(self.profile.pulse.width_us, one.anatomy.chronaxie_us)
+        # Nodes beyond the end are there for their neighbors.
+        node = np.arange(drive.shape[1]) + (driving.end != "active")
+        there = node * spacing <= length_mm[:, None] + spacing
+        rows, owner = drive[there], np.repeat(owner, there.sum(axis=1))
         can = self._most(rows) * max(longest, 1.0) >= 1 - 5 * one.anatomy.noise
-        return rows[can].astype(np.float32), np.repeat(owner, len(kept))[can]
+        return rows[can].astype(np.float32), owner[can]
 
     def _most(self, rows: Array) -> Array:
         """Return the largest drive that currents within the profile's limits may have, (N,).
@@ -291,12 +287,10 @@ def course_points(
     return _rounded(points, int(one.anatomy.bend_mm / spacing_mm / 2))
 
 
-def _length(course_mm: Array, corners: int) -> float:
-    """Return the longest of courses up to a corner, mm."""
-    if not len(course_mm):
-        return 0.0
+def _length(course_mm: Array, corners: int) -> Array:
+    """Return the lengths of courses up to a corner, (B,) mm."""
     steps = np.linalg.norm(np.diff(course_mm[:, : corners + 1], axis=1), axis=2)
-    return float(steps.sum(axis=1).max())
+    return np.asarray(steps.sum(axis=1))
 
 
 def _along(course_mm: Array, along_mm: Array) -> Array:

@@ -28,8 +28,9 @@ class MrgFiber:
     end : {"through", "active"}
         Whether its first node is an ending, sealed, or it runs on to both sides.
     diameter_um : float, µm
-    nodes : int
-        Odd.
+    nodes : int, optional
+        Odd; by default as many as reach 15 mm to each side of it, or down from its ending: farther
+        than fields of an array, so that no cut is felt.
 
     Raises
     ------
@@ -38,7 +39,10 @@ class MrgFiber:
     """
 
     def __init__(
-        self, end: Literal["through", "active"], diameter_um: float = 5.7, nodes: int = 31
+        self,
+        end: Literal["through", "active"],
+        diameter_um: float = 5.7,
+        nodes: int | None = None,
     ) -> None:
         try:
             from pyfibers import FiberModel, build_fiber
@@ -54,7 +58,7 @@ class MrgFiber:
         self._fiber: Any = build_fiber(
             FiberModel.MRG_INTERPOLATION,
             diameter=diameter_um,
-            n_nodes=nodes,
+            n_nodes=nodes or (61 if end == "through" else 31),
             passive_end_nodes=False,
         )
         along = np.asarray(self._fiber.longitudinal_coordinates) / 1000

@@ -1,31 +1,62 @@
-"""From slots to the drive of every afferent of a finger, and from a seed to a finger."""
+"""From slots to the drive of every afferent of a finger, and from a seed to a finger.
+
+Processor time, as docs/explanation/finger.md has it: ``pytest tests/benchmarks/test_finger.py
+--benchmark-only -n0 --benchmark-timer=time.process_time --benchmark-columns=min,median``.
+"""
+
+from functools import cache
 
 import numpy as np
 import pytest
 
+from smarttouch.afferent import Afferent
 from smarttouch.physiology.anatomy import load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.profile import DEFAULT_PROFILE, load_profile
 
 SLOTS = (1, 16, 64)
+TIMES = (0.33, 1.3, 5.4)
+"""Densities, relative to a finger's: some 300, 1,200 and 5,000 afferents."""
 
 
 @pytest.mark.parametrize("anatomy", ["paper", "branched"])
-@pytest.mark.parametrize("times", [0.33, 1.3])
-def test_a_finger_is_drawn(benchmark, profile, anatomy, times):
+@pytest.mark.parametrize("times", TIMES[:2])
+def test_a_finger_is_drawn(benchmark, quick, profile, anatomy, times):
+    if quick and times > TIMES[0]:
+        pytest.skip("the smallest finger only")
     wanted = scaled(anatomy, times)
     benchmark.pedantic(lambda: Finger(profile, 1, wanted).rows, rounds=3)
 
 
+@pytest.mark.parametrize("known", [True, False], ids=["known", "new"])
 @pytest.mark.parametrize("slots", SLOTS)
+@pytest.mark.parametrize("times", TIMES)
 @pytest.mark.parametrize("anatomy", ["paper", "branched"])
-@pytest.mark.parametrize("times", [0.33, 1.3, 5.4])
-def test_drive_of_a_frame(benchmark, profile, anatomy, times, slots):
-    """Some 300, 1,200 and 5,000 afferents."""
-    model = SpikeModel(Finger(profile, 1, scaled(anatomy, times)))
-    current_ua = np.random.default_rng(1).integers(-2400, 2400, (slots, len(profile.electrodes)))
-    benchmark.extra_info["afferents"] = len(model.finger.classes)
-    benchmark(model.drive, current_ua, np.full(slots, 200))
+def test_drive_of_a_frame(benchmark, quick, bank, anatomy, times, slots, known):
+    """Points of an RA frame, each its kernel; or sums of two kernels never seen before."""
+    if quick and (times, slots) != (TIMES[1], SLOTS[1]):
+        pytest.skip("one finger and one frame only")
+    model = SpikeModel(a_finger(anatomy, times))
+    kernels = 2400 * bank.kernels(Afferent.RA)[:slots]
+    benchmark.extra_info["afferents"], benchmark.extra_info["nodes"] = (
+        len(each) for each in (model.finger.classes, model.finger.rows[0])
+    )
+    width, random = np.full(slots, 200), np.random.default_rng(1)
+
+    def frame():
+        part = random.uniform(0.7, 1.0, (2, slots, 1))
+        other = 0 if known else part[1] * np.roll(kernels, random.integers(1, 63), axis=1)
+        return (np.rint(part[0] * kernels + other), width), {}
+
+    model.drive(np.rint(kernels), width)
+    benchmark.pedantic(model.drive, setup=frame, rounds=20)
+
+
+@cache
+def a_finger(anatomy, times):
+    """Return a finger, drawn once."""
+    return Finger(load_profile(DEFAULT_PROFILE), 1, scaled(anatomy, times))
 
 
 def scaled(name, times):

@@ -235,3 +235,10 @@ def test_figures_without_matplotlib(monkeypatch):
 def test_figures_of_nonsense(program_here, tmp_path, arguments, wrong):
     wrong(refused(program_here("figures", *arguments)))
     assert not (tmp_path / "drawn").exists()
+
+
+def test_one_site_by_driving_functions(designed):
+    _, table = designed("--profile=smarttouch-4x4", "--mode=sai", "--site=5", "--driving")
+    (kernel,) = table["kernels"]
+    assert "threshold" in table["weights_unit"]
+    assert 0.1 < np.abs(kernel["weights"]).max() < 5

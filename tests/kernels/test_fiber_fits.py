@@ -74,3 +74,35 @@ def test_thresholds_of_bent_branches_that_no_fit_has_seen(profile, bank, afferen
     assert error.cases == len(picked)
     assert error.median < 0.1
     assert error.worst < 0.25
+
+
+def test_a_run_of_the_reference_model_goes_on_where_it_stopped(
+    profile, bank, tmp_path, monkeypatch
+):
+    asked = []
+
+    class Model:
+        along_mm = np.linspace(-15, 15, 61)
+
+        def __init__(self, end):
+            assert end == "through"
+
+        def thresholds_ma(self, fields, width_us, near_ma):
+            if len(asked) == 2:
+                raise KeyboardInterrupt
+            asked.append(len(fields))
+            return 1.2 * near_ma
+
+    monkeypatch.setattr("smarttouch.physiology.mrg.MrgFiber", Model)
+    some = cases(profile, bank, False, False)
+    some = some[np.arange(len(some.group)) < 25]
+    fiber = replace(FIBERS["mrg"], end="through")
+    potential = some.potential_mv(along_mm("through", fiber.internode_mm, 15.0))
+    run = (fiber, 200.0, some, potential, tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        fiber_fits._mrg_thresholds(*run)
+    asked.pop()
+    found = fiber_fits._mrg_thresholds(*run)
+    assert asked == [10, 5]
+    assert np.array_equal(found, fiber_fits._mrg_thresholds(*run))
+    assert len(found) == 25

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.errors import DesignError
-from smarttouch.physiology.driving import FIBERS, bend_operator, load_driving
+from smarttouch.physiology.driving import FIBERS, bend_operator, load_driving, passes
 from smarttouch.physiology.fiber_fit import fit, threshold_error
 from smarttouch.physiology.membrane import threshold_ma, thresholds_ma
 from smarttouch.physiology.potential import disc_potential
@@ -107,6 +107,45 @@ def test_a_fit_finds_the_weights_again():
     found = fit(like, 200.0, potentials, thresholds)
     drive = found.drive(potentials[..., None])[..., 0].max(axis=1)
     assert threshold_error(drive, thresholds).tenth < 0.01
+
+
+def test_spikes_that_anodes_stop_do_not_count():
+    drive = np.array([[1.0, 0.2, -1.5, 0.3], [0.5, -0.6, 0.4, -0.9]])
+    fires = drive > 0
+    assert passes(drive, np.inf).all()
+    assert passes(drive, 2.0)[fires].tolist() == [True, False, True, True, False]
+    assert passes(drive, 1.4)[fires].tolist() == [False, False, True, False, False]
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.5, 4), st.floats(0.1, 10))
+def test_highest_drive_grows_with_the_current_blocked_or_not(seed, block, factor):
+    driving = replace(load_driving("trunk", "through", 200.0), block=block)
+    potential = np.random.default_rng(seed).normal(size=(3, 40))
+    highest = driving.highest(potential)
+    assert driving.highest(factor * potential) == pytest.approx(factor * highest)
+    free = driving.drive(potential[..., None])[..., 0].max(axis=1)
+    assert np.all(highest <= free)
+
+
+@pytest.mark.parametrize("strong", [2.0, 3.0])
+@pytest.mark.parametrize("gap_mm", [2.0, 3.0])
+def test_an_anode_on_the_way_stops_the_spike_of_a_long_pulse(gap_mm, strong):
+    """The cable fires at the same current either way after 200 µs, but not after 500 µs."""
+    like, along = replace(FIBERS["trunk"], end="through"), np.arange(-24, 25) * 0.5
+    cathode, anode = (
+        -1000 / (2 * np.pi * 0.43) * disc_potential(np.abs(along - x), np.full(49, 0.9), 0.5)
+        for x in (-2.0, gap_mm - 2.0)
+    )
+    toward = cathode - strong * anode
+    both = np.array([toward, toward[::-1]])
+    for width_us, ratio in ((200.0, 1.0), (500.0, 2.2)):
+        driving = load_driving("trunk", "through", width_us)
+        predicted = 1 / driving.highest(both)
+        free = 1 / replace(driving, block=np.inf).highest(both)
+        cable = thresholds_ma(both, like, width_us, 0.4 * free, step_us=width_us / 50)
+        assert predicted == pytest.approx(cable, rel=0.1)
+        assert cable[0] / cable[1] >= 0.98 * ratio
+    assert free[0] < 0.5 * cable[0]
 
 
 def test_second_differences():

@@ -1,0 +1,60 @@
+"""Kernels designed on driving functions: right by the cable model at sites and fibers of others."""
+
+import numpy as np
+import pytest
+
+from smarttouch.afferent import Afferent
+from smarttouch.kernels.by_cable import judge_by_cable
+from smarttouch.kernels.design import design_kernel
+from smarttouch.kernels.driving_problem import DrivingProblem, fiber_points
+from smarttouch.kernels.problem import Problem
+from smarttouch.physiology.activation import potential_mv
+from smarttouch.physiology.afferents import targets
+from smarttouch.profile import load_profile
+
+
+@pytest.fixture(scope="module", params=[Afferent.RA, Afferent.SAI])
+def problem(request):
+    return DrivingProblem(load_profile("smarttouch-4x4"), request.param)
+
+
+def test_rows_are_drives_of_straight_fibers(problem):
+    """The target's row, made again from the potential along one fiber."""
+    aim, site = targets(problem.profile, problem.afferent), 5
+    driving = problem.driving(aim)
+    first = -30 if aim.ending is None else 0
+    along = np.arange(first, 40) * driving.internode_mm
+    points = fiber_points(aim.position_mm[[site]], aim.depth_mm, aim.direction[0], along)
+    every = driving.drive(potential_mv(problem.profile, points))[0]
+    off = np.abs(every - problem.target[site]).max(axis=1)
+    assert off.min() < 1e-9
+    assert off.argmin() == (29 if aim.ending is None else off[:6].argmin())
+
+
+def test_counts_of_rows_classes_and_places(problem):
+    (rows,) = problem.rows
+    assert len(rows.other) == len(problem.other_class)
+    assert sum(high * wide * count for (high, wide), count in problem.grids) == len(rows.other)
+    assert len(problem.beyond_a_pitch(0)) == len(rows.own)
+    assert set(problem.other_class) == {*Afferent} - {problem.afferent}
+
+
+def test_places_lie_closer_than_in_the_profile(problem):
+    assert problem.profile.skin.node_spacing_mm == 0.2
+
+
+def test_a_kernel_is_what_the_cable_says(problem):
+    kernel = design_kernel(problem, 5)
+    assert problem.target[5] @ kernel.weights == pytest.approx(1)
+    assert kernel.weights.sum() == pytest.approx(0, abs=1e-9)
+    assert (problem.axon(5) @ kernel.weights).max() < 1 + 1e-6
+    found = judge_by_cable(problem, kernel.weights, 5)
+    assert found.target == pytest.approx(1, abs=0.03)
+    assert found.off_target == pytest.approx(kernel.off_target, rel=0.1)
+
+
+def test_it_is_more_selective_than_one_designed_on_the_activating_function(problem):
+    old = design_kernel(Problem(load_profile("smarttouch-4x4"), problem.afferent), 5)
+    new = design_kernel(problem, 5)
+    by_cable = [judge_by_cable(problem, each.weights, 5).off_target for each in (old, new)]
+    assert by_cable[1] < by_cable[0]
