@@ -2,7 +2,6 @@
 
 import fcntl
 import gc
-import subprocess
 import sys
 from types import SimpleNamespace
 
@@ -16,7 +15,7 @@ from smarttouch.profile import DEFAULT_PROFILE, load_profile
 from smarttouch.realtime import prioritized
 from smarttouch.sources.frame import Frame, Pose
 
-from .forks import Forked
+from . import forks
 from .safety.watch import Watch
 
 # How long an example takes says how busy the machine is, and nothing of the code.
@@ -92,13 +91,24 @@ def one_thread():
 
 
 @pytest.fixture(scope="session", autouse=True)
-def forked_boards(one_thread):
+def forked_emulators(one_thread):
     """Let each ``emulator:`` of this process start a fork."""
     with pytest.MonkeyPatch.context() as patch:
-        forking = SimpleNamespace(**vars(subprocess) | {"Popen": Forked})
-        patch.setattr("smarttouch.boards.emulator.driver.subprocess", forking)
+        patch.setattr("smarttouch.boards.emulator.driver.subprocess", forks.forked_boards())
         yield
-    Forked.end()
+    forks.Forked.end()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def kept_frozen():
+    """Let no run in this process thaw, at its end, what `pytest_collection_finish` has frozen.
+
+    Each run's first act is to collect garbage; it would pass over all tests and modules.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        kept = SimpleNamespace(collect=gc.collect, freeze=int, unfreeze=int)
+        patch.setattr("smarttouch.running.environment.gc", kept)
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)
