@@ -213,6 +213,7 @@ def test_thresholds_with_trials_on_another_board(run, tmp_path):
     assert rising != tried == pytest.approx(rising, rel=0.2)
 
 
+@pytest.mark.realtime
 def test_thresholds_stop_at_once(start_at_a_terminal, start_emulator, tmp_path):
     _, port, books = start_emulator()
     arguments = ("calibrate", "thresholds", "--board", f"link:{port}", "--output", "mine.toml")
@@ -233,6 +234,7 @@ def test_thresholds_stop_at_once(start_at_a_terminal, start_emulator, tmp_path):
     assert not (tmp_path / "mine.toml").exists()
 
 
+@pytest.mark.realtime
 def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkeypatch):
     monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
     events = ("--event=0 open 5", "--event=0 short 9")
@@ -251,6 +253,7 @@ def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkey
     assert "[5, 9]" in shown
 
 
+@pytest.mark.realtime
 def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
     _, port, _ = start_emulator(64, "link", "--event=0 lift")
     lifted = run("contact", "--board", f"link:{port}", "--repeats", 1, "--output", "mine.toml")
