@@ -40,6 +40,16 @@ def pytest_configure(config):
         config.option.benchmark_skip, config.option.benchmark_disable = False, True
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Let nothing look for garbage among tests and modules that are just being made."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+
+
 def pytest_collection_modifyitems(items):
     """Let the tests of time that passes come first; of the others, each stays in its place.
 
