@@ -2,7 +2,9 @@
 
 import fcntl
 import gc
+import os
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -97,6 +99,9 @@ def one_thread():
         patch.setenv("OPENBLAS_NUM_THREADS", "1")
         patch.setenv("OPENCV_FOR_THREADS_NUM", "1")
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
+        # Tests have caches of their own for kernels; the list of fonts is made once.
+        fonts = Path.home() / ".cache" / "matplotlib"
+        patch.setenv("MPLCONFIGDIR", os.environ.get("MPLCONFIGDIR", str(fonts)))
         yield
 
 

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from .forks import PROGRAM, Forked
+
 PAGE = Path(__file__).parent.parent / "docs" / "tutorial" / "first-hour.md"
 PARTS = re.compile(r"Save this as `([\w.]+)`|^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 NOT_HERE = ("python3 -m venv", ". .venv", "pip install", "mkdir")
@@ -13,20 +15,21 @@ NOT_HERE = ("python3 -m venv", ". .venv", "pip install", "mkdir")
 
 
 def run(line, folder):
-    """Run a line of the page by the Python of this test."""
+    """Run a line of the page by the Python of this test; the program as a fork."""
     words = re.findall(r'"[^"]*"|\S+', line)
     program, *rest = (word.strip('"') for word in words)
-    here = [] if program == "python" else ["-m", program]
-    return subprocess.run(
-        [sys.executable, *here, *rest],
+    starts = {"python": [sys.executable], "smarttouch": [PROGRAM]}
+    with Forked(
+        [*starts.get(program, [sys.executable, "-m", program]), *rest],
         cwd=folder,
         env=os.environ | {"XDG_CACHE_HOME": str(folder / "cache"), "MPLBACKEND": "agg"},
         stdin=subprocess.DEVNULL,
-        capture_output=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
-        timeout=300,
-        check=False,
-    )
+    ) as process:
+        told = process.communicate(timeout=300)
+    return subprocess.CompletedProcess(process.args, process.returncode, *told)
 
 
 def test_every_step_works(tmp_path):

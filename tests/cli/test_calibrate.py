@@ -181,7 +181,8 @@ def test_a_load_cell_that_nothing_moves(run, tmp_path, load_cell):
 
 
 def test_thresholds_of_a_simulated_subject(run, tmp_path):
-    shown = done(run("thresholds", "--simulate", "--electrodes", "0,9", "--output", "mine.toml"))
+    options = ("--simulate", "--repeats", 1, "--electrodes", "0,9")
+    shown = done(run("thresholds", *options, "--output", "mine.toml"))
     profile = load_profile(tmp_path / "mine.toml")
     assert re.findall(r"electrode (\d+)", shown) == ["0", "9"]
     assert profile.calibrated["thresholds"].found.startswith("simulated: 2 electrodes")
@@ -205,8 +206,9 @@ def test_thresholds_with_trials_on_another_board(run, tmp_path):
     found = []
     for more in ((), ("--adaptive",)):
         done(
-            run("thresholds", "--simulate", "--electrodes", "60", "--board", "memory:",
-                "--profile", "kajimoto-61", "--output", "mine.toml", "--overwrite", *more)
+            run("thresholds", "--simulate", "--repeats", 1, "--electrodes", "60",
+                "--board", "memory:", "--profile", "kajimoto-61",
+                "--output", "mine.toml", "--overwrite", *more)
         )  # fmt: skip
         found.append(load_profile(tmp_path / "mine.toml"))
     rising, tried = (each.perception.threshold_ma[60] for each in found)
