@@ -2,8 +2,9 @@
 
 import fcntl
 import gc
-import subprocess
+import os
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -16,7 +17,7 @@ from smarttouch.profile import DEFAULT_PROFILE, load_profile
 from smarttouch.realtime import prioritized
 from smarttouch.sources.frame import Frame, Pose
 
-from .forks import Forked
+from . import forks
 from .safety.watch import Watch
 
 # How long an example takes says how busy the machine is, and nothing of the code.
@@ -39,6 +40,16 @@ def pytest_configure(config):
     if config.getoption("quick"):
         # Before pytest-benchmark reads them: the project's options skip benchmarks.
         config.option.benchmark_skip, config.option.benchmark_disable = False, True
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Let nothing look for garbage among tests and modules that are just being made."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
 
 
 def pytest_collection_modifyitems(items):
@@ -88,17 +99,31 @@ def one_thread():
         patch.setenv("OPENBLAS_NUM_THREADS", "1")
         patch.setenv("OPENCV_FOR_THREADS_NUM", "1")
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
+        # Tests have caches of their own for kernels; the list of fonts is made once.
+        fonts = Path.home() / ".cache" / "matplotlib"
+        patch.setenv("MPLCONFIGDIR", os.environ.get("MPLCONFIGDIR", str(fonts)))
         yield
 
 
 @pytest.fixture(scope="session", autouse=True)
-def forked_boards(one_thread):
+def forked_emulators(one_thread):
     """Let each ``emulator:`` of this process start a fork."""
     with pytest.MonkeyPatch.context() as patch:
-        forking = SimpleNamespace(**vars(subprocess) | {"Popen": Forked})
-        patch.setattr("smarttouch.boards.emulator.driver.subprocess", forking)
+        patch.setattr("smarttouch.boards.emulator.driver.subprocess", forks.forked_boards())
         yield
-    Forked.end()
+    forks.Forked.end()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def kept_frozen():
+    """Let no run in this process thaw, at its end, what `pytest_collection_finish` has frozen.
+
+    Each run's first act is to collect garbage; it would pass over all tests and modules.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        kept = SimpleNamespace(collect=gc.collect, freeze=int, unfreeze=int)
+        patch.setattr("smarttouch.running.environment.gc", kept)
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -11,18 +11,21 @@ import gc
 import inspect
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
 import threading
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 PROGRAM = Path(sys.executable).with_name("smarttouch")
 EMULATOR = [sys.executable, "-m", "smarttouch.emulator"]
 _SUBREAPER = 36
 """PR_SET_CHILD_SUBREAPER of Linux: what a process of ours leaves behind becomes our child."""
 _LONGEST = 1 << 20
+_MOST_FILES = 1 << 10
 _IMPORTED = (
     "smarttouch.boards.etactilekit",
     "smarttouch.boards.kajimoto61",
@@ -33,6 +36,7 @@ _IMPORTED = (
     "smarttouch.emulator.__main__",
     "smarttouch.emulator.server",
     "smarttouch.recording.check",
+    "smarttouch.running.saved",
     "smarttouch.sources.forces.force",
     "smarttouch.sources.page",
 )
@@ -63,6 +67,32 @@ class _Server:
     def close(self):
         self._channel.close()
         self._process.wait()
+
+
+class _Itself:
+    """What forks the boards of a program that is a fork: the program itself."""
+
+    def fork(self, request, streams):
+        # What waits to be written would be written twice.
+        for each in (sys.stdout, sys.stderr):
+            each.flush()
+        if number := os.fork():
+            return number
+        # Nothing of the program: what it does at its end, on a signal, with its files.
+        atexit._clear()
+        signal.set_wakeup_fd(-1)
+        for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            handler = signal.default_int_handler if each == signal.SIGINT else signal.SIG_DFL
+            if signal.getsignal(each) != signal.SIG_IGN:
+                signal.signal(each, handler)
+        _become(request, [os.dup(each) for each in streams])
+        os.closerange(3, _MOST_FILES)
+        return _run_and_end(import_module(request["module"]).main)
+
+
+def forked_boards():
+    """Return what a driver has in place of subprocess, so that its board is a fork."""
+    return SimpleNamespace(**vars(subprocess) | {"Popen": Forked})
 
 
 def _adopt(wanted):
@@ -114,6 +144,9 @@ def _serve(channel):
     """Fork a program at each request; return what to run, in a fork, or None at the end."""
     for module in _IMPORTED:
         import_module(module)
+    import_module("smarttouch.cli")._built()
+    driver = import_module("smarttouch.boards.emulator.driver")
+    driver.subprocess, Forked._server = forked_boards(), _Itself()
     gc.collect()
     # A collector that passes over all this in each fork would copy it.
     gc.freeze()

@@ -151,7 +151,7 @@ def _outcome(error: BaseException) -> int:
         *others, last = error.sentences if isinstance(error, TableError) else (str(error),)
         for sentence in others:
             _say(sentence)
-        _say(last + named_options(error, app))
+        _say(last + named_options(error, _built()))
     elif isinstance(error, MemoryError):
         _say("the memory of this machine does not suffice: give less at once")
     elif isinstance(error, OSError):

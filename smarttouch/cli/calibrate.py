@@ -65,7 +65,9 @@ class CalibrationOptions(OptionGroup):
 
 _Yes = Annotated[bool, typer.Option("--yes", help="Ask nothing: everything is in place.")]
 _Simulate = Annotated[bool, typer.Option("--simulate", help="Walk through it without hardware.")]
-_Frames = Annotated[int, typer.Option(metavar="N", min=1, help="Frames to take the mean of.")]
+_Frames = Annotated[
+    int, typer.Option(metavar="N", min=1, max=1000, help="Frames to take the mean of.")
+]
 _SourceUrl = Annotated[
     str | None,
     typer.Option("--source", "--sensor", metavar="URL", help="camera:0, serial-array:PORT, ..."),

@@ -1,19 +1,17 @@
 """Options of the command line behind the parameters that an error names."""
 
 import sys
-
-import typer
+from typing import Any
 
 from smarttouch.errors import SmartTouchError
 
 
-def named_options(error: SmartTouchError, app: typer.Typer) -> str:
+def named_options(error: SmartTouchError, command: Any) -> str:
     """Return, in parentheses, options of the typed command that an error is about; or nothing.
 
     The library knows parameters, not options: an error names one in ``about``, and one at the
     start of each way out in ``remedy`` ("width_mm", "overwrite or output", "profile line-8").
     """
-    command = typer.main.get_command(app)
     for word in sys.argv[1:]:
         command = getattr(command, "commands", {}).get(word, command)
     options = {

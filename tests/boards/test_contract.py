@@ -242,8 +242,13 @@ class TestSimulated(TestMemory):
             np.testing.assert_array_equal(current_ua, planned)
         assert len(self.board.take_pulses()[0]) == 0
 
+    def _start(self, board):
+        # Its time passes within a send: what goes on for long costs long, and shows no more.
+        board.send(self.sequence(0))
+        board.send(self.sequence(1), times=20)
+
     def assert_silent(self):
-        assert self.board.report().slots <= 4000
+        assert self.board.report().slots <= 80
         assert self.board._firmware.books.state == "shorted"
 
     def test_a_newer_sequence_ends_a_repetition(self, make_board):

@@ -181,7 +181,8 @@ def test_a_load_cell_that_nothing_moves(run, tmp_path, load_cell):
 
 
 def test_thresholds_of_a_simulated_subject(run, tmp_path):
-    shown = done(run("thresholds", "--simulate", "--electrodes", "0,9", "--output", "mine.toml"))
+    options = ("--simulate", "--repeats", 1, "--electrodes", "0,9")
+    shown = done(run("thresholds", *options, "--output", "mine.toml"))
     profile = load_profile(tmp_path / "mine.toml")
     assert re.findall(r"electrode (\d+)", shown) == ["0", "9"]
     assert profile.calibrated["thresholds"].found.startswith("simulated: 2 electrodes")
@@ -205,14 +206,16 @@ def test_thresholds_with_trials_on_another_board(run, tmp_path):
     found = []
     for more in ((), ("--adaptive",)):
         done(
-            run("thresholds", "--simulate", "--electrodes", "60", "--board", "memory:",
-                "--profile", "kajimoto-61", "--output", "mine.toml", "--overwrite", *more)
+            run("thresholds", "--simulate", "--repeats", 1, "--electrodes", "60",
+                "--board", "memory:", "--profile", "kajimoto-61",
+                "--output", "mine.toml", "--overwrite", *more)
         )  # fmt: skip
         found.append(load_profile(tmp_path / "mine.toml"))
     rising, tried = (each.perception.threshold_ma[60] for each in found)
     assert rising != tried == pytest.approx(rising, rel=0.2)
 
 
+@pytest.mark.realtime
 def test_thresholds_stop_at_once(start_at_a_terminal, start_emulator, tmp_path):
     _, port, books = start_emulator()
     arguments = ("calibrate", "thresholds", "--board", f"link:{port}", "--output", "mine.toml")
@@ -233,6 +236,7 @@ def test_thresholds_stop_at_once(start_at_a_terminal, start_emulator, tmp_path):
     assert not (tmp_path / "mine.toml").exists()
 
 
+@pytest.mark.realtime
 def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkeypatch):
     monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
     events = ("--event=0 open 5", "--event=0 short 9")
@@ -251,6 +255,7 @@ def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkey
     assert "[5, 9]" in shown
 
 
+@pytest.mark.realtime
 def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
     _, port, _ = start_emulator(64, "link", "--event=0 lift")
     lifted = run("contact", "--board", f"link:{port}", "--repeats", 1, "--output", "mine.toml")

@@ -46,9 +46,10 @@ def test_shapes_to_the_emulator(program_here, tmp_path):
     assert figures["frames"] == figures["sequences"]
 
 
-def test_an_image_without_a_board(program_here, tmp_path, page_file):
+def test_an_image_without_a_board(program_here, tmp_path):
+    Image.fromarray(print_text("a thin\nbeam").grey).save(tmp_path / "small.png")
     kept = ("--frames", "f.gif", "--felt", "felt.png", "--json", "f.json")
-    done = program_here("read", page_file, *kept)
+    done = program_here("read", "small.png", *kept)
     assert (done.returncode, done.stderr.strip()) == (0, "")
     assert figures_of(tmp_path / "f.json")["ended"] == "end of the text"
     with Image.open(tmp_path / "f.gif") as film:
