@@ -201,3 +201,17 @@ def test_an_error_of_one_thing_complains_of_it():
         load_profile("nothing")
     (complaint,) = caught.value.complaints
     assert complaint == ("profile", "unknown", "nothing", tuple(list_profiles()))
+
+
+def test_a_copy_is_checked_and_keeps_nothing_that_was_derived():
+    profile = load_profile("electric-mouse")
+    assert profile.full_ma[0] == pytest.approx(2.4)
+    weaker = profile.perception.model_copy(update={"threshold_ma": 0.7})
+    copy = profile.model_copy(update={"perception": weaker})
+    assert copy.full_ma[0] == pytest.approx(1.4)
+    assert copy.name == profile.name
+    assert copy.model_fields_set == profile.model_fields_set
+    impossible = {"limits": profile.limits.model_dump() | {"current_ma": 50.0}, "surprise": 1}
+    with raises(ProfileError, about="limits.current_ma") as error:
+        profile.model_copy(update=impossible)
+    assert [each.key for each in error.value.complaints] == ["limits.current_ma", "surprise"]
