@@ -99,7 +99,7 @@ def try_out(
     import sys
 
     from smarttouch.boards.open import may_touch_a_finger
-    from smarttouch.cli.keyboard import keys_heeded
+    from smarttouch.cli.keyboard import keyboard_listener
     from smarttouch.errors import SmartTouchError
     from smarttouch.running.display import open_display
     from smarttouch.running.listener import OnEvent
@@ -110,15 +110,15 @@ def try_out(
         if may_touch_a_finger(url) and not sys.stdin.isatty():
             raise SmartTouchError(
                 "there is no keyboard to end it with, and a finger may be on the board: say how "
-                f"strong it is to become with --current-ma, for example {_WALK_MA:g}",
+                f"strong it is to become, for example {_WALK_MA:g} mA",
                 about="keyboard",
                 problem="missing",
-                remedy="--current-ma",
+                remedy="current_ma",
             )
         current_ma = _WALK_MA
     if seconds is None and not sys.stdin.isatty():
-        message = "there is no keyboard to wait for: give --seconds"
-        raise SmartTouchError(message, about="keyboard", problem="missing", remedy="--seconds")
+        message = "there is no keyboard to wait for: give seconds"
+        raise SmartTouchError(message, about="keyboard", problem="missing", remedy="seconds")
     walk, stop = Walk(display.profile, current_ma, seconds), the_stop()
 
     def say(event: "Event") -> None:
@@ -131,7 +131,7 @@ def try_out(
         else:
             walk.go_on()
 
-    with keys_heeded(on_key):
+    with keyboard_listener(on_key):
         run_walk(walk, display, [OnEvent(say)], stop, partial(opened, display.board))
     count = len(display.profile.electrodes)
     typer.echo(f"{walk.tried} of {count} electrodes tried; all are at zero.")
@@ -184,7 +184,7 @@ def calibrate_scale(
         except ValueError:
             message = f"{answer!r} is no voltage: give a number of volts"
             raise SmartTouchError(
-                message, about="--volts", problem="malformed", value=answer
+                message, about="volts", problem="malformed", value=answer
             ) from None
     ratio = check_reading(volts, ohm, current_ma)
     scale_ua = measured_scale(url.partition(":")[0], display.board.ua_per_count, ratio)

@@ -55,8 +55,8 @@ def braille(
         _print_tables()
         return
     if source is None:
-        message = "nothing to read is given: give a text or a file, or --tables"
-        raise BrailleError(message, about="text", problem="missing", remedy="--tables")
+        message = "nothing to read is given: give a text or a file, or list the tables"
+        raise BrailleError(message, about="text", problem="missing", remedy="tables")
     require_folder(output)
     code = open_table(table)
     loaded = _seen(source, table, document)
@@ -92,7 +92,7 @@ def braille(
 
 def _seen(source: str, table: str, document: DocumentOptions) -> "Loaded | None":
     """Return what an image or a PDF shows, as cells; None for anything else."""
-    place, how = document.look(source)
+    place, options = document.look(source)
     if Path(place).suffix.lower() not in _DOCUMENTS:
         return None
     from smarttouch.braille.source import Loaded
@@ -100,7 +100,7 @@ def _seen(source: str, table: str, document: DocumentOptions) -> "Loaded | None"
     from smarttouch.reading.source import Source
 
     notes: list[str] = []
-    shown = Source(place, how, notes.append)
+    shown = Source(place, options, notes.append)
     return Loaded(Braille(table).paragraphs(shown), None, notes)
 
 

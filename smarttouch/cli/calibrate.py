@@ -53,8 +53,8 @@ class CalibrationOptions(OptionGroup):
         from smarttouch.profile import DEFAULT_PROFILE
 
         if self.output is None:
-            message = "give --output FILE.toml for what is measured"
-            raise CalibrationError(message, about="--output", problem="missing")
+            message = "give a file FILE.toml for what is measured"
+            raise CalibrationError(message, about="output", problem="missing")
         usual = DEFAULT_PROFILE if board_url is None else default_profile(board_url)
         file = file_to_calibrate(
             part, self.profile, usual, self.output, self.overwrite, simulated=simulated
@@ -107,7 +107,7 @@ def optics(
     else:
         sources = (dark or source, white or source)
         if None in sources:
-            raise missing("--source", "give --source, or --dark and --white, or --simulate")
+            raise missing("source", "give a source, or dark and white frames, or simulate")
         asked = ("Cover the sensor: no light.", "Put it on blank white paper, in its usual light.")
         seen = []
         for url, question in zip(sources, asked, strict=True):
@@ -146,19 +146,18 @@ def registration(
     from smarttouch.calibrate.tables import show_registration
     from smarttouch.calibrate.target import target_for
     from smarttouch.cli.calibrate_steps import ask, missing
-    from smarttouch.cli.files import not_offered
-    from smarttouch.errors import CalibrationError
+    from smarttouch.errors import CalibrationError, not_offered
     from smarttouch.profile import load_profile
     from smarttouch.sources.flat_field import mean_image
 
     if center not in ("target", "image"):
-        raise not_offered("--center", center, ("target", "image"), CalibrationError)
+        raise not_offered("center", center, ("target", "image"), CalibrationError)
     grid = target_for(load_profile(calibration.begun()), dot_pitch_mm)
     if target is not None:
         if target.exists() and not calibration.overwrite:
-            message = f"{target} exists already: give another --target, or --overwrite"
+            message = f"{target} exists already: give another file, or overwrite it"
             raise CalibrationError(
-                message, about="file", problem="exists", value=target, remedy="--overwrite"
+                message, about="file", problem="exists", value=target, remedy="target or overwrite"
             )
         grid.draw(target)
         typer.echo(f"{target}: dots {grid.pitch_mm:g} mm apart; print it at 100 %, black on white.")
@@ -170,7 +169,7 @@ def registration(
 
         image = bench_view(grid, file.profile.optics)
     elif source is None:
-        raise missing("--source", "give --source, or --simulate")
+        raise missing("source", "give a source, or simulate")
     else:
         ask("Lay the target under the sensor, the L upright under the array's middle.", yes)
         mean = mean_image(images_of(source, file.profile, frames, corrected=True))
@@ -203,17 +202,15 @@ def force(
     from smarttouch.calibrate.simulated import weigh_simulated
     from smarttouch.calibrate.tables import show_force
     from smarttouch.cli.calibrate_steps import missing, weights_laid
-    from smarttouch.errors import CalibrationError
+    from smarttouch.errors import CalibrationError, require_within
 
-    if not 0 < seconds <= 600:
-        message = f"--seconds {seconds:g} must be above 0 and at most 600"
-        raise CalibrationError(message, about="--seconds", value=seconds, allowed=(0, 600))
+    require_within(CalibrationError, "seconds", seconds, 0, 600, above=True)
     listed = None if weights is None else parse_grams(weights)
     file = calibration.file("force", simulate)
     if simulate:
         weighings = weigh_simulated(listed, seconds)
     elif cell is None:
-        raise missing("--cell", "give --cell hx711:PORT or loadcell:PORT, or --simulate")
+        raise missing("cell", "give hx711:PORT or loadcell:PORT, or simulate")
     else:
         weighings = weigh_on(cell, weights_laid(listed, yes), seconds)
     found = fit_curve(weighings, file.profile.force)
@@ -244,7 +241,7 @@ def thresholds(
     from smarttouch.calibrate.found import parse_electrodes
     from smarttouch.calibrate.thresholds import ThresholdProcedure
     from smarttouch.cli.calibrate_steps import require_subject
-    from smarttouch.cli.keyboard import keys_heeded
+    from smarttouch.cli.keyboard import keyboard_listener
     from smarttouch.errors import BoardStoppedError
 
     simulated = simulate or board.startswith("emulator:")
@@ -263,7 +260,7 @@ def thresholds(
     )
     with procedure.progress() as progress:
         try:
-            procedure.measure(progress, keys_heeded, typer.echo, the_stop(), opened)
+            procedure.measure(progress, keyboard_listener, typer.echo, the_stop(), opened)
         except BoardStoppedError:
             raise procedure.stopped(progress) from None
     told = procedure.put_down(progress)
@@ -279,7 +276,7 @@ def contact(
     board: _BoardUrl = "emulator:",
     repeats: Annotated[int, typer.Option(metavar="N", min=1, max=100, help="Measurements.")] = 5,
 ) -> None:
-    """Which electrodes touch the skin, by repeated measurements of their impedance."""
+    """Find the electrodes that touch the skin, by repeated measurements of their impedance."""
     from smarttouch.calibrate.contact import judge_contact
     from smarttouch.calibrate.tables import show_contact
     from smarttouch.running.display import open_display

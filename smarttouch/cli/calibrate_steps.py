@@ -10,25 +10,23 @@ from smarttouch.errors import CalibrationError
 
 
 def missing(about: str, message: str) -> CalibrationError:
-    """Return the error that nothing is given to measure with, which ``--simulate`` stands for."""
-    return CalibrationError(message, about=about, problem="missing", remedy="--simulate")
+    """Return the error that nothing is given to measure with, which a simulation can stand for."""
+    return CalibrationError(message, about=about, problem="missing", remedy="simulate")
 
 
 def require_subject(simulate: bool, board_url: str) -> None:
     """Raise unless somebody can feel what a board does, and answer."""
     if simulate and not board_url.startswith(("emulator:", "simulated:", "memory:")):
         raise CalibrationError(
-            f"--simulate answers for nobody: no current of its flows through {board_url!r}, only "
+            f"a simulation answers for nobody: no current of its flows through {board_url!r}, only "
             "through emulator:",
-            about="--board",
+            about="board",
             problem="conflict",
             value=board_url,
             allowed=("emulator:",),
         )
     if not simulate and not sys.stdin.isatty():
-        raise missing(
-            "keyboard", "there is no keyboard to answer on: use a terminal, or --simulate"
-        )
+        raise missing("keyboard", "there is no keyboard to answer on: use a terminal, or simulate")
 
 
 def ask(what: str, yes: bool) -> None:
@@ -38,8 +36,8 @@ def ask(what: str, yes: bool) -> None:
     try:
         typer.prompt(f"{what} Then press Enter", default="", show_default=False)
     except typer.Abort:
-        message = "nobody answered, nothing was written: --yes asks nothing"
-        raise CalibrationError(message, about="answer", problem="missing", remedy="--yes") from None
+        message = "nobody answered, nothing was written: use a terminal, or ask nothing"
+        raise CalibrationError(message, about="answer", problem="missing", remedy="yes") from None
 
 
 def weights_laid(listed: Sequence[float] | None, yes: bool) -> Iterator[float]:
@@ -53,9 +51,9 @@ def weights_laid(listed: Sequence[float] | None, yes: bool) -> Iterator[float]:
                 "Grams on the cell, at rest (Enter: no more)", default="", show_default=False
             )
         except typer.Abort:
-            message = "nobody answered, nothing was written: give --weights"
+            message = "nobody answered, nothing was written: use a terminal, or give weights"
             raise CalibrationError(
-                message, about="answer", problem="missing", remedy="--weights"
+                message, about="answer", problem="missing", remedy="weights"
             ) from None
         if not answer:
             return

@@ -62,8 +62,8 @@ def design(
     special = [
         name
         for name, asked in (
-            ("--robust", robust and not three_state), ("--three-state", three_state),
-            ("--any-node", any_node), ("--compare", compare), ("--bank", bank_file is not None),
+            ("robust", robust and not three_state), ("three_state", three_state),
+            ("any_node", any_node), ("compare", compare), ("bank_file", bank_file is not None),
         )
         if asked
     ]  # fmt: skip
@@ -79,7 +79,7 @@ def design(
             raise DesignError(
                 f"mode {afferent.name} is not possible with the board of {profile}: it offers "
                 f"{', '.join(offered) or 'none'}",
-                about="--mode",
+                about="mode",
                 problem="impossible",
                 value=afferent.name,
                 allowed=offered,
@@ -95,7 +95,7 @@ def design(
             )
         elif special:
             shown = report.kernels_designed(
-                chosen, modes, sites, special[0].removeprefix("--"), robust, progress
+                chosen, modes, sites, special[0].replace("_", "-"), robust, progress
             )
         else:
             # One site of a large array is not worth its whole bank.

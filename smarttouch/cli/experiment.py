@@ -117,21 +117,21 @@ def run_listed(
     from smarttouch.psychophysics.timing import TrialTiming
 
     if simulate is not None:
-        simulate = parse_choice("--simulate", simulate, ("model", "random", "first", "silent"))
+        simulate = parse_choice("simulate", simulate, ("model", "random", "first", "silent"))
     run = replace(run, board=board or (None if simulate is None else "simulated:"))
     require_answers(simulate, run.board_url)
     chosen = run.load_profile()
     afferent = parse_afferent(mode)
     named = f"{name}-{afferent.name}"
     stem, order = usual_name(named, participant, session, seed)
-    wanted = ExperimentOptions(
+    options = ExperimentOptions(
         afferent, procedure, parse_standards(standards), repetitions, trials, site, train_s,
         rate_hz, letters, two_intervals, order,
     )  # fmt: skip
-    made = design(name, chosen, wanted)
+    made = design(name, chosen, options)
     # Nobody is there who could press harder, or turn the intensity up.
     patience_s = None if simulate is None else 10.0
-    course = TrialTiming(gap_s, answer_s or None, made.again, patience_s)
+    timing = TrialTiming(gap_s, answer_s or None, made.again, patience_s)
     path = output or Path(f"{stem}.csv")
     about = About(named, made.method, participant, session, order)
     config = run.config(
@@ -141,7 +141,7 @@ def run_listed(
         note=run.note or session,
     )
     with (
-        open_sitting(made, chosen, course, about, path, overwrite=overwrite) as sitting,
+        open_sitting(made, chosen, timing, about, path, overwrite=overwrite) as sitting,
         contextlib.ExitStack() as stack,
     ):
         saved.keep(context)

@@ -71,8 +71,8 @@ def free_run(
 ) -> None:
     """Let a user turn amplitude, rate, mode and site until they have had enough."""
     if not sys.stdin.isatty() and options.seconds is None:
-        message = "there is no keyboard, by which this would end: use a terminal, or give --seconds"
-        raise ExperimentError(message, about="keyboard", problem="missing", remedy="--seconds")
+        message = "there is no keyboard, by which this would end: use a terminal, or give seconds"
+        raise ExperimentError(message, about="keyboard", problem="missing", remedy="seconds")
     raised = up_to_the_ceiling(profile)
     with contextlib.ExitStack() as stack:
         force = options.open_force(raised, stack)
@@ -101,18 +101,18 @@ def require_answers(simulate: str | None, board_url: str) -> None:
     """Raise unless somebody can answer."""
     if simulate is not None and board_url != _SIMULATED:
         raise ExperimentError(
-            f"--simulate answers for nobody: no current of its flows through {board_url!r}, only "
+            f"a simulation answers for nobody: no current of its flows through {board_url!r}, only "
             f"through {_SIMULATED}",
-            about="--board",
+            about="board",
             problem="conflict",
             value=board_url,
             allowed=(_SIMULATED,),
         )
     if simulate is None and not sys.stdin.isatty():
-        message = "there is no keyboard to answer on: use a terminal, or --simulate"
-        raise ExperimentError(message, about="keyboard", problem="missing", remedy="--simulate")
+        message = "there is no keyboard to answer on: use a terminal, or simulate"
+        raise ExperimentError(message, about="keyboard", problem="missing", remedy="simulate")
     if simulate is None and board_url == _SIMULATED:
-        message = "nobody can answer as fast as simulated: goes: choose emulator:, or --simulate"
+        message = "nobody can answer as fast as simulated: goes: choose emulator:, or simulate"
         raise ExperimentError(
-            message, about="--board", problem="impossible", value=board_url, remedy="--simulate"
+            message, about="board", problem="impossible", value=board_url, remedy="simulate"
         )

@@ -26,10 +26,10 @@ def figures(
     """Redraw the paper's Fig. 2, 5, 8, 9 and 10; draw kernels, activation, shared slots, fibers."""
     import numpy as np
 
-    from smarttouch.cli.files import not_offered, require_site
+    from smarttouch.cli.files import require_site
     from smarttouch.cli.progress import bank_progress
     from smarttouch.cli.tables import print_table
-    from smarttouch.errors import SmartTouchError
+    from smarttouch.errors import SmartTouchError, not_offered
     from smarttouch.kernels.bank import load_bank
     from smarttouch.kernels.switching import kind_of
     from smarttouch.physiology import af_error
@@ -37,7 +37,7 @@ def figures(
     from smarttouch.profile import load_profile
 
     if kind not in style.FORMATS:
-        raise not_offered("--format", kind, style.FORMATS)
+        raise not_offered("kind", kind, style.FORMATS)
     chosen, line = load_profile(profile), load_profile("line-7")
     if site is None:
         site = int(np.linalg.norm(chosen.electrodes.position_mm, axis=1).argmin())

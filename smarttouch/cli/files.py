@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from smarttouch.afferent import Afferent, Mode
-from smarttouch.errors import SmartTouchError
+from smarttouch.errors import SmartTouchError, not_offered, require_within
 from smarttouch.files import write_bytes
 
 if TYPE_CHECKING:
@@ -17,16 +17,16 @@ Choice = TypeVar("Choice", bound=str)
 
 
 def parse_mode(mode: str) -> Mode:
-    """Return the mode that ``--mode`` names, one that images can drive."""
+    """Return a mode by its name, one that images can drive."""
     offered = [each for each in Mode if each is not Mode.COLOR]
     for each in offered:
         if mode.lower() == each.value.lower():
             return each
-    raise not_offered("--mode", mode, offered)
+    raise not_offered("mode", mode, offered)
 
 
 def parse_choice(option: str, text: str, choices: Iterable[Choice]) -> Choice:
-    """Return the one of several choices that an option names."""
+    """Return the one of several choices that an option names; capitals do not count."""
     known = list(choices)
     if text.lower() not in known:
         raise not_offered(option, text, known)
@@ -34,32 +34,16 @@ def parse_choice(option: str, text: str, choices: Iterable[Choice]) -> Choice:
 
 
 def parse_afferent(mode: str) -> Afferent:
-    """Return the class of afferents that ``--mode`` names."""
+    """Return a class of afferents by its name."""
     if mode.upper() not in Afferent.__members__:
-        raise not_offered("--mode", mode, Afferent.__members__)
+        raise not_offered("mode", mode, Afferent.__members__)
     return Afferent[mode.upper()]
-
-
-def not_offered(
-    option: str, text: str, names: Iterable[str], error: type[SmartTouchError] = SmartTouchError
-) -> SmartTouchError:
-    """Return the error of an option that names none of its choices."""
-    allowed = tuple(names)
-    return error(
-        f"{option} {text!r} is not offered: choose {' or '.join(allowed)}",
-        about=option,
-        problem="unknown",
-        value=text,
-        allowed=allowed,
-    )
 
 
 def require_site(profile: "Profile", site: int) -> None:
     """Raise unless a profile's array has such a site."""
-    count = len(profile.electrodes)
-    if not 0 <= site < count:
-        message = f"site {site} is out of range: {profile.name} has sites 0 to {count - 1}"
-        raise SmartTouchError(message, about="site", value=site, allowed=(0, count - 1))
+    words = f"site {site} of {profile.name}"
+    require_within(SmartTouchError, "site", site, 0, len(profile.electrodes) - 1, words)
 
 
 def require_folder(path: Path | None) -> None:

@@ -48,7 +48,7 @@ def finger(
     from smarttouch.psychophysics import letters_felt
     from smarttouch.psychophysics.letters import ALPHABET
 
-    chosen, wanted = load_profile(profile), Mode(parse_afferent(mode).name)
+    chosen, driven = load_profile(profile), Mode(parse_afferent(mode).name)
     drawn = ALPHABET if letters is None else letters_felt.require_letters(letters)
     picture = None if plot_file is None else Path(plot_file)
     for output in (json_file, picture):
@@ -56,16 +56,16 @@ def finger(
     bank = load_bank(chosen)
     with lines_progress(quiet, "Feeling letters") as progress:
         found = letters_felt.feel_letters(
-            chosen, bank, wanted, anatomy, range(1, fingers + 1), drawn, progress
+            chosen, bank, driven, anatomy, range(1, fingers + 1), drawn, progress
         )
     figures = letters_felt.summary(found)
-    at_board = letters_felt.error_at_board(chosen, bank, wanted, drawn)
+    at_board = letters_felt.error_at_board(chosen, bank, driven, drawn)
     if json_file is not None:
         at_nerve = {each: figures.pop(each) for each in ("median", "worst_tenth")}
         write_json(
             json_file,
             {
-                "profile": chosen.name, "mode": wanted.value, "anatomy": anatomy,
+                "profile": chosen.name, "mode": driven.value, "anatomy": anatomy,
                 "fingers": fingers, "letters": drawn,
                 **figures, "at_board": at_board, "at_nerve": at_nerve,
             },
@@ -75,7 +75,7 @@ def finger(
         from smarttouch.plotting.fingers import letter_figure
         from smarttouch.plotting.style import save
 
-        sequence, active = letters_felt.letter_sequence(drawn[0], chosen, bank, wanted)
+        sequence, active = letters_felt.letter_sequence(drawn[0], chosen, bank, driven)
         save(letter_figure(Finger(chosen, 1, anatomy), sequence, active), picture)
     if not quiet:
         rows = [("error rate at the board", f"{at_board:.3f}")]

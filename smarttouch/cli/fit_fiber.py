@@ -28,7 +28,7 @@ def fit_fiber(
     from smarttouch.physiology.driving import FIBERS
     from smarttouch.profile import load_profile
 
-    chosen, name = load_profile(profile), parse_choice("FIBER", fiber, tuple(FIBERS))
+    chosen, name = load_profile(profile), parse_choice("fiber", fiber, tuple(FIBERS))
     require_folder(json_file)
     with lines_progress(quiet, "Fitting") as progress:
         fits = fit(chosen, load_bank(chosen), name, progress=progress)

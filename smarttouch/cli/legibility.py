@@ -62,14 +62,14 @@ def legibility(
     chosen = profile_for_reading(load_profile(profile))
     notes: list[str] = []
     text = Source(*document.look(source), notes.append)
-    wanted = feel.wanted()
-    motion = wanted.motion(chosen, feel.speed_mm_s)
+    presentation = feel.presentation()
+    motion = presentation.motion(chosen, feel.speed_mm_s)
     with bank_progress(quiet) as progress:
         bank = load_bank(chosen, progress)
-    sharing = RunConfig(scan=parse_choice("--scan", scan, SCANS)).sharing(chosen)
-    reading = Reading(chosen, bank, wanted.tone, motion, parse_mode(mode), sharing)
+    sharing = RunConfig(scan=parse_choice("scan", scan, SCANS)).sharing(chosen)
+    reading = Reading(chosen, bank, presentation.tone, motion, parse_mode(mode), sharing)
     with lines_progress(quiet) as advance:
-        found = measure_legibility(text, reading, wanted, truth, advance, fingers, anatomy)
+        found = measure_legibility(text, reading, presentation, truth, advance, fingers, anatomy)
     figures = {"source": source, "profile": chosen.name, "notes": notes, **found.figures}
     if json_file is not None:
         write_json(json_file, figures)

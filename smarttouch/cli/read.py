@@ -71,13 +71,13 @@ def read(
     run = replace(run, board=board or (None if run.frames is None else "simulated:"))
     own = run.load_profile()
     chosen, outputs = profile_for_reading(own), run.outputs()
-    wanted = feel.wanted(lines)
-    motion = wanted.motion(chosen, feel.speed_mm_s, rate_hz)
+    presentation = feel.presentation(lines)
+    motion = presentation.motion(chosen, feel.speed_mm_s, rate_hz)
     notes: list[str] = []
     text = Source(*document.look(source, scale_matters=follow is not None), notes.append)
-    config = run.config(parse_mode(mode), rate_hz=rate_hz, tone=wanted.tone)
+    config = run.config(parse_mode(mode), rate_hz=rate_hz, tone=presentation.tone)
     with contextlib.ExitStack() as stack:
-        feed = LineFeed(wanted.lines(text, chosen))
+        feed = LineFeed(presentation.lines(text, chosen))
         stack.callback(feed.close)
         first_line_awaited(feed.start(), run.quiet)
         cursor: Cursor

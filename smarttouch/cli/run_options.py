@@ -134,14 +134,14 @@ class RunOptions(OptionGroup):
 
     @property
     def on_a_finger(self) -> bool:
-        """Whether there may be a finger on the board."""
+        """True if there may be a finger on the board."""
         from smarttouch.boards.open import may_touch_a_finger
 
         return may_touch_a_finger(self.board_url)
 
     @property
     def pressed(self) -> bool:
-        """Whether force has to be made up: nobody measures it, and no finger is there."""
+        """True if force has to be made up: nobody measures it, and no finger is there."""
         return self.force is None and not self.on_a_finger
 
     def load_profile(self) -> "Profile":

@@ -45,25 +45,23 @@ def show(
 ) -> None:
     """Say what comes from a sensor: frames, rate, size, force, and what went wrong."""
     from smarttouch.cli.files import require_folder
-    from smarttouch.errors import SmartTouchError
+    from smarttouch.errors import SmartTouchError, require_within
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.sources import open_source
     from smarttouch.sources.forces.force import open_force
     from smarttouch.sources.look import look_at_force, look_at_frames
 
-    if not 0 < seconds <= 3600:
-        message = f"--seconds {seconds:g} must be above 0 and at most 3600"
-        raise SmartTouchError(message, about="--seconds", value=seconds, allowed=(0, 3600))
+    require_within(SmartTouchError, "seconds", seconds, 0, 3600, above=True)
     require_folder(save)
     chosen = load_profile(profile or DEFAULT_PROFILE)
     if force:
         given = of_source.given()
         if save is not None or given:
             message = (
-                f"{', '.join(given) or '--save'} is for frames: leave out --force, or this (the "
+                f"{', '.join(given) or 'save'} is for frames: leave out force, or this (the "
                 "speed of a load cell's line: hx711:PORT?baud=115200)"
             )
-            raise SmartTouchError(message, about="--force", problem="conflict")
+            raise SmartTouchError(message, about="force", problem="conflict")
         with open_force(url, chosen) as pressed:
             rows = look_at_force(pressed, seconds)
         print_table([*rows, *(("note", note) for note in pressed.notes)], left=2)

@@ -68,12 +68,12 @@ def kernels_designed(
     profile: Profile,
     modes: Sequence[Afferent],
     sites: Sequence[int],
-    how: str | None,
+    kind: str | None,
     robust: bool,
     progress: Advance | None,
 ) -> list[SiteKernel]:
     """Design kernels anew: one of `DESIGNS`, or as the profile's board needs them."""
-    design_one = designer(profile) if how is None else DESIGNS[how]
+    design_one = designer(profile) if kind is None else DESIGNS[kind]
     found = []
     for index, mode in enumerate(modes):
         problem = Problem(profile, mode, spread=robust)

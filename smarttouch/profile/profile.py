@@ -66,7 +66,7 @@ class Profile(Table):
 
     @property
     def shares(self) -> bool:
-        """Whether the profile allows points to share a slot."""
+        """True if the profile allows points to share a slot."""
         given = self.limits.total_ma is not None
         return given if self.frames.share is None else self.frames.share
 

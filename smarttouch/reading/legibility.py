@@ -89,7 +89,7 @@ def legibility_of_shapes(
     SmartTouchError
         If there is no text, Tesseract is missing, or a run would end.
     """
-    how, profile = source.how, reading.profile
+    options, profile = source.options, reading.profile
     step_mm = reading.motion.speed_mm_s / profile.pulse.rate_hz
     page_texts: list[str] = []
     texts: list[str] = []
@@ -98,14 +98,14 @@ def legibility_of_shapes(
     delivered: list[tuple[list[DeliveredLine], str]] = []
     for page in source.prepared():
         indices = range(len(page.lines))
-        page_texts += [text for _, text in recognized_lines(page, how, source.note)]
+        page_texts += [text for _, text in recognized_lines(page, options, source.note)]
         lines = (shape_line(page, index, profile, shapes.style) for index in indices)
         felt = _kept(deliver_lines(lines, reading), total, total + len(indices), progress)
         graded = (shape_line(page, index, profile, Style.GRADED) for index in indices)
         ideal = [ideal_picture(line, profile, step_mm) for line in graded]
-        delivered.append((felt, how.languages))
-        texts.append(_read([each.picture for each in felt], how.languages))
-        limit_texts.append(_read(ideal, how.languages))
+        delivered.append((felt, options.languages))
+        texts.append(_read([each.picture for each in felt], options.languages))
+        limit_texts.append(_read(ideal, options.languages))
         total += len(indices)
     page_text, text, limit_text = ("\n".join(each) for each in (page_texts, texts, limit_texts))
     compared = page_text if truth is None else truth
@@ -155,7 +155,9 @@ def legibility_at_nerve(
         finger = Finger(reading.profile, seed, anatomy)
         readings.append(read_at_nerve(lines, finger, reading.mode.afferents))
         pictures = iter(readings[-1].pictures)
-        texts = [_read([next(pictures) for _ in page], how) for page, how in found.delivered]
+        texts = [
+            _read([next(pictures) for _ in page], languages) for page, languages in found.delivered
+        ]
         errors.append(character_error_rate(found.truth, "\n".join(texts)))
         progress(seed, fingers)
     return {"at_board": found.character_error_rate, **nerve_figures(readings, errors)}

@@ -1,4 +1,4 @@
-"""What the screen says of shared slots."""
+"""Words of the screen on shared slots."""
 
 import re
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What the skin got, put back together where the finger was."""
+"""Delivered pulses, put back together where the finger was."""
 
 from dataclasses import replace
 

@@ -137,7 +137,7 @@ class Emulated:
 
     @property
     def pulses(self):
-        """How many it has delivered until now."""
+        """Number of pulses delivered until now."""
         return _PAGE.unpack(self._page[: _PAGE.size])[3]
 
     def flag(self):
