@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch.cli.driving import asks_a_board, drives_a_board, opened, the_stop
 from smarttouch.cli.tables import print_table
 from smarttouch.emulator.commands import emulate_board
+from smarttouch.monitor.driving import asks_a_board, drives_a_board, opened, the_stop
 
 if TYPE_CHECKING:
     from smarttouch.boards.board import Board
@@ -68,7 +68,7 @@ def measure(
     ] = None,
 ) -> None:
     """Measure the impedance of every electrode on the finger, with small currents."""
-    from smarttouch.cli.files import require_folder, write_json
+    from smarttouch.files import require_folder, write_json
 
     require_folder(json_file)
     _, display = _driver(url, profile)
@@ -99,8 +99,8 @@ def try_out(
     import sys
 
     from smarttouch.boards.open import may_touch_a_finger
-    from smarttouch.cli.keyboard import keyboard_listener
     from smarttouch.errors import SmartTouchError
+    from smarttouch.monitor.keyboard import keyboard_listener
     from smarttouch.running.display import open_display
     from smarttouch.running.listener import OnEvent
     from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
@@ -154,7 +154,7 @@ def calibrate_scale(
 ) -> None:
     """Check the scale of a board's current with a resistor in place of the finger."""
     from smarttouch.boards.scale import check_reading, measured_scale
-    from smarttouch.cli.files import require_site
+    from smarttouch.cli.choices import require_site
     from smarttouch.errors import SmartTouchError
     from smarttouch.running.display import open_display
     from smarttouch.running.listener import OnStep

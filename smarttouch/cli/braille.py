@@ -48,8 +48,8 @@ def braille(
     from smarttouch.braille.layout import COLUMNS, INDENT, ROWS, lay_out
     from smarttouch.braille.source import load_cells, write_cells
     from smarttouch.braille.tables import open_table
-    from smarttouch.cli.files import require_folder
     from smarttouch.errors import BrailleError
+    from smarttouch.files import require_folder
 
     if tables:
         _print_tables()

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch.cli.driving import drives_a_board, opened, the_stop
 from smarttouch.cli.option_groups import OptionGroup, takes_options
+from smarttouch.monitor.driving import drives_a_board, opened, the_stop
 
 if TYPE_CHECKING:
     from smarttouch.calibrate.profile_file import ProfileFile
@@ -241,8 +241,8 @@ def thresholds(
     from smarttouch.calibrate.found import parse_electrodes
     from smarttouch.calibrate.thresholds import ThresholdProcedure
     from smarttouch.cli.calibrate_steps import require_subject
-    from smarttouch.cli.keyboard import keyboard_listener
     from smarttouch.errors import BoardStoppedError
+    from smarttouch.monitor.keyboard import keyboard_listener
 
     simulated = simulate or board.startswith("emulator:")
     file = calibration.file("thresholds", simulated, board)

@@ -6,10 +6,10 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
 from smarttouch.cli.saved import SavedSettings
+from smarttouch.monitor.driving import drives_a_board
 
 
 @drives_a_board
@@ -53,11 +53,11 @@ def color(
     import contextlib
 
     from smarttouch.afferent import Afferent
-    from smarttouch.cli.files import require_folder, write_json
-    from smarttouch.cli.progress import bank_progress
-    from smarttouch.cli.session import run_in_terminal
     from smarttouch.cli.tables import print_table
+    from smarttouch.files import require_folder, write_json
     from smarttouch.kernels.bank import load_bank
+    from smarttouch.monitor.progress import bank_progress
+    from smarttouch.monitor.session import run_in_terminal
     from smarttouch.reading.window import press_n
     from smarttouch.vibrotactile.crosstalk import pacinian_price
     from smarttouch.vibrotactile.mix import mix
@@ -127,8 +127,7 @@ def color(
 
 def _add(path: Path, figures: dict[str, object]) -> None:
     """Put what is known of the colors beside the figures of the run."""
-    from smarttouch.cli.files import write_json
     from smarttouch.errors import SmartTouchError
-    from smarttouch.files import parse_json, read_bytes
+    from smarttouch.files import parse_json, read_bytes, write_json
 
     write_json(path, parse_json(read_bytes(path, SmartTouchError)) | {"color": figures})

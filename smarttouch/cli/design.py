@@ -47,12 +47,13 @@ def design(
     ] = None,
 ) -> None:
     """Show the kernels of a profile: current patterns that reach one class of afferents."""
-    from smarttouch.cli.files import parse_afferent, require_folder, require_site, write_json
-    from smarttouch.cli.progress import bank_progress
+    from smarttouch.cli.choices import parse_afferent, require_site
     from smarttouch.errors import DesignError, SmartTouchError
+    from smarttouch.files import require_folder, write_json
     from smarttouch.kernels import report
     from smarttouch.kernels.bank import find_bank, load_bank, make_bank
     from smarttouch.kernels.switching import possible_modes
+    from smarttouch.monitor.progress import bank_progress
     from smarttouch.profile import load_profile
 
     afferent = None if mode is None else parse_afferent(mode)

@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
 from smarttouch.cli.saved import SavedSettings
+from smarttouch.monitor.driving import drives_a_board
 
 experiment = typer.Typer(
     help="Psychophysics: what a finger can tell of pulses (paper, Section III).",
@@ -104,8 +104,8 @@ def run_listed(
     import contextlib
     from dataclasses import replace
 
+    from smarttouch.cli.choices import parse_afferent, parse_choice
     from smarttouch.cli.experiment_steps import require_answers, sit
-    from smarttouch.cli.files import parse_afferent, parse_choice
     from smarttouch.psychophysics.catalog import ExperimentOptions, design
     from smarttouch.psychophysics.rows import About
     from smarttouch.psychophysics.sitting import (
@@ -179,8 +179,8 @@ def free(
     """
     from dataclasses import replace
 
+    from smarttouch.cli.choices import parse_afferent
     from smarttouch.cli.experiment_steps import free_run
-    from smarttouch.cli.files import parse_afferent
     from smarttouch.profile import load_profile
 
     if run.intensity is None and not run.on_a_finger:

@@ -69,8 +69,9 @@ def fit(
     """
     from dataclasses import replace
 
-    from smarttouch.cli.files import parse_choice, require_folder, write_json
+    from smarttouch.cli.choices import parse_choice
     from smarttouch.errors import ExperimentError, require_within
+    from smarttouch.files import require_folder, write_json
     from smarttouch.plotting import style
     from smarttouch.plotting.discrimination import discrimination_figure
     from smarttouch.psychophysics.fitting.answers import usual_model

@@ -9,12 +9,12 @@ from pathlib import Path
 import typer
 
 from smarttouch.afferent import Afferent, Mode
-from smarttouch.cli.blind_screen import BlindScreen
-from smarttouch.cli.progress import bank_progress
 from smarttouch.cli.run_options import RunOptions
-from smarttouch.cli.session import run_in_terminal
 from smarttouch.errors import ExperimentError
 from smarttouch.kernels.bank import load_bank
+from smarttouch.monitor.blind_screen import BlindScreen
+from smarttouch.monitor.progress import bank_progress
+from smarttouch.monitor.session import run_in_terminal
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.free import FreeLog, FreeSource, HandControls, up_to_the_ceiling
 from smarttouch.psychophysics.sitting import ExperimentSession, numbered

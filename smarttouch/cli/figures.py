@@ -26,12 +26,12 @@ def figures(
     """Redraw the paper's Fig. 2, 5, 8, 9 and 10; draw kernels, activation, shared slots, fibers."""
     import numpy as np
 
-    from smarttouch.cli.files import require_site
-    from smarttouch.cli.progress import bank_progress
+    from smarttouch.cli.choices import require_site
     from smarttouch.cli.tables import print_table
     from smarttouch.errors import SmartTouchError, not_offered
     from smarttouch.kernels.bank import load_bank
     from smarttouch.kernels.switching import kind_of
+    from smarttouch.monitor.progress import bank_progress
     from smarttouch.physiology import af_error
     from smarttouch.plotting import colors, fibers, frames, kernels, paper, style
     from smarttouch.profile import load_profile

@@ -39,10 +39,11 @@ def finger(
     from pathlib import Path
 
     from smarttouch.afferent import Mode
-    from smarttouch.cli.files import parse_afferent, require_folder, write_json
-    from smarttouch.cli.progress import lines_progress
+    from smarttouch.cli.choices import parse_afferent
     from smarttouch.cli.tables import print_table
+    from smarttouch.files import require_folder, write_json
     from smarttouch.kernels.bank import load_bank
+    from smarttouch.monitor.progress import lines_progress
     from smarttouch.physiology.finger import Finger
     from smarttouch.profile import load_profile
     from smarttouch.psychophysics import letters_felt

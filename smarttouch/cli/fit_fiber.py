@@ -19,12 +19,13 @@ def fit_fiber(
     quiet: QuietOption = False,
 ) -> None:
     """Fit what fires a fiber, and compare with its cable model on kernels not fitted to."""
-    from smarttouch.cli.files import parse_choice, require_folder, write_json
-    from smarttouch.cli.progress import lines_progress
+    from smarttouch.cli.choices import parse_choice
     from smarttouch.cli.tables import print_table
+    from smarttouch.files import require_folder, write_json
     from smarttouch.kernels.bank import load_bank
     from smarttouch.kernels.fiber_fits import as_json, error_rows
     from smarttouch.kernels.fiber_fits import fit_fiber as fit
+    from smarttouch.monitor.progress import lines_progress
     from smarttouch.physiology.driving import FIBERS
     from smarttouch.profile import load_profile
 

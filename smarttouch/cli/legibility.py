@@ -42,15 +42,11 @@ def legibility(
     quiet: QuietOption = False,
 ) -> None:
     """Measure it: the whole chain to a simulated board, and Tesseract on what the skin got."""
-    from smarttouch.cli.files import (
-        parse_choice,
-        parse_mode,
-        require_folder,
-        write_json,
-    )
-    from smarttouch.cli.progress import bank_progress, lines_progress
+    from smarttouch.cli.choices import parse_choice, parse_mode
     from smarttouch.cli.tables import print_table
+    from smarttouch.files import require_folder, write_json
     from smarttouch.kernels.bank import load_bank
+    from smarttouch.monitor.progress import bank_progress, lines_progress
     from smarttouch.profile import load_profile
     from smarttouch.reading.deliver import Reading
     from smarttouch.reading.legibility import measure_legibility

@@ -4,13 +4,13 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.options import ModeOption, RateOption
 from smarttouch.cli.run_options import RunOptions
 from smarttouch.cli.saved import SavedSettings, used_tone
 from smarttouch.cli.source_options import SourceOptions
 from smarttouch.cli.standard_input import or_standard_input
+from smarttouch.monitor.driving import drives_a_board
 
 
 @drives_a_board
@@ -46,8 +46,8 @@ def live(
     """Let a finger feel what a source sees, until it ends, a key or Ctrl-C."""
     import contextlib
 
-    from smarttouch.cli.files import parse_mode
-    from smarttouch.cli.session import run_in_terminal
+    from smarttouch.cli.choices import parse_mode
+    from smarttouch.monitor.session import run_in_terminal
     from smarttouch.resources import data_folder
     from smarttouch.sources import open_source
 

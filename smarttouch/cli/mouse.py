@@ -4,10 +4,10 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
 from smarttouch.cli.saved import SavedSettings
+from smarttouch.monitor.driving import drives_a_board
 
 
 @drives_a_board
@@ -67,8 +67,8 @@ def mouse(
     """
     import contextlib
 
-    from smarttouch.cli.files import parse_mode
-    from smarttouch.cli.session import run_in_terminal
+    from smarttouch.cli.choices import parse_mode
+    from smarttouch.monitor.session import run_in_terminal
     from smarttouch.reading.window import press_n, profile_for_reading
     from smarttouch.texture.source import MouseSource, open_motion_over
     from smarttouch.texture.textures import open_texture

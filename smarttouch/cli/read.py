@@ -4,13 +4,13 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.options import ModeOption, RateOption
 from smarttouch.cli.run_options import RunOptions
 from smarttouch.cli.saved import SavedSettings, use_option
 from smarttouch.cli.source_options import DocumentOptions, FeelOptions
 from smarttouch.cli.standard_input import or_standard_input
+from smarttouch.monitor.driving import drives_a_board
 
 
 @drives_a_board
@@ -58,9 +58,9 @@ def read(
     import contextlib
     from dataclasses import replace
 
-    from smarttouch.cli.files import parse_mode
-    from smarttouch.cli.progress import first_line_awaited
-    from smarttouch.cli.session import run_in_terminal
+    from smarttouch.cli.choices import parse_mode
+    from smarttouch.monitor.progress import first_line_awaited
+    from smarttouch.monitor.session import run_in_terminal
     from smarttouch.reading.cursor import Cursor, FollowingCursor, SweepingCursor
     from smarttouch.reading.feed import LineFeed
     from smarttouch.reading.line_source import ReadingSource

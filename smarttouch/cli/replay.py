@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
+from smarttouch.monitor.driving import drives_a_board
 
 
 @drives_a_board
@@ -50,8 +50,8 @@ def replay(
     from dataclasses import replace
     from functools import partial
 
-    from smarttouch.cli.session import run_in_terminal
     from smarttouch.front import recording_config
+    from smarttouch.monitor.session import run_in_terminal
     from smarttouch.recording.controls import RecordedControls
     from smarttouch.recording.source import RecordingSource
 
@@ -75,8 +75,8 @@ def replay(
 
 def _check(file: Path, profile: str | None) -> None:
     """Print the outcome; exit 1 where sequences differ."""
-    from smarttouch.cli.progress import bank_progress
     from smarttouch.kernels.bank import load_bank
+    from smarttouch.monitor.progress import bank_progress
     from smarttouch.profile import load_profile
     from smarttouch.recording.check import check_recording
     from smarttouch.recording.reader import Recording

@@ -19,7 +19,7 @@ from smarttouch.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from smarttouch.cli.session import Outputs
+    from smarttouch.monitor.session import Outputs
     from smarttouch.profile import Profile
     from smarttouch.running.config import RunConfig
     from smarttouch.running.display import Display
@@ -173,7 +173,7 @@ class RunOptions(OptionGroup):
 
     def outputs(self) -> "Outputs":
         """Return the files of the run."""
-        from smarttouch.cli.session import Outputs
+        from smarttouch.monitor.session import Outputs
 
         return Outputs(**{each.name: getattr(self, each.name) for each in fields(Outputs)})
 

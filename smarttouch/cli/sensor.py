@@ -44,8 +44,8 @@ def show(
     profile: _ProfileName = None,
 ) -> None:
     """Say what comes from a sensor: frames, rate, size, force, and what went wrong."""
-    from smarttouch.cli.files import require_folder
     from smarttouch.errors import SmartTouchError, require_within
+    from smarttouch.files import require_folder
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.sources import open_source
     from smarttouch.sources.forces.force import open_force

@@ -132,7 +132,7 @@ class FeelOptions(OptionGroup):
 
     def presentation(self, lines: int = 1) -> "Shapes | Braille":
         """Return letter shapes or Braille, with so many lines of cells at once."""
-        from smarttouch.cli.files import parse_choice
+        from smarttouch.cli.choices import parse_choice
         from smarttouch.reading.braille import Braille, Presentation
         from smarttouch.reading.shapes import Shapes, Style
 

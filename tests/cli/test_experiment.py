@@ -14,10 +14,10 @@ import pytest
 from rich.console import Console
 
 from smarttouch.afferent import Mode
-from smarttouch.cli.blind_screen import BlindScreen
 from smarttouch.errors import ExperimentError
 from smarttouch.events import FingerLifted, TrialEvent
 from smarttouch.files import open_alone
+from smarttouch.monitor.blind_screen import BlindScreen
 from smarttouch.psychophysics.rows import read_rows
 from smarttouch.recording.reader import Recording
 from smarttouch.running.controls import Controls, ControlState

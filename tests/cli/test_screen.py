@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smarttouch.afferent import Afferent
-from smarttouch.cli.screen import _ArrayLayout, _beside, _given
+from smarttouch.monitor.screen import _ArrayLayout, _beside, _given
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.step import StepResult

@@ -1,14 +1,10 @@
-"""Helpers of the commands: modes by name, and files to write."""
+"""Modes, classes, sites and other choices, as options name them."""
 
-import json
-import math
 from collections.abc import Iterable
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from smarttouch.afferent import Afferent, Mode
 from smarttouch.errors import SmartTouchError, not_offered, require_within
-from smarttouch.files import write_bytes
 
 if TYPE_CHECKING:
     from smarttouch.profile import Profile
@@ -44,23 +40,3 @@ def require_site(profile: "Profile", site: int) -> None:
     """Raise unless a profile's array has such a site."""
     words = f"site {site} of {profile.name}"
     require_within(SmartTouchError, "site", site, 0, len(profile.electrodes) - 1, words)
-
-
-def require_folder(path: Path | None) -> None:
-    """Raise before any work is done if a file could not be written in the end."""
-    if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
-        message = f"cannot write {path}: give a file in a folder that exists"
-        raise SmartTouchError(message, about="file", problem="unwritable", value=path)
-
-
-def write_json(path: Path, figures: Any) -> None:
-    """Write figures as JSON, in which a number that is none, or endless, is null."""
-    write_bytes(path, (json.dumps(_finite(figures), indent=2, allow_nan=False) + "\n").encode())
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
