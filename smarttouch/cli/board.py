@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from smarttouch.cli.options import ProfileOption
 from smarttouch.cli.tables import print_table
 from smarttouch.emulator.commands import emulate_board
 from smarttouch.monitor.driving import asks_a_board, drives_a_board, opened, the_stop
@@ -23,10 +24,6 @@ board.command("emulate")(emulate_board)
 _Url = Annotated[
     str, typer.Argument(metavar="URL", help="kajimoto61:PORT, etactilekit:PORT, link:PORT")
 ]
-_ProfileName = Annotated[
-    str | None,
-    typer.Option("--profile", metavar="NAME|FILE", help="The board's usual one if not given."),
-]
 
 _WALK_MA = 0.5
 _ENDS = ("q", "\x03", "\x04", "")
@@ -35,7 +32,7 @@ _ENDS = ("q", "\x03", "\x04", "")
 
 @board.command()
 @asks_a_board
-def info(url: _Url, profile: _ProfileName = None) -> None:
+def info(url: _Url, profile: ProfileOption = None) -> None:
     """Say what a board is and what it can and cannot do."""
     chosen, display = _driver(url, profile)
     with opened(display):
@@ -50,7 +47,7 @@ def info(url: _Url, profile: _ProfileName = None) -> None:
 
 @board.command()
 @asks_a_board
-def stop(url: _Url, profile: _ProfileName = None) -> None:
+def stop(url: _Url, profile: ProfileOption = None) -> None:
     """Put all electrodes of a board at zero."""
     _, display = _driver(url, profile)
     with opened(display):
@@ -62,7 +59,7 @@ def stop(url: _Url, profile: _ProfileName = None) -> None:
 @drives_a_board
 def measure(
     url: _Url,
-    profile: _ProfileName = None,
+    profile: ProfileOption = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write the impedances.")
     ] = None,
@@ -93,7 +90,7 @@ def try_out(
         float | None,
         typer.Option(metavar="S", help="For each electrode; waits for a key if not given."),
     ] = None,
-    profile: _ProfileName = None,
+    profile: ProfileOption = None,
 ) -> None:
     """Walk through the electrodes, each against all others, from zero up to a small current."""
     import sys
@@ -150,7 +147,7 @@ def calibrate_scale(
         float | None,
         typer.Option(metavar="V", help="Peak that was seen; asked for while it pulses if not."),
     ] = None,
-    profile: _ProfileName = None,
+    profile: ProfileOption = None,
 ) -> None:
     """Check the scale of a board's current with a resistor in place of the finger."""
     from smarttouch.boards.scale import check_reading, measured_scale

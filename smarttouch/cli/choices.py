@@ -1,5 +1,6 @@
 """Modes, classes, sites and other choices, as options name them."""
 
+import sys
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, TypeVar
 
@@ -40,3 +41,21 @@ def require_site(profile: "Profile", site: int) -> None:
     """Raise unless a profile's array has such a site."""
     words = f"site {site} of {profile.name}"
     require_within(SmartTouchError, "site", site, 0, len(profile.electrodes) - 1, words)
+
+
+def require_answers(
+    simulate: bool, board_url: str, boards: tuple[str, ...], error: type[SmartTouchError]
+) -> None:
+    """Raise unless somebody can answer: a person at a keyboard, or a simulation on such boards."""
+    if simulate and not board_url.startswith(boards):
+        raise error(
+            f"a simulation answers for nobody: no current of its flows through {board_url!r}, only "
+            f"through {' or '.join(boards)}",
+            about="board",
+            problem="conflict",
+            value=board_url,
+            allowed=boards,
+        )
+    if not simulate and not sys.stdin.isatty():
+        message = "there is no keyboard to answer on: use a terminal, or simulate"
+        raise error(message, about="keyboard", problem="missing", remedy="simulate")

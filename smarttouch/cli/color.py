@@ -1,6 +1,7 @@
 """``smarttouch color``: a vibration as tactile primary colors."""
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -50,14 +51,11 @@ def color(
 
     It lasts 2 s, or as long as its file; intensity rises in the first half second.
     """
-    import contextlib
-
     from smarttouch.afferent import Afferent
     from smarttouch.cli.tables import print_table
     from smarttouch.files import require_folder, write_json
     from smarttouch.kernels.bank import load_bank
     from smarttouch.monitor.progress import bank_progress
-    from smarttouch.monitor.session import run_in_terminal
     from smarttouch.reading.window import press_n
     from smarttouch.vibrotactile.crosstalk import pacinian_price
     from smarttouch.vibrotactile.mix import mix
@@ -73,7 +71,7 @@ def color(
         from smarttouch.plotting import style
 
         style.require_drawable(plot)
-    outputs, json_file = run.outputs(), run.json_file
+    json_file = run.json_file
     trace = open_trace(source, 2.0 if run.seconds is None else run.seconds, seed)
     chosen = run.load_profile()
     answers = split(trace, sai_full_n=chosen.force.full_n, sai_rate_hz=chosen.pulse.sai_rate_hz)
@@ -93,10 +91,9 @@ def color(
         return
     with bank_progress(run.quiet) as progress:
         bank = load_bank(chosen, progress)
-    display = run.display(chosen)
     places = parse_places(chosen, sites, radius_mm)
     shaken = run.vibrators is not None
-    timing = display.board.timing
+    timing = run.display(chosen).board.timing
     mixture = mix(answers, trace.duration_s, chosen, bank, places, timing, shaken)
     seconds = None if is_spec(source) else run.seconds
     config = run.config(mixture.mode, seconds=seconds, seed=seed)
@@ -107,10 +104,7 @@ def color(
     if mixture.pulses(Afferent.PC):
         price = pacinian_price(chosen, bank, mixture.sites)
         vibration.notes.append(str(price))
-    with contextlib.ExitStack() as stack:
-        force = run.open_force(chosen, stack)
-        saved.keep(context)
-        run_in_terminal(vibration, display, config, outputs, force=force)
+    run.start(vibration, chosen, config, partial(saved.keep, context))
     if json_file is not None:
         _add(json_file, as_figures(answers, mixture, vibration, price))
     if plot is not None:

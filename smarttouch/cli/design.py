@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from smarttouch.cli.options import ArrayOption
 from smarttouch.cli.tables import print_table
 
 if TYPE_CHECKING:
@@ -13,9 +14,7 @@ if TYPE_CHECKING:
 
 
 def design(
-    profile: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Device and finger; see: smarttouch profiles")
-    ] = "electric-mouse",
+    profile: ArrayOption = "electric-mouse",
     mode: Annotated[
         str | None, typer.Option(metavar="RA|SAI|PC", help="Which afferents to reach; all if none.")
     ] = None,

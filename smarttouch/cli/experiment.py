@@ -101,11 +101,11 @@ def run_listed(
     Keys: the answers that the screen names, r for the trial once more, and those of live; q to
     go on another time.
     """
-    import contextlib
     from dataclasses import replace
 
-    from smarttouch.cli.choices import parse_afferent, parse_choice
-    from smarttouch.cli.experiment_steps import require_answers, sit
+    from smarttouch.cli.choices import parse_afferent, parse_choice, require_answers
+    from smarttouch.cli.experiment_steps import sit
+    from smarttouch.errors import ExperimentError
     from smarttouch.psychophysics.catalog import ExperimentOptions, design
     from smarttouch.psychophysics.rows import About
     from smarttouch.psychophysics.sitting import (
@@ -119,7 +119,15 @@ def run_listed(
     if simulate is not None:
         simulate = parse_choice("simulate", simulate, ("model", "random", "first", "silent"))
     run = replace(run, board=board or (None if simulate is None else "simulated:"))
-    require_answers(simulate, run.board_url)
+    require_answers(simulate is not None, run.board_url, ("simulated:",), ExperimentError)
+    if simulate is None and run.board_url == "simulated:":
+        raise ExperimentError(
+            "nobody can answer as fast as simulated: goes: choose emulator:, or simulate",
+            about="board",
+            problem="impossible",
+            value=run.board_url,
+            remedy="simulate",
+        )
     chosen = run.load_profile()
     afferent = parse_afferent(mode)
     named = f"{name}-{afferent.name}"
@@ -140,14 +148,11 @@ def run_listed(
         subject=run.subject or participant,
         note=run.note or session,
     )
-    with (
-        open_sitting(made, chosen, timing, about, path, overwrite=overwrite) as sitting,
-        contextlib.ExitStack() as stack,
-    ):
+    with open_sitting(made, chosen, timing, about, path, overwrite=overwrite) as sitting:
         saved.keep(context)
         if run.record is not None and sitting.session.resumed:
             run = replace(run, record=numbered(run.record))
-        sit(sitting, run, config, run.open_force(chosen, stack), simulate)
+        sit(sitting, run, config, simulate)
 
 
 @experiment.command()

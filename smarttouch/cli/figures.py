@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smarttouch import terminal
+from smarttouch.cli.options import ArrayOption
 from smarttouch.files import write_bytes
 
 if TYPE_CHECKING:
@@ -15,9 +16,7 @@ if TYPE_CHECKING:
 
 def figures(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to; made if missing.")],
-    profile: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Whose kernels and fibers to draw.")
-    ] = "electric-mouse",
+    profile: ArrayOption = "electric-mouse",
     site: Annotated[
         int | None, typer.Option(metavar="N", help="Whose kernels; the middle one if none.")
     ] = None,

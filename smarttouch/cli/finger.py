@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.cli.options import JsonOption, QuietOption
+from smarttouch.cli.options import ArrayOption, JsonOption, QuietOption
 
 _NAMES = {
     "silent_points": "silent points",
@@ -19,9 +19,7 @@ def finger(
     letters: Annotated[
         str | None, typer.Argument(metavar="LETTERS", help="A to Z if none.")
     ] = None,
-    profile: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Device and skin.")
-    ] = "electric-mouse",
+    profile: ArrayOption = "electric-mouse",
     mode: Annotated[str, typer.Option(metavar="RA|SAI|PC", help="Whose receptors.")] = "RA",
     anatomy: Annotated[
         str, typer.Option(metavar="branched|paper|FILE", help="Course of the afferents.")

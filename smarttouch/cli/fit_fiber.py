@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.cli.options import JsonOption, QuietOption
+from smarttouch.cli.options import ArrayOption, JsonOption, QuietOption
 
 
 def fit_fiber(
@@ -12,9 +12,7 @@ def fit_fiber(
         str,
         typer.Argument(metavar="fingertip|trunk|mrg", help="mrg needs PyFibers and NEURON."),
     ] = "fingertip",
-    profile: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Whose kernels to fit to and judge on.")
-    ] = "electric-mouse",
+    profile: ArrayOption = "electric-mouse",
     json_file: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from smarttouch.cli.option_groups import takes_options
-from smarttouch.cli.options import JsonOption, QuietOption, ScanOption
+from smarttouch.cli.options import ArrayOption, JsonOption, QuietOption, ScanOption
 from smarttouch.cli.source_options import DocumentOptions, FeelOptions
 from smarttouch.cli.standard_input import or_standard_input
 
@@ -23,9 +23,7 @@ def legibility(
             help="As for smarttouch read.",
         ),
     ],
-    profile: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Device and finger.")
-    ] = "electric-mouse",
+    profile: ArrayOption = "electric-mouse",
     truth: Annotated[
         Path | None,
         typer.Option(metavar="FILE.txt", help="What the page says; what Tesseract reads if none."),

@@ -1,5 +1,6 @@
 """``smarttouch read``: text from a file under the finger, as letter shapes or as Braille."""
 
+from functools import partial
 from typing import Annotated
 
 import typer
@@ -60,7 +61,6 @@ def read(
 
     from smarttouch.cli.choices import parse_mode
     from smarttouch.monitor.progress import first_line_awaited
-    from smarttouch.monitor.session import run_in_terminal
     from smarttouch.reading.cursor import Cursor, FollowingCursor, SweepingCursor
     from smarttouch.reading.feed import LineFeed
     from smarttouch.reading.line_source import ReadingSource
@@ -70,7 +70,7 @@ def read(
 
     run = replace(run, board=board or (None if run.frames is None else "simulated:"))
     own = run.load_profile()
-    chosen, outputs = profile_for_reading(own), run.outputs()
+    chosen = profile_for_reading(own)
     presentation = feel.presentation(lines)
     motion = presentation.motion(chosen, feel.speed_mm_s, rate_hz)
     notes: list[str] = []
@@ -87,14 +87,5 @@ def read(
             cursor = FollowingCursor(feed, stack.enter_context(open_source(follow, own)))
         reading = ReadingSource(text.title, chosen, feed, cursor)
         reading.url, reading.notes = source, notes
-        force = run.open_force(chosen, stack)
-        saved.keep(context)
-        run_in_terminal(
-            reading,
-            run.display(chosen),
-            config,
-            outputs,
-            force=force,
-            keys=reading.keys,
-            keys_help="← →  line    r  again    ",
-        )
+        keep, keys_help = partial(saved.keep, context), "← →  line    r  again    "
+        run.start(reading, chosen, config, keep, keys=reading.keys, keys_help=keys_help)

@@ -46,31 +46,20 @@ def replay(
     if check:
         _check(file, profile)
         return
-    import contextlib
     from dataclasses import replace
     from functools import partial
 
     from smarttouch.front import recording_config
-    from smarttouch.monitor.session import run_in_terminal
     from smarttouch.recording.controls import RecordedControls
     from smarttouch.recording.source import RecordingSource
 
-    run, outputs = replace(run, board=board, force=force, intensity=intensity), run.outputs()
+    run = replace(run, board=board, force=force, intensity=intensity)
     recording = Recording(file)
     chosen = recording.profile if profile is None else load_profile(profile)
     config = recording_config(recording, **run.settings("scan", "softness"))
-    with contextlib.ExitStack() as stack:
-        source = stack.enter_context(RecordingSource(recording))
+    with RecordingSource(recording) as source:
         source.url = f"recording:{file}"
-        pressing = run.open_force(chosen, stack)
-        run_in_terminal(
-            source,
-            run.display(chosen),
-            config,
-            outputs,
-            force=pressing,
-            controls=partial(RecordedControls, recording),
-        )
+        run.start(source, chosen, config, controls=partial(RecordedControls, recording))
 
 
 def _check(file: Path, profile: str | None) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smarttouch.cli.option_groups import takes_options
+from smarttouch.cli.options import ProfileOption
 from smarttouch.cli.source_options import SourceOptions
 from smarttouch.cli.tables import print_table
 from smarttouch.emulator.commands import emulate_sensor
@@ -17,12 +18,6 @@ if TYPE_CHECKING:
 
 sensor = typer.Typer(help="Look at one sensor or load cell, or play one.", no_args_is_help=True)
 sensor.command("emulate")(emulate_sensor)
-
-
-_ProfileName = Annotated[
-    str | None,
-    typer.Option("--profile", metavar="NAME|FILE", help="Device and finger; electric-mouse."),
-]
 
 
 @sensor.command()
@@ -41,7 +36,7 @@ def show(
         bool, typer.Option("--force", help="It is a source of finger force, not of frames.")
     ] = False,
     save: Annotated[Path | None, typer.Option(metavar="PNG", help="Keep the last frame.")] = None,
-    profile: _ProfileName = None,
+    profile: ProfileOption = None,
 ) -> None:
     """Say what comes from a sensor: frames, rate, size, force, and what went wrong."""
     from smarttouch.errors import SmartTouchError, require_within

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from smarttouch.errors import SmartTouchError, not_offered, require_within
+from smarttouch.files import require_folder
 from smarttouch.wire.pty_line import PtyLine
 from smarttouch.wire.tcp_line import TcpLine
 
@@ -201,9 +202,7 @@ def emulate_sensor(
         ("noise", noise, 0, _LARGEST),
     ):
         require_within(SmartTouchError, about, value, least, most)
-    if books is not None and (books.is_dir() or not books.absolute().parent.is_dir()):
-        message = f"cannot write {books}: give a file in a folder that exists"
-        raise SmartTouchError(message, about="file", problem="unwritable", value=books)
+    require_folder(books)
     faults = [parse(text, FAULTS, SourceError) for text in event or ()]
     kinds = {fault.kind for fault in faults}
     chosen = load_profile(profile or DEFAULT_PROFILE)
