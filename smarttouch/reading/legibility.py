@@ -1,6 +1,6 @@
 """Legibility: the part of a text that can be recognized from the delivered pulses."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from smarttouch.braille.files import read_text
-from smarttouch.braille.tables import open_table
 from smarttouch.delivered.line import LinePicture
 from smarttouch.physiology.finger import Finger
 from smarttouch.reading.braille import Braille
+from smarttouch.reading.cell_legibility import Progress, kept, legibility_of_braille, silent
 from smarttouch.reading.deliver import DeliveredLine, Reading, deliver_lines, ideal_picture
 from smarttouch.reading.error_rate import character_error_rate, word_error_rate
 from smarttouch.reading.nerve import nerve_figures, read_at_nerve
@@ -23,12 +23,6 @@ from smarttouch.reading.window import require_rows, rows_of
 
 _GAP = 0.45
 """Gap between lines for recognition, relative to their height."""
-
-Progress = Callable[[int, int], None]
-"""Callback with the number of finished lines and of all."""
-
-
-def _in_silence(_done: int, _total: int) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -69,7 +63,7 @@ def legibility_of_shapes(
     reading: Reading,
     shapes: Shapes,
     truth: str | None = None,
-    progress: Progress = _in_silence,
+    progress: Progress = silent,
 ) -> Legibility:
     """Deliver letter shapes, and recognize the delivered pictures.
 
@@ -100,7 +94,7 @@ def legibility_of_shapes(
         indices = range(len(page.lines))
         page_texts += [text for _, text in recognized_lines(page, options, source.note)]
         lines = (shape_line(page, index, profile, shapes.style) for index in indices)
-        felt = _kept(deliver_lines(lines, reading), total, total + len(indices), progress)
+        felt = kept(deliver_lines(lines, reading), total, total + len(indices), progress)
         graded = (shape_line(page, index, profile, Style.GRADED) for index in indices)
         ideal = [ideal_picture(line, profile, step_mm) for line in graded]
         delivered.append((felt, options.languages))
@@ -128,7 +122,7 @@ def legibility_at_nerve(
     reading: Reading,
     fingers: int,
     anatomy: str,
-    progress: Progress = _in_silence,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Let simulated fingers feel delivered letter shapes, and recognize what each felt.
 
@@ -179,88 +173,6 @@ def _read(pictures: Sequence[LinePicture], languages: str) -> str:
     return recognize(sheet, languages=languages, layout=Layout.BLOCK).text
 
 
-def _kept(
-    lines: Iterable[DeliveredLine], before: int, total: int, progress: Progress
-) -> list[DeliveredLine]:
-    kept: list[DeliveredLine] = []
-    for line in lines:
-        kept.append(line)
-        progress(before + len(kept), total)
-    return kept
-
-
-@dataclass(frozen=True)
-class BrailleLegibility:
-    """Legibility of Braille.
-
-    Attributes
-    ----------
-    cell_error_rate : float
-        Part of the cells that were not delivered as they should.
-    cells, lines : int
-        Number of cells, and of lines.
-    wanted, delivered : str
-        Cells, a line each.
-    text : str or None
-        The delivered cells as text; None if the table cannot go back.
-    """
-
-    cell_error_rate: float
-    cells: int
-    lines: int
-    wanted: str
-    delivered: str
-    text: str | None
-
-
-def legibility_of_braille(
-    source: Source, reading: Reading, braille: Braille, progress: Progress = _in_silence
-) -> BrailleLegibility:
-    """Deliver cells, and decode the delivered dots.
-
-    Parameters
-    ----------
-    source : Source
-        Anything that can be read as Braille.
-    reading : Reading
-        Presentation under the finger.
-    braille : Braille
-    progress : callable
-
-    Raises
-    ------
-    SmartTouchError
-        If there is nothing to read, or a run would end.
-    """
-    profile = reading.profile
-    lines = list(braille.lines(source, profile))
-    pictures = [
-        each.picture for each in _kept(deliver_lines(lines, reading), 0, len(lines), progress)
-    ]
-    wanted: list[str] = []
-    delivered: list[str] = []
-    for line, picture in zip(lines, pictures, strict=True):
-        layout = braille.layout(profile, line.cells)
-        wanted += line.cells
-        delivered += layout.decode(picture, line.cells, apart=reading.motion.gaps)
-    count = sum(map(len, wanted))
-    wrong = sum(
-        one != other
-        for pair in zip(wanted, delivered, strict=True)
-        for one, other in zip(*pair, strict=True)
-    )
-    table = open_table(braille.table)
-    felt = "\n".join(delivered)
-    return BrailleLegibility(
-        cell_error_rate=wrong / count,
-        cells=count,
-        lines=len(wanted),
-        wanted="\n".join(wanted),
-        delivered=felt,
-        text=table.to_text(felt) if table.code.goes_back else None,
-    )
-
-
 @dataclass(frozen=True)
 class Measured:
     """Legibility of a text in either presentation.
@@ -285,7 +197,7 @@ def measure_legibility(
     reading: Reading,
     presented: Shapes | Braille,
     truth: Path | None = None,
-    progress: Progress = _in_silence,
+    progress: Progress = silent,
     fingers: int = 0,
     anatomy: str = "branched",
 ) -> Measured:

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import SourceError, require_within
 from smarttouch.profile import Profile
-from smarttouch.sources.capture import STALE_S, ImageDevice, LiveSource, Shot, SourceEndedError
+from smarttouch.sources.capture import LiveSource
 from smarttouch.sources.clip import FASTEST_HZ, USUAL_HZ, Clip, ImageFolder, VideoFile
 from smarttouch.sources.frame import Frame
+from smarttouch.sources.image_device import STALE_S, ImageDevice, Shot, SourceEndedError
 from smarttouch.sources.intake import FramePreprocessor
 from smarttouch.sources.source import OpticalSource
 
