@@ -12,10 +12,8 @@ from smarttouch.emulator.commands import emulate_board
 from smarttouch.monitor.driving import asks_a_board, drives_a_board, opened, the_stop
 
 if TYPE_CHECKING:
-    from smarttouch.boards.board import Board
     from smarttouch.boards.impedance import Impedance
     from smarttouch.events import Event
-    from smarttouch.profile import Profile
     from smarttouch.running.step import StepResult
 
 board = typer.Typer(help="Look at one board, measure, try or stop it.", no_args_is_help=True)
@@ -34,24 +32,26 @@ _ENDS = ("q", "\x03", "\x04", "")
 @asks_a_board
 def info(url: _Url, profile: ProfileOption = None) -> None:
     """Say what a board is and what it can and cannot do."""
-    chosen, display = _driver(url, profile)
-    with opened(display):
-        capabilities = display.capabilities
-        force = display.force_n
-    for name, value in capabilities.describe():
-        typer.echo(f"{name:>14}  {value}")
+    from smarttouch.running.display import open_display
+
+    display = open_display(url, profile)
+    with opened(display.board) as board:
+        rows, force = board.capabilities.describe(), board.force_n
     if force is not None:
-        typer.echo(f"{'force':>14}  {force:.2f} N")
-    typer.echo(f"{'profile':>14}  {chosen.name}: {chosen.title}")
+        rows.append(("force", f"{force:.2f} N"))
+    rows.append(("profile", f"{display.profile.name}: {display.profile.title}"))
+    for name, value in rows:
+        typer.echo(f"{name:>14}  {value}")
 
 
 @board.command()
 @asks_a_board
 def stop(url: _Url, profile: ProfileOption = None) -> None:
     """Put all electrodes of a board at zero."""
-    _, display = _driver(url, profile)
-    with opened(display):
-        display.stop()
+    from smarttouch.running.display import open_display
+
+    with opened(open_display(url, profile).board) as board:
+        board.stop()
     typer.echo("All electrodes are at zero.")
 
 
@@ -66,11 +66,11 @@ def measure(
 ) -> None:
     """Measure the impedance of every electrode on the finger, with small currents."""
     from smarttouch.files import require_folder, write_json
+    from smarttouch.running.display import open_display
 
     require_folder(json_file)
-    _, display = _driver(url, profile)
-    with opened(display):
-        found = display.measure()
+    with opened(open_display(url, profile).board) as board:
+        found = board.measure()
     _print_impedance(found)
     if json_file is not None:
         write_json(json_file, found.figures())
@@ -200,13 +200,6 @@ def _line_entered() -> str | None:
 
     ready = select.select([sys.stdin], [], [], 0)[0]
     return sys.stdin.readline().strip() if ready else None
-
-
-def _driver(url: str, profile: str | None) -> tuple["Profile", "Board"]:
-    from smarttouch.running.display import open_display
-
-    display = open_display(url, profile)
-    return display.profile, display.board
 
 
 def _print_impedance(found: "Impedance") -> None:

@@ -1,8 +1,7 @@
 """``smarttouch sensor``: one sensor or load cell, looked at or played."""
 
-from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -11,10 +10,6 @@ from smarttouch.cli.options import ProfileOption
 from smarttouch.cli.source_options import SourceOptions
 from smarttouch.cli.tables import print_table
 from smarttouch.emulator.commands import emulate_sensor
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 sensor = typer.Typer(help="Look at one sensor or load cell, or play one.", no_args_is_help=True)
 sensor.command("emulate")(emulate_sensor)
@@ -39,8 +34,10 @@ def show(
     profile: ProfileOption = None,
 ) -> None:
     """Say what comes from a sensor: frames, rate, size, force, and what went wrong."""
+    import cv2
+
     from smarttouch.errors import SmartTouchError, require_within
-    from smarttouch.files import require_folder
+    from smarttouch.files import require_folder, write_bytes
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.sources import open_source
     from smarttouch.sources.forces.force import open_force
@@ -66,15 +63,5 @@ def show(
     notes = [("note", note) for note in source.notes]
     print_table([*look.rows(source), *notes], left=2)
     if save is not None and look.last is not None and look.last.image is not None:
-        _save(save, look.last.image)
-
-
-def _save(path: Path, image: "NDArray[np.uint8]") -> None:
-    from PIL import Image
-
-    from smarttouch.files import write_bytes
-
-    content = BytesIO()
-    Image.fromarray(image).save(content, format="PNG")
-    write_bytes(path, content.getvalue())
-    typer.echo(f"The last frame is in {path}.")
+        write_bytes(save, cv2.imencode(".png", look.last.image)[1].tobytes())
+        typer.echo(f"The last frame is in {save}.")
