@@ -34,7 +34,7 @@ def test_a_letter_on_one_finger(program_here, tmp_path):
         (["4"], ExperimentError, {"about": "LETTERS", "problem": "unknown", "value": "4"}),
         (["T", "--anatomy=none"], ProfileError, {"about": "anatomy", "value": "none"}),
         (["T", "--profile=line-7"], ExperimentError, {"about": "profile", "value": 1}),
-        (["T", "--mode=SAII"], SmartTouchError, {"about": "--mode"}),
+        (["T", "--mode=SAII"], SmartTouchError, {"about": "mode"}),
     ],
 )
 def test_fingers_of_nonsense(program_here, arguments, kind, says):
