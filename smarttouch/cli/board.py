@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smarttouch.cli.options import ProfileOption
-from smarttouch.cli.tables import print_table
 from smarttouch.emulator.commands import emulate_board
 from smarttouch.monitor.driving import asks_a_board, drives_a_board, opened, the_stop
+from smarttouch.terminal import print_table
 
 if TYPE_CHECKING:
     from smarttouch.boards.impedance import Impedance

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.cli.tables import print_table
+from smarttouch.terminal import print_table
 
 
 def boards(

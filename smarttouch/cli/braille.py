@@ -107,7 +107,7 @@ def _seen(source: str, table: str, document: DocumentOptions) -> "Loaded | None"
 def _print_tables() -> None:
     from smarttouch.braille import louis
     from smarttouch.braille.tables import DEFAULT_TABLE, known_tables
-    from smarttouch.cli.tables import print_table
+    from smarttouch.terminal import print_table
 
     version = louis.version()
     print_table(

@@ -52,11 +52,11 @@ def color(
     It lasts 2 s, or as long as its file; intensity rises in the first half second.
     """
     from smarttouch.afferent import Afferent
-    from smarttouch.cli.tables import print_table
     from smarttouch.files import require_folder, write_json
     from smarttouch.kernels.bank import load_bank
     from smarttouch.monitor.progress import bank_progress
     from smarttouch.reading.window import press_n
+    from smarttouch.terminal import print_table
     from smarttouch.vibrotactile.crosstalk import pacinian_price
     from smarttouch.vibrotactile.mix import mix
     from smarttouch.vibrotactile.picture import picture

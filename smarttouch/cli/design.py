@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from smarttouch.cli.options import ArrayOption
-from smarttouch.cli.tables import print_table
+from smarttouch.terminal import print_table
 
 if TYPE_CHECKING:
     from smarttouch.kernels.report import WordTable

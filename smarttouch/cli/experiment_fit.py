@@ -125,8 +125,8 @@ def _parse_guess(text: str | None) -> "Guess | None":
 
 
 def _print(found: Sequence[tuple["Table", list["Finding"]]]) -> None:
-    from smarttouch.cli.tables import print_table
     from smarttouch.psychophysics.fitting.report import threshold_rows
+    from smarttouch.terminal import print_table
 
     console = terminal.console(highlight=False)
     for table, findings in found:

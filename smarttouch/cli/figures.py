@@ -26,7 +26,6 @@ def figures(
     import numpy as np
 
     from smarttouch.cli.choices import require_site
-    from smarttouch.cli.tables import print_table
     from smarttouch.errors import SmartTouchError, not_offered
     from smarttouch.kernels.bank import load_bank
     from smarttouch.kernels.switching import kind_of
@@ -34,6 +33,7 @@ def figures(
     from smarttouch.physiology import af_error
     from smarttouch.plotting import colors, fibers, frames, kernels, paper, style
     from smarttouch.profile import load_profile
+    from smarttouch.terminal import print_table
 
     if kind not in style.FORMATS:
         raise not_offered("kind", kind, style.FORMATS)

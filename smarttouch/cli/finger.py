@@ -38,7 +38,6 @@ def finger(
 
     from smarttouch.afferent import Mode
     from smarttouch.cli.choices import parse_afferent
-    from smarttouch.cli.tables import print_table
     from smarttouch.files import require_folder, write_json
     from smarttouch.kernels.bank import load_bank
     from smarttouch.monitor.progress import lines_progress
@@ -46,6 +45,7 @@ def finger(
     from smarttouch.profile import load_profile
     from smarttouch.psychophysics import letters_felt
     from smarttouch.psychophysics.letters import ALPHABET
+    from smarttouch.terminal import print_table
 
     chosen, driven = load_profile(profile), Mode(parse_afferent(mode).name)
     drawn = ALPHABET if letters is None else letters_felt.require_letters(letters)

@@ -18,7 +18,6 @@ def fit_fiber(
 ) -> None:
     """Fit what fires a fiber, and compare with its cable model on kernels not fitted to."""
     from smarttouch.cli.choices import parse_choice
-    from smarttouch.cli.tables import print_table
     from smarttouch.files import require_folder, write_json
     from smarttouch.kernels.bank import load_bank
     from smarttouch.kernels.fiber_fits import as_json, error_rows
@@ -26,6 +25,7 @@ def fit_fiber(
     from smarttouch.monitor.progress import lines_progress
     from smarttouch.physiology.driving import FIBERS
     from smarttouch.profile import load_profile
+    from smarttouch.terminal import print_table
 
     chosen, name = load_profile(profile), parse_choice("fiber", fiber, tuple(FIBERS))
     require_folder(json_file)

@@ -41,7 +41,6 @@ def legibility(
 ) -> None:
     """Measure it: the whole chain to a simulated board, and Tesseract on what the skin got."""
     from smarttouch.cli.choices import parse_choice, parse_mode
-    from smarttouch.cli.tables import print_table
     from smarttouch.files import require_folder, write_json
     from smarttouch.kernels.bank import load_bank
     from smarttouch.monitor.progress import bank_progress, lines_progress
@@ -51,6 +50,7 @@ def legibility(
     from smarttouch.reading.source import Source
     from smarttouch.reading.window import profile_for_reading
     from smarttouch.running.config import SCANS, RunConfig
+    from smarttouch.terminal import print_table
 
     require_folder(json_file)
     chosen = profile_for_reading(load_profile(profile))

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch.cli.tables import print_table
+from smarttouch.terminal import print_table
 
 if TYPE_CHECKING:
     from smarttouch.calibrate.profile_file import ProfileFile

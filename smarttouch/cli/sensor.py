@@ -8,8 +8,8 @@ import typer
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.options import ProfileOption
 from smarttouch.cli.source_options import SourceOptions
-from smarttouch.cli.tables import print_table
 from smarttouch.emulator.commands import emulate_sensor
+from smarttouch.terminal import print_table
 
 sensor = typer.Typer(help="Look at one sensor or load cell, or play one.", no_args_is_help=True)
 sensor.command("emulate")(emulate_sensor)
