@@ -1,6 +1,6 @@
 """
-What goes wrong is one sentence
-===============================
+Errors of one sentence
+======================
 
 All that a user can cause is a `SmartTouchError`: one sentence with the number and what to do, and
 the same as attributes for programs. The command line prints the sentence and exits with 2.

@@ -2,7 +2,7 @@
 A board of your own
 ===================
 
-A board is a class with seven methods. `Board` does the rest: it proves each sequence safe, counts
+A board is a class with three methods. `Board` does the rest: it proves each sequence safe, counts
 the dose, and ends in zero. This one keeps what it is sent in a list. One with a wire, packed so
 that ``smarttouch live --board NAME:`` finds it, and with the tests that it must pass, is in the
 how-to *A board of your own*.
@@ -14,8 +14,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import smarttouch as st
-from smarttouch.boards.board import Capabilities
-from smarttouch.boards.host_statistics import HostStatistics
 
 
 class ListBoard(st.Board):
@@ -24,38 +22,24 @@ class ListBoard(st.Board):
     on_a_finger = False  # a list makes no current; a board that does leaves this out
 
     def __init__(self, rest, limits, output=None):
-        super().__init__(limits, output)
-        self.sequences = []
-        self.capabilities = Capabilities(
-            electrodes=limits.electrodes,
-            output="weighted",
+        super().__init__(
+            limits,
+            output,
             max_current_ma=limits.current_ma,
             max_slots=1000,
             time_to_zero_ms=0.0,
             firmware="list 1.0",
             clock="host",
         )
-
-    def _open(self):
-        self._statistics = HostStatistics(self.capabilities.electrodes)
+        self.sequences = []
 
     def _send(self, sequence, times):
         self.sequences.append(sequence)
-        self._statistics.add(sequence, times)
         self.acknowledged += 1
         return len(self.sequences)
 
-    def drain(self, timeout_s=1.0):
-        """Nothing waits here."""
-
-    def report(self):
-        return self._statistics.report()
-
     def _stop(self):
         """A list is always at zero."""
-
-    def _close(self):
-        """Nothing to let go of."""
 
 
 # %%

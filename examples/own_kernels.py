@@ -23,13 +23,11 @@ for each, kernel in kernels.items():
 kernel_figure(profile, kernels, 5)
 
 # %%
-# Denser or coarser? The same skin under arrays of another pitch. `Profile.model_validate` checks
-# all that a file's is checked for; ``model_copy`` does not.
+# Denser or coarser? The same skin under arrays of another pitch. A copy is checked as a file is.
 pitches_mm, off_target = [1.5, 2.0, 2.5, 3.0, 4.0], {each: [] for each in ("RA", "SAI")}
 for pitch_mm in pitches_mm:
-    changed = profile.model_dump()
-    changed["array"] |= {"pitch_x_mm": pitch_mm, "pitch_y_mm": pitch_mm}
-    other = st.Profile.model_validate(changed)
+    pitches = {"pitch_x_mm": pitch_mm, "pitch_y_mm": pitch_mm}
+    other = profile.model_copy(update={"array": profile.array.model_copy(update=pitches)})
     for name, found in off_target.items():
         found.append(st.design_kernel(other, name, 5).off_target)
 figure, axes = plt.subplots(figsize=(5, 3), layout="constrained")

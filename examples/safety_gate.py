@@ -1,6 +1,6 @@
 """
-What the safety gate lets through
-=================================
+Limits of the safety gate
+=========================
 
 No sequence reaches a board before it is proved safe, and what is proved is what is sent. Limits
 that are broken raise an error with the number; nothing is clamped.

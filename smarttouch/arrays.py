@@ -41,11 +41,11 @@ def read_array(file: BinaryIO, size: int) -> NDArray[Any]:
         raise ValueError(f"its header is damaged ({type(error).__name__})") from None
     if kind.hasobject:
         raise ValueError("it holds Python objects, which are not read")
-    wanted = math.prod(shape) * kind.itemsize
-    if min(shape, default=0) < 0 or wanted > min(size, MOST_BANK_BYTES):
-        raise ValueError(f"it claims {wanted / 1e6:,.1f} MB")
-    data = file.read(wanted)
-    if len(data) != wanted:
+    claimed = math.prod(shape) * kind.itemsize
+    if min(shape, default=0) < 0 or claimed > min(size, MOST_BANK_BYTES):
+        raise ValueError(f"it claims {claimed / 1e6:,.1f} MB")
+    data = file.read(claimed)
+    if len(data) != claimed:
         raise ValueError("it is cut")
     sides = [int(side) for side in shape]
     return np.ndarray(sides, kind, bytearray(data), order="F" if by_column else "C")

@@ -1,5 +1,6 @@
 """Electrode arrays: places and shapes of the electrodes."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import ProfileError
+from smarttouch.errors import ProfileError, SmartTouchError
 
 Shape = Literal["point", "disc", "annulus", "rectangle"]
 
@@ -215,3 +216,22 @@ def _nearest(columns: int, pitch_x_mm: float, rows: int, pitch_y_mm: float) -> f
 
 def _centered(count: int, pitch: float) -> NDArray[np.float64]:
     return np.asarray((np.arange(count) - (count - 1) / 2) * pitch, np.float64)
+
+
+def parse_ranges(
+    text: str, about: str, error: type[SmartTouchError] = SmartTouchError
+) -> list[tuple[int, int]]:
+    """Return the first and last electrode of each range in a list such as ``0-7,12``.
+
+    Raises
+    ------
+    SmartTouchError
+        Of the type given, if it is no such list.
+    """
+    found = [
+        re.fullmatch("([0-9]{1,6})(?:-([0-9]{1,6}))?", part.strip()) for part in text.split(",")
+    ]
+    if None in found:
+        message = f"{about} {text!r} are no list: give numbers and ranges like 0-7,12"
+        raise error(message, about=about, problem="malformed", value=text)
+    return [(int(each[1]), int(each[2] or each[1])) for each in found if each]

@@ -1,7 +1,7 @@
 """Errors for the user. Each message has the subject, the number, and the remedy."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 
@@ -207,3 +207,47 @@ class RecordingError(SmartTouchError):
 
 class MarkersError(SmartTouchError):
     """Markers cannot be sent."""
+
+
+def require_within(
+    error: type[SmartTouchError],
+    about: str,
+    value: float,
+    least: float,
+    most: float,
+    words: str = "",
+    *,
+    above: bool = False,
+    problem: str = "out of range",
+) -> None:
+    """Raise an error unless a number is in its range; NaN is in none.
+
+    Parameters
+    ----------
+    error : type of SmartTouchError
+    about : str
+        Name of the number.
+    value, least, most : float
+    words : str
+        The number with its meaning and unit, for the sentence.
+    above : bool
+        Whether it must be above ``least``, not at it.
+    problem : str
+        See `SmartTouchError`.
+    """
+    if least <= value <= most and not (above and value == least):
+        return
+    allowed = f"above {least:g}, at most {most:g}" if above else f"{least:g} to {most:g}"
+    if most == math.inf:
+        allowed = f"{least:g} or more"
+    message = f"{words or f'{about} {value:g}'} is out of range: give {allowed}"
+    raise error(message, about=about, problem=problem, value=value, allowed=(least, most))
+
+
+def not_offered(
+    about: str, value: str, names: Iterable[str], error: type[SmartTouchError] = SmartTouchError
+) -> SmartTouchError:
+    """Return the error of a parameter that names none of its choices."""
+    allowed = tuple(names)
+    message = f"{about} {value!r} is not offered: choose {' or '.join(allowed)}"
+    return error(message, about=about, problem="unknown", value=value, allowed=allowed)

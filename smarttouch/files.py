@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import json
+import math
 import os
 import re
 import stat
@@ -276,3 +277,23 @@ def _too_large(
 ) -> SmartTouchError:
     message = f"{path} has {size / 1e6:,.1f} MB, above the limit of {most_bytes / 1e6:,.0f} MB"
     return error(message, about="file", problem="too large", value=size, allowed=most_bytes)
+
+
+def require_folder(path: Path | None) -> None:
+    """Raise before any work is done if a file could not be written in the end."""
+    if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
+        message = f"cannot write {path}: give a file in a folder that exists"
+        raise SmartTouchError(message, about="file", problem="unwritable", value=path)
+
+
+def write_json(path: Path, figures: Any) -> None:
+    """Write figures as JSON, in which a number that is none, or endless, is null."""
+    write_bytes(path, (json.dumps(_finite(figures), indent=2, allow_nan=False) + "\n").encode())
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

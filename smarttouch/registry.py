@@ -165,10 +165,10 @@ def fault_of(kind: type, base: type) -> Fault | None:
     if missing:
         return Fault(missing[0], "missing", f"{kind.__name__} has no method {missing[0]}")
     for name in sorted(dir(base)):
-        wanted, own = inspect.getattr_static(base, name), inspect.getattr_static(kind, name)
-        if not inspect.isfunction(wanted) or own is wanted or name.startswith("__"):
+        expected, own = inspect.getattr_static(base, name), inspect.getattr_static(kind, name)
+        if not inspect.isfunction(expected) or own is expected or name.startswith("__"):
             continue
-        called = _positions(wanted)
+        called = _positions(expected)
         if not inspect.isfunction(own) or not _can_take(own, called):
             how = f"{kind.__name__}.{name} cannot be called as {name}({', '.join(called[1:])})"
             return Fault(name, "signature", how)

@@ -137,7 +137,7 @@ def safety_watch():
 
 @pytest.fixture
 def judged_books():
-    """How the books are judged that a test leaves in its folder: see `Watch.judge_books`.
+    """Judgment of the books that a test leaves in its folder: see `Watch.judge_books`.
 
     Not at all where it is None: where no gate has proved what they are of.
     """

@@ -32,7 +32,7 @@ _IMPORTED = (
     "smarttouch.boards.emulator.etactilekit",
     "smarttouch.boards.emulator.kajimoto61",
     "smarttouch.boards.emulator.link",
-    "smarttouch.cli.session",
+    "smarttouch.monitor.session",
     "smarttouch.emulator.__main__",
     "smarttouch.emulator.server",
     "smarttouch.recording.check",

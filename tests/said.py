@@ -1,4 +1,4 @@
-"""What a note says in numbers, whatever its words."""
+"""Numbers of a note, whatever its words."""
 
 import re
 

@@ -50,7 +50,7 @@ def test_arrays_come_back(kind, shape):
 
 
 class MakesAFolder:
-    """What does something as soon as it is unpickled."""
+    """Object with a side effect when it is unpickled."""
 
     def __init__(self, path):
         self.path = path

@@ -93,7 +93,7 @@ def test_python_runs(code, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("words", [*commands()])
 def test_the_program_takes_it(words, tmp_path, monkeypatch):
-    """Whether a command and its options are there; what they name may be a board that is not."""
+    """The command and its options exist; a board that they name may not."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     save_run("desk", SavedRun(source="camera:0", board="emulator:", config=RunConfig()))
     command, rest = get_command(app), list(words)

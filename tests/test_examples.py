@@ -30,3 +30,11 @@ def test_every_public_name_is_in_one():
     shown = "\n".join(path.read_text("utf-8") for path in SCRIPTS)
     names = [name for name in st.__all__ if not name.startswith("_")]
     assert [name for name in names if not re.search(rf"\bst\.{name}\b", shown)] == []
+
+
+def test_from_an_image_to_the_skin_takes_few_lines_and_public_names_alone():
+    script = (EXAMPLES / "image_to_skin.py").read_text("utf-8")
+    assert len(script.splitlines()) < 60
+    assert re.findall(r"^(?:import|from) smarttouch.*", script, re.MULTILINE) == [
+        "import smarttouch as st"
+    ]

@@ -1,4 +1,4 @@
-"""What users name is opened only if it is a file, and read and parsed no further than a limit."""
+"""Paths of users are opened only if they are files, and read and parsed no further than a limit."""
 
 import errno
 import os

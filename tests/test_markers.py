@@ -1,4 +1,4 @@
-"""What is told in a run arrives on the Lab Streaming Layer, in order and on time."""
+"""Events of a run arrive on the Lab Streaming Layer, in order and on time."""
 
 import sys
 import types

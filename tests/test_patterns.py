@@ -1,4 +1,4 @@
-"""What the electrodes did, for eyes and for other programs."""
+"""Patterns of the electrodes, for eyes and for other programs."""
 
 import json
 from dataclasses import replace

@@ -22,7 +22,7 @@ def wait_for(condition):
 
 @pytest.fixture
 def forced():
-    """What was ended by force: the numbers of signals."""
+    """Numbers of the signals that ended the process by force."""
     return []
 
 

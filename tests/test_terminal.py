@@ -23,7 +23,7 @@ EVIL = "a\x1b]0;owned\x07\x1b[2J\x9b31m\u202eb\x7f\r\x08"
 
 
 class Screen(io.StringIO):
-    """What is written, by something that says it is a terminal."""
+    """Stream that says it is a terminal, and keeps its text."""
 
     def isatty(self):
         return True

@@ -2,6 +2,7 @@
 
 ORDER = (
     "first_touch",
+    "image_to_skin",
     "own_array",
     "own_kernels",
     "whole_frames",

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards.capabilities import BOTH, BoardReport, Capabilities, Polarity
+from smarttouch.boards.host_statistics import HostStatistics
 from smarttouch.boards.impedance import Impedance
 from smarttouch.boards.timely import Timely
 from smarttouch.errors import BoardError, BoardRestartedError, LineLostError, SequenceLateError
@@ -42,6 +43,9 @@ class Board(Timely, ABC):
         From the profile of the finger on the board.
     output : Output, optional
         Output section of the profile: kind, scale, wiring.
+    **capabilities
+        Fields of `Capabilities`, if they are known before the board is opened; ``electrodes``
+        and ``output`` are the profile's if not given.
     """
 
     default_profile: ClassVar[str] = DEFAULT_PROFILE
@@ -77,7 +81,9 @@ class Board(Timely, ABC):
                 value=cls.__name__,
             )
 
-    def __init__(self, limits: SafetyLimits, output: Output | None = None) -> None:
+    def __init__(
+        self, limits: SafetyLimits, output: Output | None = None, **capabilities: Any
+    ) -> None:
         if output is not None and output.wiring is not None and not self.takes_wiring:
             raise BoardError(
                 "output.wiring is for boards whose outputs are wired by the user (etactilekit:): "
@@ -89,6 +95,10 @@ class Board(Timely, ABC):
         super().__init__()
         self.notes: list[str] = []
         self._output = output
+        if capabilities:
+            kind = "weighted" if output is None else output.kind
+            known = {"electrodes": limits.electrodes, "output": kind}
+            self.capabilities = Capabilities(**(known | capabilities))
         self._gate = SafetyGate(limits, self._time())
         self._opened = False
 
@@ -102,6 +112,7 @@ class Board(Timely, ABC):
         # A new run starts from zero intensity, and its time may start anew.
         self._gate.begin_session()
         self._begin_unless_halted()
+        self._host_statistics = HostStatistics(self._gate.limits.electrodes)
         self._open()
         self._opened = True
         if not isinstance(getattr(self, "capabilities", None), Capabilities):
@@ -158,7 +169,7 @@ class Board(Timely, ABC):
         try:
             if not self.simulated_time:
                 self._refuse_late(self._due_ns)
-            return self._send(proved, times)
+            number = self._send(proved, times)
         except SequenceLateError:
             # The skin has felt nothing for a while: what comes next begins at zero.
             self._gate.restart()
@@ -180,6 +191,9 @@ class Board(Timely, ABC):
             if self._halted:
                 self._go_on_unless_stopped()
             raise
+        if type(self).report is Board.report:
+            self._host_statistics.add(proved, times)
+        return number
 
     @property
     @final
@@ -266,9 +280,12 @@ class Board(Timely, ABC):
         Nothing waits on a board whose `_send` returns when all is delivered.
         """
 
-    @abstractmethod
     def report(self) -> BoardReport:
-        """Return the report of what was delivered."""
+        """Return the report of what was delivered.
+
+        Of what was sent, unless a board that knows more replaces this.
+        """
+        return self._host_statistics.report()
 
     def _open(self) -> None:
         """Connect, and put all electrodes at zero; nothing where there is no line."""

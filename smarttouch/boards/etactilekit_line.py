@@ -21,7 +21,7 @@ from smarttouch.boards.etactilekit_wire import (
 from smarttouch.boards.keeper import PAUSE_S, PIECE
 from smarttouch.boards.kept_board import KeptBoard
 from smarttouch.boards.scan_lock import Span
-from smarttouch.errors import BoardError, LineLostError
+from smarttouch.errors import BoardError, LineLostError, not_offered
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.wire.port import open_port
@@ -286,13 +286,7 @@ def _parse(options: str) -> tuple[bool, str | None]:
             slow = True
         elif name == "firmware":
             if value not in FIRMWARES:
-                raise BoardError(
-                    f"etactilekit: knows no firmware {value!r}: choose {', '.join(FIRMWARES)}",
-                    about="?firmware",
-                    problem="unknown",
-                    value=value,
-                    allowed=FIRMWARES,
-                )
+                raise not_offered("?firmware", value, FIRMWARES, BoardError)
             firmware = value
         else:
             raise BoardError(

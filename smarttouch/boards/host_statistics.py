@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from smarttouch.boards.board import BoardReport
+from smarttouch.boards.capabilities import BoardReport
 from smarttouch.stimulation.ledger import ChargeBalance
 from smarttouch.stimulation.sequence import ScanSequence
 

@@ -44,7 +44,7 @@ class Impedance:
 
     @property
     def lifted(self) -> bool:
-        """Whether nothing touches the electrodes."""
+        """True if nothing touches the electrodes."""
         return all(each == "open" for each in self.condition)
 
     def figures(self) -> dict[str, Any]:

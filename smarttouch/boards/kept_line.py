@@ -94,7 +94,7 @@ class KeptLine:
 
     @property
     def is_open(self) -> bool:
-        """Whether it has not been closed from here."""
+        """True if it has not been closed from here."""
         return not self._closing.is_set()
 
     @property
@@ -104,7 +104,7 @@ class KeptLine:
 
     @property
     def at_zero(self) -> bool:
-        """Whether the keeper has ended and reported the board at zero."""
+        """True if the keeper has ended and reported the board at zero."""
         return self._process.poll() in _AT_ZERO
 
     def promise_zero(self, zero: bytes, slow: bool = False) -> None:

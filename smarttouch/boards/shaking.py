@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards.waveform import GLIDE_S, Waveform
-from smarttouch.errors import BoardError
+from smarttouch.errors import BoardError, SmartTouchError
+from smarttouch.files import unwritable
 
 FULL_SCALE = 32_767
 _PIECE = 1 << 14
@@ -137,9 +138,8 @@ class WavShaking(Shaking):
         except OSError as error:
             raise self._unwritable(error) from None
 
-    def _unwritable(self, error: OSError) -> BoardError:
-        message = f"cannot write {self._path}: {error.strerror}"
-        return BoardError(message, about="file", problem="unwritable", value=self._path)
+    def _unwritable(self, error: OSError) -> SmartTouchError:
+        return unwritable(BoardError, self._path, error)
 
 
 def _wav_header(channels: int, rate_hz: int, samples: int) -> bytes:

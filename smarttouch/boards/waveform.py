@@ -40,7 +40,7 @@ class Waveform:
 
     @property
     def at_rest(self) -> bool:
-        """Whether all coming samples are zero, unless an amplitude is set."""
+        """True if all coming samples are zero, unless an amplitude is set."""
         return self._glided >= self._glide_samples and not self._to.any()
 
     def glide_to(self, amplitude: NDArray[np.float32]) -> None:

@@ -67,7 +67,7 @@ class View:
 
     @property
     def proven(self) -> NDArray[np.bool_]:
-        """Which dots, (N,) bool, are certain: strong ones that fit."""
+        """Certain dots, (N,) bool: strong ones that fit."""
         return self.fit & self.strong
 
     def contrast(self) -> float:

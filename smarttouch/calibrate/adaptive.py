@@ -82,7 +82,7 @@ class AdaptiveThreshold:
 
     @property
     def believable(self) -> bool:
-        """Whether blank trials were mostly called blank."""
+        """True if blank trials were mostly called blank."""
         return self.guessed <= MOST_GUESSED * max(self.blanks, 2)
 
     def next(self) -> float:

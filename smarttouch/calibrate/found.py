@@ -1,12 +1,12 @@
 """Result of a threshold session, as a profile stores it."""
 
 import math
-import re
 from collections.abc import Mapping
 
 import numpy as np
 
 from smarttouch.calibrate.limits import Thresholds
+from smarttouch.electrodes import parse_ranges
 from smarttouch.errors import CalibrationError
 from smarttouch.profile import Profile
 
@@ -25,23 +25,15 @@ def parse_electrodes(text: str | None, profile: Profile) -> list[int]:
     if text is None:
         return [int(each) for each in profile.driven]
     chosen: list[int] = []
-    for part in text.split(","):
-        found = re.fullmatch("([0-9]{1,6})(?:-([0-9]{1,6}))?", part.strip())
-        if found is None:
-            raise CalibrationError(
-                f"electrodes {text!r} are not understood: give numbers and ranges like 0-7,12",
-                about="electrodes",
-                problem="malformed",
-                value=text,
-            )
-        low, high = int(found[1]), int(found[2] or found[1])
+    for low, high in parse_ranges(text, "electrodes", CalibrationError):
         if not low <= high < count:
+            named = f"{low}" if low == high else f"{low}-{high}"
             raise CalibrationError(
-                f"electrode {part.strip()} is out of range: {profile.name} has electrodes 0 to "
+                f"electrode {named} is out of range: {profile.name} has electrodes 0 to "
                 f"{count - 1}",
                 about="electrodes",
                 problem="unknown",
-                value=part.strip(),
+                value=named,
                 allowed=count - 1,
             )
         chosen += range(low, high + 1)

@@ -72,7 +72,7 @@ class Thresholds:
 
     @property
     def usable(self) -> bool:
-        """Whether comfort is far enough above the threshold."""
+        """True if comfort is far enough above the threshold."""
         return self.felt and self.comfort_ma >= LEAST_ROOM * self.threshold_ma
 
 
@@ -127,7 +127,7 @@ class AscendingLimits:
 
     @property
     def felt(self) -> bool:
-        """Whether this run's first key has been pressed."""
+        """True if this run's first key has been pressed."""
         return bool(np.isfinite(self._threshold_ma))
 
     @property

@@ -86,7 +86,7 @@ class ThresholdSession:
 
     @property
     def over(self) -> bool:
-        """Whether all electrodes are measured."""
+        """True if all electrodes are measured."""
         return self.done == self.total
 
     def next(self) -> Trial | None:

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.table import Table
 
 from smarttouch import terminal
+from smarttouch.terminal import print_table
 
 if TYPE_CHECKING:
     from smarttouch.calibrate.contact import ContactFound
@@ -22,46 +22,40 @@ _NEAR = 0.25
 
 def show_optics(found: "OpticsFound") -> None:
     """Show unevenness, noise and broken pixels."""
-    table = Table("", "before", "after", box=None)
-    table.add_row("blank paper uneven", f"{found.uneven_before:.1%}", f"{found.uneven_after:.1%}")
-    table.add_row("dead, hot pixels", f"{found.dead}, {found.hot}", "as the nearest good one")
-    table.add_row("dark level", f"{found.dark_level:.1f}", "0")
-    table.add_row("noise", f"{found.noise_levels:.2f}", "")
-    terminal.console().print(table)
+    rows = (
+        ("blank paper uneven", f"{found.uneven_before:.1%}", f"{found.uneven_after:.1%}"),
+        ("dead, hot pixels", f"{found.dead}, {found.hot}", "as the nearest good one"),
+        ("dark level", f"{found.dark_level:.1f}", "0"),
+        ("noise", f"{found.noise_levels:.2f}", ""),
+    )
+    print_table(rows, ("", "before", "after"), left=3)
 
 
 def show_registration(found: "RegistrationFound") -> None:
     """Show the places of electrodes, and the residuals of the dots."""
-    table = Table("electrode", "column", "row", "", box=None)
     outside = set(found.outside.tolist())
-    for index, (column, row) in enumerate(found.electrode_pixel):
-        beyond = "beyond the image" if index in outside else ""
-        table.add_row(str(index), f"{column:.2f}", f"{row:.2f}", beyond)
-    console = terminal.console()
-    console.print(table)
-    fit = Table("residual", "px", "mm", "pitch on the page", box=None)
-    for name, px, mm in (
-        ("rms", found.rms_px, found.rms_mm),
-        ("worst", float(found.residual_px.max()), found.worst_mm),
-    ):
-        fit.add_row(name, f"{px:.3f}", f"{mm:.4f}", f"{mm / found.pitch_mm:.4f}")
-    console.print(fit)
+    rows = [
+        (str(index), f"{column:.2f}", f"{row:.2f}", "beyond the image" * (index in outside))
+        for index, (column, row) in enumerate(found.electrode_pixel)
+    ]
+    print_table(rows, ("electrode", "column", "row", ""), left=4)
+    worst = ("worst", float(found.residual_px.max()), found.worst_mm)
+    fit = [
+        (name, f"{px:.3f}", f"{mm:.4f}", f"{mm / found.pitch_mm:.4f}")
+        for name, px, mm in (("rms", found.rms_px, found.rms_mm), worst)
+    ]
+    print_table(fit, ("residual", "px", "mm", "pitch on the page"), left=4)
 
 
 def show_force(found: "ForceFound") -> None:
     """Show each weighing, and its force by the curve."""
-    table = Table("g", "N", "reading", "spread", "by the curve, N", "off, N", box=None)
+    rows = []
     for each in found.weighings:
         seen_n = found.force_n(each.reading)
-        table.add_row(
-            f"{each.grams:g}",
-            f"{each.force_n:.4f}",
-            f"{each.reading:.6g}",
-            f"{each.spread:.3g}",
-            f"{seen_n:.4f}",
-            f"{seen_n - each.force_n:+.4f}",
-        )
-    terminal.console().print(table)
+        measured = (f"{each.grams:g}", f"{each.force_n:.4f}", f"{each.reading:.6g}")
+        off = f"{seen_n - each.force_n:+.4f}"
+        rows.append((*measured, f"{each.spread:.3g}", f"{seen_n:.4f}", off))
+    print_table(rows, ("g", "N", "reading", "spread", "by the curve, N", "off, N"), left=6)
 
 
 def show_contact(found: "ContactFound", electrodes: "ElectrodeArray") -> None:

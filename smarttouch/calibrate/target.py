@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from smarttouch.errors import CalibrationError
+from smarttouch.errors import CalibrationError, require_within
 from smarttouch.files import write_bytes
 from smarttouch.profile import Profile
 
@@ -144,13 +144,7 @@ def target_for(profile: Profile, dot_pitch_mm: float | None = None) -> DotTarget
                 remedy="dot_pitch_mm",
             )
         pitch_mm = max(wished) if wished else min(fit)
-    if not _FINEST_MM <= pitch_mm <= field_mm:
-        raise CalibrationError(
-            f"{pitch_mm:g} mm between dots must be from {_FINEST_MM:g} to the field of view's "
-            f"{field_mm:g} mm",
-            about="dot_pitch_mm",
-            value=pitch_mm,
-            allowed=(_FINEST_MM, field_mm),
-        )
+    words = f"a pitch of {pitch_mm:g} mm between dots in a field of {field_mm:g} mm"
+    require_within(CalibrationError, "dot_pitch_mm", pitch_mm, _FINEST_MM, field_mm, words)
     longest = max(optics.field_width_mm, optics.field_height_mm) / pitch_mm
     return DotTarget(pitch_mm, min(_MOST_DOTS, math.ceil(0.75 * longest) + _SPARE))

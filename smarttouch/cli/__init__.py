@@ -24,7 +24,6 @@ from smarttouch.cli.fit_fiber import fit_fiber
 from smarttouch.cli.legibility import legibility
 from smarttouch.cli.live import live
 from smarttouch.cli.mouse import mouse
-from smarttouch.cli.named_options import named_options
 from smarttouch.cli.profiles import profiles
 from smarttouch.cli.read import read
 from smarttouch.cli.recordings import recordings
@@ -33,6 +32,7 @@ from smarttouch.cli.report import report
 from smarttouch.cli.sensor import sensor
 from smarttouch.cli.stop import stop
 from smarttouch.errors import SmartTouchError, TableError
+from smarttouch.named_options import named_options
 from smarttouch.posix import resource
 from smarttouch.stopping import RunStopped
 from smarttouch.terminal import guarded_output
@@ -151,7 +151,7 @@ def _outcome(error: BaseException) -> int:
         *others, last = error.sentences if isinstance(error, TableError) else (str(error),)
         for sentence in others:
             _say(sentence)
-        _say(last + named_options(error, _built()))
+        _say(last + named_options(error, _built(), sys.argv[1:]))
     elif isinstance(error, MemoryError):
         _say("the memory of this machine does not suffice: give less at once")
     elif isinstance(error, OSError):

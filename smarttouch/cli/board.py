@@ -6,15 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch.cli.driving import asks_a_board, drives_a_board, opened, the_stop
-from smarttouch.cli.tables import print_table
+from smarttouch.cli.options import ProfileOption
 from smarttouch.emulator.commands import emulate_board
+from smarttouch.monitor.driving import asks_a_board, drives_a_board, opened, the_stop
+from smarttouch.terminal import print_table
 
 if TYPE_CHECKING:
-    from smarttouch.boards.board import Board
     from smarttouch.boards.impedance import Impedance
     from smarttouch.events import Event
-    from smarttouch.profile import Profile
     from smarttouch.running.step import StepResult
 
 board = typer.Typer(help="Look at one board, measure, try or stop it.", no_args_is_help=True)
@@ -22,10 +21,6 @@ board.command("emulate")(emulate_board)
 
 _Url = Annotated[
     str, typer.Argument(metavar="URL", help="kajimoto61:PORT, etactilekit:PORT, link:PORT")
-]
-_ProfileName = Annotated[
-    str | None,
-    typer.Option("--profile", metavar="NAME|FILE", help="The board's usual one if not given."),
 ]
 
 _WALK_MA = 0.5
@@ -35,26 +30,28 @@ _ENDS = ("q", "\x03", "\x04", "")
 
 @board.command()
 @asks_a_board
-def info(url: _Url, profile: _ProfileName = None) -> None:
+def info(url: _Url, profile: ProfileOption = None) -> None:
     """Say what a board is and what it can and cannot do."""
-    chosen, display = _driver(url, profile)
-    with opened(display):
-        capabilities = display.capabilities
-        force = display.force_n
-    for name, value in capabilities.describe():
-        typer.echo(f"{name:>14}  {value}")
+    from smarttouch.running.display import open_display
+
+    display = open_display(url, profile)
+    with opened(display.board) as board:
+        rows, force = board.capabilities.describe(), board.force_n
     if force is not None:
-        typer.echo(f"{'force':>14}  {force:.2f} N")
-    typer.echo(f"{'profile':>14}  {chosen.name}: {chosen.title}")
+        rows.append(("force", f"{force:.2f} N"))
+    rows.append(("profile", f"{display.profile.name}: {display.profile.title}"))
+    for name, value in rows:
+        typer.echo(f"{name:>14}  {value}")
 
 
 @board.command()
 @asks_a_board
-def stop(url: _Url, profile: _ProfileName = None) -> None:
+def stop(url: _Url, profile: ProfileOption = None) -> None:
     """Put all electrodes of a board at zero."""
-    _, display = _driver(url, profile)
-    with opened(display):
-        display.stop()
+    from smarttouch.running.display import open_display
+
+    with opened(open_display(url, profile).board) as board:
+        board.stop()
     typer.echo("All electrodes are at zero.")
 
 
@@ -62,18 +59,18 @@ def stop(url: _Url, profile: _ProfileName = None) -> None:
 @drives_a_board
 def measure(
     url: _Url,
-    profile: _ProfileName = None,
+    profile: ProfileOption = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write the impedances.")
     ] = None,
 ) -> None:
     """Measure the impedance of every electrode on the finger, with small currents."""
-    from smarttouch.cli.files import require_folder, write_json
+    from smarttouch.files import require_folder, write_json
+    from smarttouch.running.display import open_display
 
     require_folder(json_file)
-    _, display = _driver(url, profile)
-    with opened(display):
-        found = display.measure()
+    with opened(open_display(url, profile).board) as board:
+        found = board.measure()
     _print_impedance(found)
     if json_file is not None:
         write_json(json_file, found.figures())
@@ -93,14 +90,14 @@ def try_out(
         float | None,
         typer.Option(metavar="S", help="For each electrode; waits for a key if not given."),
     ] = None,
-    profile: _ProfileName = None,
+    profile: ProfileOption = None,
 ) -> None:
     """Walk through the electrodes, each against all others, from zero up to a small current."""
     import sys
 
     from smarttouch.boards.open import may_touch_a_finger
-    from smarttouch.cli.keyboard import keys_heeded
     from smarttouch.errors import SmartTouchError
+    from smarttouch.monitor.keyboard import keyboard_listener
     from smarttouch.running.display import open_display
     from smarttouch.running.listener import OnEvent
     from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
@@ -110,15 +107,15 @@ def try_out(
         if may_touch_a_finger(url) and not sys.stdin.isatty():
             raise SmartTouchError(
                 "there is no keyboard to end it with, and a finger may be on the board: say how "
-                f"strong it is to become with --current-ma, for example {_WALK_MA:g}",
+                f"strong it is to become, for example {_WALK_MA:g} mA",
                 about="keyboard",
                 problem="missing",
-                remedy="--current-ma",
+                remedy="current_ma",
             )
         current_ma = _WALK_MA
     if seconds is None and not sys.stdin.isatty():
-        message = "there is no keyboard to wait for: give --seconds"
-        raise SmartTouchError(message, about="keyboard", problem="missing", remedy="--seconds")
+        message = "there is no keyboard to wait for: give seconds"
+        raise SmartTouchError(message, about="keyboard", problem="missing", remedy="seconds")
     walk, stop = Walk(display.profile, current_ma, seconds), the_stop()
 
     def say(event: "Event") -> None:
@@ -131,7 +128,7 @@ def try_out(
         else:
             walk.go_on()
 
-    with keys_heeded(on_key):
+    with keyboard_listener(on_key):
         run_walk(walk, display, [OnEvent(say)], stop, partial(opened, display.board))
     count = len(display.profile.electrodes)
     typer.echo(f"{walk.tried} of {count} electrodes tried; all are at zero.")
@@ -150,11 +147,11 @@ def calibrate_scale(
         float | None,
         typer.Option(metavar="V", help="Peak that was seen; asked for while it pulses if not."),
     ] = None,
-    profile: _ProfileName = None,
+    profile: ProfileOption = None,
 ) -> None:
     """Check the scale of a board's current with a resistor in place of the finger."""
     from smarttouch.boards.scale import check_reading, measured_scale
-    from smarttouch.cli.files import require_site
+    from smarttouch.cli.choices import require_site
     from smarttouch.errors import SmartTouchError
     from smarttouch.running.display import open_display
     from smarttouch.running.listener import OnStep
@@ -184,7 +181,7 @@ def calibrate_scale(
         except ValueError:
             message = f"{answer!r} is no voltage: give a number of volts"
             raise SmartTouchError(
-                message, about="--volts", problem="malformed", value=answer
+                message, about="volts", problem="malformed", value=answer
             ) from None
     ratio = check_reading(volts, ohm, current_ma)
     scale_ua = measured_scale(url.partition(":")[0], display.board.ua_per_count, ratio)
@@ -203,13 +200,6 @@ def _line_entered() -> str | None:
 
     ready = select.select([sys.stdin], [], [], 0)[0]
     return sys.stdin.readline().strip() if ready else None
-
-
-def _driver(url: str, profile: str | None) -> tuple["Profile", "Board"]:
-    from smarttouch.running.display import open_display
-
-    display = open_display(url, profile)
-    return display.profile, display.board
 
 
 def _print_impedance(found: "Impedance") -> None:

@@ -48,15 +48,15 @@ def braille(
     from smarttouch.braille.layout import COLUMNS, INDENT, ROWS, lay_out
     from smarttouch.braille.source import load_cells, write_cells
     from smarttouch.braille.tables import open_table
-    from smarttouch.cli.files import require_folder
     from smarttouch.errors import BrailleError
+    from smarttouch.files import require_folder
 
     if tables:
         _print_tables()
         return
     if source is None:
-        message = "nothing to read is given: give a text or a file, or --tables"
-        raise BrailleError(message, about="text", problem="missing", remedy="--tables")
+        message = "nothing to read is given: give a text or a file, or list the tables"
+        raise BrailleError(message, about="text", problem="missing", remedy="tables")
     require_folder(output)
     code = open_table(table)
     loaded = _seen(source, table, document)
@@ -92,7 +92,7 @@ def braille(
 
 def _seen(source: str, table: str, document: DocumentOptions) -> "Loaded | None":
     """Return what an image or a PDF shows, as cells; None for anything else."""
-    place, how = document.look(source)
+    place, options = document.look(source)
     if Path(place).suffix.lower() not in _DOCUMENTS:
         return None
     from smarttouch.braille.source import Loaded
@@ -100,14 +100,14 @@ def _seen(source: str, table: str, document: DocumentOptions) -> "Loaded | None"
     from smarttouch.reading.source import Source
 
     notes: list[str] = []
-    shown = Source(place, how, notes.append)
+    shown = Source(place, options, notes.append)
     return Loaded(Braille(table).paragraphs(shown), None, notes)
 
 
 def _print_tables() -> None:
     from smarttouch.braille import louis
     from smarttouch.braille.tables import DEFAULT_TABLE, known_tables
-    from smarttouch.cli.tables import print_table
+    from smarttouch.terminal import print_table
 
     version = louis.version()
     print_table(

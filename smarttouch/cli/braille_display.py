@@ -4,11 +4,11 @@ from typing import Annotated, Any
 
 import typer
 
-from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.options import ModeOption, RateOption
 from smarttouch.cli.run_options import RunOptions
 from smarttouch.cli.saved import SavedSettings
+from smarttouch.monitor.driving import drives_a_board
 
 
 @drives_a_board
@@ -47,14 +47,13 @@ def braille_display(
 
     The console is then under the finger, and through BrlAPI what Orca reads of a desktop.
     """
-    import contextlib
+    from functools import partial
 
-    from smarttouch.cli.files import parse_mode
-    from smarttouch.cli.session import run_in_terminal
+    from smarttouch.cli.choices import parse_mode
     from smarttouch.reading.window import profile_for_reading
     from smarttouch.sources import open_source
 
-    chosen, outputs = profile_for_reading(run.load_profile()), run.outputs()
+    chosen = profile_for_reading(run.load_profile())
     config = run.config(parse_mode(mode), rate_hz=rate_hz)
     options: dict[str, Any] = {
         "cells": cells,
@@ -62,16 +61,6 @@ def braille_display(
         "speed_mm_s": speed_mm_s,
         "pan": pan,
     }
-    with contextlib.ExitStack() as stack:
-        source = stack.enter_context(open_source(f"brltty:{address}", chosen, **options))
-        force = run.open_force(chosen, stack)
-        saved.keep(context)
-        run_in_terminal(
-            source,
-            run.display(chosen),
-            config,
-            outputs,
-            force=force,
-            keys=source.keys,
-            keys_help=source.keys_help,
-        )
+    with open_source(f"brltty:{address}", chosen, **options) as source:
+        keep, keys, keys_help = partial(saved.keep, context), source.keys, source.keys_help
+        run.start(source, chosen, config, keep, keys=keys, keys_help=keys_help)

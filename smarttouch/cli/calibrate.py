@@ -1,66 +1,17 @@
 """``smarttouch calibrate``: one device on one finger, measured, and written to a profile."""
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from smarttouch.cli.driving import drives_a_board, opened, the_stop
-from smarttouch.cli.option_groups import OptionGroup, takes_options
-
-if TYPE_CHECKING:
-    from smarttouch.calibrate.profile_file import ProfileFile
+from smarttouch.cli.calibrate_steps import CalibrationOptions, ask, finish, missing, weights_laid
+from smarttouch.cli.option_groups import takes_options
+from smarttouch.monitor.driving import drives_a_board, opened, the_stop
 
 calibrate = typer.Typer(
     help="Measure one device on one finger, and write a profile of it.", no_args_is_help=True
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class CalibrationOptions(OptionGroup):
-    """Options of every calibration."""
-
-    output: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="The profile to write.")
-    ] = None
-    profile: Annotated[
-        str | None, typer.Option(metavar="NAME|FILE", help="What a new --output starts from.")
-    ] = None
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Measure what --output has already.")
-    ] = False
-
-    def start(self, board_url: str) -> str:
-        """Return the profile to start from; a board's usual one if none was given."""
-        from smarttouch.boards.open import default_profile
-
-        return self.profile or default_profile(board_url)
-
-    def begun(self) -> str:
-        """Return what was given to start from, or the output if it is there already."""
-        from smarttouch.profile import DEFAULT_PROFILE
-
-        there = self.output is not None and self.output.exists()
-        return self.profile or (str(self.output) if there else DEFAULT_PROFILE)
-
-    def file(self, part: str, simulated: bool, board_url: str | None = None) -> "ProfileFile":
-        """Return the profile on its way from one file to another."""
-        from smarttouch.boards.open import default_profile
-        from smarttouch.calibrate.profile_file import file_to_calibrate
-        from smarttouch.cli.profiles import tell_changes
-        from smarttouch.errors import CalibrationError
-        from smarttouch.profile import DEFAULT_PROFILE
-
-        if self.output is None:
-            message = "give --output FILE.toml for what is measured"
-            raise CalibrationError(message, about="--output", problem="missing")
-        usual = DEFAULT_PROFILE if board_url is None else default_profile(board_url)
-        file = file_to_calibrate(
-            part, self.profile, usual, self.output, self.overwrite, simulated=simulated
-        )
-        tell_changes(file)
-        return file
 
 
 _Yes = Annotated[bool, typer.Option("--yes", help="Ask nothing: everything is in place.")]
@@ -97,7 +48,6 @@ def optics(
     from smarttouch.calibrate.frames import images_of
     from smarttouch.calibrate.optics import measure_optics
     from smarttouch.calibrate.tables import show_optics
-    from smarttouch.cli.calibrate_steps import ask, missing
 
     file = calibration.file("optics", simulate)
     if simulate:
@@ -109,7 +59,7 @@ def optics(
     else:
         sources = (dark or source, white or source)
         if None in sources:
-            raise missing("--source", "give --source, or --dark and --white, or --simulate")
+            raise missing("source", "give a source, or dark and white frames, or simulate")
         asked = ("Cover the sensor: no light.", "Put it on blank white paper, in its usual light.")
         seen = []
         for url, question in zip(sources, asked, strict=True):
@@ -120,7 +70,7 @@ def optics(
     show_optics(found)
     field_file = file.beside("flat-field.npz")
     file.set("optics.flat_field", field_file.name)
-    _finish(file, "optics", found.sentence(), simulate, {field_file: found.field.to_bytes()})
+    finish(file, "optics", found.sentence(), simulate, {field_file: found.field.to_bytes()})
 
 
 @calibrate.command()
@@ -147,20 +97,18 @@ def registration(
     from smarttouch.calibrate.register import register
     from smarttouch.calibrate.tables import show_registration
     from smarttouch.calibrate.target import target_for
-    from smarttouch.cli.calibrate_steps import ask, missing
-    from smarttouch.cli.files import not_offered
-    from smarttouch.errors import CalibrationError
+    from smarttouch.errors import CalibrationError, not_offered
     from smarttouch.profile import load_profile
     from smarttouch.sources.flat_field import mean_image
 
     if center not in ("target", "image"):
-        raise not_offered("--center", center, ("target", "image"), CalibrationError)
+        raise not_offered("center", center, ("target", "image"), CalibrationError)
     grid = target_for(load_profile(calibration.begun()), dot_pitch_mm)
     if target is not None:
         if target.exists() and not calibration.overwrite:
-            message = f"{target} exists already: give another --target, or --overwrite"
+            message = f"{target} exists already: give another file, or overwrite it"
             raise CalibrationError(
-                message, about="file", problem="exists", value=target, remedy="--overwrite"
+                message, about="file", problem="exists", value=target, remedy="target or overwrite"
             )
         grid.draw(target)
         typer.echo(f"{target}: dots {grid.pitch_mm:g} mm apart; print it at 100 %, black on white.")
@@ -172,7 +120,7 @@ def registration(
 
         image = bench_view(grid, file.profile.optics)
     elif source is None:
-        raise missing("--source", "give --source, or --simulate")
+        raise missing("source", "give a source, or simulate")
     else:
         ask("Lay the target under the sensor, the L upright under the array's middle.", yes)
         mean = mean_image(images_of(source, file.profile, frames, corrected=True))
@@ -182,7 +130,7 @@ def registration(
     file.set("optics.homography", [float(f"{each:.12g}") for each in found.homography.ravel()])
     file.set("optics.sensor_columns", found.shape[1])
     file.set("optics.sensor_rows", found.shape[0])
-    _finish(file, "registration", found.sentence(), simulate)
+    finish(file, "registration", found.sentence(), simulate)
 
 
 @calibrate.command()
@@ -204,24 +152,21 @@ def force(
     from smarttouch.calibrate.force_curve import fit_curve, parse_grams, weigh_on
     from smarttouch.calibrate.simulated import weigh_simulated
     from smarttouch.calibrate.tables import show_force
-    from smarttouch.cli.calibrate_steps import missing, weights_laid
-    from smarttouch.errors import CalibrationError
+    from smarttouch.errors import CalibrationError, require_within
 
-    if not 0 < seconds <= 600:
-        message = f"--seconds {seconds:g} must be above 0 and at most 600"
-        raise CalibrationError(message, about="--seconds", value=seconds, allowed=(0, 600))
+    require_within(CalibrationError, "seconds", seconds, 0, 600, above=True)
     listed = None if weights is None else parse_grams(weights)
     file = calibration.file("force", simulate)
     if simulate:
         weighings = weigh_simulated(listed, seconds)
     elif cell is None:
-        raise missing("--cell", "give --cell hx711:PORT or loadcell:PORT, or --simulate")
+        raise missing("cell", "give hx711:PORT or loadcell:PORT, or simulate")
     else:
         weighings = weigh_on(cell, weights_laid(listed, yes), seconds)
     found = fit_curve(weighings, file.profile.force)
     show_force(found)
     file.set("force.curve", found.curve)
-    _finish(file, "force", found.sentence(), simulate)
+    finish(file, "force", found.sentence(), simulate)
 
 
 @calibrate.command()
@@ -245,14 +190,15 @@ def thresholds(
     """Per electrode, the current first felt and the strongest that is comfortable."""
     from smarttouch.calibrate.found import parse_electrodes
     from smarttouch.calibrate.thresholds import ThresholdProcedure
-    from smarttouch.cli.calibrate_steps import require_subject
-    from smarttouch.cli.keyboard import keys_heeded
-    from smarttouch.errors import BoardStoppedError
+    from smarttouch.cli.choices import require_answers
+    from smarttouch.errors import BoardStoppedError, CalibrationError
+    from smarttouch.monitor.keyboard import keyboard_listener
 
     simulated = simulate or board.startswith("emulator:")
     file = calibration.file("thresholds", simulated, board)
     sites = parse_electrodes(electrodes, file.profile)
-    require_subject(simulate, board)
+    boards = ("emulator:", "simulated:", "memory:")
+    require_answers(simulate, board, boards, CalibrationError)
     procedure = ThresholdProcedure(
         start=calibration.start(board),
         file=file,
@@ -265,11 +211,11 @@ def thresholds(
     )
     with procedure.progress() as progress:
         try:
-            procedure.measure(progress, keys_heeded, typer.echo, the_stop(), opened)
+            procedure.measure(progress, keyboard_listener, typer.echo, the_stop(), opened)
         except BoardStoppedError:
             raise procedure.stopped(progress) from None
     told = procedure.put_down(progress)
-    _finish(file, "thresholds", told, simulated)
+    finish(file, "thresholds", told, simulated)
     progress.forget()
 
 
@@ -281,7 +227,7 @@ def contact(
     board: _BoardUrl = "emulator:",
     repeats: Annotated[int, typer.Option(metavar="N", min=1, max=100, help="Measurements.")] = 5,
 ) -> None:
-    """Which electrodes touch the skin, by repeated measurements of their impedance."""
+    """Find the electrodes that touch the skin, by repeated measurements of their impedance."""
     from smarttouch.calibrate.contact import judge_contact
     from smarttouch.calibrate.tables import show_contact
     from smarttouch.running.display import open_display
@@ -300,19 +246,4 @@ def contact(
         typer.echo(f"Masked now: {masked}; kernels are designed without them at the next start.")
     file.set("output.impedance_kohm", found.impedances(chosen))
     file.set("output.masked", masked)
-    _finish(file, "contact", found.sentence(), simulated)
-
-
-def _finish(
-    file: "ProfileFile",
-    what: str,
-    found: str,
-    simulated: bool,
-    others: dict[Path, bytes] | None = None,
-) -> None:
-    """Write the profile; say what was found, and where it is."""
-    told = f"simulated: {found}" if simulated else found
-    file.note(what, told)
-    file.write(others)
-    typer.echo(told)
-    typer.echo("written: " + ", ".join(str(each) for each in (*(others or {}), file.output)))
+    finish(file, "contact", found.sentence(), simulated)

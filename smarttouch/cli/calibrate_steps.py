@@ -1,62 +1,107 @@
-"""Questions of the calibrations to someone at a terminal."""
+"""Options of every calibration, its questions to someone at a terminal, and its end."""
 
-import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch.calibrate.force_curve import parse_grams
+from smarttouch.cli.option_groups import OptionGroup
 from smarttouch.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from smarttouch.calibrate.profile_file import ProfileFile
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationOptions(OptionGroup):
+    """Options of every calibration."""
+
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="The profile to write.")
+    ] = None
+    profile: Annotated[
+        str | None, typer.Option(metavar="NAME|FILE", help="What a new --output starts from.")
+    ] = None
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Measure what --output has already.")
+    ] = False
+
+    def start(self, board_url: str) -> str:
+        """Return the profile to start from; a board's usual one if none was given."""
+        from smarttouch.boards.open import default_profile
+
+        return self.profile or default_profile(board_url)
+
+    def begun(self) -> str:
+        """Return what was given to start from, or the output if it is there already."""
+        from smarttouch.profile import DEFAULT_PROFILE
+
+        there = self.output is not None and self.output.exists()
+        return self.profile or (str(self.output) if there else DEFAULT_PROFILE)
+
+    def file(self, part: str, simulated: bool, board_url: str | None = None) -> "ProfileFile":
+        """Return the profile on its way from one file to another."""
+        from smarttouch.boards.open import default_profile
+        from smarttouch.calibrate.profile_file import file_to_calibrate
+        from smarttouch.cli.profiles import tell_changes
+        from smarttouch.profile import DEFAULT_PROFILE
+
+        if self.output is None:
+            message = "give a file FILE.toml for what is measured"
+            raise CalibrationError(message, about="output", problem="missing")
+        usual = DEFAULT_PROFILE if board_url is None else default_profile(board_url)
+        file = file_to_calibrate(
+            part, self.profile, usual, self.output, self.overwrite, simulated=simulated
+        )
+        tell_changes(file)
+        return file
 
 
 def missing(about: str, message: str) -> CalibrationError:
-    """Return the error that nothing is given to measure with, which ``--simulate`` stands for."""
-    return CalibrationError(message, about=about, problem="missing", remedy="--simulate")
-
-
-def require_subject(simulate: bool, board_url: str) -> None:
-    """Raise unless somebody can feel what a board does, and answer."""
-    if simulate and not board_url.startswith(("emulator:", "simulated:", "memory:")):
-        raise CalibrationError(
-            f"--simulate answers for nobody: no current of its flows through {board_url!r}, only "
-            "through emulator:",
-            about="--board",
-            problem="conflict",
-            value=board_url,
-            allowed=("emulator:",),
-        )
-    if not simulate and not sys.stdin.isatty():
-        raise missing(
-            "keyboard", "there is no keyboard to answer on: use a terminal, or --simulate"
-        )
+    """Return the error that nothing is given to measure with, which a simulation can stand for."""
+    return CalibrationError(message, about=about, problem="missing", remedy="simulate")
 
 
 def ask(what: str, yes: bool) -> None:
     """Wait until something is in place."""
-    if yes:
-        return
-    try:
-        typer.prompt(f"{what} Then press Enter", default="", show_default=False)
-    except typer.Abort:
-        message = "nobody answered, nothing was written: --yes asks nothing"
-        raise CalibrationError(message, about="answer", problem="missing", remedy="--yes") from None
+    if not yes:
+        _answer(f"{what} Then press Enter", "yes")
 
 
 def weights_laid(listed: Sequence[float] | None, yes: bool) -> Iterator[float]:
     """Yield the grams that someone lays on a load cell: what is listed, or what is asked for."""
+    from smarttouch.calibrate.force_curve import parse_grams
+
     for grams in listed or ():
         ask(f"{grams:g} g on the cell, at rest.", yes)
         yield grams
     while listed is None:
-        try:
-            answer = typer.prompt(
-                "Grams on the cell, at rest (Enter: no more)", default="", show_default=False
-            )
-        except typer.Abort:
-            message = "nobody answered, nothing was written: give --weights"
-            raise CalibrationError(
-                message, about="answer", problem="missing", remedy="--weights"
-            ) from None
+        answer = _answer("Grams on the cell, at rest (Enter: no more)", "weights")
         if not answer:
             return
         yield parse_grams(answer)[0]
+
+
+def _answer(question: str, remedy: str) -> str:
+    try:
+        return str(typer.prompt(question, default="", show_default=False))
+    except typer.Abort:
+        message = "nobody answered, nothing was written: use a terminal, or give it beforehand"
+        raise CalibrationError(message, about="answer", problem="missing", remedy=remedy) from None
+
+
+def finish(
+    file: "ProfileFile",
+    what: str,
+    found: str,
+    simulated: bool,
+    others: dict[Path, bytes] | None = None,
+) -> None:
+    """Write the profile; say what was found, and where it is."""
+    told = f"simulated: {found}" if simulated else found
+    file.note(what, told)
+    file.write(others)
+    typer.echo(told)
+    typer.echo("written: " + ", ".join(str(each) for each in (*(others or {}), file.output)))

@@ -1,15 +1,16 @@
 """``smarttouch color``: a vibration as tactile primary colors."""
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
 from smarttouch.cli.saved import SavedSettings
+from smarttouch.monitor.driving import drives_a_board
 
 
 @drives_a_board
@@ -50,15 +51,12 @@ def color(
 
     It lasts 2 s, or as long as its file; intensity rises in the first half second.
     """
-    import contextlib
-
     from smarttouch.afferent import Afferent
-    from smarttouch.cli.files import require_folder, write_json
-    from smarttouch.cli.progress import bank_progress
-    from smarttouch.cli.session import run_in_terminal
-    from smarttouch.cli.tables import print_table
+    from smarttouch.files import require_folder, write_json
     from smarttouch.kernels.bank import load_bank
+    from smarttouch.monitor.progress import bank_progress
     from smarttouch.reading.window import press_n
+    from smarttouch.terminal import print_table
     from smarttouch.vibrotactile.crosstalk import pacinian_price
     from smarttouch.vibrotactile.mix import mix
     from smarttouch.vibrotactile.picture import picture
@@ -73,7 +71,7 @@ def color(
         from smarttouch.plotting import style
 
         style.require_drawable(plot)
-    outputs, json_file = run.outputs(), run.json_file
+    json_file = run.json_file
     trace = open_trace(source, 2.0 if run.seconds is None else run.seconds, seed)
     chosen = run.load_profile()
     answers = split(trace, sai_full_n=chosen.force.full_n, sai_rate_hz=chosen.pulse.sai_rate_hz)
@@ -93,10 +91,9 @@ def color(
         return
     with bank_progress(run.quiet) as progress:
         bank = load_bank(chosen, progress)
-    display = run.display(chosen)
     places = parse_places(chosen, sites, radius_mm)
     shaken = run.vibrators is not None
-    timing = display.board.timing
+    timing = run.display(chosen).board.timing
     mixture = mix(answers, trace.duration_s, chosen, bank, places, timing, shaken)
     seconds = None if is_spec(source) else run.seconds
     config = run.config(mixture.mode, seconds=seconds, seed=seed)
@@ -107,10 +104,7 @@ def color(
     if mixture.pulses(Afferent.PC):
         price = pacinian_price(chosen, bank, mixture.sites)
         vibration.notes.append(str(price))
-    with contextlib.ExitStack() as stack:
-        force = run.open_force(chosen, stack)
-        saved.keep(context)
-        run_in_terminal(vibration, display, config, outputs, force=force)
+    run.start(vibration, chosen, config, partial(saved.keep, context))
     if json_file is not None:
         _add(json_file, as_figures(answers, mixture, vibration, price))
     if plot is not None:
@@ -127,8 +121,7 @@ def color(
 
 def _add(path: Path, figures: dict[str, object]) -> None:
     """Put what is known of the colors beside the figures of the run."""
-    from smarttouch.cli.files import write_json
     from smarttouch.errors import SmartTouchError
-    from smarttouch.files import parse_json, read_bytes
+    from smarttouch.files import parse_json, read_bytes, write_json
 
     write_json(path, parse_json(read_bytes(path, SmartTouchError)) | {"color": figures})

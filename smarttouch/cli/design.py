@@ -6,16 +6,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smarttouch.cli.tables import print_table
+from smarttouch.cli.options import ArrayOption
+from smarttouch.terminal import print_table
 
 if TYPE_CHECKING:
     from smarttouch.kernels.report import WordTable
 
 
 def design(
-    profile: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Device and finger; see: smarttouch profiles")
-    ] = "electric-mouse",
+    profile: ArrayOption = "electric-mouse",
     mode: Annotated[
         str | None, typer.Option(metavar="RA|SAI|PC", help="Which afferents to reach; all if none.")
     ] = None,
@@ -51,12 +50,13 @@ def design(
     ] = None,
 ) -> None:
     """Show the kernels of a profile: current patterns that reach one class of afferents."""
-    from smarttouch.cli.files import parse_afferent, require_folder, require_site, write_json
-    from smarttouch.cli.progress import bank_progress
+    from smarttouch.cli.choices import parse_afferent, require_site
     from smarttouch.errors import DesignError, SmartTouchError
+    from smarttouch.files import require_folder, write_json
     from smarttouch.kernels import report
     from smarttouch.kernels.bank import find_bank, load_bank, make_bank
     from smarttouch.kernels.switching import possible_modes
+    from smarttouch.monitor.progress import bank_progress
     from smarttouch.profile import load_profile
 
     afferent = None if mode is None else parse_afferent(mode)
@@ -66,9 +66,9 @@ def design(
     special = [
         name
         for name, asked in (
-            ("--robust", robust and not three_state), ("--three-state", three_state),
-            ("--any-node", any_node), ("--driving", driving), ("--compare", compare),
-            ("--bank", bank_file is not None),
+            ("robust", robust and not three_state), ("three_state", three_state),
+            ("any_node", any_node), ("driving", driving), ("compare", compare),
+            ("bank_file", bank_file is not None),
         )
         if asked
     ]  # fmt: skip
@@ -84,7 +84,7 @@ def design(
             raise DesignError(
                 f"mode {afferent.name} is not possible with the board of {profile}: it offers "
                 f"{', '.join(offered) or 'none'}",
-                about="--mode",
+                about="mode",
                 problem="impossible",
                 value=afferent.name,
                 allowed=offered,
@@ -100,7 +100,7 @@ def design(
             )
         elif special:
             shown = report.kernels_designed(
-                chosen, modes, sites, special[0].removeprefix("--"), robust, progress
+                chosen, modes, sites, special[0].replace("_", "-"), robust, progress
             )
         else:
             # One site of a large array is not worth its whole bank.

@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
 from smarttouch.cli.saved import SavedSettings
+from smarttouch.monitor.driving import drives_a_board
 
 experiment = typer.Typer(
     help="Psychophysics: what a finger can tell of pulses (paper, Section III).",
@@ -101,11 +101,11 @@ def run_listed(
     Keys: the answers that the screen names, r for the trial once more, and those of live; q to
     go on another time.
     """
-    import contextlib
     from dataclasses import replace
 
-    from smarttouch.cli.experiment_steps import require_answers, sit
-    from smarttouch.cli.files import parse_afferent, parse_choice
+    from smarttouch.cli.choices import parse_afferent, parse_choice, require_answers
+    from smarttouch.cli.experiment_steps import sit
+    from smarttouch.errors import ExperimentError
     from smarttouch.psychophysics.catalog import ExperimentOptions, design
     from smarttouch.psychophysics.rows import About
     from smarttouch.psychophysics.sitting import (
@@ -117,21 +117,29 @@ def run_listed(
     from smarttouch.psychophysics.timing import TrialTiming
 
     if simulate is not None:
-        simulate = parse_choice("--simulate", simulate, ("model", "random", "first", "silent"))
+        simulate = parse_choice("simulate", simulate, ("model", "random", "first", "silent"))
     run = replace(run, board=board or (None if simulate is None else "simulated:"))
-    require_answers(simulate, run.board_url)
+    require_answers(simulate is not None, run.board_url, ("simulated:",), ExperimentError)
+    if simulate is None and run.board_url == "simulated:":
+        raise ExperimentError(
+            "nobody can answer as fast as simulated: goes: choose emulator:, or simulate",
+            about="board",
+            problem="impossible",
+            value=run.board_url,
+            remedy="simulate",
+        )
     chosen = run.load_profile()
     afferent = parse_afferent(mode)
     named = f"{name}-{afferent.name}"
     stem, order = usual_name(named, participant, session, seed)
-    wanted = ExperimentOptions(
+    options = ExperimentOptions(
         afferent, procedure, parse_standards(standards), repetitions, trials, site, train_s,
         rate_hz, letters, two_intervals, order,
     )  # fmt: skip
-    made = design(name, chosen, wanted)
+    made = design(name, chosen, options)
     # Nobody is there who could press harder, or turn the intensity up.
     patience_s = None if simulate is None else 10.0
-    course = TrialTiming(gap_s, answer_s or None, made.again, patience_s)
+    timing = TrialTiming(gap_s, answer_s or None, made.again, patience_s)
     path = output or Path(f"{stem}.csv")
     about = About(named, made.method, participant, session, order)
     config = run.config(
@@ -140,14 +148,11 @@ def run_listed(
         subject=run.subject or participant,
         note=run.note or session,
     )
-    with (
-        open_sitting(made, chosen, course, about, path, overwrite=overwrite) as sitting,
-        contextlib.ExitStack() as stack,
-    ):
+    with open_sitting(made, chosen, timing, about, path, overwrite=overwrite) as sitting:
         saved.keep(context)
         if run.record is not None and sitting.session.resumed:
             run = replace(run, record=numbered(run.record))
-        sit(sitting, run, config, run.open_force(chosen, stack), simulate)
+        sit(sitting, run, config, simulate)
 
 
 @experiment.command()
@@ -179,8 +184,8 @@ def free(
     """
     from dataclasses import replace
 
+    from smarttouch.cli.choices import parse_afferent
     from smarttouch.cli.experiment_steps import free_run
-    from smarttouch.cli.files import parse_afferent
     from smarttouch.profile import load_profile
 
     if run.intensity is None and not run.on_a_finger:

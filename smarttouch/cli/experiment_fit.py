@@ -1,5 +1,6 @@
 """``smarttouch experiment fit``: psychometric functions through answers, and what they say."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -68,8 +69,9 @@ def fit(
     """
     from dataclasses import replace
 
-    from smarttouch.cli.files import parse_choice, require_folder, write_json
-    from smarttouch.errors import ExperimentError
+    from smarttouch.cli.choices import parse_choice
+    from smarttouch.errors import ExperimentError, require_within
+    from smarttouch.files import require_folder, write_json
     from smarttouch.plotting import style
     from smarttouch.plotting.discrimination import discrimination_figure
     from smarttouch.psychophysics.fitting.answers import usual_model
@@ -83,23 +85,19 @@ def fit(
     require_folder(plot)
     if plot is not None:
         style.require_drawable(plot)
-    if not 100 <= samples <= 100_000:
-        message = f"--samples {samples} is not offered: give 100 to 100000"
-        raise ExperimentError(message, about="--samples", value=samples, allowed=(100, 100_000))
-    if seed < 0:
-        message = f"--seed {seed} is not offered: give 0 or more"
-        raise ExperimentError(message, about="--seed", value=seed, allowed=0)
-    parametric = parse_choice("--resample", resample, ("curve", "trials")) == "curve"
-    how = BootstrapOptions(samples, seed, parametric)
-    shape, wanted = parse_choice("--function", function, Shape), _parse_guess(guess)
+    require_within(ExperimentError, "samples", samples, 100, 100_000)
+    require_within(ExperimentError, "seed", seed, 0, math.inf)
+    parametric = parse_choice("resample", resample, ("curve", "trials")) == "curve"
+    bootstrap = BootstrapOptions(samples, seed, parametric)
+    shape, guessed = parse_choice("function", function, Shape), _parse_guess(guess)
     found: list[tuple[Table, list[Finding]]] = []
     for path in files:
         table = read_table(path, x, y, standard)
         if sum(each.stem == path.stem for each in files) > 1:
             table = replace(table, name=str(path))
         axis = None if linear is None else not linear
-        model = usual_model(table.answers, shape, wanted, axis, at, lapse)
-        found.append((table, [judge(each, model, how) for each in table.answers]))
+        model = usual_model(table.answers, shape, guessed, axis, at, lapse)
+        found.append((table, [judge(each, model, bootstrap) for each in table.answers]))
     if not quiet:
         _print(found)
     if json_file is not None:
@@ -120,15 +118,15 @@ def _parse_guess(text: str | None) -> "Guess | None":
     try:
         return float(text)
     except ValueError:
-        message = f"--guess {text!r} is not offered: give a share such as 0.5, equal or free"
+        message = f"guess {text!r} is not offered: give a share such as 0.5, equal or free"
         raise ExperimentError(
-            message, about="--guess", problem="unknown", value=text, allowed=("equal", "free")
+            message, about="guess", problem="unknown", value=text, allowed=("equal", "free")
         ) from None
 
 
 def _print(found: Sequence[tuple["Table", list["Finding"]]]) -> None:
-    from smarttouch.cli.tables import print_table
     from smarttouch.psychophysics.fitting.report import threshold_rows
+    from smarttouch.terminal import print_table
 
     console = terminal.console(highlight=False)
     for table, findings in found:

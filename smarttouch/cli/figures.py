@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smarttouch import terminal
+from smarttouch.cli.options import ArrayOption
 from smarttouch.files import write_bytes
 
 if TYPE_CHECKING:
@@ -15,9 +16,7 @@ if TYPE_CHECKING:
 
 def figures(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to; made if missing.")],
-    profile: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Whose kernels and fibers to draw.")
-    ] = "electric-mouse",
+    profile: ArrayOption = "electric-mouse",
     site: Annotated[
         int | None, typer.Option(metavar="N", help="Whose kernels; the middle one if none.")
     ] = None,
@@ -26,18 +25,18 @@ def figures(
     """Redraw the paper's Fig. 2, 5, 8, 9 and 10; draw kernels, activation, shared slots, fibers."""
     import numpy as np
 
-    from smarttouch.cli.files import not_offered, require_site
-    from smarttouch.cli.progress import bank_progress
-    from smarttouch.cli.tables import print_table
-    from smarttouch.errors import SmartTouchError
+    from smarttouch.cli.choices import require_site
+    from smarttouch.errors import SmartTouchError, not_offered
     from smarttouch.kernels.bank import load_bank
     from smarttouch.kernels.switching import kind_of
+    from smarttouch.monitor.progress import bank_progress
     from smarttouch.physiology import af_error
     from smarttouch.plotting import colors, fibers, frames, kernels, paper, style
     from smarttouch.profile import load_profile
+    from smarttouch.terminal import print_table
 
     if kind not in style.FORMATS:
-        raise not_offered("--format", kind, style.FORMATS)
+        raise not_offered("kind", kind, style.FORMATS)
     chosen, line = load_profile(profile), load_profile("line-7")
     if site is None:
         site = int(np.linalg.norm(chosen.electrodes.position_mm, axis=1).argmin())

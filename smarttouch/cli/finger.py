@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.cli.options import AnatomyOption, JsonOption, QuietOption
+from smarttouch.cli.options import AnatomyOption, ArrayOption, JsonOption, QuietOption
 
 _NAMES = {
     "silent_points": "silent points",
@@ -20,9 +20,7 @@ def finger(
     letters: Annotated[
         str | None, typer.Argument(metavar="LETTERS", help="A to Z if none.")
     ] = None,
-    profile: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Device and skin.")
-    ] = "electric-mouse",
+    profile: ArrayOption = "electric-mouse",
     mode: Annotated[str, typer.Option(metavar="RA|SAI|PC", help="Whose receptors.")] = "RA",
     anatomy: AnatomyOption = "branched",
     fingers: Annotated[
@@ -46,24 +44,25 @@ def finger(
 
     if table is not None:
         from smarttouch.cli import finger_tables
-        from smarttouch.cli.files import parse_choice
+        from smarttouch.cli.choices import parse_choice
 
-        chosen_table = parse_choice("--table", table, finger_tables.NAMES)
+        chosen_table = parse_choice("table", table, finger_tables.NAMES)
         finger_tables.print_comparison(chosen_table, letters, anatomy, fingers, json_file, quiet)
         return
 
     from smarttouch.afferent import Mode
-    from smarttouch.cli.files import parse_afferent, require_folder, write_json
-    from smarttouch.cli.progress import lines_progress
-    from smarttouch.cli.tables import print_table
+    from smarttouch.cli.choices import parse_afferent
+    from smarttouch.files import require_folder, write_json
     from smarttouch.kernels.bank import load_bank
+    from smarttouch.monitor.progress import lines_progress
     from smarttouch.physiology.finger import Finger
     from smarttouch.profile import load_profile
     from smarttouch.psychophysics import letters_felt
     from smarttouch.psychophysics.letters import ALPHABET
     from smarttouch.psychophysics.nociceptive import bystander_margins
+    from smarttouch.terminal import print_table
 
-    chosen, wanted = load_profile(profile), Mode(parse_afferent(mode).name)
+    chosen, driven = load_profile(profile), Mode(parse_afferent(mode).name)
     drawn = ALPHABET if letters is None else letters_felt.require_letters(letters)
     picture = None if plot_file is None else Path(plot_file)
     for output in (json_file, picture):
@@ -71,18 +70,18 @@ def finger(
     bank = load_bank(chosen)
     with lines_progress(quiet, "Feeling letters") as progress:
         found = letters_felt.feel_letters(
-            chosen, bank, wanted, anatomy, range(1, fingers + 1), drawn, progress
+            chosen, bank, driven, anatomy, range(1, fingers + 1), drawn, progress
         )
     figures = letters_felt.summary(found)
-    at_board = letters_felt.error_at_board(chosen, bank, wanted, drawn)
-    margin = bystander_margins(chosen, bank, wanted, anatomy, range(1, fingers + 1), drawn)
+    at_board = letters_felt.error_at_board(chosen, bank, driven, drawn)
+    margin = bystander_margins(chosen, bank, driven, anatomy, range(1, fingers + 1), drawn)
     figures["nociceptive"] = margin["nociceptive"]
     if json_file is not None:
         at_nerve = {each: figures.pop(each) for each in ("median", "worst_tenth")}
         write_json(
             json_file,
             {
-                "profile": chosen.name, "mode": wanted.value, "anatomy": anatomy,
+                "profile": chosen.name, "mode": driven.value, "anatomy": anatomy,
                 "fingers": fingers, "letters": drawn,
                 "fired": letters_felt.fired(found),
                 **figures, "at_board": at_board, "at_nerve": at_nerve,
@@ -93,7 +92,7 @@ def finger(
         from smarttouch.plotting.fingers import letter_figure
         from smarttouch.plotting.style import save
 
-        sequence, active = letters_felt.letter_sequence(drawn[0], chosen, bank, wanted)
+        sequence, active = letters_felt.letter_sequence(drawn[0], chosen, bank, driven)
         save(letter_figure(Finger(chosen, 1, anatomy), sequence, active), picture)
     if not quiet:
         rows = [("error rate at the board", f"{at_board:.3f}")]

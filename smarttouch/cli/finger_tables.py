@@ -28,9 +28,9 @@ def print_comparison(
     json_file : Path, optional
     quiet : bool
     """
-    from smarttouch.cli.files import require_folder, write_json
-    from smarttouch.cli.progress import lines_progress
-    from smarttouch.cli.tables import print_table
+    from smarttouch.files import require_folder, write_json
+    from smarttouch.monitor.progress import lines_progress
+    from smarttouch.terminal import print_table
 
     require_folder(json_file)
     seeds = range(1, fingers + 1)

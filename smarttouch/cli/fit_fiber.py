@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.cli.options import JsonOption, QuietOption
+from smarttouch.cli.options import ArrayOption, JsonOption, QuietOption
 
 
 def fit_fiber(
@@ -12,9 +12,7 @@ def fit_fiber(
         str,
         typer.Argument(metavar="fingertip|trunk|mrg", help="mrg needs PyFibers and NEURON."),
     ] = "fingertip",
-    profile: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Whose kernels to fit to and judge on.")
-    ] = "electric-mouse",
+    profile: ArrayOption = "electric-mouse",
     json_file: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
@@ -24,16 +22,17 @@ def fit_fiber(
     """
     import platformdirs
 
-    from smarttouch.cli.files import parse_choice, require_folder, write_json
-    from smarttouch.cli.progress import lines_progress
-    from smarttouch.cli.tables import print_table
+    from smarttouch.cli.choices import parse_choice
+    from smarttouch.files import require_folder, write_json
     from smarttouch.kernels.bank import load_bank
     from smarttouch.kernels.fiber_fits import as_json, error_rows
     from smarttouch.kernels.fiber_fits import fit_fiber as fit
+    from smarttouch.monitor.progress import lines_progress
     from smarttouch.physiology.driving import FIBERS
     from smarttouch.profile import load_profile
+    from smarttouch.terminal import print_table
 
-    chosen, name = load_profile(profile), parse_choice("FIBER", fiber, tuple(FIBERS))
+    chosen, name = load_profile(profile), parse_choice("fiber", fiber, tuple(FIBERS))
     require_folder(json_file)
     keep = platformdirs.user_cache_path("smarttouch") / "fibers"
     with lines_progress(quiet, "Fitting") as progress:

@@ -6,7 +6,13 @@ from typing import Annotated
 import typer
 
 from smarttouch.cli.option_groups import takes_options
-from smarttouch.cli.options import AnatomyOption, JsonOption, QuietOption, ScanOption
+from smarttouch.cli.options import (
+    AnatomyOption,
+    ArrayOption,
+    JsonOption,
+    QuietOption,
+    ScanOption,
+)
 from smarttouch.cli.source_options import DocumentOptions, FeelOptions
 from smarttouch.cli.standard_input import or_standard_input
 
@@ -23,9 +29,7 @@ def legibility(
             help="As for smarttouch read.",
         ),
     ],
-    profile: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Device and finger.")
-    ] = "electric-mouse",
+    profile: ArrayOption = "electric-mouse",
     truth: Annotated[
         Path | None,
         typer.Option(metavar="FILE.txt", help="What the page says; what Tesseract reads if none."),
@@ -40,34 +44,30 @@ def legibility(
     quiet: QuietOption = False,
 ) -> None:
     """Measure it: the whole chain to a simulated board, and Tesseract on what the skin got."""
-    from smarttouch.cli.files import (
-        parse_choice,
-        parse_mode,
-        require_folder,
-        write_json,
-    )
-    from smarttouch.cli.progress import bank_progress, lines_progress
-    from smarttouch.cli.tables import print_table
+    from smarttouch.cli.choices import parse_choice, parse_mode
+    from smarttouch.files import require_folder, write_json
     from smarttouch.kernels.bank import load_bank
+    from smarttouch.monitor.progress import bank_progress, lines_progress
     from smarttouch.profile import load_profile
     from smarttouch.reading.deliver import Reading
     from smarttouch.reading.legibility import measure_legibility
     from smarttouch.reading.source import Source
     from smarttouch.reading.window import profile_for_reading
     from smarttouch.running.config import SCANS, RunConfig
+    from smarttouch.terminal import print_table
 
     require_folder(json_file)
     chosen = profile_for_reading(load_profile(profile))
     notes: list[str] = []
     text = Source(*document.look(source), notes.append)
-    wanted = feel.wanted()
-    motion = wanted.motion(chosen, feel.speed_mm_s)
+    presentation = feel.presentation()
+    motion = presentation.motion(chosen, feel.speed_mm_s)
     with bank_progress(quiet) as progress:
         bank = load_bank(chosen, progress)
-    sharing = RunConfig(scan=parse_choice("--scan", scan, SCANS)).sharing(chosen)
-    reading = Reading(chosen, bank, wanted.tone, motion, parse_mode(mode), sharing)
+    sharing = RunConfig(scan=parse_choice("scan", scan, SCANS)).sharing(chosen)
+    reading = Reading(chosen, bank, presentation.tone, motion, parse_mode(mode), sharing)
     with lines_progress(quiet) as advance:
-        found = measure_legibility(text, reading, wanted, truth, advance, fingers, anatomy)
+        found = measure_legibility(text, reading, presentation, truth, advance, fingers, anatomy)
     figures = {"source": source, "profile": chosen.name, "notes": notes, **found.figures}
     if json_file is not None:
         write_json(json_file, figures)

@@ -1,16 +1,17 @@
 """``smarttouch live``: from a source to current in the skin."""
 
+from functools import partial
 from typing import Annotated
 
 import typer
 
-from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.options import ModeOption, RateOption
 from smarttouch.cli.run_options import RunOptions
 from smarttouch.cli.saved import SavedSettings, used_tone
 from smarttouch.cli.source_options import SourceOptions
 from smarttouch.cli.standard_input import or_standard_input
+from smarttouch.monitor.driving import drives_a_board
 
 
 @drives_a_board
@@ -44,14 +45,11 @@ def live(
     ] = False,
 ) -> None:
     """Let a finger feel what a source sees, until it ends, a key or Ctrl-C."""
-    import contextlib
-
-    from smarttouch.cli.files import parse_mode
-    from smarttouch.cli.session import run_in_terminal
+    from smarttouch.cli.choices import parse_mode
     from smarttouch.resources import data_folder
     from smarttouch.sources import open_source
 
-    chosen, outputs = run.load_profile(), run.outputs()
+    chosen = run.load_profile()
     config = run.config(
         parse_mode(mode),
         rate_hz=rate_hz,
@@ -61,20 +59,7 @@ def live(
     )
     url = source or f"page:{data_folder('sample_images') / 'page.png'}"
     options = {"seed": seed, **of_source.given()}
-    with contextlib.ExitStack() as stack:
-        opened = stack.enter_context(
-            open_source(url, chosen, light_on_dark=light_on_dark, **options)
-        )
-        force = run.open_force(chosen, stack)
-        display = run.display(chosen)
-        # All that is kept has been opened once.
-        saved.keep_run(context, run, config, source, options)
-        run_in_terminal(
-            opened,
-            display,
-            config,
-            outputs,
-            force=force,
-            keys=opened.keys,
-            keys_help=opened.keys_help,
-        )
+    with open_source(url, chosen, light_on_dark=light_on_dark, **options) as opened:
+        keep = partial(saved.keep_run, context, run, config, source, options)
+        keys, keys_help = opened.keys, opened.keys_help
+        run.start(opened, chosen, config, keep, keys=keys, keys_help=keys_help)

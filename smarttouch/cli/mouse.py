@@ -1,13 +1,14 @@
 """``smarttouch mouse``: a texture under a hand that moves."""
 
+from functools import partial
 from typing import Annotated
 
 import typer
 
-from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
 from smarttouch.cli.saved import SavedSettings
+from smarttouch.monitor.driving import drives_a_board
 
 
 @drives_a_board
@@ -65,16 +66,13 @@ def mouse(
 
     Each electrode pulses when a ridge passes under it, and not at rest.
     """
-    import contextlib
-
-    from smarttouch.cli.files import parse_mode
-    from smarttouch.cli.session import run_in_terminal
+    from smarttouch.cli.choices import parse_mode
     from smarttouch.reading.window import press_n, profile_for_reading
     from smarttouch.texture.source import MouseSource, open_motion_over
     from smarttouch.texture.textures import open_texture
 
     own = run.load_profile()
-    chosen, outputs = profile_for_reading(own), run.outputs()
+    chosen = profile_for_reading(own)
     config = run.config(parse_mode(mode), seed=seed or 0)
     surface = open_texture(
         texture,
@@ -84,12 +82,8 @@ def mouse(
         tiled=tiled,
         light_on_dark=light_on_dark,
     )
-    with contextlib.ExitStack() as stack:
-        moves = stack.enter_context(
-            open_motion_over(
-                surface, motion, own, speed_mm_s=speed_mm_s, seed=seed, cpi=cpi, grab=grab or None
-            )
-        )
+    options = {"speed_mm_s": speed_mm_s, "seed": seed, "cpi": cpi, "grab": grab or None}
+    with open_motion_over(surface, motion, own, **options) as moves:
         source = MouseSource(
             surface,
             moves,
@@ -101,6 +95,4 @@ def mouse(
             press_n(chosen) if run.pressed else None,
         )
         source.url = texture
-        force = run.open_force(chosen, stack)
-        saved.keep(context)
-        run_in_terminal(source, run.display(chosen), config, outputs, force=force)
+        run.start(source, chosen, config, partial(saved.keep, context))

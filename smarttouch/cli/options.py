@@ -13,6 +13,10 @@ ProfileOption = Annotated[
     str | None,
     typer.Option("--profile", metavar="NAME|FILE", help="Device and finger; the usual if none."),
 ]
+ArrayOption = Annotated[
+    str,
+    typer.Option("--profile", metavar="NAME|FILE", help="Device and finger; see: profiles."),
+]
 ModeOption = Annotated[str, typer.Option("--mode", metavar="CLASS", help="RA, SAI, PC or natural.")]
 RateOption = Annotated[
     float | None,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch import terminal
+from smarttouch.terminal import print_table
 
 if TYPE_CHECKING:
     from smarttouch.calibrate.profile_file import ProfileFile
@@ -23,28 +23,21 @@ _File = Annotated[Path, typer.Argument(metavar="FILE.toml", help="The profile.")
 def list_profiles(context: typer.Context) -> None:
     if context.invoked_subcommand is not None:
         return
-    from rich.table import Table
-
     from smarttouch.profile import DEFAULT_PROFILE, list_profiles, load_profile
 
-    table = Table(box=None, pad_edge=False)
-    for heading in ("name", "what it is", "board"):
-        table.add_column(heading, no_wrap=heading == "name")
+    rows = []
     for name in list_profiles():
         profile = load_profile(name)
         star = " (default)" if name == DEFAULT_PROFILE else ""
         pulse = profile.pulse
-        table.add_row(
-            name + star,
-            profile.title,
-            f"{profile.output.kind}, {pulse.width_us} µs, {pulse.rate_hz:g} Hz",
-        )
-    console = terminal.console()
-    console.print(table)
-    console.print(
-        "Make your own with 'smarttouch profiles copy NAME FILE', and give its file to --profile.",
-        style="dim",
-        soft_wrap=True,
+        board = f"{profile.output.kind}, {pulse.width_us} µs, {pulse.rate_hz:g} Hz"
+        rows.append((name + star, profile.title, board))
+    print_table(
+        rows,
+        ("name", "what it is", "board"),
+        note="Make your own with 'smarttouch profiles copy NAME FILE', and give its file to "
+        "--profile.",
+        left=3,
     )
 
 

@@ -1,16 +1,17 @@
 """``smarttouch read``: text from a file under the finger, as letter shapes or as Braille."""
 
+from functools import partial
 from typing import Annotated
 
 import typer
 
-from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.options import ModeOption, RateOption
 from smarttouch.cli.run_options import RunOptions
 from smarttouch.cli.saved import SavedSettings, use_option
 from smarttouch.cli.source_options import DocumentOptions, FeelOptions
 from smarttouch.cli.standard_input import or_standard_input
+from smarttouch.monitor.driving import drives_a_board
 
 
 @drives_a_board
@@ -58,9 +59,8 @@ def read(
     import contextlib
     from dataclasses import replace
 
-    from smarttouch.cli.files import parse_mode
-    from smarttouch.cli.progress import first_line_awaited
-    from smarttouch.cli.session import run_in_terminal
+    from smarttouch.cli.choices import parse_mode
+    from smarttouch.monitor.progress import first_line_awaited
     from smarttouch.reading.cursor import Cursor, FollowingCursor, SweepingCursor
     from smarttouch.reading.feed import LineFeed
     from smarttouch.reading.line_source import ReadingSource
@@ -70,14 +70,14 @@ def read(
 
     run = replace(run, board=board or (None if run.frames is None else "simulated:"))
     own = run.load_profile()
-    chosen, outputs = profile_for_reading(own), run.outputs()
-    wanted = feel.wanted(lines)
-    motion = wanted.motion(chosen, feel.speed_mm_s, rate_hz)
+    chosen = profile_for_reading(own)
+    presentation = feel.presentation(lines)
+    motion = presentation.motion(chosen, feel.speed_mm_s, rate_hz)
     notes: list[str] = []
     text = Source(*document.look(source, scale_matters=follow is not None), notes.append)
-    config = run.config(parse_mode(mode), rate_hz=rate_hz, tone=wanted.tone)
+    config = run.config(parse_mode(mode), rate_hz=rate_hz, tone=presentation.tone)
     with contextlib.ExitStack() as stack:
-        feed = LineFeed(wanted.lines(text, chosen))
+        feed = LineFeed(presentation.lines(text, chosen))
         stack.callback(feed.close)
         first_line_awaited(feed.start(), run.quiet)
         cursor: Cursor
@@ -87,14 +87,5 @@ def read(
             cursor = FollowingCursor(feed, stack.enter_context(open_source(follow, own)))
         reading = ReadingSource(text.title, chosen, feed, cursor)
         reading.url, reading.notes = source, notes
-        force = run.open_force(chosen, stack)
-        saved.keep(context)
-        run_in_terminal(
-            reading,
-            run.display(chosen),
-            config,
-            outputs,
-            force=force,
-            keys=reading.keys,
-            keys_help="← → line    r again    ",
-        )
+        keep, keys_help = partial(saved.keep, context), "← → line    r again    "
+        run.start(reading, chosen, config, keep, keys=reading.keys, keys_help=keys_help)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.cli.tables import print_table
+from smarttouch.terminal import print_table
 
 recordings = typer.Typer(
     help="Look into, repair and export what ``live --record`` kept.", no_args_is_help=True

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.cli.driving import drives_a_board
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
+from smarttouch.monitor.driving import drives_a_board
 
 
 @drives_a_board
@@ -46,37 +46,26 @@ def replay(
     if check:
         _check(file, profile)
         return
-    import contextlib
     from dataclasses import replace
     from functools import partial
 
-    from smarttouch.cli.session import run_in_terminal
     from smarttouch.front import recording_config
     from smarttouch.recording.controls import RecordedControls
     from smarttouch.recording.source import RecordingSource
 
-    run, outputs = replace(run, board=board, force=force, intensity=intensity), run.outputs()
+    run = replace(run, board=board, force=force, intensity=intensity)
     recording = Recording(file)
     chosen = recording.profile if profile is None else load_profile(profile)
     config = recording_config(recording, **run.settings("scan", "softness"))
-    with contextlib.ExitStack() as stack:
-        source = stack.enter_context(RecordingSource(recording))
+    with RecordingSource(recording) as source:
         source.url = f"recording:{file}"
-        pressing = run.open_force(chosen, stack)
-        run_in_terminal(
-            source,
-            run.display(chosen),
-            config,
-            outputs,
-            force=pressing,
-            controls=partial(RecordedControls, recording),
-        )
+        run.start(source, chosen, config, controls=partial(RecordedControls, recording))
 
 
 def _check(file: Path, profile: str | None) -> None:
     """Print the outcome; exit 1 where sequences differ."""
-    from smarttouch.cli.progress import bank_progress
     from smarttouch.kernels.bank import load_bank
+    from smarttouch.monitor.progress import bank_progress
     from smarttouch.profile import load_profile
     from smarttouch.recording.check import check_recording
     from smarttouch.recording.reader import Recording

@@ -19,7 +19,7 @@ def report(
     Nothing of participants is in it: no name, note, file name, threshold, intensity or answer.
     """
     from smarttouch.bug_report import bug_report
-    from smarttouch.cli.files import require_folder, write_json
+    from smarttouch.files import require_folder, write_json
 
     require_folder(output)
     write_json(output, bug_report(recording))

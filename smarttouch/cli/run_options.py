@@ -1,5 +1,6 @@
 """Options that every command takes that runs, said once; and what a run is made of by them."""
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -19,13 +20,13 @@ from smarttouch.cli.options import (
     QuietOption,
     ScanOption,
 )
+from smarttouch.files import require_folder
 
 if TYPE_CHECKING:
-    from smarttouch.cli.session import Outputs
     from smarttouch.profile import Profile
     from smarttouch.running.config import RunConfig
     from smarttouch.running.display import Display
-    from smarttouch.sources.forces.force import ForceSource
+    from smarttouch.sources.source import Source
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,6 +132,10 @@ class RunOptions(OptionGroup):
     json_file: JsonOption = None
     quiet: QuietOption = False
 
+    def __post_init__(self) -> None:
+        for output in (self.felt, self.record, self.json_file):
+            require_folder(output)
+
     @property
     def board_url(self) -> str:
         """URL of the board; the emulator if none was given."""
@@ -138,14 +143,14 @@ class RunOptions(OptionGroup):
 
     @property
     def on_a_finger(self) -> bool:
-        """Whether there may be a finger on the board."""
+        """True if there may be a finger on the board."""
         from smarttouch.boards.open import may_touch_a_finger
 
         return may_touch_a_finger(self.board_url)
 
     @property
     def pressed(self) -> bool:
-        """Whether force has to be made up: nobody measures it, and no finger is there."""
+        """True if force has to be made up: nobody measures it, and no finger is there."""
         return self.force is None and not self.on_a_finger
 
     def load_profile(self) -> "Profile":
@@ -175,16 +180,33 @@ class RunOptions(OptionGroup):
         )  # fmt: skip
         return {name: getattr(self, name) for name in names if name not in but}
 
-    def outputs(self) -> "Outputs":
-        """Return the files of the run."""
-        from smarttouch.cli.session import Outputs
+    def start(
+        self,
+        source: "Source",
+        profile: "Profile",
+        config: "RunConfig",
+        keep: Callable[[], object] = lambda: None,
+        **more: Any,
+    ) -> None:
+        """Run a source in the terminal until its end.
 
-        return Outputs(**{each.name: getattr(self, each.name) for each in fields(Outputs)})
-
-    def open_force(self, profile: "Profile", stack: ExitStack) -> "ForceSource | None":
-        """Return the source of force that was asked for, closed with the stack."""
-        if self.force is None:
-            return None
+        Parameters
+        ----------
+        source, profile, config
+            See `run_in_terminal`.
+        keep : callable
+            Called once all that the options name has been opened.
+        **more
+            Other parameters of `run_in_terminal`.
+        """
+        from smarttouch.monitor.session import Outputs, run_in_terminal
         from smarttouch.sources.forces.force import open_force
 
-        return stack.enter_context(open_force(self.force, profile))
+        outputs = Outputs(**{each.name: getattr(self, each.name) for each in fields(Outputs)})
+        with ExitStack() as stack:
+            force = None
+            if self.force is not None:
+                force = stack.enter_context(open_force(self.force, profile))
+            display = self.display(profile)
+            keep()
+            run_in_terminal(source, display, config, outputs, force=force, **more)

@@ -138,10 +138,10 @@ def _from_anywhere(key: str, value: Any) -> Any:
 def _require_kept_source(context: typer.Context) -> None:
     if is_standard_input(context):
         raise SavedRunError(
-            "what comes by standard input cannot be kept: give a file, or leave out --save",
+            "what comes by standard input cannot be kept: give a file, or keep nothing",
             about="source",
             problem="impossible",
-            remedy="--save",
+            remedy="save",
         )
 
 

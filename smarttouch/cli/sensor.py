@@ -1,28 +1,18 @@
 """``smarttouch sensor``: one sensor or load cell, looked at or played."""
 
-from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from smarttouch.cli.option_groups import takes_options
+from smarttouch.cli.options import ProfileOption
 from smarttouch.cli.source_options import SourceOptions
-from smarttouch.cli.tables import print_table
 from smarttouch.emulator.commands import emulate_sensor
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+from smarttouch.terminal import print_table
 
 sensor = typer.Typer(help="Look at one sensor or load cell, or play one.", no_args_is_help=True)
 sensor.command("emulate")(emulate_sensor)
-
-
-_ProfileName = Annotated[
-    str | None,
-    typer.Option("--profile", metavar="NAME|FILE", help="Device and finger; electric-mouse."),
-]
 
 
 @sensor.command()
@@ -41,29 +31,29 @@ def show(
         bool, typer.Option("--force", help="It is a source of finger force, not of frames.")
     ] = False,
     save: Annotated[Path | None, typer.Option(metavar="PNG", help="Keep the last frame.")] = None,
-    profile: _ProfileName = None,
+    profile: ProfileOption = None,
 ) -> None:
     """Say what comes from a sensor: frames, rate, size, force, and what went wrong."""
-    from smarttouch.cli.files import require_folder
-    from smarttouch.errors import SmartTouchError
+    import cv2
+
+    from smarttouch.errors import SmartTouchError, require_within
+    from smarttouch.files import require_folder, write_bytes
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.sources import open_source
     from smarttouch.sources.forces.force import open_force
     from smarttouch.sources.look import look_at_force, look_at_frames
 
-    if not 0 < seconds <= 3600:
-        message = f"--seconds {seconds:g} must be above 0 and at most 3600"
-        raise SmartTouchError(message, about="--seconds", value=seconds, allowed=(0, 3600))
+    require_within(SmartTouchError, "seconds", seconds, 0, 3600, above=True)
     require_folder(save)
     chosen = load_profile(profile or DEFAULT_PROFILE)
     if force:
         given = of_source.given()
         if save is not None or given:
             message = (
-                f"{', '.join(given) or '--save'} is for frames: leave out --force, or this (the "
+                f"{', '.join(given) or 'save'} is for frames: leave out force, or this (the "
                 "speed of a load cell's line: hx711:PORT?baud=115200)"
             )
-            raise SmartTouchError(message, about="--force", problem="conflict")
+            raise SmartTouchError(message, about="force", problem="conflict")
         with open_force(url, chosen) as pressed:
             rows = look_at_force(pressed, seconds)
         print_table([*rows, *(("note", note) for note in pressed.notes)], left=2)
@@ -73,15 +63,5 @@ def show(
     notes = [("note", note) for note in source.notes]
     print_table([*look.rows(source), *notes], left=2)
     if save is not None and look.last is not None and look.last.image is not None:
-        _save(save, look.last.image)
-
-
-def _save(path: Path, image: "NDArray[np.uint8]") -> None:
-    from PIL import Image
-
-    from smarttouch.files import write_bytes
-
-    content = BytesIO()
-    Image.fromarray(image).save(content, format="PNG")
-    write_bytes(path, content.getvalue())
-    typer.echo(f"The last frame is in {path}.")
+        write_bytes(save, cv2.imencode(".png", look.last.image)[1].tobytes())
+        typer.echo(f"The last frame is in {save}.")

@@ -38,7 +38,7 @@ class SourceOptions(OptionGroup):
         found = {each.name: getattr(self, each.name) for each in fields(self)}
         found["unpaced"] = self.unpaced or None
         if self.size is not None:
-            found["size"] = parse_size(self.size, SmartTouchError, "--size")
+            found["size"] = parse_size(self.size, SmartTouchError, "size")
         return {name: value for name, value in found.items() if value is not None}
 
 
@@ -130,14 +130,14 @@ class FeelOptions(OptionGroup):
         ),
     ] = None
 
-    def wanted(self, lines: int = 1) -> "Shapes | Braille":
+    def presentation(self, lines: int = 1) -> "Shapes | Braille":
         """Return letter shapes or Braille, with so many lines of cells at once."""
-        from smarttouch.cli.files import parse_choice
+        from smarttouch.cli.choices import parse_choice
         from smarttouch.reading.braille import Braille, Presentation
         from smarttouch.reading.shapes import Shapes, Style
 
-        shapes = Shapes(parse_choice("--style", self.style, Style))
-        presentation = parse_choice("--cells", self.cells, Presentation)
-        if parse_choice("--as", self.kind, ("shapes", "braille")) == "shapes":
+        shapes = Shapes(parse_choice("style", self.style, Style))
+        presentation = parse_choice("cells", self.cells, Presentation)
+        if parse_choice("kind", self.kind, ("shapes", "braille")) == "shapes":
             return shapes
         return Braille(self.table, presentation, lines, self.embossed, self.light_from)

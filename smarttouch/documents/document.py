@@ -21,7 +21,7 @@ from smarttouch.documents.page_image import (
     require_size_mm,
 )
 from smarttouch.errors import PageError
-from smarttouch.files import MOST_DOCUMENT_BYTES, open_file
+from smarttouch.files import MOST_DOCUMENT_BYTES, open_file, unreadable
 
 if TYPE_CHECKING:
     import pypdfium2
@@ -254,8 +254,7 @@ def _is_pdf(path: Path) -> bool:
         with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file:
             return _SIGNATURE in file.read(_SIGNATURE_WITHIN)
     except OSError as error:
-        message = f"cannot read {path}: {error.strerror}"
-        raise PageError(message, about="file", problem="unreadable", value=path) from None
+        raise unreadable(PageError, path, error) from None
 
 
 def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument":

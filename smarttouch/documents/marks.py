@@ -30,17 +30,17 @@ _ONE_SIZE = 1.5
 """Largest ratio of their x-heights."""
 
 
-def with_marks(courses: list[Baseline], spots: Spots) -> list[Baseline]:
+def with_marks(baselines: list[Baseline], spots: Spots) -> list[Baseline]:
     """Extend lines by the marks at their ends, and join those that then meet.
 
     Parameters
     ----------
-    courses : list of Baseline
+    baselines : list of Baseline
         Lines that were found by their letters.
     spots : Spots
         All ink of the page.
     """
-    lines = sorted(_lengthened(courses, spots), key=lambda line: line.left)
+    lines = sorted(_lengthened(baselines, spots), key=lambda line: line.left)
     joined: list[Baseline] = []
     for line in lines:
         before = [k for k, other in enumerate(joined) if _continues(other, line, spots)]
@@ -52,15 +52,15 @@ def with_marks(courses: list[Baseline], spots: Spots) -> list[Baseline]:
     return [line for line in joined if not any(_belongs(line, other) for other in joined)]
 
 
-def _lengthened(courses: list[Baseline], spots: Spots) -> list[Baseline]:
+def _lengthened(baselines: list[Baseline], spots: Spots) -> list[Baseline]:
     """Return the lines with the marks beside them; each mark goes to the nearest line."""
     x, y = (spots.left + spots.right) / 2, (spots.top + spots.bottom) / 2
     nearest = np.full(len(x), -1)
     least = np.full(len(x), np.inf)
-    for index, course in enumerate(courses):
-        size = course.x_height
-        above = (course.at(x) - y) / size
-        beyond = np.maximum(np.maximum(course.left - x, x - course.right), 0) / size
+    for index, baseline in enumerate(baselines):
+        size = baseline.x_height
+        above = (baseline.at(x) - y) / size
+        beyond = np.maximum(np.maximum(baseline.left - x, x - baseline.right), 0) / size
         smaller = np.minimum(spots.width, spots.height) / size
         larger = np.maximum(spots.width, spots.height) / size
         mark = (above < _ABOVE) & (above > -_BELOW)
@@ -69,21 +69,21 @@ def _lengthened(courses: list[Baseline], spots: Spots) -> list[Baseline]:
         nearer = mark & (beyond < _FARTHEST) & (away < least)
         nearest[nearer] = index
         least[nearer] = away[nearer]
-    return [_reaching(course, spots.of(nearest == k)) for k, course in enumerate(courses)]
+    return [_reaching(baseline, spots.of(nearest == k)) for k, baseline in enumerate(baselines)]
 
 
-def _reaching(course: Baseline, marks: Spots) -> Baseline:
+def _reaching(baseline: Baseline, marks: Spots) -> Baseline:
     """Extend a line from mark to mark, on either side."""
-    left, right = course.left, course.right
-    reach = _REACH * course.x_height
+    left, right = baseline.left, baseline.right
+    reach = _REACH * baseline.x_height
     for k in np.argsort(marks.left):
         if marks.left[k] < right + reach:
             right = max(right, float(marks.right[k]))
     for k in np.argsort(-marks.right):
         if marks.right[k] > left - reach:
             left = min(left, float(marks.left[k]))
-    moved = Polynomial(course.baseline)(Polynomial([left - course.left, 1]))
-    return replace(course, left=left, right=right, baseline=np.asarray(moved.coef, np.float64))
+    moved = Polynomial(baseline.baseline)(Polynomial([left - baseline.left, 1]))
+    return replace(baseline, left=left, right=right, baseline=np.asarray(moved.coef, np.float64))
 
 
 def _continues(line: Baseline, other: Baseline, spots: Spots) -> bool:

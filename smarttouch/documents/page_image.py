@@ -101,14 +101,14 @@ def check_scale_options(
 
 
 @contextmanager
-def open_image(path: Path, wanted: str = IMAGE) -> Iterator[Image.Image]:
+def open_image(path: Path, kind: str = IMAGE) -> Iterator[Image.Image]:
     """Open an image file; any exception of Pillow, here or inside, becomes a PageError.
 
     Parameters
     ----------
     path : Path
         The image file.
-    wanted : str
+    kind : str
         Expected kind of file, for the error message.
     """
     try:
@@ -123,7 +123,7 @@ def open_image(path: Path, wanted: str = IMAGE) -> Iterator[Image.Image]:
         message = f"{path} is above {MOST_PIXELS // 10**6} megapixels: make it smaller first"
         raise PageError(message, about="pixels", problem="too many", allowed=MOST_PIXELS) from None
     except UnidentifiedImageError:
-        message = f"{path} is not {wanted}"
+        message = f"{path} is not {kind}"
         raise PageError(message, about="file", problem="malformed", value=path) from None
     except _DAMAGES as error:
         message = f"{path} cannot be read: {error}"

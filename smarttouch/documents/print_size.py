@@ -21,14 +21,14 @@ _CAPITALS = 0.08
 """Ink above its letters below which a line has no ascenders: it is capitals or figures."""
 
 
-def reach_of_print(courses: list[Baseline]) -> tuple[float, float]:
+def reach_of_print(baselines: list[Baseline]) -> tuple[float, float]:
     """Return the reach of ascenders and descenders from the baseline, in x-heights.
 
     Of all lines of a page together: few single ones have enough of either.
     """
-    length = np.array([(course.right - course.left) / course.x_height for course in courses])
+    length = np.array([(each.right - each.left) / each.x_height for each in baselines])
     height = np.arange(-1.0, 2.2, 0.02)
-    profiles = [np.interp(height, course.heights[::-1], course.profile[::-1]) for course in courses]
+    profiles = [np.interp(height, each.heights[::-1], each.profile[::-1]) for each in baselines]
     ink = np.average(profiles, axis=0, weights=length)
     zone = ink[(height > 0.05) & (height < 0.95)].mean()
     ascent = _end(height, ink, (1.2, 1.35), zone)
@@ -45,18 +45,21 @@ def _end(height: Floats, ink: Floats, middle: tuple[float, float], zone: float) 
     return float(height[outside][0]) if outside.any() else None
 
 
-def shared_x_heights(courses: list[Baseline], ascent: float) -> Floats:
+def shared_x_heights(baselines: list[Baseline], ascent: float) -> Floats:
     """Return the x-height of each line, shared with neighbors of the same print, px.
 
     Lines of capitals and figures seem to have taller letters: they get those
     of the print of which they are the capitals.
     """
-    size = np.array([course.x_height for course in courses])
-    length = np.array([course.right - course.left for course in courses])
-    middle = np.array([(course.left + course.right) / 2 for course in courses])
-    y = np.array([float(course.at(x)) for course, x in zip(courses, middle, strict=True)])
+    size = np.array([baseline.x_height for baseline in baselines])
+    length = np.array([baseline.right - baseline.left for baseline in baselines])
+    middle = np.array([(baseline.left + baseline.right) / 2 for baseline in baselines])
+    y = np.array([float(baseline.at(x)) for baseline, x in zip(baselines, middle, strict=True)])
     above = np.array(
-        [course.ink_between(1.1, 1.4) / course.ink_between(0.05, 0.95) for course in courses]
+        [
+            baseline.ink_between(1.1, 1.4) / baseline.ink_between(0.05, 0.95)
+            for baseline in baselines
+        ]
     )
     most = _weighted_median(size, length)
     capitals = (above < _CAPITALS) & (np.abs(size / most / ascent - 1) < _SAME)

@@ -106,19 +106,19 @@ def lines_of(paper: Paper, mm_per_pixel: float) -> list[TextLine]:
     rules = find_rules(paper.ink, height)
     spots = find_spots(part_lines(paper.ink & ~rules, spots, height))
     density = np.where(rules, np.uint8(0), 255 - paper.cleaned)
-    courses = with_marks(_courses(density, spots, height), spots)
-    if not courses:
+    baselines = with_marks(_courses(density, spots, height), spots)
+    if not baselines:
         return []
-    ascent, descent = reach_of_print(courses)
-    x_height = shared_x_heights(courses, ascent)
-    middle = [float(course.at(np.array((course.left + course.right) / 2))) for course in courses]
+    ascent, descent = reach_of_print(baselines)
+    x_height = shared_x_heights(baselines, ascent)
+    middle = [float(each.at(np.array((each.left + each.right) / 2))) for each in baselines]
     order = reading_order(
-        np.array([course.left for course in courses]),
-        np.array([course.right for course in courses]),
+        np.array([baseline.left for baseline in baselines]),
+        np.array([baseline.right for baseline in baselines]),
         np.array(middle),
         (ascent + descent) * x_height,
     )
-    return [_line(courses[k], float(x_height[k]), ascent, descent, mm_per_pixel) for k in order]
+    return [_line(baselines[k], float(x_height[k]), ascent, descent, mm_per_pixel) for k in order]
 
 
 def _courses(density: NDArray[np.uint8], spots: Spots, height: float) -> list[Baseline]:
@@ -132,11 +132,11 @@ def _courses(density: NDArray[np.uint8], spots: Spots, height: float) -> list[Ba
         if tried > _HOPELESS + _MISSES * len(lines):
             break
         tells = _length(row) > _TELLING
-        course = follow(density, row, None if tells else _slope_around(row, guides))
-        if is_text(course, row):
-            lines.append((course, row))
+        baseline = follow(density, row, None if tells else _slope_around(row, guides))
+        if is_text(baseline, row):
+            lines.append((baseline, row))
             if tells:
-                guides.append(course)
+                guides.append(baseline)
     return credible(lines, int(spots.area.sum()))
 
 
@@ -158,13 +158,13 @@ def _slope_around(row: Spots, guides: list[Baseline]) -> float:
 
 
 def _line(
-    course: Baseline, x_height: float, ascent: float, descent: float, mm_per_pixel: float
+    baseline: Baseline, x_height: float, ascent: float, descent: float, mm_per_pixel: float
 ) -> TextLine:
-    scales = mm_per_pixel ** (1.0 - np.arange(len(course.baseline)))
+    scales = mm_per_pixel ** (1.0 - np.arange(len(baseline.baseline)))
     return TextLine(
-        left_mm=course.left * mm_per_pixel,
-        right_mm=course.right * mm_per_pixel,
-        baseline=tuple(map(float, course.baseline * scales)),
+        left_mm=baseline.left * mm_per_pixel,
+        right_mm=baseline.right * mm_per_pixel,
+        baseline=tuple(map(float, baseline.baseline * scales)),
         x_height_mm=x_height * mm_per_pixel,
         ascent_mm=ascent * x_height * mm_per_pixel,
         descent_mm=descent * x_height * mm_per_pixel,

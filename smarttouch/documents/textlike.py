@@ -47,21 +47,21 @@ _TOUCHING = 1.3
 """Usual width of spots in which letters run together, in x-heights."""
 
 
-def is_text(course: Baseline, letters: Spots) -> bool:
+def is_text(baseline: Baseline, letters: Spots) -> bool:
     """Return whether a row of letters that was followed is a line of text."""
-    if course.x_height < _LEAST_X_HEIGHT_PX:
+    if baseline.x_height < _LEAST_X_HEIGHT_PX:
         return False
     # Dashes and wide spaces are no letters, and have little ink.
-    covered = min(1.0, float(letters.width.sum()) / (course.right - course.left))
-    return _has_profile_of_text(course, covered) and _are_letters(course, letters, covered)
+    covered = min(1.0, float(letters.width.sum()) / (baseline.right - baseline.left))
+    return _has_profile_of_text(baseline, covered) and _are_letters(baseline, letters, covered)
 
 
-def _has_profile_of_text(course: Baseline, covered: float) -> bool:
+def _has_profile_of_text(baseline: Baseline, covered: float) -> bool:
     """Return whether ink lies between baseline and top of an x, and little around."""
-    zone = course.ink_between(0.05, 0.95)
-    between = max(course.least_ink(1.2, 2.1), course.least_ink(-1.1, -0.1))
-    beside = max(course.ink_between(1.05, 1.45), course.ink_between(-0.45, -0.05))
-    fall = -float(np.diff(course.profile).min()) / course.step
+    zone = baseline.ink_between(0.05, 0.95)
+    between = max(baseline.least_ink(1.2, 2.1), baseline.least_ink(-1.1, -0.1))
+    beside = max(baseline.ink_between(1.05, 1.45), baseline.ink_between(-0.45, -0.05))
+    fall = -float(np.diff(baseline.profile).min()) / baseline.step
     return (
         _ZONE[0] < zone / covered < _ZONE[1]
         and between < _MOST_BETWEEN * zone
@@ -70,26 +70,26 @@ def _has_profile_of_text(course: Baseline, covered: float) -> bool:
     )
 
 
-def _are_letters(course: Baseline, letters: Spots, covered: float) -> bool:
+def _are_letters(baseline: Baseline, letters: Spots, covered: float) -> bool:
     """Return whether spots have the strokes and positions of letters."""
-    length_px = course.right - course.left
-    length = length_px / course.x_height
-    base = course.at((letters.left + letters.right) / 2)
+    length_px = baseline.right - baseline.left
+    length = length_px / baseline.x_height
+    base = baseline.at((letters.left + letters.right) / 2)
     tops, bottoms = (base - edge for edge in (letters.top, letters.bottom))
     # Where most letters are tall, these are what was measured as an x.
     on_levels = max(
         min(_on_a_level(tops, _TOPS, x), _on_a_level(bottoms, _BOTTOMS, x))
-        for x in (course.x_height, course.x_height / _TOPS[1])
+        for x in (baseline.x_height, baseline.x_height / _TOPS[1])
     )
-    line_px = course.ink_between(0.05, 0.95) * course.x_height * length_px
-    run_together = float(np.median(letters.width)) > _TOUCHING * course.x_height
+    line_px = baseline.ink_between(0.05, 0.95) * baseline.x_height * length_px
+    run_together = float(np.median(letters.width)) > _TOUCHING * baseline.x_height
     parted = covered < 1 - _LEAST_WHITE or run_together or len(letters.area) < _MANY
     return (
         parted
         and not (len(letters.area) >= _MANY and _are_solid(letters))
         and float(letters.area.sum()) > _LEAST_OWN * line_px
-        and course.strokes > (_FEWER_STROKES if run_together else _FEWEST_STROKES) * covered
-        and course.strokes < _MOST_STROKES + _STROKE_MORE / length
+        and baseline.strokes > (_FEWER_STROKES if run_together else _FEWEST_STROKES) * covered
+        and baseline.strokes < _MOST_STROKES + _STROKE_MORE / length
         and on_levels > _LEAST_ON_LEVELS
     )
 
@@ -122,16 +122,18 @@ def credible(lines: list[tuple[Baseline, Spots]], ink: int) -> list[Baseline]:
     ink : int, px
         All ink of the page.
     """
-    sure = [len(row.area) >= _SURE and course.strokes > _FEWEST_STROKES for course, row in lines]
+    sure = [
+        len(row.area) >= _SURE and baseline.strokes > _FEWEST_STROKES for baseline, row in lines
+    ]
     sizes = np.array(
-        [course.x_height for (course, _), is_sure in zip(lines, sure, strict=True) if is_sure]
+        [baseline.x_height for (baseline, _), is_sure in zip(lines, sure, strict=True) if is_sure]
     )
     if not len(sizes):
         alone = sum(int(row.area.sum()) for _, row in lines)
-        return [course for course, _ in lines] if alone > _MOST_OF_ALL * ink else []
+        return [baseline for baseline, _ in lines] if alone > _MOST_OF_ALL * ink else []
     kept = []
-    for (course, _), is_sure in zip(lines, sure, strict=True):
-        ratio = np.maximum(course.x_height / sizes, sizes / course.x_height)
+    for (baseline, _), is_sure in zip(lines, sure, strict=True):
+        ratio = np.maximum(baseline.x_height / sizes, sizes / baseline.x_height)
         if is_sure or ratio.min() < _SIMILAR:
-            kept.append(course)
+            kept.append(baseline)
     return kept

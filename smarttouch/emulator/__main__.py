@@ -7,6 +7,7 @@ import typer
 
 from smarttouch.emulator.commands import emulate_board, emulate_sensor
 from smarttouch.errors import SmartTouchError
+from smarttouch.named_options import named_options
 
 app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 app.command("board")(emulate_board)
@@ -24,7 +25,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         app(arguments)
     except SmartTouchError as error:
-        print(f"error: {error}", file=sys.stderr)
+        command = typer.main.get_command(app)
+        typed = sys.argv[1:] if arguments is None else arguments
+        print(f"error: {error}{named_options(error, command, typed)}", file=sys.stderr)
         sys.exit(2)
 
 

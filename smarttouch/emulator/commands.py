@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smarttouch.errors import SmartTouchError
+from smarttouch.errors import SmartTouchError, not_offered, require_within
+from smarttouch.files import require_folder
 from smarttouch.wire.pty_line import PtyLine
 from smarttouch.wire.tcp_line import TcpLine
 
@@ -80,26 +81,38 @@ def emulate_board(
     from smarttouch.boards.emulator.skin import COMPLIANCE_V
     from smarttouch.boards.link_protocol import OUTPUTS, Output
 
-    _require_one_of("emulator", name, tuple(_ELECTRODES))
+    if name not in _ELECTRODES:
+        raise not_offered("emulator", name, _ELECTRODES)
     usual, most = _ELECTRODES[name], _MOST_ELECTRODES[name]
     electrodes = usual if electrodes is None else electrodes
     volts = COMPLIANCE_V if compliance is None else compliance
-    _require_within("--electrodes", electrodes, 61 if name == "kajimoto61" else 1, most)
-    _require_within("--compliance", volts, *_COMPLIANCES_V)
-    _require_one_of("--output", output, OUTPUTS)
+    least = 61 if name == "kajimoto61" else 1
+    require_within(SmartTouchError, "electrodes", electrodes, least, most)
+    require_within(SmartTouchError, "compliance", volts, *_COMPLIANCES_V)
+    if output not in OUTPUTS:
+        raise not_offered("output", output, OUTPUTS)
     if firmware is not None:
         if name != "etactilekit":
-            message = f"--firmware is for etactilekit, and a {name} has only one: leave it out"
-            raise _error(message, "--firmware", "conflict", name, ("etactilekit",))
-        _require_one_of("--firmware", firmware, tuple(GENERATIONS))
+            message = f"firmware is for etactilekit, and a {name} has only one: leave it out"
+            raise SmartTouchError(
+                message, about="firmware", problem="conflict", value=name, allowed=("etactilekit",)
+            )
+        if firmware not in GENERATIONS:
+            raise not_offered("firmware", firmware, GENERATIONS)
     if discovery_port is not None:
-        _require_within("--discovery-port", discovery_port, 1, 65_535)
+        require_within(SmartTouchError, "discovery_port", discovery_port, 1, 65_535)
         if not tcp:
-            message = "--discovery-port is for a board on the network: add --tcp"
-            raise _error(message, "--discovery-port", "conflict", discovery_port)
+            message = "discovery_port is for a board on the network: serve TCP"
+            raise SmartTouchError(
+                message,
+                about="discovery_port",
+                problem="conflict",
+                value=discovery_port,
+                remedy="tcp",
+            )
     if books is not None and not books.is_dir():
-        message = f"--books {books} is no folder: make it first"
-        raise _error(message, "--books", "no folder", books)
+        message = f"{books} is no folder: make it first"
+        raise SmartTouchError(message, about="books", problem="no folder", value=books)
     kept, finger = DeliveryLog(electrodes, books), Finger(electrodes, event or ())
     device: Firmware
     if name == "kajimoto61":
@@ -176,21 +189,20 @@ def emulate_sensor(
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.sources.sensor_protocol import MOST_PIXELS_A_SIDE
 
-    _require_one_of("emulator", name, tuple(_RATE_HZ))
+    if name not in _RATE_HZ:
+        raise not_offered("emulator", name, _RATE_HZ)
     rate_hz = _RATE_HZ[name] if rate is None else rate
     for about, value, least, most in (
-        ("--rate", rate_hz, *_RATES_HZ),
-        ("--rows", rows, 2, MOST_PIXELS_A_SIDE),
-        ("--columns", columns, 2, MOST_PIXELS_A_SIDE),
-        ("--force", force, -_LARGEST, _LARGEST),
-        ("--zero", zero, -_LARGEST, _LARGEST),
-        ("--counts-per-n", abs(counts_per_n), 0.001, _LARGEST),
-        ("--noise", noise, 0, _LARGEST),
+        ("rate", rate_hz, *_RATES_HZ),
+        ("rows", rows, 2, MOST_PIXELS_A_SIDE),
+        ("columns", columns, 2, MOST_PIXELS_A_SIDE),
+        ("force", force, -_LARGEST, _LARGEST),
+        ("zero", zero, -_LARGEST, _LARGEST),
+        ("counts_per_n", abs(counts_per_n), 0.001, _LARGEST),
+        ("noise", noise, 0, _LARGEST),
     ):
-        _require_within(about, value, least, most)
-    if books is not None and (books.is_dir() or not books.absolute().parent.is_dir()):
-        message = f"cannot write {books}: give a file in a folder that exists"
-        raise _error(message, "file", "unwritable", books)
+        require_within(SmartTouchError, about, value, least, most)
+    require_folder(books)
     faults = [parse(text, FAULTS, SourceError) for text in event or ()]
     kinds = {fault.kind for fault in faults}
     chosen = load_profile(profile or DEFAULT_PROFILE)
@@ -198,7 +210,7 @@ def emulate_sensor(
     if name == "serial-array":
         if "nan" in kinds:
             message = "a pixel is always a number: event nan is for load cells"
-            raise _error(message, "event", "conflict", "nan")
+            raise SmartTouchError(message, about="event", problem="conflict", value="nan")
         look = sensors.look_at_pattern(rows, columns)
         if url is not None:
             import cv2
@@ -264,33 +276,14 @@ def _serve(
 
     from smarttouch.emulator.server import Server
 
-    if not linger_s >= 0:
-        message = f"--linger {linger_s:g} is no time: give seconds, or inf"
-        raise _error(message, "--linger", "negative", linger_s)
+    require_within(SmartTouchError, "linger", linger_s, 0, math.inf)
     try:
         line = open_line()
     except OSError as error:
-        raise _error(f"cannot open a port: {error}", "port", "unavailable") from None
+        message = f"cannot open a port: {error}"
+        raise SmartTouchError(message, about="port", problem="unavailable") from None
     server = Server(device, line, **more)
     # Circuits and images are small: a second thread would only take the host's processor.
     with threadpool_limits(1), closing(line):
         server.serve(linger_s, parent, describe)
     return server.statistics
-
-
-def _require_one_of(about: str, value: str, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        message = f"no {about} {value!r}: choose {', '.join(allowed)}"
-        raise _error(message, about, "unknown", value, allowed)
-
-
-def _require_within(about: str, value: float, least: float, most: float) -> None:
-    if not least <= value <= most:
-        message = f"{about} {value:g} is out of range: give {least:g} to {most:g}"
-        raise _error(message, about, "out of range", value, (least, most))
-
-
-def _error(
-    message: str, about: str, problem: str, value: object = None, allowed: object = None
-) -> SmartTouchError:
-    return SmartTouchError(message, about=about, problem=problem, value=value, allowed=allowed)

@@ -18,7 +18,7 @@ from smarttouch.afferent import Afferent
 from smarttouch.arrays import read_arrays
 from smarttouch.cells import cells_svg, titled
 from smarttouch.errors import DesignError
-from smarttouch.files import MOST_BANK_BYTES, open_file, require_replaceable
+from smarttouch.files import MOST_BANK_BYTES, open_file, require_replaceable, unwritable
 from smarttouch.profile import Profile, list_profiles
 from smarttouch.resources import data_folder
 
@@ -159,12 +159,10 @@ def load_bank(profile: Profile, progress: Progress | None = None) -> KernelBank:
     Parameters
     ----------
     profile : Profile
-        Profile of the bank.
     progress : callable, optional
         Told how many sites are designed, of how many, if any have to be.
     """
-    bank = find_bank(profile)
-    if bank is not None:
+    if (bank := find_bank(profile)) is not None:
         return bank
     cached = _cached_bank(profile)
     # Without a cache the next run designs again; that is slow, not wrong.
@@ -197,8 +195,7 @@ def make_bank(path: Path, profile: Profile, progress: Progress | None = None) ->
     try:
         write_bank(path, profile, bank)
     except OSError as error:
-        message = f"cannot write the bank {path}: {error.strerror}"
-        raise DesignError(message, about="file", problem="unwritable", value=path) from None
+        raise unwritable(DesignError, path, error) from None
     shutil.rmtree(_parts(path, profile), ignore_errors=True)
     return bank
 
@@ -223,19 +220,14 @@ def design_bank(
     profile: Profile, progress: Progress | None = None, keep: Path | None = None
 ) -> KernelBank:
     """Design every mode that the board can make, for every site."""
-    from smarttouch.kernels.batch import design_sites
+    from smarttouch.kernels.batch import design_sites, part_of
     from smarttouch.kernels.problem import Problem
     from smarttouch.kernels.switching import designer, possible_modes
 
     modes = possible_modes(profile)
     columns: dict[str, Any] = {name: {} for name in _IN_FILE}
     for index, afferent in enumerate(modes):
-
-        def advance(done: int, total: int, index: int = index) -> None:
-            if progress is not None:
-                progress(index * total + done, len(modes) * total)
-
-        problem = Problem(profile, afferent)
+        problem, advance = Problem(profile, afferent), part_of(progress, index, len(modes))
         timed = design_sites(problem, designer(profile), None, advance, keep)
         kernels = [kernel for kernel, _ in timed]
         found: dict[str, tuple[Any, Any]] = {

@@ -25,6 +25,16 @@ _running: set[int] = set()
 """Threads of this process with a design in progress."""
 
 
+def part_of(progress: Progress | None, index: int, parts: int) -> Progress:
+    """Return what reports the progress of one of several parts."""
+
+    def advance(done: int, total: int) -> None:
+        if progress is not None:
+            progress(index * total + done, parts * total)
+
+    return advance
+
+
 def design_sites(
     problem: Problem,
     design: Design,

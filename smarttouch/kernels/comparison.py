@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
-from smarttouch.kernels.batch import Design, Timed, design_sites
+from smarttouch.kernels.batch import Design, Timed, design_sites, part_of
 from smarttouch.kernels.design import design_kernel
 from smarttouch.kernels.problem import Kernel, Problem
 from smarttouch.kernels.switching import design_one_of_n, design_three_state
@@ -65,11 +65,7 @@ def compare(
     nominal, spread = Problem(profile, afferent), Problem(profile, afferent, spread=True)
     compared = []
     for index, (variant, design) in enumerate(VARIANTS.items()):
-
-        def advance(done: int, total: int, index: int = index) -> None:
-            if progress is not None:
-                progress(index * total + done, len(VARIANTS) * total)
-
+        advance = part_of(progress, index, len(VARIANTS))
         problem = spread if variant == "robust" else nominal
         timed: list[Timed] = design_sites(problem, design, sites, advance)
         for site, (kernel, seconds) in zip(sites, timed, strict=True):

@@ -107,7 +107,7 @@ class LinearProgram:
 
     @property
     def unique(self) -> bool:
-        """Whether no other pattern is as good: every active bound has a nonzero dual."""
+        """True if no other pattern is as good: every active bound has a nonzero dual."""
         solution = self._solver.getSolution()
         prices = np.r_[solution.row_dual, solution.col_dual]
         return int((np.abs(prices) > _PRICE).sum()) >= self._columns

@@ -8,7 +8,7 @@ import numpy as np
 
 from smarttouch.afferent import Afferent
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.kernels.batch import design_sites
+from smarttouch.kernels.batch import design_sites, part_of
 from smarttouch.kernels.comparison import compare
 from smarttouch.kernels.design import design_any_node, design_kernel
 from smarttouch.kernels.driving_problem import DrivingProblem
@@ -69,7 +69,7 @@ def kernels_designed(
     profile: Profile,
     modes: Sequence[Afferent],
     sites: Sequence[int],
-    how: str | None,
+    kind: str | None,
     robust: bool,
     progress: Advance | None,
 ) -> list[SiteKernel]:
@@ -77,12 +77,12 @@ def kernels_designed(
 
     "driving" is the latter on driving functions.
     """
-    design_one = DESIGNS[how] if how in DESIGNS else designer(profile)
-    a_problem = DrivingProblem if how == "driving" else Problem
+    design_one = DESIGNS[kind] if kind in DESIGNS else designer(profile)
+    a_problem = DrivingProblem if kind == "driving" else Problem
     found = []
     for index, mode in enumerate(modes):
         problem = a_problem(profile, mode, spread=robust)
-        timed = design_sites(problem, design_one, sites, _part(progress, index, len(modes)))
+        timed = design_sites(problem, design_one, sites, part_of(progress, index, len(modes)))
         found += [SiteKernel(mode, site, *each) for site, each in zip(sites, timed, strict=True)]
     return found
 
@@ -94,18 +94,8 @@ def kernels_compared(
     return [
         SiteKernel(mode, each.site, each.kernel, each.seconds, each.variant, each.worst_finger)
         for index, mode in enumerate(modes)
-        for each in compare(profile, mode, sites, _part(progress, index, len(modes)))
+        for each in compare(profile, mode, sites, part_of(progress, index, len(modes)))
     ]
-
-
-def _part(progress: Advance | None, index: int, parts: int) -> Advance:
-    """Return what reports the progress of one of several parts."""
-
-    def advance(done: int, total: int) -> None:
-        if progress is not None:
-            progress(index * total + done, parts * total)
-
-    return advance
 
 
 def middle_kernels(

@@ -1,15 +1,18 @@
 """A profile: one device on one finger."""
 
+from collections.abc import Mapping
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from smarttouch.electrodes import ElectrodeArray
+from smarttouch.errors import ProfileError
 from smarttouch.profile.array import ArrayLayout
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA
+from smarttouch.profile.complaints import table_error
 from smarttouch.profile.device import (
     Calibrated,
     ForceLaw,
@@ -63,7 +66,7 @@ class Profile(Table):
 
     @property
     def shares(self) -> bool:
-        """Whether the profile allows points to share a slot."""
+        """True if the profile allows points to share a slot."""
         given = self.limits.total_ma is not None
         return given if self.frames.share is None else self.frames.share
 
@@ -87,6 +90,35 @@ class Profile(Table):
     def driven(self) -> NDArray[np.intp]:
         """Electrodes that are not masked, in order."""
         return np.setdiff1d(np.arange(len(self.electrodes)), self.output.masked)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return a copy with other tables, checked as a file is.
+
+        Parameters
+        ----------
+        update : mapping, optional
+            Tables that take the place of those of the same name.
+        deep : bool
+            Whether values are copied too.
+
+        Raises
+        ------
+        ProfileError
+            If the copy says something unknown or impossible: all of it.
+
+        Examples
+        --------
+        >>> import smarttouch as st
+        >>> profile = st.load_profile("electric-mouse")
+        >>> small = {"layout": "grid", "rows": 5, "columns": 5, "pitch_x_mm": 2.0,
+        ...          "pitch_y_mm": 2.0, "diameter_mm": 1.0}
+        >>> len(profile.model_copy(update={"array": small}).electrodes)
+        25
+        """
+        try:
+            return super().model_copy(update=update, deep=deep)
+        except ValidationError as error:
+            raise table_error(ProfileError, self.name or "profile", error) from None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

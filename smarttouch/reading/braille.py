@@ -155,8 +155,8 @@ class Braille:
             if self._shows_dots(page):
                 found = self._decoded(source, number, page)
             else:
-                prepared = upright_page(number, page, source.how, source.note)
-                text = recognized_text(prepared, source.how, source.note)
+                prepared = upright_page(number, page, source.options, source.note)
+                text = recognized_text(prepared, source.options, source.note)
                 _note_missing(source, number, table, table.missing(text))
                 found = table.to_cells(text, leave_out=True).split("\n")
             empty.add(number, any(each.strip(BLANK) for each in found))
@@ -172,9 +172,9 @@ class Braille:
                     yield cells, "", _place_on_paper(index, cells)
             return
         table = open_table(self.table)
-        prepared = upright_page(number, page, source.how, source.note)
+        prepared = upright_page(number, page, source.options, source.note)
         missing = ""
-        for index, text in recognized_lines(prepared, source.how, source.note):
+        for index, text in recognized_lines(prepared, source.options, source.note):
             missing += "".join(each for each in table.missing(text) if each not in missing)
             cells = table.to_cells(text, leave_out=True)
             if cells.strip(BLANK):

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from smarttouch.errors import ReadingError
+from smarttouch.errors import ReadingError, require_within
 from smarttouch.reading.feed import LineFeed
 from smarttouch.reading.touch_line import Place, TouchLine
 from smarttouch.sources.source import Source
@@ -64,13 +64,7 @@ class Motion:
     gaps: bool = False
 
     def __post_init__(self) -> None:
-        if not SLOWEST_MM_S <= self.speed_mm_s <= FASTEST_MM_S:
-            raise ReadingError(
-                f"{self.speed_mm_s:g} mm/s must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g}",
-                about="speed_mm_s",
-                value=self.speed_mm_s,
-                allowed=(SLOWEST_MM_S, FASTEST_MM_S),
-            )
+        require_within(ReadingError, "speed_mm_s", self.speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
 
 
 class Cursor(Protocol):
@@ -113,13 +107,7 @@ class SweepingCursor:
         pause_s: float = 0.0,
         waits: bool = False,
     ) -> None:
-        if not 0 <= pause_s <= LONGEST_PAUSE_S:
-            raise ReadingError(
-                f"a pause of {pause_s:g} s must be from 0 to {LONGEST_PAUSE_S:g} s",
-                about="pause_s",
-                value=pause_s,
-                allowed=(0, LONGEST_PAUSE_S),
-            )
+        require_within(ReadingError, "pause_s", pause_s, 0, LONGEST_PAUSE_S)
         self._feed, self._motion = feed, motion
         self._press_n, self._pause_s, self._waits = press_n, pause_s, waits
         self._index, self._line_s = 0, 0.0

@@ -1,6 +1,6 @@
 """Legibility: the part of a text that can be recognized from the delivered pulses."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from smarttouch.braille.files import read_text
-from smarttouch.braille.tables import open_table
 from smarttouch.delivered.line import LinePicture
 from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.reading.braille import Braille
+from smarttouch.reading.cell_legibility import Progress, kept, legibility_of_braille, silent
 from smarttouch.reading.deliver import DeliveredLine, Reading, deliver_lines, ideal_picture
 from smarttouch.reading.error_rate import character_error_rate, word_error_rate
 from smarttouch.reading.nerve import nerve_figures, read_at_nerve
@@ -24,12 +24,6 @@ from smarttouch.reading.window import require_rows, rows_of
 
 _GAP = 0.45
 """Gap between lines for recognition, relative to their height."""
-
-Progress = Callable[[int, int], None]
-"""Callback with the number of finished lines and of all."""
-
-
-def _in_silence(_done: int, _total: int) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -70,7 +64,7 @@ def legibility_of_shapes(
     reading: Reading,
     shapes: Shapes,
     truth: str | None = None,
-    progress: Progress = _in_silence,
+    progress: Progress = silent,
 ) -> Legibility:
     """Deliver letter shapes, and recognize the delivered pictures.
 
@@ -90,7 +84,7 @@ def legibility_of_shapes(
     SmartTouchError
         If there is no text, Tesseract is missing, or a run would end.
     """
-    how, profile = source.how, reading.profile
+    options, profile = source.options, reading.profile
     step_mm = reading.motion.speed_mm_s / profile.pulse.rate_hz
     page_texts: list[str] = []
     texts: list[str] = []
@@ -99,14 +93,14 @@ def legibility_of_shapes(
     delivered: list[tuple[list[DeliveredLine], str]] = []
     for page in source.prepared():
         indices = range(len(page.lines))
-        page_texts += [text for _, text in recognized_lines(page, how, source.note)]
+        page_texts += [text for _, text in recognized_lines(page, options, source.note)]
         lines = (shape_line(page, index, profile, shapes.style) for index in indices)
-        felt = _kept(deliver_lines(lines, reading), total, total + len(indices), progress)
+        felt = kept(deliver_lines(lines, reading), total, total + len(indices), progress)
         graded = (shape_line(page, index, profile, Style.GRADED) for index in indices)
         ideal = [ideal_picture(line, profile, step_mm) for line in graded]
-        delivered.append((felt, how.languages))
-        texts.append(_read([each.picture for each in felt], how.languages))
-        limit_texts.append(_read(ideal, how.languages))
+        delivered.append((felt, options.languages))
+        texts.append(_read([each.picture for each in felt], options.languages))
+        limit_texts.append(_read(ideal, options.languages))
         total += len(indices)
     page_text, text, limit_text = ("\n".join(each) for each in (page_texts, texts, limit_texts))
     compared = page_text if truth is None else truth
@@ -129,7 +123,7 @@ def legibility_at_nerve(
     reading: Reading,
     fingers: int,
     anatomy: str | Anatomy,
-    progress: Progress = _in_silence,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Let simulated fingers feel delivered letter shapes, and recognize what each felt.
 
@@ -156,7 +150,9 @@ def legibility_at_nerve(
         finger = Finger(reading.profile, seed, anatomy)
         readings.append(read_at_nerve(lines, finger, reading.mode.afferents))
         pictures = iter(readings[-1].pictures)
-        texts = [_read([next(pictures) for _ in page], how) for page, how in found.delivered]
+        texts = [
+            _read([next(pictures) for _ in page], languages) for page, languages in found.delivered
+        ]
         errors.append(character_error_rate(found.truth, "\n".join(texts)))
         progress(seed, fingers)
     return {"at_board": found.character_error_rate, **nerve_figures(readings, errors)}
@@ -176,88 +172,6 @@ def _read(pictures: Sequence[LinePicture], languages: str) -> str:
         top = gap + index * (LINE_PIXELS + gap)
         sheet[top : top + LINE_PIXELS, gap : gap + strip.shape[1]] = strip
     return recognize(sheet, languages=languages, layout=Layout.BLOCK).text
-
-
-def _kept(
-    lines: Iterable[DeliveredLine], before: int, total: int, progress: Progress
-) -> list[DeliveredLine]:
-    kept: list[DeliveredLine] = []
-    for line in lines:
-        kept.append(line)
-        progress(before + len(kept), total)
-    return kept
-
-
-@dataclass(frozen=True)
-class BrailleLegibility:
-    """Legibility of Braille.
-
-    Attributes
-    ----------
-    cell_error_rate : float
-        Part of the cells that were not delivered as they should.
-    cells, lines : int
-        Number of cells, and of lines.
-    wanted, delivered : str
-        Cells, a line each.
-    text : str or None
-        The delivered cells as text; None if the table cannot go back.
-    """
-
-    cell_error_rate: float
-    cells: int
-    lines: int
-    wanted: str
-    delivered: str
-    text: str | None
-
-
-def legibility_of_braille(
-    source: Source, reading: Reading, braille: Braille, progress: Progress = _in_silence
-) -> BrailleLegibility:
-    """Deliver cells, and decode the delivered dots.
-
-    Parameters
-    ----------
-    source : Source
-        Anything that can be read as Braille.
-    reading : Reading
-        Presentation under the finger.
-    braille : Braille
-    progress : callable
-
-    Raises
-    ------
-    SmartTouchError
-        If there is nothing to read, or a run would end.
-    """
-    profile = reading.profile
-    lines = list(braille.lines(source, profile))
-    pictures = [
-        each.picture for each in _kept(deliver_lines(lines, reading), 0, len(lines), progress)
-    ]
-    wanted: list[str] = []
-    delivered: list[str] = []
-    for line, picture in zip(lines, pictures, strict=True):
-        layout = braille.layout(profile, line.cells)
-        wanted += line.cells
-        delivered += layout.decode(picture, line.cells, apart=reading.motion.gaps)
-    count = sum(map(len, wanted))
-    wrong = sum(
-        one != other
-        for pair in zip(wanted, delivered, strict=True)
-        for one, other in zip(*pair, strict=True)
-    )
-    table = open_table(braille.table)
-    felt = "\n".join(delivered)
-    return BrailleLegibility(
-        cell_error_rate=wrong / count,
-        cells=count,
-        lines=len(wanted),
-        wanted="\n".join(wanted),
-        delivered=felt,
-        text=table.to_text(felt) if table.code.goes_back else None,
-    )
 
 
 @dataclass(frozen=True)
@@ -284,7 +198,7 @@ def measure_legibility(
     reading: Reading,
     presented: Shapes | Braille,
     truth: Path | None = None,
-    progress: Progress = _in_silence,
+    progress: Progress = silent,
     fingers: int = 0,
     anatomy: str = "branched",
 ) -> Measured:

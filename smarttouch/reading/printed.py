@@ -52,7 +52,9 @@ class RecognitionOptions:
     scale_matters: bool = False
 
 
-def document_pages(path: Path, how: RecognitionOptions, note: Note) -> Iterator[tuple[int, Page]]:
+def document_pages(
+    path: Path, options: RecognitionOptions, note: Note
+) -> Iterator[tuple[int, Page]]:
     """Yield numbers and pages of a document, one in memory at a time.
 
     Their size is reported only where it matters: every line is made as
@@ -64,26 +66,28 @@ def document_pages(path: Path, how: RecognitionOptions, note: Note) -> Iterator[
         If it cannot be read, or has no such page.
     """
     with open_document(
-        path, dpi=how.dpi, page_width_mm=how.page_width_mm, password=how.password
+        path, dpi=options.dpi, page_width_mm=options.page_width_mm, password=options.password
     ) as document:
-        wanted = parse_pages(how.pages, len(document)) if how.pages else range(len(document))
+        wanted = (
+            parse_pages(options.pages, len(document)) if options.pages else range(len(document))
+        )
         for index in wanted:
             told = len(document.notes)
             page = document.page(index)
-            if how.scale_matters:
+            if options.scale_matters:
                 for words in document.notes[told:]:
                     note(words)
             yield index + 1, page
 
 
-def upright_page(number: int, page: Page, how: RecognitionOptions, note: Note) -> PreparedPage:
+def upright_page(number: int, page: Page, options: RecognitionOptions, note: Note) -> PreparedPage:
     """Return a page straight and upright, ink on white paper, its lines in reading order."""
-    prepared = prepare_page(page, how.light_on_dark)
+    prepared = prepare_page(page, options.light_on_dark)
     notes = list(prepared.notes)
-    turn_deg = _turn_deg(prepared, how)
+    turn_deg = _turn_deg(prepared, options)
     if turn_deg:
         turned = np.ascontiguousarray(np.rot90(prepared.page.grey, -turn_deg // 90))
-        prepared = prepare_page(replace(prepared.page, grey=turned), how.light_on_dark)
+        prepared = prepare_page(replace(prepared.page, grey=turned), options.light_on_dark)
         notes += [f"it was turned by {turn_deg}° to be upright", *prepared.notes]
     for words in notes:
         note(f"page {number}: {words}")
@@ -130,7 +134,7 @@ class EmptyPages:
 
 
 def prepared_pages(
-    pages: Iterator[tuple[int, Page]], how: RecognitionOptions, note: Note
+    pages: Iterator[tuple[int, Page]], options: RecognitionOptions, note: Note
 ) -> Iterator[PreparedPage]:
     """Yield the pages that carry text, see `upright_page`.
 
@@ -141,7 +145,7 @@ def prepared_pages(
     """
     empty = EmptyPages(note)
     for number, page in pages:
-        prepared = upright_page(number, page, how, note)
+        prepared = upright_page(number, page, options, note)
         empty.add(number, bool(prepared.lines))
         if prepared.lines:
             yield prepared
@@ -149,7 +153,7 @@ def prepared_pages(
 
 
 def recognized_lines(
-    prepared: PreparedPage, how: RecognitionOptions, note: Note
+    prepared: PreparedPage, options: RecognitionOptions, note: Note
 ) -> Iterator[tuple[int, str]]:
     """Yield numbers and texts of the lines of a page; the first of them early.
 
@@ -164,7 +168,7 @@ def recognized_lines(
         # A long piece is recognized faster than many short ones, but the first touch waits for it.
         indices = range(start, min(count, start + size))
         strips = [prepared.strip(index, LINE_PIXELS) for index in indices]
-        for index, line in zip(indices, recognize_lines(strips, how.languages), strict=True):
+        for index, line in zip(indices, recognize_lines(strips, options.languages), strict=True):
             confidences.append((len(line.text), line.confidence))
             yield index, line.text
         start, size = indices.stop, min(_CHUNK, 4 * size)
@@ -173,17 +177,17 @@ def recognized_lines(
     if sure < SURE:
         note(
             f"the text was recognized with a confidence of {sure:.0%} only: it may be handwriting, "
-            f"a picture, or in another language than {how.languages}"
+            f"a picture, or in another language than {options.languages}"
         )
 
 
-def recognized_text(prepared: PreparedPage, how: RecognitionOptions, note: Note) -> str:
+def recognized_text(prepared: PreparedPage, options: RecognitionOptions, note: Note) -> str:
     """Return the text of a page, a line for each paragraph; words that lines divide are joined."""
     middles = [(line.top_mm + line.bottom_mm) / 2 for line in prepared.lines]
     steps = np.diff(middles)
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
     paragraphs: list[str] = []
-    for index, text in recognized_lines(prepared, how, note):
+    for index, text in recognized_lines(prepared, options, note):
         begins = index == 0 or not 0 < steps[index - 1] < _NEW_PARAGRAPH * usual
         if begins or not paragraphs:
             paragraphs.append(text)
@@ -199,9 +203,9 @@ def _joined(before: str, after: str) -> str:
     return (before[:-1] if after[:1].islower() else before) + after
 
 
-def _turn_deg(prepared: PreparedPage, how: RecognitionOptions) -> int:
+def _turn_deg(prepared: PreparedPage, options: RecognitionOptions) -> int:
     """Return the clockwise rotation of a page in degrees, if Tesseract is installed."""
     try:
-        return upright(prepared.cleaned, how.languages) if prepared.lines else 0
+        return upright(prepared.cleaned, options.languages) if prepared.lines else 0
     except ReadingError:
         return 0

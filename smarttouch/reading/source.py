@@ -26,14 +26,14 @@ class Source:
     ----------
     name : str
         A file, or ``text:`` and words.
-    how : RecognitionOptions
+    options : RecognitionOptions
         Options of the document.
     note : callable
         Told what a user should know, a sentence each.
     """
 
     name: str
-    how: RecognitionOptions = field(default_factory=RecognitionOptions)
+    options: RecognitionOptions = field(default_factory=RecognitionOptions)
     note: Note = lambda _words: None
 
     @property
@@ -43,7 +43,7 @@ class Source:
 
     @property
     def holds_cells(self) -> bool:
-        """Whether it is a file of Braille cells."""
+        """True if it is a file of Braille cells."""
         return Path(self.name).suffix.lower() in _CELL_FILES and not self.name.startswith(_TEXT)
 
     @cached_property
@@ -69,7 +69,7 @@ class Source:
         PageError
             If it cannot be read, or has no such page.
         """
-        return document_pages(Path(self.name), self.how, self.note)
+        return document_pages(Path(self.name), self.options, self.note)
 
     def prepared(self) -> Iterator[PreparedPage]:
         """Yield pages with print on them: of a document, or of a text as it is printed.
@@ -81,7 +81,7 @@ class Source:
         """
         words = self.words
         if words is None:
-            yield from prepared_pages(self.pages(), self.how, self.note)
+            yield from prepared_pages(self.pages(), self.options, self.note)
             return
         lines = words.splitlines()
         parts = [

@@ -96,7 +96,7 @@ class CheckReport:
 
     @property
     def exact(self) -> bool:
-        """Whether all that was compared is the same to the bit."""
+        """True if all that was compared is the same to the bit."""
         return not self.different
 
     def describe(self) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import RecordingError
+from smarttouch.files import unwritable
 from smarttouch.recording.decoder import RecordedStep
 from smarttouch.recording.reader import Recording
 
@@ -57,12 +58,7 @@ def export(path: Path, folder: Path) -> list[Path]:
             )
         return _export(recording, folder)
     except OSError as error:
-        raise RecordingError(
-            f"cannot write into {folder}: {error.strerror}",
-            about="file",
-            problem="unwritable",
-            value=folder,
-        ) from None
+        raise unwritable(RecordingError, folder, error) from None
 
 
 def _export(recording: Recording, folder: Path) -> list[Path]:

@@ -96,7 +96,7 @@ class Recording:
 
     @property
     def whole(self) -> bool:
-        """Whether it ended properly, and everything read so far was intact."""
+        """True if it ended properly, and everything read so far was intact."""
         return self._ended and not self._bad_at and not self.broken_steps
 
     @property

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import SourceError, SourceLostError
 from smarttouch.profile import Profile
-from smarttouch.sources.capture import ImageDevice, LiveSource, Shot
+from smarttouch.sources.capture import LiveSource
+from smarttouch.sources.image_device import ImageDevice, Shot
 
 BUFFERS = 1
 """Images buffered by the driver: older ones are of no use."""

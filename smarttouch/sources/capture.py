@@ -3,10 +3,8 @@
 import math
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +12,11 @@ from numpy.typing import NDArray
 from smarttouch.errors import SourceError, SourceLostError
 from smarttouch.profile import Profile
 from smarttouch.sources.frame import Frame, Pose
+from smarttouch.sources.image_device import ImageDevice, Shot, SourceEndedError
 from smarttouch.sources.intake import FramePreprocessor
 from smarttouch.sources.notes import DeviceWarnings, OutageTracker
 from smarttouch.sources.source import OpticalSource
 
-STALE_S = 0.5
-"""Time without a new image after which the last one is stale."""
 FIRST_IMAGE_S = 2.0
 """Time limit of the first read, as devices start slowly."""
 GRAB_S = 0.1
@@ -28,71 +25,6 @@ RETRY_S = 0.25
 """A lost device is looked for so often."""
 JOIN_S = 2.0
 """Time to wait for a driver that hangs, before it is abandoned."""
-
-
-class SourceEndedError(Exception):
-    """A device has no more images, as at the end of a file.
-
-    ``note`` is what a user should know of the end, ``missed`` how many images the device
-    skipped since its last shot.
-    """
-
-    def __init__(self, note: str = "", missed: int = 0) -> None:
-        super().__init__(note)
-        self.missed = missed
-
-
-@dataclass(frozen=True, eq=False)
-class Shot:
-    """One captured image.
-
-    Attributes
-    ----------
-    image : ndarray, (H, W) uint8
-        Grey; the device does not write to it again.
-    taken_ns : int
-        `time.perf_counter_ns` when it was taken or came in.
-    missed : int
-        Images of the device that were lost or skipped since the shot before.
-    """
-
-    image: NDArray[np.uint8]
-    taken_ns: int
-    missed: int = 0
-
-
-class ImageDevice(ABC):
-    """Device that a live source takes its images from; used by one thread at a time."""
-
-    title: str
-    """Name of the device, in a few words."""
-    stale_s: float = STALE_S
-    """Age after which an image is stale; longer only for slow images."""
-
-    @cached_property
-    def notes(self) -> list[str]:
-        """Notes on the device for its user; `LiveSource` hands them on as its own."""
-        return []
-
-    @abstractmethod
-    def open(self) -> None:
-        """Open the source, or reopen it after a loss; raise SourceError if that fails."""
-
-    @abstractmethod
-    def grab(self, timeout_s: float) -> Shot | None:
-        """Return the next image; None if none came within ``timeout_s``.
-
-        Raises
-        ------
-        SourceLostError
-            If the device is gone.
-        SourceEndedError
-            If there will be no more images.
-        """
-
-    @abstractmethod
-    def close(self) -> None:
-        """Close the device. Never raises, in any state."""
 
 
 @dataclass(frozen=True, eq=False)

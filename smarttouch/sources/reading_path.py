@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.text_lines import TextLine, find_lines
-from smarttouch.errors import SourceError
+from smarttouch.errors import SourceError, require_within
 from smarttouch.profile import Profile
 from smarttouch.sources.frame import Pose
 from smarttouch.tables import read_csv
@@ -68,13 +68,7 @@ class ReadingPath:
         seed: int = 0,
         light_on_dark: bool = False,
     ) -> None:
-        if not SLOWEST_MM_S <= speed_mm_s <= FASTEST_MM_S:
-            raise SourceError(
-                f"{speed_mm_s:g} mm/s must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g}",
-                about="speed_mm_s",
-                value=speed_mm_s,
-                allowed=(SLOWEST_MM_S, FASTEST_MM_S),
-            )
+        require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
         field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
         lines = find_lines(page, light_on_dark) or [_whole(page)]
         self.lines = [sweep for line in lines for sweep in _sweeps(line, field[1])]

@@ -10,7 +10,8 @@ import time
 
 from smarttouch.errors import SourceError
 from smarttouch.profile import Profile
-from smarttouch.sources.capture import ImageDevice, LiveSource, Shot
+from smarttouch.sources.capture import LiveSource
+from smarttouch.sources.image_device import ImageDevice, Shot
 from smarttouch.sources.line import read_what_came
 from smarttouch.sources.notes import DeviceWarnings
 from smarttouch.sources.sensor_protocol import ArrayFrame, Info, MessageStream, gap

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import SourceError
+from smarttouch.errors import SourceError, require_within
 from smarttouch.profile import Profile
-from smarttouch.sources.capture import STALE_S, ImageDevice, LiveSource, Shot, SourceEndedError
+from smarttouch.sources.capture import LiveSource
 from smarttouch.sources.clip import FASTEST_HZ, USUAL_HZ, Clip, ImageFolder, VideoFile
 from smarttouch.sources.frame import Frame
+from smarttouch.sources.image_device import STALE_S, ImageDevice, Shot, SourceEndedError
 from smarttouch.sources.intake import FramePreprocessor
 from smarttouch.sources.source import OpticalSource
 
@@ -62,13 +63,8 @@ def open_frames(
         If there is no such folder, or an image in it does not fit.
     """
     rate_hz = USUAL_HZ if fps is None else fps
-    if not 0 < rate_hz <= FASTEST_HZ:
-        raise SourceError(
-            f"{rate_hz:g} images a second cannot be: give above 0, at most {FASTEST_HZ:g}",
-            about="fps",
-            value=rate_hz,
-            allowed=FASTEST_HZ,
-        )
+    words = f"a rate of {rate_hz:g} images a second"
+    require_within(SourceError, "fps", rate_hz, 0, FASTEST_HZ, words, above=True)
     return _open(ImageFolder(Path(rest), rate_hz), profile, unpaced)
 
 

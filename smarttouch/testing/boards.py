@@ -28,6 +28,9 @@ UNSAFE = {
 """Limits that a sequence of `BoardContract.unsafe_sequence` breaks, by how."""
 
 
+NewBoard = Callable[[], Board]
+
+
 class BoardContract:
     """Contract of every board: subclass it as ``TestMine``, with `make`.
 
@@ -161,14 +164,12 @@ class BoardContract:
 
     # -- what is kept ------------------------------------------------------
 
-    def test_its_driver_keeps_the_contract(
-        self, new_board: Callable[[], Board], limits: SafetyLimits
-    ) -> None:
+    def test_its_driver_keeps_the_contract(self, new_board: NewBoard, limits: SafetyLimits) -> None:
         board = new_board()
         assert fault_of(type(board), Board) is None
         require_gate(board, limits)
 
-    def test_it_tells_what_it_can_do(self, new_board: Callable[[], Board]) -> None:
+    def test_it_tells_what_it_can_do(self, new_board: NewBoard) -> None:
         with new_board() as board:
             can = board.capabilities
             assert can.electrodes == self.electrodes
@@ -176,7 +177,7 @@ class BoardContract:
             assert all(name and value for name, value in can.describe())
             assert board.report().slots == 0
 
-    def test_what_is_sent_is_what_was_proved(self, new_board: Callable[[], Board]) -> None:
+    def test_what_is_sent_is_what_was_proved(self, new_board: NewBoard) -> None:
         with new_board() as board:
             for step in range(5):
                 board.send(self.sequence(step))
@@ -196,7 +197,7 @@ class BoardContract:
 
     @pytest.mark.parametrize("how", UNSAFE)
     def test_an_unsafe_sequence_never_leaves(
-        self, new_board: Callable[[], Board], limits: SafetyLimits, how: str
+        self, new_board: NewBoard, limits: SafetyLimits, how: str
     ) -> None:
         with new_board() as board:
             board.send(self.sequence(0))
@@ -207,7 +208,7 @@ class BoardContract:
             assert error.value.limit == UNSAFE[how]
             assert self.calls[before:] == []
 
-    def test_a_stop_from_another_thread_ends_it(self, new_board: Callable[[], Board]) -> None:
+    def test_a_stop_from_another_thread_ends_it(self, new_board: NewBoard) -> None:
         with new_board() as board:
             self._start(board)
             thread = threading.Thread(target=board.stop)
@@ -219,14 +220,14 @@ class BoardContract:
             assert (error.value.about, error.value.problem) == ("board", "stopped")
             self.assert_silent()
 
-    def test_one_that_was_halted_is_never_opened(self, new_board: Callable[[], Board]) -> None:
+    def test_one_that_was_halted_is_never_opened(self, new_board: NewBoard) -> None:
         board = new_board()
         board.halt()
         with pytest.raises(BoardStoppedError):
             board.open()
         assert {"_open", "_send"}.isdisjoint(name for name, _ in self.calls)
 
-    def test_closing_puts_it_at_zero(self, new_board: Callable[[], Board]) -> None:
+    def test_closing_puts_it_at_zero(self, new_board: NewBoard) -> None:
         with new_board() as board:
             self._start(board)
         self.assert_silent()
@@ -235,7 +236,7 @@ class BoardContract:
             board.send(self.sequence(2))
         assert (error.value.about, error.value.problem) == ("board", "closed")
 
-    def test_an_exception_puts_it_at_zero(self, new_board: Callable[[], Board]) -> None:
+    def test_an_exception_puts_it_at_zero(self, new_board: NewBoard) -> None:
         broken = RuntimeError("something broke")
 
         def run() -> None:
@@ -249,7 +250,7 @@ class BoardContract:
         self.assert_silent()
 
     def test_a_driver_that_breaks_is_put_at_zero(
-        self, new_board: Callable[[], Board], monkeypatch: pytest.MonkeyPatch
+        self, new_board: NewBoard, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         broken = RuntimeError("the driver broke")
 
@@ -267,7 +268,7 @@ class BoardContract:
         assert error.value is broken
         self.assert_silent()
 
-    def test_another_number_of_electrodes_is_refused(self, new_board: Callable[[], Board]) -> None:
+    def test_another_number_of_electrodes_is_refused(self, new_board: NewBoard) -> None:
         more = self.electrodes + 1
         with new_board() as board, pytest.raises(BoardError) as error:
             board.send(self.sequence(0, electrodes=more))
@@ -275,16 +276,12 @@ class BoardContract:
         assert refused == ("electrodes", more, self.electrodes)
 
     @pytest.mark.parametrize("times", [0, -1, 65_536])
-    def test_impossible_repetitions_are_named(
-        self, new_board: Callable[[], Board], times: int
-    ) -> None:
+    def test_impossible_repetitions_are_named(self, new_board: NewBoard, times: int) -> None:
         with new_board() as board, pytest.raises(BoardError) as error:
             board.send(self.sequence(0), times)
         assert (error.value.about, error.value.value) == ("times", times)
 
-    def test_it_can_be_opened_again_and_begins_at_zero(
-        self, new_board: Callable[[], Board]
-    ) -> None:
+    def test_it_can_be_opened_again_and_begins_at_zero(self, new_board: NewBoard) -> None:
         board = new_board()
         board.close()
         for _ in range(2):

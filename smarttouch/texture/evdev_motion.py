@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from smarttouch.documents.page_image import INCH_MM
-from smarttouch.errors import SourceError, SourceLostError
+from smarttouch.errors import SourceError, SourceLostError, require_within
 from smarttouch.texture.motion import Motion
 
 if TYPE_CHECKING:
@@ -30,13 +30,7 @@ def open_it(rest: str, *, cpi: float = USUAL_CPI, grab: bool = False) -> "EvdevM
     SourceError
         If there is none, it may not be read, or the extra is missing.
     """
-    if not 10 <= cpi <= 100_000:
-        raise SourceError(
-            f"{cpi:g} counts per inch are no resolution of a mouse: give 10 to 100000",
-            about="cpi",
-            value=cpi,
-            allowed=(10, 100_000),
-        )
+    require_within(SourceError, "cpi", cpi, 10, 100_000, f"a mouse of {cpi:g} counts per inch")
     return EvdevMotion(_open(rest) if rest else _first_mouse(), cpi, grab)
 
 

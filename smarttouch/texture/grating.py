@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import PageError
+from smarttouch.errors import PageError, require_within
 from smarttouch.texture.texture import COARSEST_PITCH_MM, FINEST_PITCH_MM, RidgeCrossing, Texture
 
 _LEVELS = 256
@@ -32,17 +32,9 @@ class Grating(Texture):
     """
 
     def __init__(self, pitch_mm: float, angle_deg: float = 0.0) -> None:
-        if not FINEST_PITCH_MM <= pitch_mm <= COARSEST_PITCH_MM:
-            raise PageError(
-                f"a grating of {pitch_mm:g} mm cannot be felt: give {FINEST_PITCH_MM:g} to "
-                f"{COARSEST_PITCH_MM:g} mm",
-                about="pitch_mm",
-                value=pitch_mm,
-                allowed=(FINEST_PITCH_MM, COARSEST_PITCH_MM),
-            )
-        if not abs(angle_deg) <= 360:
-            message = f"{angle_deg:g} degrees are no angle: give -360 to 360"
-            raise PageError(message, about="angle_deg", value=angle_deg, allowed=(-360, 360))
+        words = f"a grating of {pitch_mm:g} mm"
+        require_within(PageError, "pitch_mm", pitch_mm, FINEST_PITCH_MM, COARSEST_PITCH_MM, words)
+        require_within(PageError, "angle_deg", angle_deg, -360, 360)
         turned = f", turned by {angle_deg:g}°" if angle_deg else ""
         super().__init__(f"grating of {pitch_mm:g} mm{turned}", None)
         angle = math.radians(angle_deg)

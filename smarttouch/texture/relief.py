@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import PageError
+from smarttouch.errors import PageError, require_within
 from smarttouch.texture.grain import dominant_pitch_mm
 from smarttouch.texture.relief_file import Heights
 from smarttouch.texture.texture import COARSEST_PITCH_MM, FINEST_PITCH_MM, Texture, TextureSampler
@@ -83,14 +83,8 @@ class Relief(Texture):
                     "pulses as often unless a grain is given"
                 )
             grain_mm = min(max(grain_mm or USUAL_GRAIN_MM, FINEST_PITCH_MM), COARSEST_PITCH_MM)
-        if not FINEST_PITCH_MM <= grain_mm <= COARSEST_PITCH_MM:
-            raise PageError(
-                f"a grain of {grain_mm:g} mm cannot be felt: give {FINEST_PITCH_MM:g} to "
-                f"{COARSEST_PITCH_MM:g} mm",
-                about="grain_mm",
-                value=grain_mm,
-                allowed=(FINEST_PITCH_MM, COARSEST_PITCH_MM),
-            )
+        words = f"a grain of {grain_mm:g} mm"
+        require_within(PageError, "grain_mm", grain_mm, FINEST_PITCH_MM, COARSEST_PITCH_MM, words)
         self.grain_mm = grain_mm
         pixel_mm = min(max(grain_mm / _PER_GRAIN, _FINEST_MM), _COARSEST_MM)
         pixel_mm = max(

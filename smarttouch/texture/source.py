@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.afferent import Afferent, Mode
-from smarttouch.errors import SourceError
+from smarttouch.errors import SourceError, require_within
 from smarttouch.events import Note
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
@@ -217,14 +217,8 @@ class MouseSource(StimulusSource):
 
 def _possible_hz(rate_hz: float, fastest_hz: float | None, most_hz: float) -> float:
     """Return the highest pulse rate, or raise if the rates are incompatible."""
-    if not SLOWEST_RATE_HZ <= rate_hz <= most_hz:
-        raise SourceError(
-            f"{rate_hz:g} frames a second are not possible: give {SLOWEST_RATE_HZ:g} to "
-            f"{most_hz:g}, the limit of the profile",
-            about="rate_hz",
-            value=rate_hz,
-            allowed=(SLOWEST_RATE_HZ, most_hz),
-        )
+    words = f"a rate of {rate_hz:g} frames a second on this profile"
+    require_within(SourceError, "rate_hz", rate_hz, SLOWEST_RATE_HZ, most_hz, words)
     if fastest_hz is None:
         return min(FASTEST_HZ, rate_hz / 2)
     if not 0 < fastest_hz <= rate_hz / 2:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import SourceError
+from smarttouch.errors import SourceError, require_within
 from smarttouch.texture.motion import Motion
 
 USUAL_MM_S = 40.0
@@ -93,13 +93,7 @@ class SweepMotion(Motion):
         rounds: int = USUAL_ROUNDS,
         seed: int | None = None,
     ) -> None:
-        if not SLOWEST_MM_S <= speed_mm_s <= FASTEST_MM_S:
-            raise SourceError(
-                f"{speed_mm_s:g} mm/s must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g}",
-                about="speed_mm_s",
-                value=speed_mm_s,
-                allowed=(SLOWEST_MM_S, FASTEST_MM_S),
-            )
+        require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
         super().__init__(f"a virtual hand at {speed_mm_s:g} mm/s")
         points = _round_trip(span_mm, lane_mm)
         if rounds * len(points) > _MOST_STROKES:

@@ -1,12 +1,12 @@
 """Selection of the electrodes that pulse."""
 
-import re
 from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.afferent import Afferent
+from smarttouch.electrodes import parse_ranges
 from smarttouch.errors import ScheduleError, SmartTouchError
 from smarttouch.profile import Profile
 from smarttouch.stimulation.points import felt_at
@@ -92,12 +92,7 @@ def parse_places(
     if sites == "all":
         return profile.driven
     named: list[int] = []
-    for part in sites.split(","):
-        found = re.fullmatch("([0-9]{1,6})(?:-([0-9]{1,6}))?", part.strip())
-        if found is None:
-            message = f"sites {sites!r} are no list: write 27,28,35-36, or all"
-            raise SmartTouchError(message, about="sites", problem="malformed", value=sites)
-        low, high = int(found[1]), int(found[2] or found[1])
+    for low, high in parse_ranges(sites, "sites"):
         # The first site that there is not is refused; those after it need no room.
         named += range(low, min(high, max(low, len(profile.electrodes))) + 1)
     return named

@@ -1,4 +1,4 @@
-"""How long kernels take to design, beside one linprog for each distinct site on the same rows."""
+"""Time that kernels take to design, beside one linprog for each distinct site on the same rows."""
 
 import time
 

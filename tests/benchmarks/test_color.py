@@ -1,4 +1,4 @@
-"""What comes back of tactile colors that were split, mixed and delivered.
+"""Traces recovered from tactile colors that were split, mixed and delivered.
 
 Run with::
 

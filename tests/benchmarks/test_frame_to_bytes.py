@@ -1,4 +1,4 @@
-"""How long a frame takes to become bytes, beside the same chain written the plain way.
+"""Time from a frame to bytes, beside the same chain written the plain way.
 
 Run with::
 
@@ -43,7 +43,7 @@ SCANS = {
 
 @pytest.fixture
 def quick(request):
-    """Whether a short form will do."""
+    """True if a short form will do."""
     return request.config.getoption("--quick", default=False)
 
 

@@ -93,7 +93,7 @@ def test_gap_to_the_optimum(row, quick, profile, bank, afferent):
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("afferent", SHOWN)
 def test_gap_within_limits(row, quick, profile, afferent):
-    """How near the operator comes to the joint optimum if that is what it is asked to keep."""
+    """The operator comes near the joint optimum if that is what it is asked to keep."""
     judge = judge_of(profile, afferent)
     operator, limits = FrameOperator(judge), FrameBounds()
     for points, count in counted(quick):

@@ -1,4 +1,4 @@
-"""What a keeper adds to the way to a board and back."""
+"""Time that a keeper adds to the way to a board and back."""
 
 import os
 import subprocess

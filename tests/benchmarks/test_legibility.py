@@ -1,4 +1,4 @@
-"""How much of printed pages can be read from what the skin got.
+"""Share of printed pages that can be read from the delivered pulses.
 
 Run with::
 

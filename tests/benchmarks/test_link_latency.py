@@ -1,4 +1,4 @@
-"""What the ``link`` protocol costs: a sequence in hand to acknowledged, beside its bare bytes.
+"""Time that the ``link`` protocol costs: a sequence in hand to acknowledged, beside its bare bytes.
 
 Run with::
 

@@ -1,4 +1,4 @@
-"""How evenly packets leave for a board whose clock is the host.
+"""Evenness of packets for a board whose clock is the host.
 
 Run with::
 

@@ -1,4 +1,4 @@
-"""What every driver keeps, run over each way to reach a board."""
+"""The contract of drivers, run over each way to reach a board."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ SECOND = 10**9
 
 
 class Contract(BoardContract):
-    """What every board keeps, by the books of what stands in for it.
+    """The contract of boards, judged by the books of an emulator.
 
     Drivers subclass this with a fixture `url` and what their boards can do.
     """

@@ -1,4 +1,4 @@
-"""What is more than 100 ms late never reaches a board, and what follows begins at zero."""
+"""A sequence more than 100 ms late never reaches a board, and the next begins at zero."""
 
 import threading
 

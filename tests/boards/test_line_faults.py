@@ -1,4 +1,4 @@
-"""What goes wrong on a line: the driver recovers or stops at zero, and says which."""
+"""Faults of a line: the driver recovers or stops at zero, and says which."""
 
 import itertools
 import threading

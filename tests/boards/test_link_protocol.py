@@ -1,4 +1,4 @@
-"""What is encoded is what is decoded, and no bytes can hurt a receiver."""
+"""Messages are decoded as they were encoded, and no bytes can hurt a receiver."""
 
 import contextlib
 import itertools

@@ -1,4 +1,4 @@
-"""What brackets tell of the scans of a board with a clock of its own."""
+"""Scans of a board with a clock of its own, located by brackets."""
 
 import random
 

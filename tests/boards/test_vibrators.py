@@ -1,4 +1,4 @@
-"""What vibrators are driven with, in a file or on a sound device that is none."""
+"""Drive of vibrators, in a file or on a sound device that is none."""
 
 import contextlib
 import errno

@@ -1,4 +1,4 @@
-"""What means zero on an eTactileKit, wherever its parser stands."""
+"""Zero commands of an eTactileKit work wherever its parser stands."""
 
 import pytest
 

@@ -15,7 +15,7 @@ SIGMA_PX = 0.17 * PITCH_PX
 
 
 def offsets(found_px, true_px):
-    """How far each dot found is from the nearest true one, in dot pitches."""
+    """Return the distance of each dot found from the nearest true one, in dot pitches."""
     return cKDTree(true_px).query(found_px)[0] / PITCH_PX
 
 
@@ -49,7 +49,7 @@ def test_printed_dots(light_on_dark):
 
 @pytest.mark.parametrize("light_deg", [20, 90, 135])
 def test_hollows_are_weaker_than_dots(light_deg):
-    """What the rims of the other side's dots look like is told apart by strength."""
+    """Rims of the other side's dots are told apart by strength."""
     back = random_lines(5, 8, seed=2)
     photo = emboss(LINES, px_per_mm=PX_PER_MM, light_deg=light_deg, back_side=back, uneven=0.04)
     dots = find_dots(even_light(photo.page.grey), Look(SIGMA_PX, light_deg))

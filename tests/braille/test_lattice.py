@@ -43,7 +43,7 @@ def fit(px):
 
 
 def same(names, expected):
-    """Whether names agree, but for where counting of cells begins."""
+    """Return whether names agree, but for where counting of cells begins."""
     shift = names[:, :2] - expected[:, :2]
     return (names[:, 2:] == expected[:, 2:]).all() and np.ptp(shift, axis=0).max() == 0
 

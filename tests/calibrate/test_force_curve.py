@@ -24,7 +24,7 @@ def weighed(cell, grams=UP, seconds=2.0):
 
 
 def off_n(cell, found):
-    """What the curve makes of true forces, less those, from 0 to full force."""
+    """Return the errors of the curve from 0 to full force."""
     force_n = np.linspace(0, found.full_n, 40)
     seen = cell.zero + cell.counts_per_n * force_n * (1 - cell.bend * force_n / cell.full_n)
     return np.array([found.force_n(each) for each in seen]) - force_n

@@ -1,4 +1,4 @@
-"""What is said of a sensor is what it is."""
+"""Measured optics of a sensor are the true ones."""
 
 import numpy as np
 import pytest

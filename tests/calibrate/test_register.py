@@ -38,7 +38,7 @@ def random_view(seed, shape, optics):
 
 
 def true_error(found, profile, view, shape):
-    """How far off each electrode is on the page, in pitches."""
+    """Return the error of each electrode's place on the page, in pitches."""
     optics = profile.optics
     truth = view.homography(optics, shape)
     looks_at_mm = apply(np.linalg.inv(truth), found.electrode_pixel)
@@ -151,7 +151,7 @@ def test_a_sensor_too_coarse_for_any_target():
 
 
 def test_the_target_as_it_is_printed(tmp_path):
-    """What a flat scan of the PNG shows is what the detector takes for the target."""
+    """A flat scan of the PNG is recognized as the target."""
     target = DotTarget(1.0, 5)
     target.draw(tmp_path / "target.png")
     with Image.open(tmp_path / "target.png") as image:

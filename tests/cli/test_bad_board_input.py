@@ -26,19 +26,19 @@ def scale(*arguments):
         ),
         (
             ("board", "emulate", "link", "--books", "nowhere"),
-            says(about="--books", problem="no folder", value=Path("nowhere")),
+            says(about="books", problem="no folder", value=Path("nowhere")),
         ),
         (
             ("board", "emulate", "link", "--firmware", "newest"),
-            says(about="--firmware", problem="conflict", value="link", allowed=("etactilekit",)),
+            says(about="firmware", problem="conflict", value="link", allowed=("etactilekit",)),
         ),
         (
             ("board", "emulate", "etactilekit", "--firmware", "3"),
-            says(about="--firmware", problem="unknown", value="3"),
+            says(about="firmware", problem="unknown", value="3"),
         ),
         (
             ("board", "emulate", "link", "--electrodes", "0"),
-            says(about="--electrodes", value=0, allowed=(1, 1024)),
+            says(about="electrodes", value=0, allowed=(1, 1024)),
         ),
         (
             ("board", "info", "etactilekit:/dev/x?firmware=3"),
@@ -56,7 +56,7 @@ def scale(*arguments):
         ),
         (
             ("board", "test", "memory:"),
-            says(about="keyboard", problem="missing", remedy="--seconds"),
+            says(about="keyboard", problem="missing", remedy="seconds"),
         ),
         (
             ("board", "test", "memory:", "--seconds", "0"),

@@ -92,7 +92,7 @@ def no_place(name):
         ("live --board link: --intensity 1", says(BoardError, "link: ", "link:/dev/ttyACM0")),
         ("live --board link:/dev/nothing --intensity 1", says(BoardError, "/dev/nothing")),
         ("live --board emulator:7", says(BoardError, "emulator:", "'7'")),
-        ("live --mode XY", no_choice("--mode", "XY", "RA", "SAI", "PC", "natural")),
+        ("live --mode XY", no_choice("mode", "XY", "RA", "SAI", "PC", "natural")),
         (
             "live --board vibrators:x.wav",
             says(about="board", value="vibrators:x.wav", remedy="vibrators"),
@@ -104,7 +104,7 @@ def no_place(name):
         ("live --scan all", no_choice("scan", "all", "auto", "points", "frame")),
         ("live --scan frame --profile kajimoto-61", says(ScheduleError, "one-against-all")),
         ("live --scan frame --profile line-7", says(ScheduleError, "limits.total_ma")),
-        ("live --mode color", no_choice("--mode", "color", "RA", "SAI", "PC", "natural")),
+        ("live --mode color", no_choice("mode", "color", "RA", "SAI", "PC", "natural")),
         ("live --profile kajimoto-61 --mode SAI", says(DesignError, "mode SAI", " RA ", " 0.1 ")),
         ("live --rate 0", says(ScheduleError, " 0 Hz", "0.1 Hz", "200 Hz")),
         ("live --rate 1000", says(ScheduleError, " 1000 Hz", "200 Hz")),
@@ -121,10 +121,10 @@ def no_place(name):
         ),
         ("design --site 64", no_site(64)),
         ("design --site -1", no_site(-1)),
-        ("design --profile line-7 --mode P", no_choice("--mode", "P", "RA", "SAI", "PC")),
+        ("design --profile line-7 --mode P", no_choice("mode", "P", "RA", "SAI", "PC")),
         (
             "design --profile kajimoto-61 --mode SAI",
-            says(DesignError, about="--mode", problem="impossible", value="SAI", allowed=("RA",)),
+            says(DesignError, about="mode", problem="impossible", value="SAI", allowed=("RA",)),
         ),
     ],
 )

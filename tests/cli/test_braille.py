@@ -75,7 +75,7 @@ def test_without_liblouis(program_here, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "wrong"),
     [
-        ([], says(BrailleError, about="text", problem="missing", remedy="--tables")),
+        ([], says(BrailleError, about="text", problem="missing", remedy="tables")),
         (
             ["none.brf"],
             says(BrailleError, about="file", problem="missing", value=Path("none.brf")),

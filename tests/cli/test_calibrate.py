@@ -108,7 +108,7 @@ def test_optics_asks_for_dark_and_white(run, tmp_path):
     wrong(" 0 grey levels", " 40 ")(asked.exception)
     unanswered = run("optics", "--sensor", "frames:same", "--output", "mine.toml")
     assert unanswered.output.count(" Enter") == 1
-    wrong(about="answer", problem="missing", remedy="--yes")(unanswered.exception)
+    wrong(about="answer", problem="missing", remedy="yes")(unanswered.exception)
     assert not list(tmp_path.glob("mine*"))
 
 
@@ -266,32 +266,32 @@ def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "check"),
     [
-        (["optics"], wrong(about="--source", problem="missing", remedy="--simulate")),
-        (["optics", "--dark", "frames:none"], wrong("--white", about="--source")),
+        (["optics"], wrong(about="source", problem="missing", remedy="simulate")),
+        (["optics", "--dark", "frames:none"], wrong("white", about="source")),
         (
             ["optics", "--sensor", "nothing:", "--yes"],
             says(SourceError, about="source", problem="unknown", value="nothing:"),
         ),
         (["optics", "--sensor", "frames:none", "--yes"], says(SourceError, " none:")),
-        (["registration"], wrong(about="--source", problem="missing", remedy="--simulate")),
+        (["registration"], wrong(about="source", problem="missing", remedy="simulate")),
         (
             ["registration", "--center", "left"],
-            wrong(about="--center", problem="unknown", value="left", allowed=("target", "image")),
+            wrong(about="center", problem="unknown", value="left", allowed=("target", "image")),
         ),
         (
             ["registration", "--dot-pitch-mm", "0"],
             wrong("0.01", "5 mm", about="dot_pitch_mm", value=0),
         ),
-        (["force"], wrong("hx711:PORT", about="--cell", problem="missing", remedy="--simulate")),
-        (["force", "--simulate", "--seconds", "nan"], wrong(about="--seconds", value=math.isnan)),
+        (["force"], wrong("hx711:PORT", about="cell", problem="missing", remedy="simulate")),
+        (["force", "--simulate", "--seconds", "nan"], wrong(about="seconds", value=math.isnan)),
         (["force", "--simulate", "--weights", "0,a"], wrong(about="weights", value="0,a")),
         (["force", "--simulate", "--weights", "0,nan"], wrong(about="weights", value="0,nan")),
         (["force", "--simulate", "--weights", "0,1,2"], wrong(" 2 g ", " 92 g")),
-        (["thresholds"], wrong(about="keyboard", problem="missing", remedy="--simulate")),
+        (["thresholds"], wrong(about="keyboard", problem="missing", remedy="simulate")),
         (["thresholds", "--electrodes", "64"], wrong(about="electrodes", value="64", allowed=63)),
         (
             ["thresholds", "--simulate", "--board", "link:/dev/null"],
-            wrong(about="--board", problem="conflict", value="link:/dev/null"),
+            wrong(about="board", problem="conflict", value="link:/dev/null"),
         ),
         (["contact", "--board", "memory:"], says(BoardError, "measure")),
         (["contact", "--profile", "nobody"], says(ProfileError, "'nobody'")),
@@ -303,6 +303,6 @@ def test_what_cannot_be_is_one_sentence(run, tmp_path, arguments, check):
 
 
 def test_what_is_measured_needs_a_place(run):
-    wrong(about="--output", problem="missing")(run("registration", "--simulate").exception)
+    wrong(about="output", problem="missing")(run("registration", "--simulate").exception)
     nowhere = run("force", "--simulate", "--output", "none/mine.toml")
     wrong("none/mine.toml")(nowhere.exception)

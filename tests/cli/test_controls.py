@@ -112,7 +112,7 @@ def test_nobody_knows_the_force(program_here, tmp_path):
         (
             ("--mode", "color"),
             says(
-                about="--mode",
+                about="mode",
                 problem="unknown",
                 value="color",
                 allowed=("RA", "SAI", "PC", "natural"),
@@ -120,7 +120,7 @@ def test_nobody_knows_the_force(program_here, tmp_path):
         ),
         (("--intensity", "1.2"), says(about="intensity", value=1.2, allowed=(0, 1))),
         (("--softness", "nan"), says(about="softness", value=math.isnan, allowed=(0, 1))),
-        (("--size", "640"), says(about="--size", problem="malformed", value="640")),
+        (("--size", "640"), says(about="size", problem="malformed", value="640")),
         (("--exposure", "3"), says(SourceError, "page:", " exposure:", "dpi")),
         (
             ("--mode", "natural", "--rate", "50"),

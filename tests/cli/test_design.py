@@ -167,15 +167,15 @@ def test_an_array_and_a_skin_of_one_s_own(designed, tmp_path):
         (["--site=-1"], says(about="site", value=-1, allowed=(0, 63))),
         (
             ["--mode=PA"],
-            says(about="--mode", problem="unknown", value="PA", allowed=("RA", "SAI", "PC")),
+            says(about="mode", problem="unknown", value="PA", allowed=("RA", "SAI", "PC")),
         ),
         (
             ["--profile=kajimoto-61", "--mode=SAI"],
-            says(DesignError, about="--mode", problem="impossible", value="SAI", allowed=("RA",)),
+            says(DesignError, about="mode", problem="impossible", value="SAI", allowed=("RA",)),
         ),
         (
             ["--any-node", "--three-state"],
-            says(problem="conflict", value=("--three-state", "--any-node")),
+            says(problem="conflict", value=("three_state", "any_node")),
         ),
         (["--plot=k.jpg", "--profile=line-7"], says(SmartTouchError, "k.jpg", "*.png")),
         (
@@ -226,7 +226,7 @@ def test_figures_without_matplotlib(monkeypatch):
     [
         (
             ["drawn", "--format=jpg"],
-            says(about="--format", problem="unknown", value="jpg", allowed=("png", "pdf", "svg")),
+            says(about="kind", problem="unknown", value="jpg", allowed=("png", "pdf", "svg")),
         ),
         (["drawn", "--site=64"], says(about="site", value=64, allowed=(0, 63))),
         (["drawn", "--profile=nothing"], says(ProfileError, "'nothing'", "electric-mouse")),

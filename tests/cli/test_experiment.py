@@ -14,10 +14,10 @@ import pytest
 from rich.console import Console
 
 from smarttouch.afferent import Mode
-from smarttouch.cli.blind_screen import BlindScreen
 from smarttouch.errors import ExperimentError
 from smarttouch.events import FingerLifted, TrialEvent
 from smarttouch.files import open_alone
+from smarttouch.monitor.blind_screen import BlindScreen
 from smarttouch.psychophysics.rows import read_rows
 from smarttouch.recording.reader import Recording
 from smarttouch.running.controls import Controls, ControlState
@@ -200,15 +200,15 @@ def test_free_stimulation_for_some_seconds(program_here, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "check"),
     [
-        (("run", "frequency"), wrong(about="keyboard", problem="missing", remedy="--simulate")),
+        (("run", "frequency"), wrong(about="keyboard", problem="missing", remedy="simulate")),
         (
             ("run", "frequency", "--simulate", "model", "--board", "memory:"),
-            wrong(about="--board", problem="conflict", value="memory:", allowed=("simulated:",)),
+            wrong(about="board", problem="conflict", value="memory:", allowed=("simulated:",)),
         ),
         (
             ("run", "frequency", "--simulate", "me"),
             says(
-                about="--simulate", problem="unknown", value="me",
+                about="simulate", problem="unknown", value="me",
                 allowed=("model", "random", "first", "silent"),
             ),
         ),
@@ -225,17 +225,17 @@ def test_free_stimulation_for_some_seconds(program_here, tmp_path):
         ((*SIMULATED[1:], "--gap-s", "-1"), wrong(about="gap_s", value=-1, allowed=(0, 60))),
         (
             (*SIMULATED[1:], "--mode", "natural"),
-            says(about="--mode", problem="unknown", value="natural", allowed=("RA", "SAI", "PC")),
+            says(about="mode", problem="unknown", value="natural", allowed=("RA", "SAI", "PC")),
         ),
         ((*SIMULATED[1:], "--output", "a.txt"), wrong("a.txt", ".csv")),
-        (("free",), wrong(about="keyboard", problem="missing", remedy="--seconds")),
+        (("free",), wrong(about="keyboard", problem="missing", remedy="seconds")),
         (
             ("free", "--seconds", "1", "--rate", "500"),
             wrong(about="rate_hz", value=500, allowed=(10, 200)),
         ),
         (
             ("free", "--seconds", "1", "--mode", "warm"),
-            says(about="--mode", problem="unknown", value="warm", allowed=("RA", "SAI", "PC")),
+            says(about="mode", problem="unknown", value="warm", allowed=("RA", "SAI", "PC")),
         ),
     ],
 )  # fmt: skip

@@ -122,7 +122,7 @@ def test_an_exception_in_a_stage(monkeypatch, capsys, start_emulator, stage):
         monkeypatch.setattr(Pipeline, "warm_up", lambda _: None)
         monkeypatch.setattr(Pipeline, "process", broken)
     else:
-        monkeypatch.setattr("smarttouch.cli.screen.Screen.step", broken)
+        monkeypatch.setattr("smarttouch.monitor.screen.Screen.step", broken)
     monkeypatch.setattr(
         sys, "argv", ["smarttouch", "live", "--board", f"link:{port}", "--intensity", "1"]
     )

@@ -50,8 +50,8 @@ def test_tables_of_what_was_published(program_here, tmp_path, name, columns):
         (["4"], ExperimentError, {"about": "LETTERS", "problem": "unknown", "value": "4"}),
         (["T", "--anatomy=none"], ProfileError, {"about": "anatomy", "value": "none"}),
         (["T", "--profile=line-7"], ExperimentError, {"about": "profile", "value": 1}),
-        (["--table=none"], SmartTouchError, {"about": "--table"}),
-        (["T", "--mode=SAII"], SmartTouchError, {"about": "--mode"}),
+        (["--table=none"], SmartTouchError, {"about": "table"}),
+        (["T", "--mode=SAII"], SmartTouchError, {"about": "mode"}),
     ],
 )
 def test_fingers_of_nonsense(program_here, arguments, kind, says):

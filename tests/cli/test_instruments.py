@@ -1,4 +1,4 @@
-"""What the instruments share with every run: recordings, pictures, markers, vibrators."""
+"""Recordings, pictures, markers and vibrators, which instruments share with every run."""
 
 import json
 import sys

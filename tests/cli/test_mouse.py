@@ -106,7 +106,7 @@ def test_what_was_felt_replays_to_the_bit(program_here, tmp_path):
             ["--mode", "natural"],
             says(SourceError, about="mode", value="natural", allowed=("RA", "SAI", "PC")),
         ),
-        (["--mode", "XY"], says(about="--mode", problem="unknown", value="XY")),
+        (["--mode", "XY"], says(about="mode", problem="unknown", value="XY")),
         (["--seconds", "0"], says(about="seconds", value=0, allowed=0)),
         (
             ["--felt", "felt.png", "--board", "memory:"],

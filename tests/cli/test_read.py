@@ -213,18 +213,18 @@ def test_a_finger_that_moves_by_itself(program_here, tmp_path, page_file):
         (["text: "], says(PageError, "text:")),
         (
             ["text:hi", "--as", "dots"],
-            says(about="--as", problem="unknown", value="dots", allowed=("shapes", "braille")),
+            says(about="kind", problem="unknown", value="dots", allowed=("shapes", "braille")),
         ),
         (
             ["text:hi", "--style", "bold"],
             says(
-                about="--style", problem="unknown", value="bold",
+                about="style", problem="unknown", value="bold",
                 allowed=("plain", "thinned", "graded"),
             ),
         ),
         (
             ["text:hi", "--as", "braille", "--cells", "two"],
-            says(about="--cells", problem="unknown", value="two", allowed=("line", "cell")),
+            says(about="cells", problem="unknown", value="two", allowed=("line", "cell")),
         ),
         (["text:hi", "--profile", "line-7"], says(ReadingError, "line-7", " 1 row ", " 4:")),
         (

@@ -168,5 +168,5 @@ def test_what_a_file_of_options_cannot_say(program_here):
 def test_standard_input_is_not_kept(program_here, monkeypatch):
     monkeypatch.setattr("smarttouch.cli.saved.is_standard_input", lambda _: True)
     done = program_here("braille", "ab", "--save", "desk")
-    says(SavedRunError, about="source", problem="impossible", remedy="--save")(refused(done))
+    says(SavedRunError, about="source", problem="impossible", remedy="save")(refused(done))
     assert not saved_run_path("desk").exists()

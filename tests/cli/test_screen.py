@@ -11,9 +11,9 @@ import pytest
 from rich.console import Console
 
 from smarttouch.afferent import Afferent, Mode
-from smarttouch.cli.screen import Screen, _beside
-from smarttouch.cli.screen_pictures import ArrayPicture, image_text
 from smarttouch.events import Advice, ModeChanged
+from smarttouch.monitor.screen import Screen, _beside
+from smarttouch.monitor.screen_pictures import ArrayPicture, image_text
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.controls import Controls, ControlState

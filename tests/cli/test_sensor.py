@@ -64,11 +64,11 @@ def test_a_force_is_shown(run, tmp_path):
         ),
         (
             ["show", "text:x", "--seconds", "0"],
-            says(about="--seconds", value=0, allowed=(0, 3600)),
+            says(about="seconds", value=0, allowed=(0, 3600)),
         ),
         (
             ["show", "text:x", "--seconds", "nan"],
-            says(about="--seconds", value=math.isnan, allowed=(0, 3600)),
+            says(about="seconds", value=math.isnan, allowed=(0, 3600)),
         ),
         (
             ["show", "text:x", "--save", "no/where.png"],
@@ -77,11 +77,11 @@ def test_a_force_is_shown(run, tmp_path):
         (["show", "text:x", "--baud", "9600"], says(SourceError, "text:", " baud:", "seed")),
         (
             ["show", "text:x", "--size", "9"],
-            says(about="--size", problem="malformed", value="9"),
+            says(about="size", problem="malformed", value="9"),
         ),
         (
             ["show", "fixed:1", "--force", "--baud", "9600"],
-            says(about="--force", problem="conflict"),
+            says(about="force", problem="conflict"),
         ),
         (["show", "text:x", "--profile", "none"], says(ProfileError, "'none'")),
         (["show", "serial-array:/dev/nowhere"], says(SourceError, "/dev/nowhere")),
@@ -104,7 +104,7 @@ def test_a_force_is_shown(run, tmp_path):
         ),
         (
             ["emulate", "hx711", "--rate", "-1"],
-            says(about="--rate", problem="out of range", value=-1, allowed=(0.01, 2000)),
+            says(about="rate", problem="out of range", value=-1, allowed=(0.01, 2000)),
         ),
     ],
 )

@@ -1,4 +1,4 @@
-"""What a moving sensor saw is the page."""
+"""Frames of a moving sensor are put together to the page."""
 
 from dataclasses import replace
 

@@ -8,7 +8,7 @@ from smarttouch.sources.forces import load_cell
 
 @pytest.fixture
 def judged_books():
-    """What real firmware lets flow, unasked by a gate, is not what the oracle judges."""
+    """The oracle does not judge firmware that is driven without a gate."""
 
 
 @pytest.fixture(autouse=True)

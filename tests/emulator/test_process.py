@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import select
 import signal
 import socket
@@ -182,7 +183,7 @@ def test_what_it_cannot_do_is_one_sentence(capsys, arguments, names):
         main([each.replace("_", " ") for each in arguments.split()])
     assert ended.value.code == 2
     said = capsys.readouterr().err.splitlines()[-1].partition("error: ")[2]
-    assert set(names.split()) <= set(said.replace(":", " ").replace(",", " ").split())
+    assert set(names.split()) <= set(re.split(r"[\s:,()]+", said))
 
 
 def test_every_frame_of_an_array_is_read_dropped_or_lost(start, profile, tmp_path):

@@ -1,4 +1,4 @@
-"""What moves drives RA, what stays drives SAI."""
+"""Moving parts drive RA, resting ones drive SAI."""
 
 import numpy as np
 import pytest

@@ -213,7 +213,7 @@ def test_a_bank_around_masked_electrodes(name, keys, changed):
 
 
 def test_kernels_around_one_electrode_stay_selective(profile, bank, changed):
-    """What is left makes up for it: RA loses a sixth at its neighbors, SAI next to nothing."""
+    """The others make up for it: RA loses a sixth at its neighbors, SAI next to nothing."""
     masked, near = changed(profile, {"output.masked": [27]}), [18, 19, 20, 26, 28, 34, 35, 36]
     for afferent, loss in ((Afferent.RA, 1.17), (Afferent.SAI, 1.01)):
         kernels = [

@@ -1,4 +1,4 @@
-"""How far the AF can be trusted."""
+"""Errors of the AF against the cable model."""
 
 import pytest
 

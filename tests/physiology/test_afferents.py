@@ -1,4 +1,4 @@
-"""Where nodes are, and what they might be."""
+"""Places of nodes, and their variants."""
 
 import numpy as np
 import pytest

@@ -91,7 +91,7 @@ def test_branches_gather_around_the_receptor(small):
 
 @given(seed=st.integers(0, 2**32 - 1), factor=st.floats(0.1, 5))
 def test_drive_grows_with_the_current(model, seed, factor):
-    """What fires at some current fires at every larger one."""
+    """An afferent that fires at some current fires at every larger one."""
     current = patterns(model.finger.profile, seed, 2)
     width = np.full(2, 200)
     one, more = model.drive(current, width), model.drive(factor * current, width)

@@ -247,3 +247,17 @@ def test_a_ring_around_a_disc(edited, tmp_path):
 def test_impossible_mixtures_of_shapes(edited, shapes, sizes, attributes):
     with raises(ProfileError, **attributes):
         load_profile(with_shapes(edited, shapes, sizes))
+
+
+def test_a_copy_is_checked_and_keeps_nothing_that_was_derived():
+    profile = load_profile("electric-mouse")
+    assert profile.full_ma[0] == pytest.approx(2.4)
+    weaker = profile.perception.model_copy(update={"threshold_ma": 0.7})
+    copy = profile.model_copy(update={"perception": weaker})
+    assert copy.full_ma[0] == pytest.approx(1.4)
+    assert copy.name == profile.name
+    assert copy.model_fields_set == profile.model_fields_set
+    impossible = {"limits": profile.limits.model_dump() | {"current_ma": 50.0}, "surprise": 1}
+    with raises(ProfileError, about="limits.current_ma") as error:
+        profile.model_copy(update=impossible)
+    assert [each.key for each in error.value.complaints] == ["limits.current_ma", "surprise"]

@@ -50,12 +50,26 @@ def test_lists_layers_and_calibrations(profile, changed):
     assert comment(text, "homography") == ""
 
 
-@pytest.mark.parametrize("part", CALIBRATED_KEYS)
-def test_calibrations_make_no_difference(part, profile):
-    for key in CALIBRATED_KEYS[part]:
-        table, _, name = key.partition(".")
-        inner = getattr(profile, table).model_copy(update={name: "other"})
-        assert difference(profile, profile.model_copy(update={table: inner})) is None
+MEASURED = {
+    "optics.flat_field": "other.npz",
+    "optics.homography": (1.0, 0, 0.1, 0, 1, 0, 0, 0, 1),
+    "optics.sensor_columns": 99,
+    "optics.sensor_rows": 98,
+    "force.curve": (0.0, 0.5),
+    "perception.threshold_ma": 0.9,
+    "perception.comfort_ma": (1.5,) * 64,
+    "output.impedance_kohm": 12.5,
+    "output.masked": (3,),
+}
+
+
+@pytest.mark.parametrize("key", [key for keys in CALIBRATED_KEYS.values() for key in keys])
+def test_calibrations_make_no_difference(key, profile):
+    table, _, name = key.partition(".")
+    inner = getattr(profile, table).model_copy(update={name: MEASURED[key]})
+    other = profile.model_copy(update={table: inner})
+    assert other != profile
+    assert difference(profile, other) is None
 
 
 def test_anything_else_does(profile, changed):

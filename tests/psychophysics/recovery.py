@@ -1,4 +1,4 @@
-"""How well procedures find thresholds that are known: simulated subjects, many of them."""
+"""Errors of procedures that look for known thresholds of many simulated subjects."""
 
 from dataclasses import dataclass
 
@@ -23,7 +23,7 @@ TASKS = ("discrimination", "detection")
 
 @dataclass(frozen=True)
 class Recovery:
-    """What came of subjects.
+    """Results of subjects.
 
     Attributes
     ----------

@@ -43,7 +43,7 @@ class Perfect:
 
 @dataclass
 class Sat:
-    """What came of a run."""
+    """Result of a run."""
 
     source: ExperimentSource
     session: Session

@@ -1,4 +1,4 @@
-"""What the skin got, put back together where the finger was."""
+"""Delivered pulses, put back together where the finger was."""
 
 from dataclasses import replace
 
@@ -9,6 +9,7 @@ from smarttouch.afferent import Afferent
 from smarttouch.delivered.line import PIXELS_PER_PITCH, LinePicture
 from smarttouch.errors import SafetyError
 from smarttouch.imaging.mapping import Tone
+from smarttouch.profile import Profile
 from smarttouch.reading.cursor import Motion
 from smarttouch.reading.deliver import Reading, deliver_line, deliver_lines, ideal_picture
 from smarttouch.reading.shapes import Shapes, Style
@@ -72,9 +73,8 @@ def test_several_lines_come_in_their_order(way, make_line):
 
 def test_nothing_unsafe_is_delivered(way, make_line, reading):
     """The board of a measurement is behind the same gate as any other."""
-    too_much = reading.model_copy(
-        update={"limits": reading.limits.model_copy(update={"current_ma": 0.5})}
-    )
+    limits = reading.limits.model_copy(update={"current_ma": 0.5})
+    too_much = Profile.model_construct(**(dict(reading) | {"limits": limits}))
     unsafe = Reading(too_much, way.bank, way.tone, way.motion)
     with pytest.raises(SafetyError):
         deliver_line(make_line(), unsafe)

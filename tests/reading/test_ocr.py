@@ -169,7 +169,7 @@ def test_blank_images_have_no_text_and_need_no_program_to_run(program, image):
     ],
 )
 def test_failures(program, spotted, script, attributes, ending):
-    """What the program said of itself and what is to be installed stand in the message."""
+    """The message has the program's own words and the package to install."""
     program(script)
     with raises(ReadingError, **attributes) as caught:
         recognize(spotted, timeout_s=0.3)

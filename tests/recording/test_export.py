@@ -1,4 +1,4 @@
-"""What is written for other programs is what was recorded."""
+"""Files written for other programs hold what was recorded."""
 
 import csv
 

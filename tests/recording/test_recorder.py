@@ -235,7 +235,7 @@ def test_nothing_waits_for_the_disk_longer_than_a_second(monkeypatch, tmp_path, 
 
 
 def test_nothing_waits_for_the_system_longer_than_a_moment(monkeypatch, tmp_path, about, steps):
-    """What a killed program loses: it is given to the system within `FLUSH_S`."""
+    """A killed program loses little: all is given to the system within `FLUSH_S`."""
     at_s = [0.01 * index for index in range(50)] + [5.0]
     told, given = ToldQueue([(due_s, steps[0]) for due_s in at_s]), []
     flush = RecordingWriter._flush

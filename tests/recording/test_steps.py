@@ -1,4 +1,4 @@
-"""What goes into messages comes out of them, to the bit."""
+"""Steps come out of messages as they went in, to the bit."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""What the board measured reaches the recording, and what is sent next."""
+"""Measurements of the board reach the recording and the next sequence."""
 
 from dataclasses import replace
 

@@ -128,7 +128,7 @@ def test_vibrators_take_pc_over(profile, bank):
 
 
 def test_a_sensation_is_placed_at_the_receptor(profile, bank, changed):
-    """What should be felt at a place is stimulated where its axons run (Section III-B.4)."""
+    """A sensation at a place is stimulated where its axons run (Section III-B.4)."""
     shifted = changed(profile, {"perception.pc_shift_mm": (0.0, -2.0)})
     pipeline, now = settled(shifted, load_bank(shifted), Mode.COLOR)
     asked = {Afferent.PC: (27, 60), Afferent.RA: (27,)}

@@ -31,7 +31,7 @@ SMALL = 20
 
 @dataclass
 class RunStatistics:
-    """What came of many questions."""
+    """Results of many questions."""
 
     accepted: int = 0
     refused: int = 0

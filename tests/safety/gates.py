@@ -23,7 +23,7 @@ class ToldClock:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a gate said: its copy or nothing, the limit that it named, and no error but its own."""
+    """Answer of a gate: its copy or nothing, the limit that it named, and no error but its own."""
 
     accepted: bool
     copy: ScanSequence | None = None

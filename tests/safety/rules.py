@@ -233,7 +233,7 @@ RULES = {
 
 @dataclass(frozen=True)
 class Judged:
-    """What a single sequence breaks, and what it brings each electrode if it may be sent."""
+    """Broken rules of a single sequence, and its dose for each electrode if it may be sent."""
 
     broken: list
     intensity_ppb: int = 0

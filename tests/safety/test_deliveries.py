@@ -1,4 +1,4 @@
-"""What flowed is judged pulse by pulse, second by second, and from the start."""
+"""Delivered current is judged pulse by pulse, second by second, and from the start."""
 
 from dataclasses import replace
 

@@ -207,7 +207,7 @@ def test_a_copy_cannot_be_written():
 
 
 def test_another_thread_that_writes_while_it_is_proved():
-    """Whether it is let through depends on the instant; what is let through is safe."""
+    """The instant decides if it is let through; all that is let through is safe."""
     made = sequence()
     ended, seen = threading.Event(), []
 

@@ -89,7 +89,7 @@ def test_books_in_a_folder(blind, tmp_path):
 
 @pytest.mark.parametrize("taken", [False, True])
 def test_a_simulated_board(blind, taken):
-    """What is taken is judged then, and what is left when the board is closed."""
+    """Pulses are judged when they are taken, and the rest when the board is closed."""
     with SimulatedBoard("", LIMITS) as board:
         board.send(sequence([], intensity=0.0, time_ns=0))
         board.send(sequence(pair(3500)))

@@ -28,7 +28,7 @@ without_a_camera = pytest.mark.skipif(
 
 
 class Device:
-    """What a camera is on its end of the cable."""
+    """Camera on its end of the cable."""
 
     def __init__(self):
         self.plugged = True

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from smarttouch.errors import SourceError, SourceLostError
 from smarttouch.sources import capture
-from smarttouch.sources.capture import ImageDevice, LiveSource, Shot, SourceEndedError
+from smarttouch.sources.capture import LiveSource
 from smarttouch.sources.flat_field import FlatField
+from smarttouch.sources.image_device import ImageDevice, Shot, SourceEndedError
 
 from ..raising import raises
 from ..said import numbers_in

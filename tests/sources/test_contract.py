@@ -1,4 +1,4 @@
-"""What every source keeps, run over the kinds that there are."""
+"""The contract of sources, run over the kinds that there are."""
 
 import threading
 import time

@@ -14,8 +14,8 @@ from PIL import Image
 
 from smarttouch.errors import SourceError
 from smarttouch.sources import open_source
-from smarttouch.sources.capture import SourceEndedError
 from smarttouch.sources.clip import Clip
+from smarttouch.sources.image_device import SourceEndedError
 from smarttouch.sources.video import PacedClip
 
 from ..raising import raises

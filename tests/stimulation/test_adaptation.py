@@ -90,7 +90,7 @@ def test_charge_is_held_while_an_electrode_dries(profile):
 
 
 def test_charge_is_held_however_strongly_a_point_is_felt():
-    """What a faint pulse needs tells what a strong one will."""
+    """Measurements at faint pulses hold for strong ones."""
     finger = Finger(MOUSE, "charge")
     finger.kohm[:] = 200.0
     for _ in range(20):

@@ -151,7 +151,7 @@ def test_where_two_rates_are_not_possible(profile, bank, options, attributes):
     {"limits.electrode_ma": (1.0,) * 8},
 ])  # fmt: skip
 def test_a_comfort_that_is_just_the_limit_stays_within_it(changed, keys):
-    """What rounding leaves over must not push the strongest electrode above its limit."""
+    """Remainders of rounding never push the strongest electrode above its limit."""
     line = changed(load_profile("line-8"), keys)
     bank = load_bank(line)
     gate = SafetyGate(SafetyLimits.of(line))

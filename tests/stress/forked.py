@@ -22,8 +22,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import smarttouch.boards.etactilekit
 import smarttouch.boards.kajimoto61
 import smarttouch.boards.link
-import smarttouch.cli.session
 import smarttouch.delivered.drawing
+import smarttouch.monitor.session
 import smarttouch.sources.forces.force
 import smarttouch.sources.page  # noqa: F401
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
@@ -137,7 +137,7 @@ class Emulated:
 
     @property
     def pulses(self):
-        """How many it has delivered until now."""
+        """Number of pulses delivered until now."""
         return _PAGE.unpack(self._page[: _PAGE.size])[3]
 
     def flag(self):

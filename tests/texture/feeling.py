@@ -58,7 +58,7 @@ def pulses_of(drawing: TextureDrawing) -> FeltPulses:
 
 @dataclass(frozen=True, eq=False)
 class SimulationResult:
-    """What came of it.
+    """Result of a simulation.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""How the hand moves: by itself, along a recorded way, as a sensor says."""
+"""Motions of the hand: by itself, along a recorded way, by a sensor."""
 
 from pathlib import Path
 
@@ -92,7 +92,7 @@ def test_a_sensor_tells_the_motion():
         ("sweep", {}, "motion", "unknown", "sweep"),
         ("sweep:x", {}, "rounds", "", "x"),
         ("sweep:99999", {}, "rounds", "", "99999"),
-        ("sweep:", {"speed_mm_s": 0.0}, "speed_mm_s", "", 0.0),
+        ("sweep:", {"speed_mm_s": 0.0}, "speed_mm_s", "out of range", 0.0),
         ("sweep:", {"cpi": 400}, "cpi", "unknown", 400),
         ("path:", {}, "file", "missing", None),
         ("path:none.csv", {}, "file", "missing", Path("none.csv")),

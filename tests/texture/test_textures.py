@@ -26,7 +26,7 @@ SCALE = "dpi or width_mm"
     ways=st.lists(st.tuples(st.floats(-30, 30), st.floats(-30, 30)), min_size=1, max_size=8),
 )
 def test_ridges_of_a_grating_are_where_they_are(pitch, angle, ways):
-    """What passes is the number of whole phases between two places, however one gets there."""
+    """The ridges passed are the whole phases between two places, however one gets there."""
     texture = open_texture(f"grating:{pitch}mm,{angle}deg")
     position = np.array([[0.3, 0.7], [-5.1, 2.2], [7.3, -7.9]])
     feeler = texture.feeler(position)

@@ -27,7 +27,7 @@ RISEN_S = 0.55
 
 @dataclass
 class Got:
-    """What one class got at full intensity."""
+    """Pulses of one class at full intensity."""
 
     time_s: np.ndarray
     drive: np.ndarray

@@ -1,4 +1,4 @@
-"""What each class answers: alone at its best, in its band, in proportion, and in time."""
+"""Answers of each class: alone at its best, in its band, in proportion, and in time."""
 
 import numpy as np
 import pytest

@@ -3,8 +3,7 @@
 from pathlib import Path
 from typing import IO
 
-from smarttouch.boards.board import Board, BoardReport, Capabilities
-from smarttouch.boards.host_statistics import HostStatistics
+from smarttouch.boards.board import Board
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits
@@ -28,7 +27,15 @@ class JournalBoard(Board):
     """A file makes no current. A board that does leaves this out."""
 
     def __init__(self, rest: str, limits: SafetyLimits, output: Output | None = None) -> None:
-        super().__init__(limits, output)
+        super().__init__(
+            limits,
+            output,
+            max_current_ma=limits.current_ma,
+            max_slots=0xFFFF,
+            time_to_zero_ms=0.0,
+            firmware="journal 1.0",
+            clock="host",
+        )
         if not rest:
             raise BoardError(
                 "journal: needs a file, for example journal:run.txt",
@@ -38,15 +45,6 @@ class JournalBoard(Board):
         self._path = Path(rest)
         self._file: IO[str] | None = None
         self._number = 0
-        self.capabilities = Capabilities(
-            electrodes=limits.electrodes,
-            output="weighted",
-            max_current_ma=limits.current_ma,
-            max_slots=0xFFFF,
-            time_to_zero_ms=0.0,
-            firmware="journal 1.0",
-            clock="host",
-        )
 
     def _open(self) -> None:
         try:
@@ -59,7 +57,6 @@ class JournalBoard(Board):
                 value=self._path,
             ) from None
         self._number = 0
-        self._books = HostStatistics(self.capabilities.electrodes)
         self._write("zero")
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
@@ -70,15 +67,8 @@ class JournalBoard(Board):
         ):
             flows = ", ".join(f"{each:+d}" for each in current_ua)
             self._write(f"  site {site}, {width_us} us: {flows} uA")
-        self._books.add(sequence, times)
         self.acknowledged += 1
         return self._number
-
-    def drain(self, timeout_s: float = 1.0) -> None:
-        """Nothing waits here: a line is written when it is sent."""
-
-    def report(self) -> BoardReport:
-        return self._books.report()
 
     def _stop(self) -> None:
         self._write("zero")

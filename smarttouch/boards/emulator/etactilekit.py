@@ -24,19 +24,15 @@ from smarttouch.boards.emulator import etactilekit_generations as op
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.firmware import Firmware
-from smarttouch.boards.emulator.single_source import LARGEST_READING, SingleSource
+from smarttouch.boards.emulator.single_source import SingleSource
 from smarttouch.boards.emulator.skin import COMPLIANCE_V
 
 UA_PER_COUNT = 9.99
-LARGEST = LARGEST_READING
-SHORTEST_US = 6.6
-"""Time to switch the source on and off."""
 SWITCHING_NS = 10_000
 FORGETS_NS = 2_000_000_000
 DUMMY_OHM = 66e3
 """Load fitted in parallel with the skin."""
 RATE_HZ = 100
-BIPHASIC, SENSE_ONLY = 1, 2
 _MOST = 255
 
 
@@ -46,14 +42,13 @@ class _Scan:
 
     Attributes
     ----------
-    pulses : list of (int, float, tuple of int)
-        For each electrode height in counts, width in µs, and the sign of each phase (positive
-        cathodic).
+    pulses : list of Pulse
+        Of each electrode.
     starts_ns : list of int
         When each slot begins; the last is the end.
     """
 
-    pulses: list[tuple[int, float, tuple[int, ...]]]
+    pulses: list[op.Pulse]
     starts_ns: list[int]
     discharge_us: int
     done: int = 0
@@ -190,7 +185,7 @@ class ETactileKitFirmware(Firmware):
             size = self._is.height_bytes
             for electrode in range(count):
                 height = command[1 + size * electrode : 1 + size * (electrode + 1)]
-                self._heights[electrode] = min(int.from_bytes(height, "little"), LARGEST)
+                self._heights[electrode] = min(int.from_bytes(height, "little"), op.LARGEST)
         elif code == op.READINGS:
             size = self._is.reading_bytes
             # In one byte, the upper bits of the twelve.
@@ -213,28 +208,14 @@ class ETactileKitFirmware(Firmware):
 
     # -- scanning ----------------------------------------------------------
 
-    def _pulse_of(self, electrode: int) -> tuple[int, float, tuple[int, ...]]:
-        """Return an electrode's height in counts, width in µs, and the signs of its phases."""
-        sense, height = self._set[op.SENSE_HEIGHT], self._heights[electrode]
-        own = -1 if self._set[op.POLARITY] else 1
-        if self._is.has_modes:
-            senses, biphasic = self._set[op.MODE] == SENSE_ONLY, self._set[op.MODE] == BIPHASIC
-            phases = (own, -own) if biphasic else (own,)
-        else:
-            code, sense = height, 4 * sense
-            one_byte = self._is.sizes[op.MODE] == 1
-            senses = code == 0 if one_byte else code not in (1, 2)
-            phases = (-1, 1) if code == 2 and not one_byte else (own,)
-            height = (
-                4 * min(self._set[op.MODE], 250) if one_byte else min(self._set[op.MODE], LARGEST)
-            )
-        if senses:
-            return sense, max(float(self._set[op.SENSE_WIDTH]), SHORTEST_US), (own,)
-        return height, max(float(self._set[op.WIDTH]), SHORTEST_US), phases
+    def _pulses(self) -> list[op.Pulse]:
+        """Return the pulse of each electrode in a scan that starts now."""
+        heights = self._heights[: self._set[op.COUNT]]
+        return [self._is.pulse(self._set, height) for height in heights]
 
     def _silent(self) -> bool:
         """Return whether a scan that starts now has no pulse."""
-        return not any(self._pulse_of(each)[0] for each in range(self._set[op.COUNT]))
+        return not any(height for height, _, _ in self._pulses())
 
     def _settle(self, reason: str) -> None:
         if self.books.state == "driving" and self._scan is None and self._silent():
@@ -256,7 +237,7 @@ class ETactileKitFirmware(Firmware):
                 self._begin(now_ns)
 
     def _begin(self, now_ns: int) -> None:
-        pulses = [self._pulse_of(each) for each in range(self._set[op.COUNT])]
+        pulses = self._pulses()
         discharge_us = self._set[op.DISCHARGE]
         lengths_ns = [
             int(len(phases) * (1000 * width_us + SWITCHING_NS))

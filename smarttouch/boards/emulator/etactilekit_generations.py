@@ -3,8 +3,16 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from smarttouch.boards.emulator.single_source import LARGEST_READING
+
 PATTERN, READINGS, COUNT, MODE, POLARITY, WIDTH = 0xFE, 0xFF, 0xFC, 0xFB, 0xFD, 0xFA
 SENSE_HEIGHT, SENSE_WIDTH, DISCHARGE, RATE, CHIPS, ECHO = 0xF9, 0xF8, 0xF7, 0xF6, 0xF5, 0xF4
+BIPHASIC, SENSE_ONLY = 1, 2
+LARGEST = LARGEST_READING
+SHORTEST_US = 6.6
+"""Time to switch the source on and off."""
+Pulse = tuple[int, float, tuple[int, ...]]
+"""Height in counts, width in µs, and the sign of each phase (positive cathodic)."""
 _SIZES = {
     COUNT: 1,
     MODE: 1,
@@ -53,8 +61,32 @@ class Generation:
 
     @property
     def has_modes(self) -> bool:
-        """Whether `MODE` sets a mode; else a height for all electrodes."""
+        """True if `MODE` sets a mode; else it sets a height for all electrodes."""
         return self.height_bytes == 2
+
+    def pulse(self, numbers: Mapping[int, int], height: int) -> Pulse:
+        """Return an electrode's height in counts, width in µs, and the signs of its phases.
+
+        Parameters
+        ----------
+        numbers : mapping
+            All that commands have set, by op-codes.
+        height : int
+            Of the electrode in the pattern, or its code.
+        """
+        sense, own = numbers[SENSE_HEIGHT], -1 if numbers[POLARITY] else 1
+        if self.has_modes:
+            senses, biphasic = numbers[MODE] == SENSE_ONLY, numbers[MODE] == BIPHASIC
+            phases = (own, -own) if biphasic else (own,)
+        else:
+            code, sense = height, 4 * sense
+            one_byte = self.sizes[MODE] == 1
+            senses = code == 0 if one_byte else code not in (1, 2)
+            phases = (-1, 1) if code == 2 and not one_byte else (own,)
+            height = 4 * min(numbers[MODE], 250) if one_byte else min(numbers[MODE], LARGEST)
+        if senses:
+            return sense, max(float(numbers[SENSE_WIDTH]), SHORTEST_US), (own,)
+        return height, max(float(numbers[WIDTH]), SHORTEST_US), phases
 
 
 GENERATIONS = {

@@ -138,10 +138,7 @@ class FrameOperator(Generic[AnyJudge]):
         return np.asarray(np.linalg.solve(self._system(sites), self._columns[:, sites].T))
 
     def bounded(
-        self,
-        level: Array,
-        bounds: FrameBounds,
-        total_ma: float | None = None,
+        self, level: Array, bounds: FrameBounds, total_ma: float | None = None
     ) -> tuple[Array, FrameFigures]:
         """Return currents that keep the bounds as far as possible, and their figures.
 
@@ -159,7 +156,7 @@ class FrameOperator(Generic[AnyJudge]):
         # As many as targets that are currents' own: what gives one of them 1 and the others 0.
         each = np.linalg.solve(self._system(active), columns.T).T
         free = each @ wish
-        broken = _Broken(judge, judge.limits(active, bounds, 1 - AIM * bounds.uneven), limit)
+        allowed = judge.limits(active, bounds, 1 - AIM * bounds.uneven)
         current, best = free, None
         rows, limits = np.zeros((0, len(free))), np.zeros(0)
         for done in range(_ROUNDS + 1):
@@ -173,7 +170,7 @@ class FrameOperator(Generic[AnyJudge]):
                 break
             if limit is not None and not done and figures.total_ma > _HOPELESS * limit:
                 break
-            more, at_most = broken.rows(current, reached)
+            more, at_most = _broken_rows(allowed, judge.full_ma, limit, current, reached)
             if not len(more):
                 break
             rows, limits = np.concatenate([rows, more]), np.concatenate([limits, at_most])
@@ -199,37 +196,31 @@ class FrameOperator(Generic[AnyJudge]):
         return self._response[np.ix_(active, active)] + self._soft * np.eye(len(active))
 
 
-class _Broken:
-    """Selection of the rows of nodes and limits that currents break, each with its bound."""
-
-    def __init__(
-        self,
-        judge: SlotJudge,
-        limits: list[Bounded],
-        total_ma: float | None,
-    ) -> None:
-        self._judge, self._limits, self._total_ma = judge, limits, total_ma
-
-    def rows(self, current: Array, reached: list[Single]) -> tuple[Array, Array]:
-        """Return broken rows (K, E) and the bound of each (K,)."""
-        rows, limits = [np.zeros((0, len(current)))], [np.zeros(0)]
-        for (field, most, where), values in zip(self._limits, reached, strict=True):
-            bound = _INSIDE * most
-            chosen = _hills(field, values, bound, where)
-            if not len(chosen):
-                continue
-            rows.append(field.rows(chosen))
-            limits.append(np.full(len(chosen), bound))
-        full_ma = _INSIDE * self._judge.full_ma
-        over = np.flatnonzero(np.abs(current) > full_ma)
-        if len(over):
-            rows.append(np.sign(current[over])[:, None] * np.eye(len(current))[over])
-            limits.append(full_ma[over])
-        if self._total_ma is not None and np.abs(current).sum() > 2 * _INSIDE * self._total_ma:
-            # Whatever the signs, their sum with the currents is no more than all magnitudes.
-            rows.append(np.sign(current)[None] / 2)
-            limits.append(np.array([_INSIDE * self._total_ma]))
-        return np.concatenate(rows), np.concatenate(limits)
+def _broken_rows(
+    allowed: list[Bounded],
+    full_ma: Array,
+    total_ma: float | None,
+    current: Array,
+    reached: list[Single],
+) -> tuple[Array, Array]:
+    """Return the rows (K, E) of nodes and limits that currents break, and their bounds (K,)."""
+    rows, limits = [np.zeros((0, len(current)))], [np.zeros(0)]
+    for (field, most, where), values in zip(allowed, reached, strict=True):
+        bound = _INSIDE * most
+        chosen = _hills(field, values, bound, where)
+        if not len(chosen):
+            continue
+        rows.append(field.rows(chosen))
+        limits.append(np.full(len(chosen), bound))
+    over = np.flatnonzero(np.abs(current) > _INSIDE * full_ma)
+    if len(over):
+        rows.append(np.sign(current[over])[:, None] * np.eye(len(current))[over])
+        limits.append(_INSIDE * full_ma[over])
+    if total_ma is not None and np.abs(current).sum() > 2 * _INSIDE * total_ma:
+        # Whatever the signs, their sum with the currents is no more than all magnitudes.
+        rows.append(np.sign(current)[None] / 2)
+        limits.append(np.array([_INSIDE * total_ma]))
+    return np.concatenate(rows), np.concatenate(limits)
 
 
 def _hills(

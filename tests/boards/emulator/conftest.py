@@ -5,4 +5,4 @@ import pytest
 
 @pytest.fixture
 def judged_books():
-    """What real firmware lets flow, unasked by a gate, is not what the oracle judges."""
+    """The oracle does not judge firmware that is driven without a gate."""

@@ -1,4 +1,4 @@
-"""What happens to the finger, and how it is written."""
+"""Events of the emulated finger, and their notation."""
 
 import numpy as np
 import pytest

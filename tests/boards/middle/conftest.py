@@ -86,7 +86,7 @@ class Stream:
 
 
 class Middle:
-    """What happens to the frames of one direction."""
+    """Faults of the frames of one direction."""
 
     def __init__(self, chance):
         self.random, self.share = chance, 0.0

@@ -1,4 +1,4 @@
-"""What the driver of a ``link`` board makes of answers that are lost, repeated or nobody's."""
+"""The driver of a ``link`` board survives answers that are lost, repeated or nobody's."""
 
 import numpy as np
 import pytest

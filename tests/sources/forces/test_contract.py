@@ -1,4 +1,4 @@
-"""What every source of force keeps, run over the kinds that there are."""
+"""The contract of sources of force, run over the kinds that there are."""
 
 import threading
 

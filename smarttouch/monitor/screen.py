@@ -13,8 +13,8 @@ from rich.table import Table
 from rich.text import Text
 
 from smarttouch import terminal
-from smarttouch.cli.screen_pictures import MOST_ROWS, ArrayPicture, image_text
 from smarttouch.events import Advice, Event
+from smarttouch.monitor.screen_pictures import MOST_ROWS, ArrayPicture, image_text
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.report import summary_lines
 from smarttouch.running.step import StepResult

@@ -9,12 +9,12 @@ from functools import partial
 from pathlib import Path
 
 from smarttouch.boards.board import Board
-from smarttouch.cli.driving import ending_in_order, opened, the_stop
-from smarttouch.cli.files import require_folder, write_json
-from smarttouch.cli.keyboard import LOST, keys_heeded
-from smarttouch.cli.progress import bank_progress
-from smarttouch.cli.screen import Screen
+from smarttouch.files import require_folder, write_json
 from smarttouch.kernels.bank import KernelBank, load_bank
+from smarttouch.monitor.driving import ending_in_order, opened, the_stop
+from smarttouch.monitor.keyboard import LOST, keyboard_listener
+from smarttouch.monitor.progress import bank_progress
+from smarttouch.monitor.screen import Screen
 from smarttouch.outputs import output_listeners
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
@@ -201,7 +201,7 @@ class _Keyboard(Listener):
             for each in (does, self._keys):
                 each.get(key, lambda: None)()
 
-        self._stack.enter_context(keys_heeded(on_key))
+        self._stack.enter_context(keyboard_listener(on_key))
 
     def close(self) -> None:
         self._stack.close()

@@ -5,8 +5,8 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from smarttouch.cli.screen import Screen, bar
 from smarttouch.events import Event
+from smarttouch.monitor.screen import Screen, bar
 
 _KEYS = "+ − amplitude    0 none    space pause    q, Esc end, goes on another time"
 

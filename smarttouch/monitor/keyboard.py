@@ -13,7 +13,7 @@ from smarttouch.posix import termios, tty
 LOST = ""
 """Key that stands for a terminal that is gone."""
 JOIN_S = 0.3
-"""Longest time that the end waits for a key that is being heeded."""
+"""Longest time that the end waits for a key that is being handled."""
 
 
 _before: list[list[Any]] = []
@@ -43,7 +43,7 @@ def restore() -> None:
 
 
 @contextmanager
-def keys_heeded(heed: Callable[[str], None]) -> Iterator[None]:
+def keyboard_listener(on_key: Callable[[str], None]) -> Iterator[None]:
     """Hand every key to a function, from a thread, until the block ends.
 
     Arrow keys come as ``up``, ``down``, ``left`` and ``right``, a terminal that is gone as `LOST`.
@@ -63,10 +63,10 @@ def keys_heeded(heed: Callable[[str], None]) -> Iterator[None]:
             except OSError:
                 data = b""
             if not data:
-                heed(LOST)
+                on_key(LOST)
                 return
             for key in _keys(data.decode("utf-8", "replace")):
-                heed(key)
+                on_key(key)
 
     with keyboard():
         thread = threading.Thread(target=listen, name="keyboard", daemon=True)

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
-from smarttouch.cli import keyboard
 from smarttouch.errors import BoardError, BoardStoppedError
+from smarttouch.monitor import keyboard
 from smarttouch.outlet import never_waiting
 from smarttouch.running.announced import announced, refuse_if_stopped
 from smarttouch.stopping import RunStopped, SignalWatch, StopRequest

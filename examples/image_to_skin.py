@@ -1,0 +1,59 @@
+"""
+From an image to the skin
+=========================
+
+An array, a source and a board of one's own, in one short program of public names.
+"""
+
+import tomllib
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import smarttouch as st
+
+# %%
+# 5 x 5 discs. A copy of a profile is checked as a file is; its other tables stay as they are.
+OWN = """
+array = {layout = "grid", rows = 5, columns = 5, pitch_x_mm = 2, pitch_y_mm = 2, diameter_mm = 1}
+optics = {sensor_rows = 64, sensor_columns = 64, field_width_mm = 9, field_height_mm = 9, \
+magnification = 1}
+"""
+CAN = {"max_current_ma": 3, "max_slots": 99, "time_to_zero_ms": 0, "firmware": "list"}
+profile = st.load_profile("electric-mouse").model_copy(update=tomllib.loads(OWN))
+
+
+class Sliding(st.OpticalSource):
+    """A ring of ink that slides by under the finger in a second."""
+
+    knows_force = True
+
+    def read(self, time_ns):
+        y, x = np.mgrid[:64, :64]
+        image = np.where(abs(np.hypot(x - 64e-9 * time_ns, y - 32) - 21) < 8, 0, 255)
+        self.frames += 1
+        return st.Frame(image.astype(np.uint8), time_ns, force_n=0.9, number=self.frames - 1)
+
+
+class Kept(st.Board):
+    """Keeps each sequence, which has been proved safe before it comes here."""
+
+    on_a_finger = False  # a list makes no current
+
+    def __init__(self, rest, limits, output=None):
+        super().__init__(limits, output, **CAN)
+        self.kept = []
+
+    def _send(self, sequence, times):
+        self.kept.append(sequence)
+        return len(self.kept)
+
+    def _stop(self): ...
+
+
+steps, display = [], st.open_display(Kept, profile)
+print(st.run(Sliding("a ring"), display, seconds=1, listeners=[steps.append]).slots, "slots")
+figure, (touched, sent) = plt.subplots(1, 2, layout="constrained")
+touched.imshow(steps[-9].tactile.activation[st.Afferent.RA].reshape(5, 5), cmap="Greys")
+sent.imshow(display.board.kept[-9].current_ua, cmap="PuOr_r", vmin=-3000, vmax=3000, aspect="auto")
+plt.show()

@@ -1,0 +1,99 @@
+"""Legibility of Braille: the part of the cells that was delivered as it should."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from smarttouch.braille.tables import open_table
+from smarttouch.reading.braille import Braille
+from smarttouch.reading.deliver import DeliveredLine, Reading, deliver_lines
+from smarttouch.reading.source import Source
+
+Progress = Callable[[int, int], None]
+"""Callback with the number of finished lines and of all."""
+
+
+def silent(_done: int, _total: int) -> None:
+    """Report nothing."""
+
+
+@dataclass(frozen=True)
+class BrailleLegibility:
+    """Legibility of Braille.
+
+    Attributes
+    ----------
+    cell_error_rate : float
+        Part of the cells that were not delivered as they should.
+    cells, lines : int
+        Number of cells, and of lines.
+    wanted, delivered : str
+        Cells, a line each.
+    text : str or None
+        The delivered cells as text; None if the table cannot go back.
+    """
+
+    cell_error_rate: float
+    cells: int
+    lines: int
+    wanted: str
+    delivered: str
+    text: str | None
+
+
+def legibility_of_braille(
+    source: Source, reading: Reading, braille: Braille, progress: Progress = silent
+) -> BrailleLegibility:
+    """Deliver cells, and decode the delivered dots.
+
+    Parameters
+    ----------
+    source : Source
+        Anything that can be read as Braille.
+    reading : Reading
+        Presentation under the finger.
+    braille : Braille
+    progress : callable
+
+    Raises
+    ------
+    SmartTouchError
+        If there is nothing to read, or a run would end.
+    """
+    profile = reading.profile
+    lines = list(braille.lines(source, profile))
+    pictures = [
+        each.picture for each in kept(deliver_lines(lines, reading), 0, len(lines), progress)
+    ]
+    wanted: list[str] = []
+    delivered: list[str] = []
+    for line, picture in zip(lines, pictures, strict=True):
+        layout = braille.layout(profile, line.cells)
+        wanted += line.cells
+        delivered += layout.decode(picture, line.cells, apart=reading.motion.gaps)
+    count = sum(map(len, wanted))
+    wrong = sum(
+        one != other
+        for pair in zip(wanted, delivered, strict=True)
+        for one, other in zip(*pair, strict=True)
+    )
+    table = open_table(braille.table)
+    felt = "\n".join(delivered)
+    return BrailleLegibility(
+        cell_error_rate=wrong / count,
+        cells=count,
+        lines=len(wanted),
+        wanted="\n".join(wanted),
+        delivered=felt,
+        text=table.to_text(felt) if table.code.goes_back else None,
+    )
+
+
+def kept(
+    lines: Iterable[DeliveredLine], before: int, total: int, progress: Progress
+) -> list[DeliveredLine]:
+    """Return all lines, and report each as it comes."""
+    found: list[DeliveredLine] = []
+    for line in lines:
+        found.append(line)
+        progress(before + len(found), total)
+    return found
