@@ -20,7 +20,7 @@ from smarttouch.documents.page_image import Page
 from smarttouch.documents.print_size import reach_of_print, shared_x_heights
 from smarttouch.documents.reading_order import reading_order
 from smarttouch.documents.rows import find_rows
-from smarttouch.documents.textlike import credible, is_text
+from smarttouch.documents.textlike import credible, is_text, outside_pictures
 from smarttouch.documents.touching import part_lines
 
 _HOPELESS, _MISSES = 60, 3
@@ -137,7 +137,7 @@ def _courses(density: NDArray[np.uint8], spots: Spots, height: float) -> list[Ba
             lines.append((course, row))
             if tells:
                 guides.append(course)
-    return credible(lines, int(spots.area.sum()))
+    return credible(outside_pictures(lines, spots), int(spots.area.sum()))
 
 
 def _length(row: Spots) -> float:

@@ -43,6 +43,10 @@ _LEAST_ON_LEVELS = 0.6
 _LEAST_WHITE = 0.06
 """Least white between letters that do not touch, of the line's length; print has 0.1 and more, but
 what is left between light letters on dark has not."""
+_OWN, _BAND = (-0.7, 1.9), 2.1
+"""What a line covers over its baseline, and the bands beside it, in x-heights."""
+_FOREIGN = 0.4
+"""Most ink of no line in either band, relative to that of its letters."""
 _TOUCHING = 1.3
 """Usual width of spots in which letters run together, in x-heights."""
 
@@ -107,6 +111,44 @@ def _are_solid(letters: Spots) -> bool:
         return False
     filled = letters.area[broad] / (letters.width[broad] * letters.height[broad])
     return bool(np.median(filled) > _SOLID)
+
+
+def outside_pictures(
+    lines: list[tuple[Baseline, Spots]], spots: Spots
+) -> list[tuple[Baseline, Spots]]:
+    """Return the lines without those that have ink of no line on both sides: chance in a picture.
+
+    Parameters
+    ----------
+    lines : list of (Baseline, Spots)
+        Rows that look like text, and their letters.
+    spots : Spots
+        All ink of the page.
+    """
+    x, y = (spots.left + spots.right) / 2, (spots.top + spots.bottom) / 2
+    size = spots.width * spots.height
+    of_a_line = np.zeros(len(x), np.bool_)
+    for course, _ in lines:
+        above = (course.at(x) - y) / course.x_height
+        inside = (x > course.left) & (x < course.right)
+        of_a_line |= inside & (above > _OWN[0]) & (above < _OWN[1])
+
+    def foreign(course: Baseline, low: float, high: float) -> float:
+        top, bottom = (
+            float(course.at(np.array((course.left + course.right) / 2))) - height * course.x_height
+            for height in (high, low)
+        )
+        across = np.minimum(spots.right, course.right) - np.maximum(spots.left, course.left)
+        down = np.minimum(spots.bottom, bottom) - np.maximum(spots.top, top)
+        part = np.maximum(across, 0) * np.maximum(down, 0) / size
+        return float((part * spots.area)[~of_a_line].sum())
+
+    return [
+        (course, row)
+        for course, row in lines
+        if min(foreign(course, _OWN[1], _OWN[1] + _BAND), foreign(course, _OWN[0] - _BAND, _OWN[0]))
+        < _FOREIGN * int(row.area.sum())
+    ]
 
 
 def credible(lines: list[tuple[Baseline, Spots]], ink: int) -> list[Baseline]:
