@@ -10,6 +10,7 @@ from smarttouch.documents.baselines import Baseline, along, follow
 from smarttouch.documents.ink import Paper, separate_ink
 from smarttouch.documents.letters import (
     Spots,
+    find_dividers,
     find_rules,
     find_spots,
     like_letters,
@@ -104,9 +105,10 @@ def lines_of(paper: Paper, mm_per_pixel: float) -> list[TextLine]:
     if height is None:
         return []
     rules = find_rules(paper.ink, height)
-    spots = find_spots(part_lines(paper.ink & ~rules, spots, height))
-    density = np.where(rules, np.uint8(0), 255 - paper.cleaned)
-    courses = with_marks(_courses(density, spots, height), spots)
+    dividers = find_dividers(paper.ink, height)
+    spots = find_spots(part_lines(paper.ink & ~rules & ~dividers, spots, height))
+    density = np.where(rules | dividers, np.uint8(0), 255 - paper.cleaned)
+    courses = with_marks(_courses(density, spots, height, dividers), spots)
     if not courses:
         return []
     ascent, descent = reach_of_print(courses)
@@ -121,10 +123,12 @@ def lines_of(paper: Paper, mm_per_pixel: float) -> list[TextLine]:
     return [_line(courses[k], float(x_height[k]), ascent, descent, mm_per_pixel) for k in order]
 
 
-def _courses(density: NDArray[np.uint8], spots: Spots, height: float) -> list[Baseline]:
+def _courses(
+    density: NDArray[np.uint8], spots: Spots, height: float, dividers: NDArray[np.bool_]
+) -> list[Baseline]:
     """Follow all rows of letters, the long ones first, and return those that are text."""
     letters = spots.of(like_letters(spots, height))
-    rows = [letters.of(row) for row in find_rows(letters, spots)]
+    rows = [letters.of(row) for row in find_rows(letters, spots, dividers)]
     rows.sort(key=_length, reverse=True)
     lines: list[tuple[Baseline, Spots]] = []
     guides: list[Baseline] = []
