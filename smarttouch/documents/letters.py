@@ -11,7 +11,7 @@ _FEWEST_PIXELS = 3
 _LEAST_SIDE = 3
 _MOST_PART = 0.25
 """Part of the shorter side above which a spot is a picture, a frame or a dark margin."""
-_LETTER = (0.55, 6.0)
+_LETTER = (0.55, 9.0)
 """Range of letter heights on a page, relative to the usual one; dots are lower."""
 _COMMA = (0.8, 0.5)
 """Largest height and width of a comma or a quote, relative to the usual height."""
@@ -19,6 +19,8 @@ _LONGEST = 40.0
 """Largest ratio of length to height of a word with touching letters; longer ones are rules."""
 _THICK = 0.5
 """Width of a vertical rule, in letter heights, above which it is a bar of a picture."""
+_FILLED = 0.15
+"""Part of its box that a picture fills at least."""
 _RULE = 12.0
 """Ratio of length to height above which a spot is a rule."""
 
@@ -104,6 +106,28 @@ def like_letters(spots: Spots, height: float) -> NDArray[np.bool_]:
     right_size = (spots.height >= smallest) & (spots.height <= largest)
     right_size &= (spots.height > _COMMA[0] * height) | (spots.width > _COMMA[1] * height)
     return np.asarray(right_size & (spots.width < _LONGEST * spots.height))
+
+
+def count_pictures(spots: Spots, height: float) -> int:
+    """Return the number of pictures: spots large both ways, no frames, counted once if they overlap.
+
+    Parameters
+    ----------
+    spots : Spots
+        Ink of the page.
+    height : float, px
+        Usual height of a letter.
+    """
+    large = np.minimum(spots.width, spots.height) > _LETTER[1] * height
+    large &= spots.area > _FILLED * spots.width * spots.height
+    boxes = spots.of(large)
+    apart: list[int] = []
+    for k in np.argsort(-boxes.width * boxes.height):
+        across = (boxes.left[apart] < boxes.right[k]) & (boxes.right[apart] > boxes.left[k])
+        down = (boxes.top[apart] < boxes.bottom[k]) & (boxes.bottom[apart] > boxes.top[k])
+        if not (across & down).any():
+            apart.append(int(k))
+    return len(apart)
 
 
 def letters_alone(ink: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Spots, float] | None:

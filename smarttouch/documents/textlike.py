@@ -43,6 +43,9 @@ _LEAST_ON_LEVELS = 0.6
 _LEAST_WHITE = 0.06
 """Least white between letters that do not touch, of the line's length; print has 0.1 and more, but
 what is left between light letters on dark has not."""
+_FEWEST_CAPITALS, _IN_LINE, _MOSTLY, _LEAST_WIDE = 5, 0.07, 0.8, 0.3
+"""Capitals or figures of a line: their number, how even they are in their heights, which part of
+them at least, and their usual width; bars of a code are narrower."""
 _OWN, _BAND = (-0.7, 1.9), 2.1
 """What a line covers over its baseline, and the bands beside it, in x-heights."""
 _FOREIGN = 0.4
@@ -51,13 +54,39 @@ _TOUCHING = 1.3
 """Usual width of spots in which letters run together, in x-heights."""
 
 
+def is_too_small(course: Baseline, letters: Spots) -> bool:
+    """Return whether a row may be a line of text that is too small to be read."""
+    return course.x_height < _LEAST_X_HEIGHT_PX and len(letters.area) >= _MANY
+
+
 def is_text(course: Baseline, letters: Spots) -> bool:
     """Return whether a row of letters that was followed is a line of text."""
     if course.x_height < _LEAST_X_HEIGHT_PX:
         return False
     # Dashes and wide spaces are no letters, and have little ink.
     covered = min(1.0, float(letters.width.sum()) / (course.right - course.left))
+    if _are_capitals(course, letters):
+        return True
     return _has_profile_of_text(course, covered) and _are_letters(course, letters, covered)
+
+
+def _are_capitals(course: Baseline, letters: Spots) -> bool:
+    """Return whether letters are capitals or figures in line, however near other lines are."""
+    if len(letters.area) < _FEWEST_CAPITALS:
+        return False
+    near = _IN_LINE * letters.usual_height + _NEAR_PX
+    base = course.at((letters.left + letters.right) / 2)
+    even = [
+        np.abs(edge - np.median(edge)) < near
+        for edge in (base - letters.top, base - letters.bottom)
+    ]
+    wide = float(np.median(letters.width / letters.height))
+    return bool(
+        np.mean(even[0] & even[1]) > _MOSTLY
+        and _LEAST_WIDE < wide < 1
+        and course.strokes > _FEWEST_STROKES
+        and course.strokes < _MOST_STROKES
+    )
 
 
 def _has_profile_of_text(course: Baseline, covered: float) -> bool:

@@ -8,7 +8,8 @@ import numpy as np
 
 from smarttouch.documents.document import open_document, parse_pages
 from smarttouch.documents.page_image import Page
-from smarttouch.documents.prepare import PreparedPage, prepare_page
+from smarttouch.documents.prepare import LEFT_OUT, PreparedPage, prepare_page
+from smarttouch.documents.straighten import QUARTER
 from smarttouch.errors import ReadingError
 from smarttouch.reading.ocr import recognize_lines, upright
 
@@ -83,8 +84,15 @@ def upright_page(number: int, page: Page, how: RecognitionOptions, note: Note) -
     turn_deg = _turn_deg(prepared, how)
     if turn_deg:
         turned = np.ascontiguousarray(np.rot90(prepared.page.grey, -turn_deg // 90))
-        prepared = prepare_page(replace(prepared.page, grey=turned), how.light_on_dark)
-        notes += [f"it was turned by {turn_deg}° to be upright", *prepared.notes]
+        turned_page = replace(prepared.page, grey=turned)
+        prepared = prepare_page(turned_page, how.light_on_dark, quarter=False)
+        if QUARTER in notes:
+            # It was guessed, and counts against the clock.
+            turn_deg = (turn_deg - 90) % 360
+        notes = [words for words in notes if words != QUARTER and not words.startswith(LEFT_OUT)]
+        if turn_deg:
+            notes.append(f"it was turned by {turn_deg}° to be upright")
+        notes += prepared.notes
     for words in notes:
         note(f"page {number}: {words}")
     return prepared
