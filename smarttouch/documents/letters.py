@@ -109,7 +109,7 @@ def like_letters(spots: Spots, height: float) -> NDArray[np.bool_]:
 
 
 def count_pictures(spots: Spots, height: float) -> int:
-    """Return the number of pictures: spots large both ways, no frames, counted once if they overlap.
+    """Return the number of pictures: spots large both ways; those that overlap are one.
 
     Parameters
     ----------

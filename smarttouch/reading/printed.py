@@ -12,14 +12,13 @@ from smarttouch.documents.prepare import LEFT_OUT, PreparedPage, prepare_page
 from smarttouch.documents.straighten import QUARTER
 from smarttouch.errors import ReadingError
 from smarttouch.reading.ocr import recognize_lines, upright
+from smarttouch.reading.paragraphs import paragraphs
 
 LINE_PIXELS = 56
 """Height of lines for recognition: ascender to descender."""
 SURE = 0.6
 """Mean confidence below which a page is reported as poorly recognized."""
 _CHUNK = 16
-_NEW_PARAGRAPH = 1.5
-"""Lines farther apart than this part of the usual distance begin a paragraph."""
 
 Note = Callable[[str], None]
 
@@ -40,6 +39,8 @@ class RecognitionOptions:
         Found out if not given.
     languages : str
         Of Tesseract, for example ``eng+deu``.
+    keep_headers : bool
+        Keep running heads and the numbers of pages in a text.
     scale_matters : bool
         Whether millimeters on the page count, as for a finger that moves over it.
     """
@@ -50,6 +51,7 @@ class RecognitionOptions:
     password: str | None = None
     light_on_dark: bool | None = None
     languages: str = "eng"
+    keep_headers: bool = False
     scale_matters: bool = False
 
 
@@ -186,25 +188,9 @@ def recognized_lines(
 
 
 def recognized_text(prepared: PreparedPage, how: RecognitionOptions, note: Note) -> str:
-    """Return the text of a page, a line for each paragraph; words that lines divide are joined."""
-    middles = [(line.top_mm + line.bottom_mm) / 2 for line in prepared.lines]
-    steps = np.diff(middles)
-    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
-    paragraphs: list[str] = []
-    for index, text in recognized_lines(prepared, how, note):
-        begins = index == 0 or not 0 < steps[index - 1] < _NEW_PARAGRAPH * usual
-        if begins or not paragraphs:
-            paragraphs.append(text)
-        else:
-            paragraphs[-1] = _joined(paragraphs[-1], text)
-    return "\n".join(each for each in paragraphs if each.strip())
-
-
-def _joined(before: str, after: str) -> str:
-    """Return two lines as one: a hyphen goes where it divides a word, and stays in North-South."""
-    if not before.endswith("-") or before.endswith(" -"):
-        return f"{before} {after}"
-    return (before[:-1] if after[:1].islower() else before) + after
+    """Return the text of a page, a line for each paragraph, see `paragraphs`."""
+    texts = [text for _, text in recognized_lines(prepared, how, note)]
+    return "\n".join(paragraphs(prepared.lines, texts, how.keep_headers))
 
 
 def _turn_deg(prepared: PreparedPage, how: RecognitionOptions) -> int:
