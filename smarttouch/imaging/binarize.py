@@ -14,6 +14,16 @@ INK_LEVEL = 0.7
 """Part of the white below which is ink."""
 WHITE_DECAY_PER_S = 0.8
 """Rate at which the tracked white may fall: slow enough to cross a black headline."""
+GREY_PRINT = 0.55
+"""Part of the white above which the darkest is grey print, or a shadow, and no black."""
+FAINT_PART = 0.11
+"""Least contrast of faint print, of the white."""
+FAINT_GRAINS = 4.0
+"""Least contrast of faint print, in the usual depth of the paper's grain."""
+_FAINT_RANKS = np.array([0.5, 0.97])
+"""Parts of a patch of faint print that are no deeper than grain, and than its ink."""
+_WINDOW = 4
+"""Windows of paper across a patch: strokes of text are narrower."""
 _SAMPLES = 32
 """Rows and columns of the sample for the guards."""
 
@@ -25,7 +35,8 @@ class Binarizer:
     ink even on blank paper. Here the white of the paper is tracked from frame
     to frame, ink is what is darker than a fixed part of it, and two guards
     keep the whole patch silent: the darkest part must differ from the white,
-    and most of the patch must be one or the other. Seen through a 5 mm patch,
+    and most of the patch must be one or the other; print below that contrast must
+    stand out from the grain of the paper beside it. Seen through a 5 mm patch,
     1 in 100 places of a photographed page has more than 0.37 of its area in
     between; dense noise of any grain has 0.43 and more.
 
@@ -43,6 +54,8 @@ class Binarizer:
         self._ink = np.empty(shape, np.uint8)
         down, across = (max(1, side // _SAMPLES) for side in shape)
         self._sample = self._smooth[::down, ::across]
+        side = max(3, min(self._sample.shape) // _WINDOW) | 1
+        self._window = np.ones((side, side), np.uint8)
         self._levels = np.empty(self._sample.shape, np.intp)
         count = self._sample.size
         # Of the darkest and of the brightest.
@@ -71,10 +84,29 @@ class Binarizer:
         counts = np.bincount(self._levels.reshape(-1), minlength=256).cumsum()
         dark, bright = counts.searchsorted(self._ranks, "right").tolist()
         white = self._track_white(bright, time_ns, touching)
-        if white - dark < CONTRAST_GUARD or _between(counts, dark, bright) > GREY_GUARD:
+        if white - dark < CONTRAST_GUARD or dark > GREY_PRINT * white:
+            return self._faint_ink(white)
+        if _between(counts, dark, bright) > GREY_GUARD:
             self._ink.fill(0)
             return self._ink
         cv2.threshold(smooth, INK_LEVEL * white, 255, cv2.THRESH_BINARY_INV, dst=self._ink)
+        return self._ink
+
+    def _faint_ink(self, white: float) -> NDArray[np.uint8]:
+        """Return the ink of faint print: what is darker than the paper close to it.
+
+        The paper is the patch without spots narrower than a window, so that
+        uneven light is no ink; its own unevenness is the grain.
+        """
+        paper = cv2.morphologyEx(self._sample, cv2.MORPH_CLOSE, self._window)
+        depths = np.bincount(cv2.subtract(paper, self._sample).reshape(-1), minlength=256).cumsum()
+        grain, deep = depths.searchsorted(depths[-1] * _FAINT_RANKS, "right").tolist()
+        if deep < max(FAINT_PART * white, FAINT_GRAINS * max(grain, 1)):
+            self._ink.fill(0)
+            return self._ink
+        wide = cv2.resize(paper, self._smooth.shape[::-1], interpolation=cv2.INTER_LINEAR)
+        depth = cv2.subtract(wide, self._smooth)
+        cv2.threshold(depth, deep / 2, 255, cv2.THRESH_BINARY, dst=self._ink)
         return self._ink
 
     def _track_white(self, bright: float, time_ns: int, touching: bool) -> float:
