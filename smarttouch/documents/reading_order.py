@@ -37,7 +37,20 @@ def reading_order(left: Floats, right: Floats, y: Floats, height: Floats) -> lis
     over = shared > _LEAST_SHARED * shorter
     first = over & (y[:, None] < y)
     first |= _left_column(left, y, height, over)
+    _put_outermost(first, y, height)
     return _sorted(first, np.lexsort((left, y)))
+
+
+def _put_outermost(first: Flags, y: Floats, height: Floats) -> None:
+    """Put a title far above all columns first, and a number far below them last."""
+    if len(y) < 2:
+        return
+    by_height = np.argsort(y)
+    top, bottom = by_height[0], by_height[-1]
+    if y[by_height[1]] - y[top] > _LEVEL * height[by_height[1]]:
+        first[top], first[:, top] = y > y[top], False
+    if y[bottom] - y[by_height[-2]] > _LEVEL * height[bottom]:
+        first[:, bottom], first[bottom] = y < y[bottom], False
 
 
 def _of_headlines(left: Floats, right: Floats, y: Floats, height: Floats) -> tuple[Floats, Floats]:

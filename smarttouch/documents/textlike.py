@@ -10,6 +10,8 @@ _LEAST_X_HEIGHT_PX = 3.5
 """Least x-height of readable print."""
 _SURE = 3
 """Fewest letters of a line; with fewer, specks form lines by chance."""
+_TEXT = 10
+"""Lines of a page beside which one or two letters alone are not believed."""
 _SIMILAR = 1.7
 """Ratio of x-heights of lines on a page; capitals and figures measure taller."""
 _MOST_OF_ALL = 0.8
@@ -200,9 +202,21 @@ def credible(lines: list[tuple[Baseline, Spots]], ink: int) -> list[Baseline]:
     if not len(sizes):
         alone = sum(int(row.area.sum()) for _, row in lines)
         return [course for course, _ in lines] if alone > _MOST_OF_ALL * ink else []
+    left, right = (
+        np.array(
+            [
+                getattr(course, end)
+                for (course, _), is_sure in zip(lines, sure, strict=True)
+                if is_sure
+            ]
+        )
+        for end in ("left", "right")
+    )
     kept = []
     for (course, _), is_sure in zip(lines, sure, strict=True):
         ratio = np.maximum(course.x_height / sizes, sizes / course.x_height)
-        if is_sure or ratio.min() < _SIMILAR:
+        # Beside all text are the edges of sheets.
+        beside = len(sizes) >= _TEXT and not left.min() <= course.left <= right.max()
+        if is_sure or (ratio.min() < _SIMILAR and not beside):
             kept.append(course)
     return kept
