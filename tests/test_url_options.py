@@ -95,10 +95,11 @@ def test_pages_by_url(tmp_path, monkeypatch):
     Image.fromarray(np.full((200, 300), 255, np.uint8)).save("page.png")
     profile = load_profile("electric-mouse")
     assert open_source("page:page.png?dpi=300&seed=4", profile)
-    # A file of that name has no options; nothing says how large its page is.
+    # A file of that name has no options; nothing says how large its page is, which is told.
     for url in ("page:a?dpi=50", "page:page.png"):
-        with pytest.raises(PageError):
-            open_source(url, profile)
+        guessed = open_source(url, profile)
+        assert guessed.page.size_mm[0] == pytest.approx(210)
+        assert len(guessed.notes) == 1
     with pytest.raises(SourceError) as raised:
         open_source("page:page.png?dpi=300", profile, dpi=200)
     assert (raised.value.about, raised.value.value) == ("dpi", (300.0, 200))

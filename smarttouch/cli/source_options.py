@@ -54,6 +54,10 @@ class DocumentOptions(OptionGroup):
     page_width_mm: Annotated[float | None, typer.Option(hidden=True)] = None
     password: Annotated[str | None, typer.Option(help="Of an encrypted PDF.")] = None
     languages: Annotated[str | None, typer.Option("--language", hidden=True)] = None
+    keep_headers: Annotated[
+        bool | None,
+        typer.Option("--keep-headers", help="Keep running heads and page numbers in a text."),
+    ] = None
     light_on_dark: Annotated[
         bool | None, typer.Option("--light-on-dark/--dark-on-light", hidden=True)
     ] = None

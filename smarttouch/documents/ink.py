@@ -7,21 +7,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.documents.letters import find_spots, usual_height
-
 Grey = NDArray[np.uint8]
 
-_REDUCED_PIXELS = 700_000
-"""Size of the image in which paper is estimated; light changes slowly."""
-_WIDEST = 12
-"""Divisor of the page's side for the first window of paper: wider than any stroke."""
-_WINDOW = 3.0
-"""Second window, in letter heights: shadows are followed, a bold headline is bridged."""
-_ROUGHLY_INK = 0.75
-"""Part of the paper's level below which is ink, while the height of letters is estimated."""
-_GRAIN_PX = 1.2
-"""Standard deviation of the blur that reduces the grain of the paper."""
-_LEAST_LIGHT = 0.2
+_REDUCTION, _REDUCED_PIXELS = 4, 20_000
+"""Reduction at which paper is estimated, less on small pages: light changes slowly."""
+_WINDOW_PX, _LEAST_WINDOWS = 51, 12
+"""Window of paper, wider than any stroke of text; the page is as many of them wide."""
+_WIDER = 5
+"""Factor to a second one, wider than any stroke of a headline."""
+_SOLID = 0.4
+"""Part of the paper farther around below which a dark area is ink, not a shadow."""
+_STEP = 0.6
+"""Part of the paper beside below which it ends."""
+_LEAST_LIGHT = 0.25
 """Part of the brightest paper below which an area is no paper, but the table."""
 _DARKEST = 20.0
 """Grey level below which an area is too dark to contain ink."""
@@ -29,12 +27,26 @@ _PAPER = 210
 """Level of the paper in the image divided by it: leaves room for noise above."""
 _LEAST_CONTRAST = 0.12
 """Least contrast of ink against the paper around it."""
-_LEAST_NOISES = 6.0
+_LEAST_GRAINS = 5.5
 """Least contrast of ink, in standard deviations of the paper's grain."""
+_GRAINS = 6.7
+"""Contrast, in the same, at which ink begins; within the following parts of Otsu's threshold."""
+_LEAST_PART, _MOST_PART = 0.7, 1.1
+_EVEN_INK = 0.35
+"""Contrast of Otsu's threshold, of the paper, below which ink is uneven and begins earlier."""
+_THROUGH = 0.6
+"""Part of the usual contrast of ink that a spot reaches somewhere, unless it shows through."""
+_POOL = 4
+"""Pixels across and down that are one where spots that show through are looked for."""
+_DARKER_QUARTER = 0.25
+_DIRECTION_PIXELS = 100_000
+"""Size of the image in which light and dark are compared."""
 _WINDOWS = 16
 """Windows across a page in which ink is tested to be darker or lighter than paper."""
 _LEAST_SKEW = 0.8
 """Skewness above which print is light on dark: print has 1.5 and more, photographs have less."""
+_FEWEST = 4
+"""Fewest dark pixels, of a quarter of all, that are ink and no chance."""
 _QUARTILES = 1.349
 """Between the quartiles of a normal distribution, in standard deviations."""
 _BRIGHT = 0.7
@@ -63,8 +75,9 @@ class Paper:
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     """Separate ink from paper.
 
-    The page is divided by its paper, as it would look without ink; then the
-    threshold is Otsu's, over ink and as much of the paper.
+    The page is divided by its paper, as it would look without ink. The
+    threshold is Otsu's, moved towards the paper where that is calm and away
+    from it where it has grain; spots that stay faint show through from the back.
 
     Parameters
     ----------
@@ -73,35 +86,28 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     light_on_dark : bool, optional
         Whether it is printed light on dark; found out if not given.
     """
+    factor = min(max(1, int(math.sqrt(grey.size / _REDUCED_PIXELS))), _REDUCTION)
+    # Whole pixels are averaged faster; what is left over has the paper beside it.
+    small = _resized(
+        grey[: len(grey) // factor * factor, : grey.shape[1] // factor * factor], factor
+    )
     if light_on_dark is None:
-        light_on_dark = is_light_on_dark(grey)
+        light_on_dark = is_light_on_dark(small)
     if light_on_dark:
-        grey = np.asarray(cv2.bitwise_not(grey), np.uint8)
-    flat = _divided(grey, paper_of(grey))
+        grey, small = np.asarray(cv2.bitwise_not(grey), np.uint8), 255 - small
+    flat = _divided(grey, small, _WINDOW_PX / factor)
     levels = _levels(flat)
     if levels is None:
         blank = np.full_like(grey, 255)
         return Paper(blank, np.zeros(grey.shape, np.bool_), light_on_dark)
-    black, threshold, white = levels
-    stretch = np.clip((np.arange(256) - black) * (255 / (white - black)), 0, 255)
-    cleaned = np.asarray(cv2.LUT(flat, np.rint(stretch).astype(np.uint8)), np.uint8)
-    return Paper(cleaned, flat <= threshold, light_on_dark)
-
-
-def paper_of(grey: Grey) -> Grey:
-    """Return the page without ink, reduced in size, inverted if ink is light.
-
-    Dark spots narrower than a window are closed. The window is taken
-    from the height of the letters, which are first looked for with a wide one.
-    """
-    small = reduced(grey, _REDUCED_PIXELS)
-    side = math.sqrt(small.size) / _WIDEST
-    paper = _closed(small, side)
-    spots = find_spots(small < _ROUGHLY_INK * paper)
-    height = usual_height(spots, small.shape)
-    if height is not None and _WINDOW * height < side:
-        paper = _closed(small, max(_WINDOW * height, 9.0))
-    return paper
+    stretch = (np.arange(256) - levels.black) * (255 / (levels.white - levels.black))
+    cleaned = cv2.LUT(flat, np.rint(np.clip(stretch, 0, 255)).astype(np.uint8))
+    ink = flat <= levels.threshold
+    faint = _faint_spots(flat, levels)
+    if faint is not None:
+        ink &= faint == 0
+        cleaned = cv2.bitwise_or(cleaned, faint)
+    return Paper(np.asarray(cleaned, np.uint8), ink, light_on_dark)
 
 
 def is_light_on_dark(grey: Grey) -> bool:
@@ -112,7 +118,7 @@ def is_light_on_dark(grey: Grey) -> bool:
     window gives the side; where there is no print, or the edge of a sheet on a
     darker table, it is small or cancels.
     """
-    small = reduced(grey, _REDUCED_PIXELS).astype(np.float32)
+    small = reduced(grey, _DIRECTION_PIXELS).astype(np.float32)
     side = max(3, round(math.sqrt(small.size) / _WINDOWS)) | 1
     window = (side, side)
     mean = cv2.blur(small, window)
@@ -125,52 +131,89 @@ def is_light_on_dark(grey: Grey) -> bool:
 
 def reduced(grey: Grey, pixels: int) -> Grey:
     """Return an image of at most so many pixels, averaged."""
-    factor = math.sqrt(grey.size / pixels)
+    return _resized(grey, math.sqrt(grey.size / pixels))
+
+
+def _resized(grey: Grey, factor: float) -> Grey:
+    """Return an image reduced by a factor, averaged; as it is if the factor is below 1."""
     if factor <= 1:
         return grey
     size = (max(1, round(grey.shape[1] / factor)), max(1, round(grey.shape[0] / factor)))
     return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
+def _divided(grey: Grey, small: Grey, side: float) -> Grey:
+    """Return the page divided by its paper; blank where it is too dark to be paper."""
+    side = min(side, math.sqrt(small.size) / _LEAST_WINDOWS)
+    near, far = _closed(small, side), _closed(small, _WIDER * side)
+    solid = near < _SOLID * far
+    paper = np.where(_inside(solid), far, near) if solid.any() else near
+    # Interpolated, the paper would reach beyond the edge of a sheet.
+    around = np.ones((5, 5), np.uint8)
+    lowest, highest = cv2.erode(paper, around), cv2.dilate(paper, around)
+    paper = np.where(lowest < _STEP * highest, lowest, paper)
+    darkest = max(_DARKEST, _LEAST_LIGHT * float(np.percentile(paper[::4, ::4], 95)))
+    wide = cv2.resize(paper, grey.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    flat = cv2.divide(grey, wide, scale=_PAPER)
+    if paper.min() < darkest:
+        _, no_paper = cv2.threshold(wide, darkest, 255, cv2.THRESH_BINARY_INV)
+        flat = cv2.max(flat, no_paper)
+    return np.asarray(flat, np.uint8)
+
+
+def _inside(areas: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the areas that do not touch the edge of the image, as a table or a scanner does."""
+    count, labels = cv2.connectedComponents(areas.view(np.uint8), connectivity=8)
+    kept = np.full(count, True)
+    kept[0] = False
+    for edge in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
+        kept[edge] = False
+    return np.asarray(kept[labels], np.bool_)
+
+
 def _closed(small: Grey, side_px: float) -> Grey:
-    """Return the image without dark spots narrower than a window."""
+    """Return an image without dark spots narrower than a window."""
     side = max(3, round(side_px)) | 1
     square = cv2.getStructuringElement(cv2.MORPH_RECT, (side, side))
     # Closing follows the brightest grains: smooth them first.
-    calm = cv2.GaussianBlur(small, (0, 0), _GRAIN_PX)
+    calm = cv2.blur(small, (3, 3))
     closed = cv2.morphologyEx(calm, cv2.MORPH_CLOSE, square, borderType=cv2.BORDER_REPLICATE)
-    return np.asarray(cv2.GaussianBlur(closed, (0, 0), side / 6), np.uint8)
+    return np.asarray(cv2.medianBlur(closed, 5), np.uint8)
 
 
-def _divided(grey: Grey, paper: Grey) -> Grey:
-    """Return the page divided by its paper; blank where it is too dark to be paper."""
-    darkest = max(_DARKEST, _LEAST_LIGHT * float(np.percentile(paper, 95)))
-    wide = cv2.resize(paper, grey.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    flat = cv2.divide(grey, wide, scale=_PAPER)
-    _, no_paper = cv2.threshold(wide, darkest, 255, cv2.THRESH_BINARY_INV)
-    return np.asarray(cv2.max(flat, no_paper), np.uint8)
+@dataclass(frozen=True)
+class _Levels:
+    """Levels of a divided page: full ink, least seen of a spot, last of ink, least of paper."""
+
+    black: float
+    seen: float
+    threshold: float
+    white: float
 
 
-def _levels(flat: Grey) -> tuple[float, float, float] | None:
-    """Return the levels of full ink, of the threshold and of paper; None without ink."""
-    counts = np.bincount(flat.ravel(), minlength=256).astype(np.float64)
+def _levels(flat: Grey) -> _Levels | None:
+    """Return the levels of ink and paper; None without ink."""
+    sample = np.ascontiguousarray(flat[::2, ::2])
+    counts = cv2.calcHist([sample], [0], None, [256], [0, 256]).ravel().astype(np.float64)
     level = np.arange(256)
     # The last level is where no paper was to be seen.
     bright = np.where((level > _BRIGHT * _PAPER) & (level < 255), counts, 0)
     low, middle, high = np.searchsorted(np.cumsum(bright), np.array([1, 2, 3]) / 4 * bright.sum())
     grain = max(float(high - low) / _QUARTILES, 1.0)
     dark = level < middle - max(_LEAST_CONTRAST / 2 * _PAPER, 4 * grain)
-    if not (counts[dark].any() and bright.any()):
+    if counts[dark].sum() < _FEWEST or not bright.any():
         return None
-    counts[~dark] *= min(1.0, 2 * counts[dark].sum() / counts[~dark].sum())
-    threshold = _otsu(counts)
-    ink = counts[: threshold + 1]
-    mean = float((ink * level[: threshold + 1]).sum() / ink.sum())
-    if middle - mean < max(_LEAST_CONTRAST * _PAPER, _LEAST_NOISES * grain):
+    counts[~dark] *= min(1.0, 4 * counts[dark].sum() / counts[~dark].sum())
+    otsu = middle - _otsu(counts)
+    part = np.clip(otsu / middle / _EVEN_INK, _LEAST_PART, 1)
+    threshold = middle - np.clip(_GRAINS * grain, part * otsu, _MOST_PART * otsu)
+    ink = np.where(level <= threshold, counts, 0)
+    mean = float((ink * level).sum() / ink.sum())
+    if middle - mean < max(_LEAST_CONTRAST * _PAPER, _LEAST_GRAINS * grain):
         return None
-    black = float(np.searchsorted(np.cumsum(ink), 0.2 * ink.sum()))
+    black, darker = np.searchsorted(np.cumsum(ink), np.array([0.2, _DARKER_QUARTER]) * ink.sum())
     white = middle - max(2.5 * grain, 0.03 * _PAPER)
-    return black, threshold, white
+    return _Levels(black, middle - _THROUGH * (middle - darker), threshold, white)
 
 
 def _otsu(counts: NDArray[np.float64]) -> int:
@@ -182,3 +225,19 @@ def _otsu(counts: NDArray[np.float64]) -> int:
     both = below * above
     between = (moment * below[-1] - below * moment[-1]) ** 2
     return int(np.divide(between, both, out=np.zeros_like(both), where=both > 0).argmax())
+
+
+def _faint_spots(flat: Grey, levels: _Levels) -> Grey | None:
+    """Return 255 where a spot of ink stays faint all over, and around it; None without any."""
+    side = np.ones((_POOL, _POOL), np.uint8)
+    small = np.ascontiguousarray(cv2.erode(flat, side, anchor=(0, 0))[::_POOL, ::_POOL])
+    _, ink = cv2.threshold(small, levels.threshold, 255, cv2.THRESH_BINARY_INV)
+    count, labels = cv2.connectedComponents(ink, connectivity=8)
+    faint = np.full(count, 255, np.uint8)
+    faint[labels[small <= levels.seen]] = 0
+    faint[0] = 0
+    if not faint.any():
+        return None
+    size = (_POOL * small.shape[1], _POOL * small.shape[0])
+    spots = cv2.resize(faint[labels], size, interpolation=cv2.INTER_NEAREST)
+    return np.asarray(spots[: flat.shape[0], : flat.shape[1]], np.uint8)

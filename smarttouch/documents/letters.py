@@ -11,10 +11,16 @@ _FEWEST_PIXELS = 3
 _LEAST_SIDE = 3
 _MOST_PART = 0.25
 """Part of the shorter side above which a spot is a picture, a frame or a dark margin."""
-_LETTER = (0.55, 6.0)
-"""Range of letter heights on a page, relative to the usual one; commas are lower."""
+_LETTER = (0.55, 9.0)
+"""Range of letter heights on a page, relative to the usual one; dots are lower."""
+_COMMA = (0.8, 0.5)
+"""Largest height and width of a comma or a quote, relative to the usual height."""
 _LONGEST = 40.0
 """Largest ratio of length to height of a word with touching letters; longer ones are rules."""
+_THICK = 0.5
+"""Width of a vertical rule, in letter heights, above which it is a bar of a picture."""
+_FILLED = 0.15
+"""Part of its box that a picture fills at least."""
 _RULE = 12.0
 """Ratio of length to height above which a spot is a rule."""
 
@@ -98,7 +104,30 @@ def like_letters(spots: Spots, height: float) -> NDArray[np.bool_]:
     """
     smallest, largest = (part * height for part in _LETTER)
     right_size = (spots.height >= smallest) & (spots.height <= largest)
+    right_size &= (spots.height > _COMMA[0] * height) | (spots.width > _COMMA[1] * height)
     return np.asarray(right_size & (spots.width < _LONGEST * spots.height))
+
+
+def count_pictures(spots: Spots, height: float) -> int:
+    """Return the number of pictures: spots large both ways; those that overlap are one.
+
+    Parameters
+    ----------
+    spots : Spots
+        Ink of the page.
+    height : float, px
+        Usual height of a letter.
+    """
+    large = np.minimum(spots.width, spots.height) > _LETTER[1] * height
+    large &= spots.area > _FILLED * spots.width * spots.height
+    boxes = spots.of(large)
+    apart: list[int] = []
+    for k in np.argsort(-boxes.width * boxes.height):
+        across = (boxes.left[apart] < boxes.right[k]) & (boxes.right[apart] > boxes.left[k])
+        down = (boxes.top[apart] < boxes.bottom[k]) & (boxes.bottom[apart] > boxes.top[k])
+        if not (across & down).any():
+            apart.append(int(k))
+    return len(apart)
 
 
 def letters_alone(ink: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Spots, float] | None:
@@ -142,6 +171,24 @@ def _labeled(ink: NDArray[np.bool_]) -> tuple[Spots, NDArray[np.int_], NDArray[n
     left, top, width, height, area = boxes[label].astype(np.int_).T
     spots = Spots(left, top, left + width, top + height, area)
     return spots, label, np.asarray(labels, np.int32)
+
+
+def find_dividers(ink: NDArray[np.bool_], height: float) -> NDArray[np.bool_]:
+    """Return the ink of vertical rules, (H, W) bool: between columns, of frames and tables.
+
+    Parameters
+    ----------
+    ink : ndarray, (H, W) bool
+        Ink of the page.
+    height : float, px
+        Usual height of a letter.
+    """
+    # One that is not quite upright steps aside by a pixel.
+    wide = cv2.dilate(ink.view(np.uint8), np.ones((1, 3), np.uint8))
+    upright = cv2.morphologyEx(wide, cv2.MORPH_OPEN, np.ones((round(_RULE * height), 1), np.uint8))
+    side = max(4, round(_THICK * height) + 2)
+    thick = cv2.morphologyEx(upright, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
+    return np.asarray((upright > cv2.dilate(thick, np.ones((3, 3), np.uint8))) & ink, np.bool_)
 
 
 def find_rules(ink: NDArray[np.bool_], height: float) -> NDArray[np.bool_]:

@@ -22,6 +22,8 @@ _OF_A_LINE = 0.7
 """Least height of a line of its own, as a part of an x beside it."""
 _OF_TWO_LINES = 2.0
 """Length of letters of two lines that touch, in x-heights."""
+_OF_TEXT = 0.75
+"""Strokes per x-height of a line of text; dots and accents have fewer."""
 _HANGING = 1.2
 """Lowest end below a line of a mark that hangs from it, in x-heights."""
 _ONE_BASELINE = 0.35
@@ -123,4 +125,7 @@ def _belongs(line: Baseline, other: Baseline) -> bool:
     middle = (line.left + line.right) / 2
     at = np.array(middle)
     above = float(other.at(at) - line.at(at)) / size
+    if line.strokes > _OF_TEXT and not 0 < above < 1:
+        # Small print under a headline.
+        return False
     return other.left < middle < other.right and -_HANGING < above < _ABOVE

@@ -9,7 +9,10 @@ from smarttouch.documents.ink import separate_ink
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.straighten import straighten
 from smarttouch.documents.strips import cut_strip
-from smarttouch.documents.text_lines import TextLine, lines_of
+from smarttouch.documents.text_lines import TextLine, enlarged, lines_of
+
+LEFT_OUT = "left out: "
+"""Beginning of the note of what is not among the lines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +45,10 @@ class PreparedPage:
 
 
 def prepare_page(
-    page: Page, light_on_dark: bool | None = None, straightened: bool = True
+    page: Page,
+    light_on_dark: bool | None = None,
+    straightened: bool = True,
+    quarter: bool = True,
 ) -> PreparedPage:
     """Prepare a page for reading.
 
@@ -54,10 +60,17 @@ def prepare_page(
         Whether it is printed light on dark; found out if not given.
     straightened : bool
         Lay sheets flat and turn text level first.
+    quarter : bool
+        Also turn text that runs up or down the page.
     """
     notes: list[str] = []
     if straightened:
-        page, notes = straighten(page)
+        page, notes = straighten(page, quarter)
     paper = separate_ink(page.grey, light_on_dark)
-    lines = lines_of(paper, page.mm_per_pixel)
+    larger = enlarged(page, paper)
+    if larger is not page:
+        page, paper = larger, separate_ink(larger.grey, paper.light_on_dark)
+    lines, left_out = lines_of(paper, page.mm_per_pixel)
+    if left_out:
+        notes.append(f"{LEFT_OUT}{left_out}")
     return PreparedPage(page, paper.cleaned, tuple(lines), paper.light_on_dark, tuple(notes))

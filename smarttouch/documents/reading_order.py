@@ -8,6 +8,8 @@ Flags = NDArray[np.bool_]
 
 _LEAST_SHARED = 0.05
 """Least overlap of lines, one above the other, as a part of the shorter one's length."""
+_HEADLINE, _SAME_SIZE = 1.3, 0.15
+"""Least height of a headline, in usual ones of the page, and difference between its lines."""
 _LEVEL = 1.5
 """Distance, in line heights, within which two lines are on one level."""
 
@@ -29,12 +31,40 @@ def reading_order(left: Floats, right: Floats, y: Floats, height: Floats) -> lis
     height : ndarray, (N,)
         Of its box.
     """
+    left, right = _of_headlines(left, right, y, height)
     shared = np.minimum(right[:, None], right) - np.maximum(left[:, None], left)
     shorter = np.minimum((right - left)[:, None], right - left)
     over = shared > _LEAST_SHARED * shorter
     first = over & (y[:, None] < y)
     first |= _left_column(left, y, height, over)
+    _put_outermost(first, y, height)
     return _sorted(first, np.lexsort((left, y)))
+
+
+def _put_outermost(first: Flags, y: Floats, height: Floats) -> None:
+    """Put a title far above all columns first, and a number far below them last."""
+    if len(y) < 2:
+        return
+    by_height = np.argsort(y)
+    top, bottom = by_height[0], by_height[-1]
+    if y[by_height[1]] - y[top] > _LEVEL * height[by_height[1]]:
+        first[top], first[:, top] = y > y[top], False
+    if y[bottom] - y[by_height[-2]] > _LEVEL * height[bottom]:
+        first[:, bottom], first[bottom] = y < y[bottom], False
+
+
+def _of_headlines(left: Floats, right: Floats, y: Floats, height: Floats) -> tuple[Floats, Floats]:
+    """Return the ends of lines; the lines of one headline all reach as far as those above."""
+    left, right = left.copy(), right.copy()
+    large = height > _HEADLINE * np.median(height)
+    for line in np.flatnonzero(large)[np.argsort(y[large])]:
+        above = large & (y < y[line]) & (y > y[line] - _LEVEL * height[line])
+        above &= (left < right[line]) & (right > left[line])
+        above &= np.abs(height / height[line] - 1) < _SAME_SIZE
+        if above.any():
+            left[line] = min(left[line], left[above].min())
+            right[line] = max(right[line], right[above].max())
+    return left, right
 
 
 def _left_column(left: Floats, y: Floats, height: Floats, over: Flags) -> Flags:

@@ -50,7 +50,9 @@ class Links:
     gap: NDArray[np.int_]
 
 
-def find_rows(letters: Spots, spots: Spots) -> list[Indices]:
+def find_rows(
+    letters: Spots, spots: Spots, dividers: NDArray[np.bool_] | None = None
+) -> list[Indices]:
     """Return the indices of the letters of each row, from left to right.
 
     Parameters
@@ -59,11 +61,15 @@ def find_rows(letters: Spots, spots: Spots) -> list[Indices]:
         Candidates for letters.
     spots : Spots
         All ink of the page: marks between letters fill a gap.
+    dividers : ndarray, (H, W) bool, optional
+        Vertical rules, which end a row.
     """
     count = len(letters.area)
     if count < 2:
         return [np.arange(count)] if count else []
     links = neighbors(letters)
+    if dividers is not None and dividers.any():
+        links = _undivided(letters, links, dividers)
     links = _without_gutters(letters, links, spots)
     ones = np.ones(len(links.first), np.int8)
     graph = coo_array((ones, (links.first, links.second)), shape=(count, count))
@@ -124,6 +130,15 @@ def _cheapest(of: Indices, cost: NDArray[np.float64]) -> Indices:
     order = np.lexsort((cost, of))
     is_first = np.diff(of[order], prepend=-1) != 0
     return np.asarray(order[is_first], np.int_)
+
+
+def _undivided(letters: Spots, links: Links, dividers: NDArray[np.bool_]) -> Links:
+    """Return the links that no vertical rule crosses halfway up the letters."""
+    middle = (letters.top[links.first] + letters.bottom[links.first]) // 2
+    passed = np.cumsum(dividers, axis=1, dtype=np.int32)
+    ends = np.minimum(letters.left[links.second], dividers.shape[1] - 1)
+    kept = passed[middle, ends] <= passed[middle, letters.right[links.first] - 1]
+    return Links(links.first[kept], links.second[kept], links.gap[kept])
 
 
 def _without_gutters(letters: Spots, links: Links, spots: Spots) -> Links:

@@ -15,6 +15,8 @@ from smarttouch.documents.sheet import find_sheet, flattened
 Grey = NDArray[np.uint8]
 
 MOST_SKEW_DEG = 15.0
+QUARTER = "the text ran up or down the page, which was turned by 90°"
+"""Note of a turn by a quarter, against the clock."""
 LEAST_SKEW_DEG = 0.2
 """Least skew worth correcting: lines are followed through less."""
 _REDUCED_PIXELS = 2_000_000
@@ -39,13 +41,20 @@ _CLEARLY = 0.6
 """Least log ratio by which letters are closer in columns than in rows."""
 
 
-def straighten(page: Page) -> tuple[Page, list[str]]:
+def straighten(page: Page, quarter: bool = True) -> tuple[Page, list[str]]:
     """Return a page with its text level, and the corrections, one sentence each.
 
     The sheet of a photograph is laid flat; text that runs up or down is turned
     by a quarter; what is left of skew, up to 15°, is turned level. A page with
     nothing to mend is returned as it is. Whether it stands on its head is
     not looked at.
+
+    Parameters
+    ----------
+    page : Page
+        A scan or a photograph.
+    quarter : bool
+        Also turn text that runs up or down; False if its direction is known.
     """
     notes = []
     corners = find_sheet(page.grey)
@@ -56,7 +65,7 @@ def straighten(page: Page) -> tuple[Page, list[str]]:
     if found is None or len(found[1].area) < _FEWEST_LETTERS:
         return page, notes
     ink, letters, height = found
-    downwards = _runs_downwards(letters)
+    downwards = quarter and _runs_downwards(letters)
     if downwards:
         ink, letters = np.rot90(ink), letters.transposed
         height = letters.usual_height
@@ -68,7 +77,7 @@ def straighten(page: Page) -> tuple[Page, list[str]]:
     if not (downwards or skew_deg):
         return page, notes
     if downwards:
-        notes.append("the text ran up or down the page, which was turned by 90°")
+        notes.append(QUARTER)
     if skew_deg:
         notes.append(f"the text was tilted by {abs(skew_deg):.1f}° and was turned level")
     return Page(_turned(page.grey, downwards, skew_deg), page.mm_per_pixel), notes

@@ -1,7 +1,9 @@
 """Lines of text on a page, and their reading order."""
 
+import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
@@ -10,6 +12,8 @@ from smarttouch.documents.baselines import Baseline, along, follow
 from smarttouch.documents.ink import Paper, separate_ink
 from smarttouch.documents.letters import (
     Spots,
+    count_pictures,
+    find_dividers,
     find_rules,
     find_spots,
     like_letters,
@@ -20,11 +24,13 @@ from smarttouch.documents.page_image import Page
 from smarttouch.documents.print_size import reach_of_print, shared_x_heights
 from smarttouch.documents.reading_order import reading_order
 from smarttouch.documents.rows import find_rows
-from smarttouch.documents.textlike import credible, is_text
+from smarttouch.documents.textlike import credible, is_text, is_too_small, outside_pictures
 from smarttouch.documents.touching import part_lines
 
 _HOPELESS, _MISSES = 60, 3
 """Rows that are no text, and more per row that is, after which the rest is a picture's."""
+_SMALL_PX, _MOST_PIXELS = 9.0, 40_000_000
+"""Usual height of spots below which a page is enlarged, and the largest it may become."""
 _TELLING = 10.0
 """Length of a row, in letter heights, that determines its slope."""
 
@@ -94,37 +100,72 @@ def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]
     light_on_dark : bool, optional
         Whether it is printed light on dark; None to find out.
     """
-    return lines_of(separate_ink(page.grey, light_on_dark), page.mm_per_pixel)
+    paper = separate_ink(page.grey, light_on_dark)
+    larger = enlarged(page, paper)
+    if larger is not page:
+        page, paper = larger, separate_ink(larger.grey, paper.light_on_dark)
+    return lines_of(paper, page.mm_per_pixel)[0]
 
 
-def lines_of(paper: Paper, mm_per_pixel: float) -> list[TextLine]:
-    """Return the lines of text on a page with separated ink."""
+def enlarged(page: Page, paper: Paper) -> Page:
+    """Return a page with small print enlarged until its lines can be followed; else as it is."""
+    height = usual_height(find_spots(paper.ink), paper.ink.shape)
+    if height is None or height >= _SMALL_PX:
+        return page
+    factor = math.ceil(_SMALL_PX / height)
+    if factor**2 * page.grey.size > _MOST_PIXELS:
+        return page
+    grey = cv2.resize(page.grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
+    return Page(np.asarray(grey, np.uint8), page.mm_per_pixel / factor)
+
+
+def lines_of(paper: Paper, mm_per_pixel: float) -> tuple[list[TextLine], str]:
+    """Return the lines of text on a page with separated ink, and what is left out, in words."""
     spots = find_spots(paper.ink)
     height = usual_height(spots, paper.ink.shape)
     if height is None:
-        return []
+        return [], ""
     rules = find_rules(paper.ink, height)
-    spots = find_spots(part_lines(paper.ink & ~rules, spots, height))
-    density = np.where(rules, np.uint8(0), 255 - paper.cleaned)
-    baselines = with_marks(_courses(density, spots, height), spots)
+    dividers = find_dividers(paper.ink, height)
+    spots = find_spots(part_lines(paper.ink & ~rules & ~dividers, spots, height))
+    density = np.where(rules | dividers, np.uint8(0), 255 - paper.cleaned)
+    found, small = _courses(density, spots, height, dividers)
+    baselines = with_marks(found, spots)
+    left_out = _left_out(small, count_pictures(spots, height))
     if not baselines:
-        return []
+        return [], left_out
     ascent, descent = reach_of_print(baselines)
     x_height = shared_x_heights(baselines, ascent)
-    middle = [float(each.at(np.array((each.left + each.right) / 2))) for each in baselines]
+    middle = [
+        float(baseline.at(np.array((baseline.left + baseline.right) / 2))) for baseline in baselines
+    ]
     order = reading_order(
         np.array([baseline.left for baseline in baselines]),
         np.array([baseline.right for baseline in baselines]),
         np.array(middle),
         (ascent + descent) * x_height,
     )
-    return [_line(baselines[k], float(x_height[k]), ascent, descent, mm_per_pixel) for k in order]
+    lines = [_line(baselines[k], float(x_height[k]), ascent, descent, mm_per_pixel) for k in order]
+    return lines, left_out
 
 
-def _courses(density: NDArray[np.uint8], spots: Spots, height: float) -> list[Baseline]:
-    """Follow all rows of letters, the long ones first, and return those that are text."""
+def _left_out(small: int, pictures: int) -> str:
+    """Return what is not among the lines of a page, in words; empty if nothing is known of."""
+    counts = ((small, "line", "too small"), (pictures, "picture", ""))
+    said = [f"{n} {what}{'s' * (n > 1)} {why}".strip() for n, what, why in counts if n]
+    return ", ".join(said)
+
+
+def _courses(
+    density: NDArray[np.uint8], spots: Spots, height: float, dividers: NDArray[np.bool_]
+) -> tuple[list[Baseline], int]:
+    """Follow all rows of letters, the long ones first.
+
+    Return those that are text, and the number of those too small to tell.
+    """
+    small = 0
     letters = spots.of(like_letters(spots, height))
-    rows = [letters.of(row) for row in find_rows(letters, spots)]
+    rows = [letters.of(row) for row in find_rows(letters, spots, dividers)]
     rows.sort(key=_length, reverse=True)
     lines: list[tuple[Baseline, Spots]] = []
     guides: list[Baseline] = []
@@ -133,11 +174,12 @@ def _courses(density: NDArray[np.uint8], spots: Spots, height: float) -> list[Ba
             break
         tells = _length(row) > _TELLING
         baseline = follow(density, row, None if tells else _slope_around(row, guides))
+        small += is_too_small(baseline, row)
         if is_text(baseline, row):
             lines.append((baseline, row))
             if tells:
                 guides.append(baseline)
-    return credible(lines, int(spots.area.sum()))
+    return credible(outside_pictures(lines, spots), int(spots.area.sum())), small
 
 
 def _length(row: Spots) -> float:

@@ -10,6 +10,8 @@ _LEAST_X_HEIGHT_PX = 3.5
 """Least x-height of readable print."""
 _SURE = 3
 """Fewest letters of a line; with fewer, specks form lines by chance."""
+_TEXT = 10
+"""Lines of a page beside which one or two letters alone are not believed."""
 _SIMILAR = 1.7
 """Ratio of x-heights of lines on a page; capitals and figures measure taller."""
 _MOST_OF_ALL = 0.8
@@ -43,8 +45,20 @@ _LEAST_ON_LEVELS = 0.6
 _LEAST_WHITE = 0.06
 """Least white between letters that do not touch, of the line's length; print has 0.1 and more, but
 what is left between light letters on dark has not."""
+_FEWEST_CAPITALS, _IN_LINE, _MOSTLY, _LEAST_WIDE = 5, 0.07, 0.8, 0.3
+"""Capitals or figures of a line: their number, how even they are in their heights, which part of
+them at least, and their usual width; bars of a code are narrower."""
+_OWN, _BAND = (-0.7, 1.9), 2.1
+"""What a line covers over its baseline, and the bands beside it, in x-heights."""
+_FOREIGN = 0.4
+"""Most ink of no line in either band, relative to that of its letters."""
 _TOUCHING = 1.3
 """Usual width of spots in which letters run together, in x-heights."""
+
+
+def is_too_small(baseline: Baseline, letters: Spots) -> bool:
+    """Return whether a row may be a line of text that is too small to be read."""
+    return baseline.x_height < _LEAST_X_HEIGHT_PX and len(letters.area) >= _MANY
 
 
 def is_text(baseline: Baseline, letters: Spots) -> bool:
@@ -53,7 +67,28 @@ def is_text(baseline: Baseline, letters: Spots) -> bool:
         return False
     # Dashes and wide spaces are no letters, and have little ink.
     covered = min(1.0, float(letters.width.sum()) / (baseline.right - baseline.left))
+    if _are_capitals(baseline, letters):
+        return True
     return _has_profile_of_text(baseline, covered) and _are_letters(baseline, letters, covered)
+
+
+def _are_capitals(baseline: Baseline, letters: Spots) -> bool:
+    """Return whether letters are capitals or figures in line, however near other lines are."""
+    if len(letters.area) < _FEWEST_CAPITALS:
+        return False
+    near = _IN_LINE * letters.usual_height + _NEAR_PX
+    base = baseline.at((letters.left + letters.right) / 2)
+    even = [
+        np.abs(edge - np.median(edge)) < near
+        for edge in (base - letters.top, base - letters.bottom)
+    ]
+    wide = float(np.median(letters.width / letters.height))
+    return bool(
+        np.mean(even[0] & even[1]) > _MOSTLY
+        and _LEAST_WIDE < wide < 1
+        and baseline.strokes > _FEWEST_STROKES
+        and baseline.strokes < _MOST_STROKES
+    )
 
 
 def _has_profile_of_text(baseline: Baseline, covered: float) -> bool:
@@ -109,6 +144,47 @@ def _are_solid(letters: Spots) -> bool:
     return bool(np.median(filled) > _SOLID)
 
 
+def outside_pictures(
+    lines: list[tuple[Baseline, Spots]], spots: Spots
+) -> list[tuple[Baseline, Spots]]:
+    """Return the lines without those that have ink of no line on both sides: chance in a picture.
+
+    Parameters
+    ----------
+    lines : list of (Baseline, Spots)
+        Rows that look like text, and their letters.
+    spots : Spots
+        All ink of the page.
+    """
+    x, y = (spots.left + spots.right) / 2, (spots.top + spots.bottom) / 2
+    size = spots.width * spots.height
+    of_a_line = np.zeros(len(x), np.bool_)
+    for baseline, _ in lines:
+        above = (baseline.at(x) - y) / baseline.x_height
+        inside = (x > baseline.left) & (x < baseline.right)
+        of_a_line |= inside & (above > _OWN[0]) & (above < _OWN[1])
+
+    def foreign(baseline: Baseline, low: float, high: float) -> float:
+        top, bottom = (
+            float(baseline.at(np.array((baseline.left + baseline.right) / 2)))
+            - height * baseline.x_height
+            for height in (high, low)
+        )
+        across = np.minimum(spots.right, baseline.right) - np.maximum(spots.left, baseline.left)
+        down = np.minimum(spots.bottom, bottom) - np.maximum(spots.top, top)
+        part = np.maximum(across, 0) * np.maximum(down, 0) / size
+        return float((part * spots.area)[~of_a_line].sum())
+
+    return [
+        (baseline, row)
+        for baseline, row in lines
+        if min(
+            foreign(baseline, _OWN[1], _OWN[1] + _BAND), foreign(baseline, _OWN[0] - _BAND, _OWN[0])
+        )
+        < _FOREIGN * int(row.area.sum())
+    ]
+
+
 def credible(lines: list[tuple[Baseline, Spots]], ink: int) -> list[Baseline]:
     """Return the lines without specks that look like one letter.
 
@@ -131,9 +207,21 @@ def credible(lines: list[tuple[Baseline, Spots]], ink: int) -> list[Baseline]:
     if not len(sizes):
         alone = sum(int(row.area.sum()) for _, row in lines)
         return [baseline for baseline, _ in lines] if alone > _MOST_OF_ALL * ink else []
+    left, right = (
+        np.array(
+            [
+                getattr(baseline, end)
+                for (baseline, _), is_sure in zip(lines, sure, strict=True)
+                if is_sure
+            ]
+        )
+        for end in ("left", "right")
+    )
     kept = []
     for (baseline, _), is_sure in zip(lines, sure, strict=True):
         ratio = np.maximum(baseline.x_height / sizes, sizes / baseline.x_height)
-        if is_sure or ratio.min() < _SIMILAR:
+        # Beside all text are the edges of sheets.
+        beside = len(sizes) >= _TEXT and not left.min() <= baseline.left <= right.max()
+        if is_sure or (ratio.min() < _SIMILAR and not beside):
             kept.append(baseline)
     return kept

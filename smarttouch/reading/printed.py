@@ -8,17 +8,17 @@ import numpy as np
 
 from smarttouch.documents.document import open_document, parse_pages
 from smarttouch.documents.page_image import Page
-from smarttouch.documents.prepare import PreparedPage, prepare_page
+from smarttouch.documents.prepare import LEFT_OUT, PreparedPage, prepare_page
+from smarttouch.documents.straighten import QUARTER
 from smarttouch.errors import ReadingError
 from smarttouch.reading.ocr import recognize_lines, upright
+from smarttouch.reading.paragraphs import paragraphs
 
 LINE_PIXELS = 56
 """Height of lines for recognition: ascender to descender."""
 SURE = 0.6
 """Mean confidence below which a page is reported as poorly recognized."""
 _CHUNK = 16
-_NEW_PARAGRAPH = 1.5
-"""Lines farther apart than this part of the usual distance begin a paragraph."""
 
 Note = Callable[[str], None]
 
@@ -39,6 +39,8 @@ class RecognitionOptions:
         Found out if not given.
     languages : str
         Of Tesseract, for example ``eng+deu``.
+    keep_headers : bool
+        Keep running heads and the numbers of pages in a text.
     scale_matters : bool
         Whether millimeters on the page count, as for a finger that moves over it.
     """
@@ -49,6 +51,7 @@ class RecognitionOptions:
     password: str | None = None
     light_on_dark: bool | None = None
     languages: str = "eng"
+    keep_headers: bool = False
     scale_matters: bool = False
 
 
@@ -87,8 +90,15 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
     turn_deg = _turn_deg(prepared, options)
     if turn_deg:
         turned = np.ascontiguousarray(np.rot90(prepared.page.grey, -turn_deg // 90))
-        prepared = prepare_page(replace(prepared.page, grey=turned), options.light_on_dark)
-        notes += [f"it was turned by {turn_deg}° to be upright", *prepared.notes]
+        turned_page = replace(prepared.page, grey=turned)
+        prepared = prepare_page(turned_page, options.light_on_dark, quarter=False)
+        if QUARTER in notes:
+            # It was guessed, and counts against the clock.
+            turn_deg = (turn_deg - 90) % 360
+        notes = [words for words in notes if words != QUARTER and not words.startswith(LEFT_OUT)]
+        if turn_deg:
+            notes.append(f"it was turned by {turn_deg}° to be upright")
+        notes += prepared.notes
     for words in notes:
         note(f"page {number}: {words}")
     return prepared
@@ -182,25 +192,9 @@ def recognized_lines(
 
 
 def recognized_text(prepared: PreparedPage, options: RecognitionOptions, note: Note) -> str:
-    """Return the text of a page, a line for each paragraph; words that lines divide are joined."""
-    middles = [(line.top_mm + line.bottom_mm) / 2 for line in prepared.lines]
-    steps = np.diff(middles)
-    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
-    paragraphs: list[str] = []
-    for index, text in recognized_lines(prepared, options, note):
-        begins = index == 0 or not 0 < steps[index - 1] < _NEW_PARAGRAPH * usual
-        if begins or not paragraphs:
-            paragraphs.append(text)
-        else:
-            paragraphs[-1] = _joined(paragraphs[-1], text)
-    return "\n".join(each for each in paragraphs if each.strip())
-
-
-def _joined(before: str, after: str) -> str:
-    """Return two lines as one: a hyphen goes where it divides a word, and stays in North-South."""
-    if not before.endswith("-") or before.endswith(" -"):
-        return f"{before} {after}"
-    return (before[:-1] if after[:1].islower() else before) + after
+    """Return the text of a page, a line for each paragraph, see `paragraphs`."""
+    texts = [text for _, text in recognized_lines(prepared, options, note)]
+    return "\n".join(paragraphs(prepared.lines, texts, options.keep_headers))
 
 
 def _turn_deg(prepared: PreparedPage, options: RecognitionOptions) -> int:

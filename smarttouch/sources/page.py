@@ -7,8 +7,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.documents.document import open_document
 from smarttouch.documents.page_image import Page, load_page
 from smarttouch.documents.printed_text import print_text
+from smarttouch.errors import PageError
 from smarttouch.profile import Profile
 from smarttouch.sources.frame import Frame
 from smarttouch.sources.reading_path import Path2D, ReadingPath, RecordedPath
@@ -42,9 +44,20 @@ def open_page(
     light_on_dark: bool = False,
 ) -> "PageSource":
     """Open ``page:FILE``; options are those of `PageSource`, and its scale."""
-    page = load_page(Path(rest), dpi=dpi, page_width_mm=page_width_mm)
+    page, notice = load_or_guess(Path(rest), dpi, page_width_mm)
     title = Path(rest).name
-    return PageSource(page, profile, title, seed, speed_mm_s, path, light_on_dark)
+    return PageSource(page, profile, title, seed, speed_mm_s, path, light_on_dark, notice)
+
+
+def load_or_guess(path: Path, dpi: float | None, width_mm: float | None) -> tuple[Page, str]:
+    """Return a page, and a sentence if its scale is guessed; empty if it is known."""
+    try:
+        return load_page(path, dpi=dpi, page_width_mm=width_mm), ""
+    except PageError as error:
+        if (error.about, error.problem) != ("size_mm", "missing"):
+            raise
+    with open_document(path) as document:
+        return document.page(0), f"{document.notes[-1]}; give dpi or page_width_mm if you know it"
 
 
 def open_text(
@@ -81,6 +94,8 @@ class PageSource(OpticalSource):
         CSV of a recorded path, instead of reading line by line.
     light_on_dark : bool
         For light print on dark paper.
+    notice : str
+        Sentence told to the user at the start.
     """
 
     ended = "end of the page"
@@ -95,9 +110,11 @@ class PageSource(OpticalSource):
         speed_mm_s: float = USUAL_MM_S,
         path: Path | None = None,
         light_on_dark: bool = False,
+        notice: str = "",
     ) -> None:
         super().__init__(title)
         self.page = page
+        self.notes = [notice] if notice else []
         self.path: Path2D = (
             ReadingPath(page, profile, speed_mm_s, seed, light_on_dark)
             if path is None

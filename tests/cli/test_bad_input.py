@@ -70,7 +70,6 @@ def no_place(name):
         ("live --sensor page:huge.png --dpi 300", says(PageError, "huge.png", "100 megapixels")),
         ("live --sensor page:none.png --dpi 300", says(PageError, "none.png")),
         ("live --sensor page:one.png --dpi 300", says(PageError, "one.png", "1 x 1 ", "8 x 8")),
-        ("live --sensor page:page.png", says(PageError, "page.png", remedy="dpi or page_width_mm")),
         (
             "live --sensor page:.",
             says(PageError, about="file", problem="folder", value=Path()),

@@ -1,5 +1,6 @@
 """Ink is told from paper in any light, and blank paper has none."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -108,3 +109,46 @@ def test_any_shape_is_taken(shape):
     grey = np.random.default_rng(0).integers(0, 256, shape).astype(np.uint8)
     paper = separate_ink(grey)
     assert paper.cleaned.shape == paper.ink.shape == shape
+
+
+def blank_papers():
+    """Return papers without print, by their kind."""
+    random = np.random.default_rng(5)
+    y, x = np.mgrid[:600, :800].astype(np.float32)
+    white = np.full((600, 800), 250, np.float32)
+    kinds = {"white": white, "grey": white - 100, "gradient": white - 0.15 * x}
+    kinds["grain"] = white - 30 + random.normal(0, 9, white.shape)
+    kinds["lined"] = np.where(y % 50 < 3, 0.93, 1) * 240
+    kinds["squared"] = np.where((y % 30 < 2) | (x % 30 < 2), 0.93, 1) * 240
+    stain = np.hypot(x - 400, y - 300)
+    kinds["stained"] = 240 - 35 / (1 + np.exp((stain - 150) / 15))
+    kinds["table"] = np.where(x > 90, 230.0, 60.0)
+    kinds["shadow"] = 235 * (1 - 0.4 / (1 + np.exp((x - 0.4 * y - 300) / 12)))
+    text = print_page(some_lines(14, 40), size_pt=11, dpi=150).page.grey[:600, :800]
+    back = np.full((600, 800), 235, np.float32)
+    back[: text.shape[0], : text.shape[1]] = text[:, ::-1]
+    kinds["show-through"] = 235 - 0.08 * cv2.GaussianBlur(235 - back, (0, 0), 2)
+    return {
+        name: np.clip(paper + random.normal(0, 2, paper.shape), 0, 255).astype(np.uint8)
+        for name, paper in kinds.items()
+    }
+
+
+@pytest.mark.parametrize(("name", "grey"), blank_papers().items())
+def test_paper_without_print_is_silent(name, grey):
+    assert separate_ink(grey).ink.mean() < 0.0005
+
+
+def test_what_shows_through_from_the_back_is_no_ink(printed):
+    front = printed.page.grey.astype(np.float32)
+    back = cv2.GaussianBlur(235 - front[:, ::-1], (0, 0), 1.5)
+    both = np.clip(np.minimum(front, 235 - 0.3 * back), 0, 255).astype(np.uint8)
+    assert overlap(separate_ink(both).ink, front < 130) > 0.95
+
+
+def test_a_large_headline_is_filled_and_a_dark_edge_is_not_ink():
+    grey = np.full((900, 1200), 235, np.uint8)
+    cv2.putText(grey, "IBM", (200, 500), cv2.FONT_HERSHEY_SIMPLEX, 10, 20, 90)
+    truth = grey < 128
+    grey[:, :100] = 25
+    assert overlap(separate_ink(grey).ink, truth) > 0.97

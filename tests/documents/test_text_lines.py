@@ -199,3 +199,49 @@ def test_a_baseline_goes_straight_on_beyond_the_ends():
     middle = np.mean(line.baseline_mm(np.linspace(10, 20, 10_001)))
     assert line.top_mm == pytest.approx(middle - 3, abs=1e-3)
     assert line.bottom_mm == pytest.approx(middle + 1, abs=1e-3)
+
+
+def test_columns_parted_by_a_rule_are_read_one_after_the_other():
+    page = print_page(some_lines(24, 22), size_pt=10, dpi=150, columns=2)
+    per_mm = 1 / page.page.mm_per_pixel
+    # The columns are moved together until only the rule parts them.
+    left_end = max(line.baseline_mm[-1, 0] for line in page.lines[:12])
+    right = page.lines[12].baseline_mm[0, 0]
+    cut, start = round((left_end + 1.4) * per_mm), round((right - 1.4) * per_mm)
+    grey = np.hstack([page.page.grey[:, :cut], page.page.grey[:, start:]])
+    grey[60:-60, cut - 1 : cut + 1] = 30
+    shift = np.array([(cut - start) / per_mm, 0])
+    lines = [
+        replace(line, baseline_mm=line.baseline_mm + shift * (k >= 12))
+        for k, line in enumerate(page.lines)
+    ]
+    assert_found(Printed(Page(grey, 1 / per_mm), tuple(lines)), find_lines(Page(grey, 1 / per_mm)))
+
+
+@pytest.mark.parametrize("skew_deg", [-3, -1.5, 1.5])
+def test_commas_and_semicolons_do_not_part_a_tilted_line(skew_deg):
+    lines = [
+        "fat, flour; salt, pan, stock",
+        "neck, wings; liver, heart, and",
+        "so on, then, at last;",
+    ]
+    page = degrade(print_page(lines, size_pt=14, dpi=200), skew_deg=skew_deg)
+    assert_found(page, find_lines(page.page))
+
+
+@pytest.mark.parametrize("x_height_px", [2.5, 3.0])
+def test_small_print_is_enlarged(x_height_px):
+    page = print_page(some_lines(12, 40), size_pt=10, dpi=300)
+    part = x_height_px / (page.lines[0].x_height_mm / page.page.mm_per_pixel)
+    grey = cv2.resize(page.page.grey, None, fx=part, fy=part, interpolation=cv2.INTER_AREA)
+    small = Page(np.asarray(grey), page.page.mm_per_pixel / part)
+    assert len(find_lines(small)) == 12
+
+
+def test_a_large_headline_keeps_the_small_print_under_it():
+    page = print_page(some_lines(8, 40), size_pt=9, dpi=150)
+    grey = np.vstack([np.full((170, page.page.grey.shape[1]), 235, np.uint8), page.page.grey[70:]])
+    cv2.putText(grey, "NEWS", (90, 165), cv2.FONT_HERSHEY_SIMPLEX, 5, 20, 22)
+    found = find_lines(Page(grey, page.page.mm_per_pixel))
+    assert len(found) == 9
+    assert found[0].x_height_mm > 3 * found[1].x_height_mm

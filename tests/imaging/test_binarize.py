@@ -68,3 +68,28 @@ def test_light_on_dark(patch):
 
 def test_tiny_frames_work():
     assert Binarizer((2, 2)).ink(np.zeros((2, 2), np.uint8), 0, True).shape == (2, 2)
+
+
+def faint_bars(level, noise, seed=0):
+    """Return a patch of unevenly lit paper with bars of ink, and where these are."""
+    y, x = np.mgrid[:64, :64]
+    ink = (x % 16 < 4) & (y > 8) & (y < 56)
+    light = 230 * (1 - 0.08 * (((x - 32) / 32) ** 2 + ((y - 32) / 32) ** 2) / 2)
+    grain = np.random.default_rng(seed).normal(0, noise, ink.shape)
+    return np.clip(light * np.where(ink, level, 1) + grain, 0, 255).astype(np.uint8), ink
+
+
+@pytest.mark.parametrize("noise", [0, 2, 5])
+@pytest.mark.parametrize("level", [0.3, 0.5, 0.7, 0.8, 0.85])
+def test_faint_print_is_seen(binarizer, level, noise):
+    image, truth = faint_bars(level, noise)
+    ink = binarizer.ink(image, 0, True) > 0
+    assert 2 * (ink & truth).sum() / (ink.sum() + truth.sum()) > 0.8
+
+
+@pytest.mark.parametrize("noise", [0, 2, 5, 9, 14])
+@pytest.mark.parametrize("level", [0.93, 1])
+def test_paper_with_faint_rules_is_silent(binarizer, level, noise):
+    for seed in range(10):
+        image, _ = faint_bars(level, noise, seed)
+        assert share(binarizer.ink(image, 0, True)) <= 0.01

@@ -7,10 +7,12 @@ import pytest
 from PIL import Image
 
 from smarttouch.documents.printed_text import prepare_text, print_text
+from smarttouch.documents.text_lines import TextLine
 from smarttouch.errors import ReadingError
 from smarttouch.reading import printed
 from smarttouch.reading.error_rate import character_error_rate
 from smarttouch.reading.ocr import RecognizedLine
+from smarttouch.reading.paragraphs import paragraphs
 from smarttouch.reading.printed import (
     RecognitionOptions,
     document_pages,
@@ -106,8 +108,8 @@ def test_a_page_is_turned_as_it_should_be(monkeypatch, notes, turn_deg):
         assert any(note.startswith("page 3:") and f" {turn_deg}°" in note for note in notes)
     else:
         assert notes == []
-    if turn_deg == 180:
-        np.testing.assert_array_equal(prepared.page.grey, page.grey[::-1, ::-1])
+    # It is not turned back by a guess from its letters.
+    np.testing.assert_array_equal(prepared.page.grey, np.rot90(page.grey, -turn_deg // 90))
 
 
 @pytest.mark.parametrize("matters", [False, True])
@@ -145,3 +147,41 @@ def test_an_upside_down_page_is_read(tmp_path, notes):
     truth = "A page is a quiet place. Rest one finger on a line"
     assert character_error_rate(truth, text) < 0.05
     assert any("180°" in note for note in notes)
+
+
+def at(left_mm, y_mm, x_height_mm=2.0, length_mm=80.0):
+    """Return a line at a place."""
+    return TextLine(
+        left_mm, left_mm + length_mm, (y_mm,), x_height_mm, 1.5 * x_height_mm, 0.5 * x_height_mm
+    )
+
+
+def test_headings_indents_and_gaps_begin_paragraphs():
+    lines = [at(10, 20, 3.0), at(10, 28), at(10, 32), at(13, 36), at(10, 40), at(10, 50)]
+    texts = ["Of pages", "one", "two", "three", "four", "five"]
+    assert paragraphs(lines, texts) == ["Of pages", "one two", "three four", "five"]
+
+
+def test_a_column_goes_on_at_the_top_of_the_next():
+    lines = [at(10, 20), at(10, 24), at(100, 20), at(100, 24)]
+    assert paragraphs(lines, ["one", "two", "three", "four"]) == ["one two three four"]
+
+
+def test_running_heads_and_numbers_are_left_out_unless_wanted():
+    body = [at(10, 20), at(10, 24), at(10, 28), at(10, 32)]
+    lines = [at(10, 10), *body, at(40, 40, length_mm=5)]
+    texts = ["248 A BOOK OF COOKS", "Take 2 eggs", "and 3", "of salt", "and 1", "17"]
+    assert paragraphs(lines, texts) == ["Take 2 eggs and 3 of salt and 1"]
+    assert len(paragraphs(lines, texts, keep_headers=True)) == 3
+
+
+def test_a_hyphen_stays_where_the_page_has_the_word_with_it():
+    lines = [at(10, 20), at(10, 24), at(10, 28)]
+    texts = ["add one-half cup and one-", "half more as it is writ-", "ten"]
+    assert paragraphs(lines, texts) == ["add one-half cup and one-half more as it is written"]
+
+
+def test_dots_that_lead_to_a_number_are_left_out():
+    lines = [at(10, 20), at(10, 24)]
+    texts = ["A chapter . . . . . . . 5", "Wait ... and see........ 9"]
+    assert paragraphs(lines, texts, keep_headers=True) == ["A chapter 5 Wait ... and see 9"]

@@ -8,10 +8,11 @@ from smarttouch.documents.page_image import Page
 from smarttouch.errors import SourceError
 from smarttouch.resources import data_folder
 from smarttouch.sources import open_source
-from smarttouch.sources.page import PageSource
+from smarttouch.sources.page import PageSource, open_page
 from smarttouch.sources.source import Source
 
 from ..raising import raises
+from ..said import numbers_in
 
 TEN_MS = 10_000_000
 HEADER = "time_s,x_mm,y_mm,angle_deg,force_n\n"
@@ -131,3 +132,15 @@ def test_unknown_sources(profile, url):
     known = {"page", "text"}.issubset
     with raises(SourceError, about="source", problem="unknown", value=url, allowed=known):
         open_source(url, profile)
+
+
+def test_a_page_without_a_scale_is_felt_at_a_guessed_one_and_said_so(tmp_path, profile):
+    path = tmp_path / "page.png"
+    Image.fromarray(np.full((400, 300), 240, np.uint8)).save(path)
+    source = open_page(str(path), profile)
+    assert source.page.size_mm[0] == pytest.approx(210)
+    (note,) = source.notes
+    assert 210 in numbers_in(note)
+    known = open_page(str(path), profile, page_width_mm=100)
+    assert known.notes == []
+    assert known.page.size_mm[0] == pytest.approx(100)
