@@ -27,9 +27,9 @@ def read(
         typer.Argument(
             callback=or_standard_input,
             metavar="FILE",
-            help="Page (image, PDF), .txt, Braille (.brf, .pef, photograph), or text:WORDS; - for "
-            "standard input. Options behind it: dpi, page_width_mm, light_on_dark, languages, as "
-            "in page.pdf?dpi=300&languages=eng+deu.",
+            help="Page (image, PDF), .txt, Braille (.brf, .pef, photo), or text:WORDS; - for "
+            "standard input. Behind it dpi, page_width_mm, light_on_dark, languages: "
+            "page.pdf?dpi=300",
         ),
     ],
     lines: Annotated[int, typer.Option(help="Lines of Braille at once.")] = 1,

@@ -56,7 +56,7 @@ class DocumentOptions(OptionGroup):
     languages: Annotated[str | None, typer.Option("--language", hidden=True)] = None
     keep_headers: Annotated[
         bool | None,
-        typer.Option("--keep-headers", help="Keep running heads and page numbers in a text."),
+        typer.Option("--keep-headers", help="Keep running heads and page numbers."),
     ] = None
     light_on_dark: Annotated[
         bool | None, typer.Option("--light-on-dark/--dark-on-light", hidden=True)
@@ -99,9 +99,7 @@ class FeelOptions(OptionGroup):
     ] = "shapes"
     style: Annotated[
         str,
-        typer.Option(
-            metavar="HOW", rich_help_panel=_FEEL, help="Letters: plain, thinned or graded."
-        ),
+        typer.Option(metavar="HOW", rich_help_panel=_FEEL, help="plain, thinned or graded."),
     ] = "graded"
     table: TableOption = "en-1"
     cells: Annotated[

@@ -4,6 +4,7 @@ import inspect
 import os
 import random
 import signal
+import socket
 import subprocess
 import typing
 from pathlib import Path
@@ -21,12 +22,20 @@ NUMBERS = (
     "1e400", "", " ", "9" * 30, "-" + "9" * 30, "9" * 5000, "2147483648", "65536", "１",
 )  # fmt: skip
 
+
+def free_port():
+    """Return a free TCP port of this machine."""
+    with socket.create_server(("127.0.0.1", 0)) as one:
+        return one.getsockname()[1]
+
+
 SMALL = "--profile smarttouch-4x4"
 PAGE = "--seconds 0.2 --board memory: --quiet"
 BASES = {
     "live": f"live --sensor text:i {SMALL} {PAGE}",
     "read": f"read text:i {SMALL} {PAGE}",
     "braille": "braille hello",
+    "braille-display": f"braille-display listen:{free_port()} {SMALL} {PAGE}",
     "legibility": "legibility text:touch",
     "mouse": f"mouse --texture text:I {PAGE}",
     "color": f"color tone:40Hz,8um {PAGE}",

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smarttouch.imaging.mapping import Binarizer
+from smarttouch.imaging.binarize import Binarizer
 
 SECOND = 10**9
 

@@ -81,7 +81,7 @@ def test_each_mode_fires_its_class_most(mouse):
             np.bincount(one.classes, fired(one, current_ma).sum(axis=1), 3) for one in mouse.fingers
         )
         assert counts.argmax() == mode
-        assert counts[Afferent.PC] < 0.1 * counts[mode]
+        assert counts[Afferent.PC] < 0.15 * counts[mode]
 
 
 def test_an_anodic_disc_in_a_ring_fires_ra_alone():

@@ -31,8 +31,9 @@ from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
 from smarttouch.boards.emulator.firmware import Firmware
 from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
 from smarttouch.boards.emulator.link import LinkFirmware
-from smarttouch.cli import driving, main
+from smarttouch.cli import main
 from smarttouch.emulator.server import Server
+from smarttouch.monitor import driving
 from smarttouch.realtime import prioritized
 from smarttouch.wire.pty_line import PtyLine
 
