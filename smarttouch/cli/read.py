@@ -28,8 +28,8 @@ def read(
             callback=or_standard_input,
             metavar="FILE",
             help="Page (image, PDF), .txt, Braille (.brf, .pef, photo), or text:WORDS; - for "
-            "standard input. Behind it dpi, page_width_mm, light_on_dark, languages: "
-            "page.pdf?dpi=300",
+            "standard input. Options: page.pdf?dpi=300, page_width_mm, languages, "
+            "light_on_dark.",
         ),
     ],
     lines: Annotated[int, typer.Option(help="Lines of Braille at once.")] = 1,
