@@ -54,7 +54,7 @@ def read(
 ) -> None:
     """Read a page with a fingertip, line by line.
 
-    Keys: arrows for the next line and the one before, r for once more; and those of live.
+    Keys: arrows for lines, r for once more, and those of live.
     """
     import contextlib
     from dataclasses import replace
