@@ -1,6 +1,6 @@
 """A finger: a population of afferents drawn from an anatomy, and how currents drive each."""
 
-from dataclasses import dataclass
+import math
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.afferent import Afferent
+from smarttouch.errors import ProfileError, require_within
 from smarttouch.physiology import afferents as nominal
 from smarttouch.physiology.activation import potential_mv
 from smarttouch.physiology.anatomy import Anatomy, Bystander, ClassAnatomy, load_anatomy
+from smarttouch.physiology.course import Population, course_length_mm, course_points
 from smarttouch.physiology.driving import DrivingFunction
 from smarttouch.profile import Profile
 
@@ -23,32 +25,6 @@ Floats = NDArray[np.float32]
 
 _AT_ONCE = 256
 _SHALLOWEST_MM = 0.2
-
-
-@dataclass(frozen=True, eq=False)
-class Population:
-    """Afferents of one class.
-
-    Attributes
-    ----------
-    afferent : Afferent or Bystander
-    receptor_mm : ndarray, (A, 2), mm
-        Middle of each afferent's endings, where what it fires is felt.
-    course_mm : ndarray, (B, P, 3), mm
-        Corners of the course of each branch, ending first; z is the depth.
-    owner : ndarray, (B,) int
-        Afferent of each branch.
-    factor : ndarray, (A,)
-        Threshold of each afferent, relative to its class's.
-    anatomy : ClassAnatomy
-    """
-
-    afferent: Afferent | Bystander
-    receptor_mm: Array
-    course_mm: Array
-    owner: NDArray[np.intp]
-    factor: Array
-    anatomy: ClassAnatomy
 
 
 class Finger:
@@ -67,7 +43,7 @@ class Finger:
     Raises
     ------
     ProfileError
-        If there is no such anatomy.
+        If there is no such anatomy, or the seed is negative.
     DesignError
         If the skin is layered, or the profile's pulse outside what is fitted.
 
@@ -85,6 +61,7 @@ class Finger:
     def __init__(
         self, profile: Profile, seed: int = 1, anatomy: str | Path | Anatomy = "branched"
     ) -> None:
+        require_within(ProfileError, "seed", seed, 0, math.inf)
         self.profile, self.seed = profile, seed
         self.anatomy = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
         self.populations: dict[Any, Population] = {
@@ -245,7 +222,7 @@ class Finger:
     ) -> tuple[Floats, NDArray[np.intp]]:
         """Return the drive at nodes of some branches, up to a corner of each."""
         spacing = driving.internode_mm
-        length_mm = _length(one.course_mm[part], corners)
+        length_mm = course_length_mm(one.course_mm[part], corners)
         nodes = int(np.ceil(length_mm.max() / spacing)) + len(driving.along) + 1
         points = course_points(one, part, max(nodes, len(driving.near_end.T) + 4), spacing)
         drive = driving.drive(potential_mv(self.profile, points))
@@ -277,43 +254,3 @@ class Finger:
 def strength(width_us: Any, chronaxie_us: Any) -> Any:
     """Return the effect of a pulse of some width, relative to an endless one (Weiss 1901)."""
     return 1 / (1 + chronaxie_us / np.maximum(width_us, 1.0))
-
-
-def course_points(
-    one: Population, branches: NDArray[np.intp], nodes: int, spacing_mm: float
-) -> Array:
-    """Return places of nodes along branches, (B, N, 3) mm, ending first."""
-    points = _along(one.course_mm[branches], np.arange(nodes, dtype=np.float64) * spacing_mm)
-    return _rounded(points, int(one.anatomy.bend_mm / spacing_mm / 2))
-
-
-def _length(course_mm: Array, corners: int) -> Array:
-    """Return the lengths of courses up to a corner, (B,) mm."""
-    steps = np.linalg.norm(np.diff(course_mm[:, : corners + 1], axis=1), axis=2)
-    return np.asarray(steps.sum(axis=1))
-
-
-def _along(course_mm: Array, along_mm: Array) -> Array:
-    """Return places along courses, (B, N, 3), at distances from their ends, (N,)."""
-    steps = np.diff(course_mm, axis=1)
-    lengths = np.linalg.norm(steps, axis=2)
-    begins = np.cumsum(lengths, axis=1) - lengths
-    points = np.repeat(course_mm[:, :1], len(along_mm), axis=1)
-    for index in range(steps.shape[1]):
-        last = index == steps.shape[1] - 1
-        done = along_mm - begins[:, index, None]
-        # A course goes straight on beyond its last corner.
-        done = np.maximum(done, 0) if last else np.clip(done, 0, lengths[:, index, None])
-        length = np.maximum(lengths[:, index], 1e-12)
-        points += done[..., None] * (steps[:, index] / length[:, None])[:, None]
-    return np.asarray(points)
-
-
-def _rounded(points_mm: Array, reach: int) -> Array:
-    """Return courses without sharp bends: means over so many nodes to either side, ends kept."""
-    reach = min(reach, points_mm.shape[1] - 1)
-    if reach < 1:
-        return points_mm
-    pad = ((0, 0), (reach + 1, reach), (0, 0))
-    sums = np.cumsum(np.pad(points_mm, pad, mode="reflect", reflect_type="odd"), axis=1)
-    return np.asarray((sums[:, 2 * reach + 1 :] - sums[:, : -2 * reach - 1]) / (2 * reach + 1))

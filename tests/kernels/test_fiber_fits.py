@@ -10,9 +10,10 @@ from smarttouch.afferent import Afferent
 from smarttouch.kernels import fiber_fits
 from smarttouch.kernels.fiber_cases import along_mm, cases
 from smarttouch.physiology.activation import potential_mv
+from smarttouch.physiology.course import course_points
 from smarttouch.physiology.driving import FIBERS, load_driving
 from smarttouch.physiology.fiber_fit import threshold_error
-from smarttouch.physiology.finger import Finger, course_points
+from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.membrane import thresholds_ma
 
 

@@ -184,3 +184,9 @@ def test_electrodes_beyond_the_contact_deliver_nothing(small):
     assert 0 < finger.touching.sum() < len(away)
     assert not finger.rows[0][:, ~finger.touching].any()
     assert finger.rows[0][:, finger.touching] == pytest.approx(whole.rows[0][:, finger.touching])
+
+
+def test_a_seed_is_no_negative_number(profile):
+    with pytest.raises(ProfileError) as caught:
+        Finger(profile, -1)
+    assert (caught.value.about, caught.value.value) == ("seed", -1)
