@@ -11,14 +11,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import smarttouch as st
+from smarttouch.afferent import CLASS_COLORS
 from smarttouch.physiology.finger import Finger
 from smarttouch.plotting.kernels import electrode_patches
+from smarttouch.plotting.style import ANODIC, CATHODIC
 from smarttouch.psychophysics import paper_effects
 
 profile = st.load_profile("electric-mouse")
 sites = paper_effects.inner_sites(profile)
 fingers = [Finger(profile, seed, "paper") for seed in range(1, 9)]
-colors = {st.Afferent.RA: "tab:red", st.Afferent.SAI: "tab:green", st.Afferent.PC: "tab:blue"}
 
 # %%
 # SAI mode on lines, with a current that rises: pressure first, vibration later, as in Section
@@ -27,8 +28,8 @@ _, order = plt.subplots(figsize=(5, 4.5), layout="constrained")
 stages = paper_effects.stages("paper", range(1, 8))
 least_ma = min(current_ma[0] for current_ma in stages.values())
 for afferent, current_ma in stages.items():
-    order.step(current_ma / least_ma, np.arange(1, 11), where="post", color=colors[afferent],
-               label=afferent.name)  # fmt: skip
+    order.step(current_ma / least_ma, np.arange(1, 11), where="post",
+               color=CLASS_COLORS[afferent], label=afferent.name)  # fmt: skip
     print(f"{afferent.name} joins at {current_ma[0] / least_ma:.1f} times the first current")
 order.set(xlim=(0.8, 4), xlabel="current over that of the first afferent", ylabel="afferents",
           title="SAI mode: pressure, then vibration")  # fmt: skip
@@ -39,7 +40,7 @@ plt.show()
 # Receptors of the axons that one electrode fires, from the electrode: an anode reaches what lies
 # below it, a cathode axons in passing (Fig. 15).
 _, blur = plt.subplots(figsize=(5, 4.5), layout="constrained")
-for cathodic, color in ((True, "tab:purple"), (False, "tab:orange")):
+for cathodic, color in ((True, CATHODIC), (False, ANODIC)):
     current_ma = 2.4 * paper_effects.against_all(profile, cathodic)
     away = [
         finger.receptor_mm[who] - profile.electrodes.position_mm[site]
@@ -67,7 +68,7 @@ toward_mm = [
     for finger in fingers
     for site, who in zip(sites, paper_effects.fired(finger, current_ma[sites]).T, strict=True)
 ]
-shifted.hist(np.concatenate(toward_mm), bins=np.arange(-4, 10), color=colors[st.Afferent.PC])
+shifted.hist(np.concatenate(toward_mm), bins=np.arange(-4, 10), color=CLASS_COLORS[st.Afferent.PC])
 shifted.axvspan(1, 3, color="0.9", zorder=0)
 shifted.axvline(-found.y_mm, color="black")
 shifted.set(xlabel="toward the fingertip (mm)", ylabel="afferents", title="PC mode: felt elsewhere")
@@ -83,7 +84,7 @@ fires = paper_effects.fired(finger, np.array([[-2.4, 2.4]]))[:, 0]
 for patch in electrode_patches(electrode):
     patch.set(facecolor="0.85", edgecolor="0.4")
     ring.add_patch(patch)
-for afferent, color in colors.items():
+for afferent, color in CLASS_COLORS.items():
     mine = finger.classes == afferent
     ring.scatter(*finger.receptor_mm[mine].T, s=6, color=color, alpha=0.25)
     ring.scatter(*finger.receptor_mm[mine & fires].T, s=30, color=color, label=afferent.name)
