@@ -121,6 +121,10 @@ def console(*, stderr: bool = False, highlight: bool = True) -> "Console":
     )
 
 
+_LONGEST_NAME = 40
+"""Longest text at the left of a table that stays in one line."""
+
+
 def print_table(
     rows: Iterable[Sequence[Any]],
     heading: Sequence[str] = (),
@@ -149,6 +153,7 @@ def print_table(
     from rich.table import Table
 
     rows = list(rows)
+    names = all(len(str(row[0])) <= _LONGEST_NAME for row in rows if row)
     table = Table(
         title=title,
         title_justify="left",
@@ -160,7 +165,8 @@ def print_table(
         table.add_column(
             heading[column] if heading else "",
             justify="left" if column < left else "right",
-            no_wrap=ruled or column == 0,
+            # Sentences at the left must leave room for what stands beside them.
+            no_wrap=ruled or (column == 0 and names),
             overflow="fold",
         )
     for row in rows:

@@ -117,3 +117,10 @@ def test_a_closed_stream_leads_nowhere_and_no_file_takes_its_place(monkeypatch):
     finally:
         os.dup2(kept, 0)
         os.close(kept)
+
+
+def test_a_sentence_at_the_left_leaves_room_beside_it(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    terminal.print_table([("many words " * 9, "beside", "them")], ["effect", "paper", "fingers"])
+    printed = capsys.readouterr().out
+    assert all(each in printed for each in ("paper", "fingers", "beside", "them"))
