@@ -56,16 +56,27 @@ def letter_sequence(
     letter: str, profile: Profile, bank: KernelBank, mode: Mode
 ) -> tuple[ScanSequence, NDArray[np.bool_]]:
     """Return the scan sequence of a letter at full comfort, and its electrodes, (E,)."""
-    drawn = draw_letter(letter, profile)
-    activation = np.zeros((len(Afferent), len(drawn)), np.float32)
-    activation[mode.afferents[0]] = drawn
+    return letter_sequences(letter, profile, bank, mode)[letter]
+
+
+def letter_sequences(
+    letters: str, profile: Profile, bank: KernelBank, mode: Mode
+) -> dict[str, tuple[ScanSequence, NDArray[np.bool_]]]:
+    """Return `letter_sequence` of each letter; what scans are made of is prepared once."""
     pipeline = Pipeline(profile, bank, RunConfig(mode=mode))
     force_n = profile.force.full_n
     period_us = round(1e6 / profile.pulse.rate_hz)
     after_ramp_ns = int(1e9 * (profile.limits.ramp_s + 1))
-    for time_ns in (0, after_ramp_ns):
-        step = pipeline.process(Stimulus(activation, time_ns, force_n, period_us))
-    return step.sequence, drawn > 0
+    shown = {}
+    for number, letter in enumerate(letters):
+        drawn = draw_letter(letter, profile)
+        activation = np.zeros((len(Afferent), len(drawn)), np.float32)
+        activation[mode.afferents[0]] = drawn
+        pipeline.restart_softly()
+        for time_ns in (2 * number * after_ramp_ns, (2 * number + 1) * after_ramp_ns):
+            step = pipeline.process(Stimulus(activation, time_ns, force_n, period_us))
+        shown[letter] = step.sequence, drawn > 0
+    return shown
 
 
 def feel_letters(
@@ -94,7 +105,7 @@ def feel_letters(
     progress : callable
         Is given the number of finished fingers and of all.
     """
-    shown = {each: letter_sequence(each, profile, bank, mode) for each in letters}
+    shown = letter_sequences(letters, profile, bank, mode)
     places = profile.electrodes.position_mm
     known = _templates(profile)
     found = []
@@ -120,8 +131,7 @@ def read_at_board(
     answers = Perception(profile, bank, mode.afferents)
     known = _templates(profile)
     read = {}
-    for letter in letters:
-        sequence, _ = letter_sequence(letter, profile, bank, mode)
+    for letter, (sequence, _) in letter_sequences(letters, profile, bank, mode).items():
         width = sequence.width_us.astype(np.float32)
         numbers = np.zeros(sequence.slots, np.uint32)
         answer = answers.answers(numbers, width, sequence.current_ua).get(0)

@@ -9,7 +9,7 @@ from smarttouch.physiology.anatomy import Anatomy
 from smarttouch.physiology.bystanders import Bystanders, margins, nociceptive_margin
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.letters import ALPHABET
-from smarttouch.psychophysics.letters_felt import letter_sequence
+from smarttouch.psychophysics.letters_felt import letter_sequences
 
 
 def bystander_margins(
@@ -30,7 +30,7 @@ def bystander_margins(
     dict of str to float
         By class, and "nociceptive": the smaller of Aδ and C.
     """
-    shown = [letter_sequence(each, profile, bank, mode)[0] for each in letters]
+    shown = [each for each, _ in letter_sequences(letters, profile, bank, mode).values()]
     rows: list[dict[str, float]] = []
     for seed in seeds:
         found = margins(Bystanders(profile, seed, anatomy), shown)
