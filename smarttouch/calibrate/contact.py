@@ -1,19 +1,23 @@
 """Contact of each electrode with the skin, from repeated measurements by a board."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.boards.board import Board
 from smarttouch.boards.impedance import Condition, Impedance
-from smarttouch.errors import CalibrationError
+from smarttouch.errors import CalibrationError, LineLostError
 from smarttouch.profile import Profile
 
 MOST_BROKEN = 0.5
 """Largest part of open or shorted electrodes; with more, the finger lies beside the array."""
 MOST_RESTLESS = 0.5
 """Largest spread of the median electrode over its median; with more, the finger moved."""
+MOST_LOSSES = 3
+"""Times that a board may be lost while it measures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +72,36 @@ class ContactFound:
             f"({low:.3g} to {high:.3g}), {self.repeats} measurements at {self.current_ma:.2g} mA"
             + ("" if np.isnan(spread) else f" that differ by {spread:.1%}")
         )
+
+
+def measure_contact(
+    opened: Callable[[], AbstractContextManager[Board]], repeats: int
+) -> list[Impedance]:
+    """Measure so often; a board that is lost meanwhile is opened anew, a few times.
+
+    Parameters
+    ----------
+    opened : callable
+        Opens the board.
+    repeats : int
+
+    Raises
+    ------
+    BoardError
+        If it cannot measure, or is lost again and again.
+    """
+    found: list[Impedance] = []
+    losses = 0
+    while True:
+        try:
+            with opened() as board:
+                while len(found) < repeats:
+                    found.append(board.measure())
+                return found
+        except LineLostError:
+            losses += 1
+            if losses > MOST_LOSSES:
+                raise
 
 
 def judge_contact(measured: Sequence[Impedance]) -> ContactFound:

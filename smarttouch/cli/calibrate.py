@@ -228,15 +228,16 @@ def contact(
     repeats: Annotated[int, typer.Option(metavar="N", min=1, max=100, help="Measurements.")] = 5,
 ) -> None:
     """Find the electrodes that touch the skin, by repeated measurements of their impedance."""
-    from smarttouch.calibrate.contact import judge_contact
+    from smarttouch.calibrate.contact import judge_contact, measure_contact
     from smarttouch.calibrate.tables import show_contact
     from smarttouch.running.display import open_display
 
     simulated = board.startswith("emulator:")
     file = calibration.file("contact", simulated, board)
     chosen = file.profile
-    with opened(open_display(board, chosen).board) as display:
-        found = judge_contact([display.measure() for _ in range(repeats)])
+    found = judge_contact(
+        measure_contact(lambda: opened(open_display(board, chosen).board), repeats)
+    )
     show_contact(found, chosen.electrodes)
     masked = found.masked(chosen)
     still = sorted(set(chosen.output.masked) - set(found.broken))

@@ -1,12 +1,14 @@
 """Repeated measurements say together what touches, and how well."""
 
+import contextlib
+
 import numpy as np
 import pytest
 
 from smarttouch.boards.impedance import Impedance, judge
-from smarttouch.calibrate.contact import judge_contact
+from smarttouch.calibrate.contact import MOST_LOSSES, judge_contact, measure_contact
 from smarttouch.calibrate.tables import show_contact
-from smarttouch.errors import CalibrationError
+from smarttouch.errors import CalibrationError, LineLostError
 from smarttouch.profile import load_profile
 
 from ..raising import raises
@@ -97,3 +99,34 @@ def test_the_map_shows_each_electrode_where_it_lies(capsys):
     assert lines[8].split()[0] == "open"
     assert float(lines[0].split()[-1]) == pytest.approx(found.kohm[0], abs=0.1)
     assert len(lines[0]) - len(lines[0].lstrip()) > len(lines[4]) - len(lines[4].lstrip())
+
+
+class Lossy:
+    """A board that is lost at some of its measurements."""
+
+    def __init__(self, lost_at):
+        self.lost_at, self.opened, self.measured = lost_at, 0, 0
+
+    @contextlib.contextmanager
+    def __call__(self):
+        self.opened += 1
+        yield self
+
+    def measure(self):
+        self.measured += 1
+        if self.measured in self.lost_at:
+            raise LineLostError("gone", about="board", problem="gone")
+        return self.measured
+
+
+def test_a_board_that_is_lost_is_opened_anew_and_measured_on():
+    board = Lossy({2, 4})
+    assert measure_contact(board, 4) == [1, 3, 5, 6]
+    assert board.opened == 3
+
+
+def test_a_board_that_is_lost_again_and_again_is_given_up():
+    board = Lossy(set(range(1, 100)))
+    with pytest.raises(LineLostError):
+        measure_contact(board, 4)
+    assert board.opened == MOST_LOSSES + 1
