@@ -10,6 +10,7 @@ from smarttouch.afferent import Mode
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.braille.cells import POSITION, dots_to_cells
 from smarttouch.braille_display.connection import Address, BrlttyConnection
+from smarttouch.braille_display.messages import Shown
 from smarttouch.braille_display.source import BrailleDisplaySource
 from smarttouch.delivered.perception import DeliveredAnswers
 from smarttouch.kernels.bank import load_bank
@@ -45,11 +46,16 @@ def brltty(tmp_path):
     connection.close()
 
 
-def put(writer, connection, text, shown, cursor=0):
+def shown(connection):
+    """Return what is shown; nothing while there is no connection."""
+    return connection.shown or Shown()
+
+
+def put(writer, connection, text, there, cursor=0):
     """Write a text until it is shown: just after its start BRLTTY can lose what is written."""
     for _ in range(HANGS_S):
         writer.write(text, cursor)
-        if connection.wait_until(shown, 1.0):
+        if connection.wait_until(there, 1.0):
             return
     raise AssertionError(text, connection.shown)
 
@@ -137,7 +143,7 @@ def test_keys_arrive_at_the_program(brltty):
     real.start()
     source = BrailleDisplaySource(connection, PROFILE, Presentation.CELL)
     with real.writer() as writer:
-        put(writer, connection, "hello", lambda: connection.shown.text == "hello")
+        put(writer, connection, "hello", lambda: shown(connection).text == "hello")
         source.read(0)
         source.keys["]"]()
         source.read(1)
@@ -153,8 +159,8 @@ def test_the_cursor_is_found(brltty):
     real, connection = brltty
     real.start()
     with real.writer() as writer:
-        put(writer, connection, "hello", lambda: connection.shown.cursor == 2, cursor=3)
-        put(writer, connection, "hello", lambda: connection.shown.cursor == 4, cursor=5)
+        put(writer, connection, "hello", lambda: shown(connection).cursor == 2, cursor=3)
+        put(writer, connection, "hello", lambda: shown(connection).cursor == 4, cursor=5)
 
 
 def test_it_survives_ten_restarts_of_brltty(brltty):
