@@ -35,6 +35,7 @@ TRIES = 3
 SHORT = {
     "live": "--seconds 1",
     "read": "--seconds 1",
+    "braille-display": "--seconds 1",
     "mouse": "--seconds 1",
     "color": "--seconds 1",
     "replay": "--seconds 1",
