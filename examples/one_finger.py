@@ -1,6 +1,6 @@
 """
-What one finger feels
-=====================
+A letter on one finger
+======================
 
 Under the electrodes lie afferents, at places that differ from finger to finger. Which of them fire,
 and where their receptors are, is what is felt.

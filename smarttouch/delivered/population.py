@@ -1,4 +1,4 @@
-"""What the afferents of one finger felt of delivered pulses, and a picture of it in color."""
+"""Spikes of one finger under delivered pulses, and their picture in the colors of classes."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What one finger makes of scan sequences: its spikes, where they are felt, and a picture."""
+"""Spikes of one finger under scan sequences: where they are felt, and a picture of it."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""How near letters at full comfort come to firing what must not fire: SAII, Aδ and C fibers."""
+"""Margins of letters at full comfort to what must not fire: SAII, Aδ and C fibers."""
 
 from collections.abc import Sequence
 from statistics import median

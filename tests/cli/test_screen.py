@@ -1,4 +1,4 @@
-"""What is on the screen of a run, at several sizes of the terminal."""
+"""The screen of a run at several sizes of the terminal."""
 
 import io
 import itertools

@@ -1,4 +1,4 @@
-"""What a finger felt of delivered pulses is drawn where its receptors were, by class."""
+"""Spikes under delivered pulses are drawn where receptors were, by class."""
 
 from dataclasses import replace
 

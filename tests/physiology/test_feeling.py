@@ -1,4 +1,4 @@
-"""What a finger feels of steps and sequences, and how it shows itself."""
+"""Feelings of steps and sequences, and their pictures in notebooks."""
 
 import numpy as np
 import pytest
