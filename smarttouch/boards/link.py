@@ -148,13 +148,14 @@ class LinkBoard(Board):
                     or len(self._in_flight) < IN_FLIGHT
                     or self._stopped.is_set()
                 ),
-                ANSWER_S,
+                line.answer_s,
             ):
                 line.raise_fault()
                 self._go_on_unless_stopped()
                 return
             number = next(iter(self._in_flight))
-        raise line.lost(f"has not acknowledged sequence {number} within {ANSWER_S:g} s", "mute")
+        what = f"has not acknowledged sequence {number} within {line.answer_s:g} s"
+        raise line.lost(what, "mute")
 
     def _send_again(self) -> None:
         """Send a sequence without an ACK once more, unless it is too late for it.

@@ -16,7 +16,7 @@ from smarttouch.wire.port import LINE_ERRORS, Port, reason, write_before
 HEARTBEAT_S = 0.03
 """Longest silence of the host: the board gives up after 0.1 s."""
 SILENCE_S = 0.5
-"""Silence of the board, which sends every 20 ms, after which it counts as gone."""
+"""Silence of the board, which sends every 20 ms in a session, after which it counts as gone."""
 LISTENED_S = 0.1
 """Largest silence counted for one read: a read ends sooner, the rest is our own pause."""
 ANSWER_S = 1.0
@@ -46,6 +46,10 @@ class LinkLine:
     ----------
     session : HostSession
         Session of all packets; each opening of the line has its own.
+    answer_s : float
+        Longest wait for an answer.
+    silence_s : float
+        Longest silence of the board in a session.
     """
 
     def __init__(
@@ -58,6 +62,7 @@ class LinkLine:
     ) -> None:
         self.name = name
         self.session = HostSession(draw)
+        self.answer_s, self.silence_s = ANSWER_S, SILENCE_S
         self._draw = draw
         self.news = threading.Condition()
         self.fault: BoardError | None = None
@@ -139,7 +144,7 @@ class LinkLine:
         BoardError
             If nothing comes, or the line has failed.
         """
-        deadline = self.now_s() + ANSWER_S
+        deadline = self.now_s() + self.answer_s
         offer = None
         while self.now_s() < deadline:
             offer = self._ask_once(Kind.HELLO, stopped=stopped) or offer
@@ -165,7 +170,7 @@ class LinkLine:
             If nothing comes, or the line has failed.
         """
         first = self.session.sent + 1
-        deadline = self.now_s() + ANSWER_S
+        deadline = self.now_s() + self.answer_s
         while self.now_s() < deadline:
             if answer := self._ask_once(question, first):
                 return answer
@@ -304,10 +309,11 @@ class LinkLine:
                 return
             before, now = now, self.now_s()
             silent_s += min(now - before, LISTENED_S)
-            if self.take(data):
+            # Before a session a board says nothing by itself.
+            if self.take(data) or not self.session.begun:
                 silent_s = 0.0
-            if silent_s > SILENCE_S:
-                self.fail(self.lost(f"has been silent for {SILENCE_S:g} s", "mute"))
+            if silent_s > self.silence_s:
+                self.fail(self.lost(f"has been silent for {self.silence_s:g} s", "mute"))
                 return
 
     def take(self, data: bytes) -> int:

@@ -36,6 +36,6 @@ def start_anew(start: Callable[[], None], lost: LineLostError) -> None:
                 f"{lost}; {other}", about=other.about, problem=other.problem, value=other.value
             ) from None
         except BoardError as again:
-            if not (left and isinstance(again, LineLostError)):
+            if not left or not (isinstance(again, LineLostError) or again.problem == "mute"):
                 raise lost from None
     return None

@@ -14,6 +14,7 @@ import pytest
 from smarttouch.boards.emulator.delivery_log import read_state
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.link import LinkBoard
+from smarttouch.boards.link_line import SILENCE_S
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
@@ -103,6 +104,7 @@ def test_a_killed_board_can_be_closed(make_limits):
 
 def test_a_board_that_hangs_is_told_of(make_limits, make_sequence):
     with EmulatorBoard("", make_limits()) as board:
+        board._line.silence_s = SILENCE_S
         board.send(make_sequence(0))
         board.drain()
         os.kill(board.process_id, signal.SIGSTOP)

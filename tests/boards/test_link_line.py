@@ -44,9 +44,10 @@ def listen():
     """Return a maker of lines to a port that plays pieces."""
     lines = []
 
-    def start(*pieces):
+    def start(*pieces, begun=True):
         line = LinkLine("here", lambda message: None, lambda: "")
         line.open(Port(line, *pieces))
+        line.session.begun = begun
         lines.append(line)
         return line
 
@@ -67,3 +68,9 @@ def test_a_board_that_says_nothing_is_gone(listen, noise):
     time.sleep(2 * SILENCE_S)
     with raises(LineLostError, about="board", problem="mute", value="here"):
         line.raise_fault()
+
+
+def test_a_board_says_nothing_before_a_session(listen):
+    line = listen(b"", begun=False)
+    time.sleep(2 * SILENCE_S)
+    line.raise_fault()

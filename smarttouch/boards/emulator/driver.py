@@ -17,6 +17,8 @@ from smarttouch.stimulation.safety import SafetyLimits
 _STARTS_WITHIN_S = 30.0
 """Time limit of the start, long enough for a busy computer."""
 _ENDS_WITHIN_S = 3.0
+_SPEAKS_WITHIN_S = 5.0
+"""Longest silence: what waits for a processor is not gone, and an end is told by its port."""
 
 
 class EmulatorBoard(LinkBoard):
@@ -48,6 +50,7 @@ class EmulatorBoard(LinkBoard):
     ) -> None:
         super().__init__("", limits, output)
         refuse_rest("emulator:", rest, BoardError)
+        self._line.answer_s = self._line.silence_s = _SPEAKS_WITHIN_S
         kind = "weighted" if output is None else output.kind
         options = f"--electrodes={limits.electrodes} --output={kind} --linger=0.2 --port-only"
         self._command = [sys.executable, "-m", "smarttouch.emulator", "board", "link"]
