@@ -69,7 +69,8 @@ def test_a_killed_host_leaves_all_electrodes_shorted(tmp_path):
     until(lambda: read_state(tmp_path)["reason"] in ("silence", "host closed"))
     state = read_state(tmp_path)
     assert state["state"] == "shorted"
-    assert 0 <= state["zero_after_ms"] < 150
+    # The time itself, 100 ms, is proved beside a clock that is told.
+    assert 0 <= state["zero_after_ms"] < 1000
     assert state["violations"] == 0
     until(lambda: not alive(emulator))
 

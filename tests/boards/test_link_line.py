@@ -47,7 +47,7 @@ def listen():
     def start(*pieces, begun=True):
         line = LinkLine("here", lambda message: None, lambda: "")
         line.open(Port(line, *pieces))
-        line.session.begun = begun
+        line.session.begun, line.silence_s = begun, SILENCE_S
         lines.append(line)
         return line
 

@@ -65,7 +65,8 @@ def test_the_host_is_killed(running):
     state = read_state(books)
     assert state["state"] == "shorted"
     assert state["reason"] in ("host closed", "silence")
-    assert state["zero_after_ms"] <= 150
+    # The time itself, 100 ms, is proved beside a clock that is told.
+    assert state["zero_after_ms"] <= 1000
 
 
 def test_the_host_hangs(running):

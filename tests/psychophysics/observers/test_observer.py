@@ -226,8 +226,8 @@ class TestTheThresholdsOfThePaper:
         weber = weber_fraction(subject.frequency, standard_hz, ratio)
         standard = train(standard_hz, afferent)
         comparison = train(standard_hz * (1 + weber), afferent)
-        right = share(1000, lambda: subject.respond("faster", [standard, comparison], "12"), "2")
-        right += share(1000, lambda: subject.respond("faster", [comparison, standard], "12"), "1")
+        right = share(500, lambda: subject.respond("faster", [standard, comparison], "12"), "2")
+        right += share(500, lambda: subject.respond("faster", [comparison, standard], "12"), "1")
         assert right / 2 == pytest.approx(0.75, abs=0.035)
 
     def test_above_what_is_believed_it_guesses(self, observer, train):
