@@ -3,8 +3,10 @@
 A point's slot is its kernel times an amplitude, so a pattern seen before, scaled, is looked up:
 drives are linear in the currents. The lookup is exact where an afferent may fire. It keeps
 every node that may then have the largest drive, and multiplies those with the actual currents.
+Which nodes these are is found out when a pattern comes again, as most new ones never do.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -57,11 +59,13 @@ class DriveMemory:
         self._kept_from = exact_from / _MOST - _ALIKE
         self._owner = np.repeat(np.arange(len(starts)), np.diff(np.r_[starts, len(rows)]))
         cuts = np.searchsorted(starts, np.arange(0, len(rows), _ROWS_AT_ONCE))
-        self._cuts = np.unique(np.r_[cuts, len(starts)])
+        parts = pairwise(np.unique(np.r_[cuts, len(starts)]).tolist())
+        ends = [*starts.tolist(), len(rows)]
+        # Runs of afferents, with their nodes, and where each begins among these.
+        self._parts = [(a, b, slice(ends[a], ends[b]), starts[a:b] - ends[a]) for a, b in parts]
         self._steepest = np.zeros((len(starts), rows.shape[1]), np.float32)
-        for first, last, here in self._parts():
-            found = np.maximum.reduceat(np.abs(rows[here]), starts[first:last] - here.start)
-            self._steepest[first:last] = found
+        for first, last, here, begins in self._parts:
+            self._steepest[first:last] = np.maximum.reduceat(np.abs(rows[here]), begins)
         self._patterns = np.zeros((_PATTERNS, rows.shape[1]), np.float32)
         self._square = np.full(_PATTERNS, np.inf, np.float32)
         self._known: list[_Known | None] = [None] * _PATTERNS
@@ -71,6 +75,8 @@ class DriveMemory:
         """Return the largest drive of each afferent, (A, S), for currents (S, E) in mA."""
         highest = np.empty((len(self._starts), len(current_ma)), np.float32)
         which, scale = self._find(current_ma)
+        again = np.unique(which[which >= 0])
+        self._learn(np.array([each for each in again if self._known[each] is None], np.intp))
         for slot in np.flatnonzero(which >= 0):
             known = self._known[which[slot]]
             assert known is not None
@@ -80,8 +86,22 @@ class DriveMemory:
                 highest[known.fires, slot] = exact
         new = np.flatnonzero(which < 0)
         if len(new):
-            highest[:, new] = self._learn(current_ma[new])
+            found = np.empty((len(self._starts), len(new)), np.float32)
+            for first, last, _, _, most in self._drives(current_ma[new]):
+                found[first:last] = most
+            highest[:, new] = found
+            self._remember(current_ma[new][-_PATTERNS:])
         return highest
+
+    def _remember(self, current_ma: Floats) -> None:
+        """Take up new patterns in place of the oldest."""
+        places = (self._next + np.arange(len(current_ma))) % _PATTERNS
+        self._next = (self._next + len(current_ma)) % _PATTERNS
+        self._patterns[places] = current_ma
+        square = (current_ma * current_ma).sum(axis=1)
+        self._square[places] = np.where(square > 0, square, np.inf)
+        for each in places:
+            self._known[each] = None
 
     def _find(self, current_ma: Floats) -> tuple[Indices, Floats]:
         """Return the known pattern of each slot, -1 if there is none, and its amplitude."""
@@ -96,34 +116,32 @@ class DriveMemory:
         which[(close[slots, which] < 0) | (off > _TOLERANCE)] = -1
         return which, scale
 
-    def _learn(self, current_ma: Floats) -> Floats:
-        """Return the drives of patterns from all nodes, and remember them."""
-        columns = np.ascontiguousarray(current_ma.T)
-        highest = np.empty((len(self._starts), len(current_ma)), np.float32)
+    def _learn(self, places: Indices) -> None:
+        """Find out the answers to patterns by all nodes."""
+        if not len(places):
+            return
+        highest = np.empty((len(self._starts), len(places)), np.float32)
         nodes, slots = [np.zeros(0, np.intp)], [np.zeros(0, np.intp)]
-        for first, last, here in self._parts():
-            drive = self._rows[here] @ columns
-            starts = self._starts[first:last] - here.start
-            highest[first:last] = np.maximum.reduceat(drive, starts)
+        for first, last, begin, drive, most in self._drives(self._patterns[places]):
+            highest[first:last] = most
             high = np.flatnonzero(drive >= self._kept_from)
-            node, slot = np.divmod(high, len(current_ma))
-            node += here.start
-            alike = drive.ravel()[high] >= highest[self._owner[node], slot] - _ALIKE
-            nodes.append(node[alike])
+            node, slot = np.divmod(high, len(places))
+            alike = drive.ravel()[high] >= highest[self._owner[begin + node], slot] - _ALIKE
+            nodes.append(begin + node[alike])
             slots.append(slot[alike])
         node, slot = np.concatenate(nodes), np.concatenate(slots)
-        for each in range(len(current_ma))[-_PATTERNS:]:
-            mine, pattern = node[slot == each], current_ma[each]
+        for each, place in enumerate(places):
+            mine = node[slot == each]
             fires, starts = np.unique(self._owner[mine], return_index=True)
-            self._known[self._next] = _Known(
-                highest[:, each].copy(), fires, starts, self._rows[mine]
-            )
-            self._patterns[self._next] = pattern
-            self._square[self._next] = pattern @ pattern or np.inf
-            self._next = (self._next + 1) % _PATTERNS
-        return highest
+            drive = highest[:, each].copy()
+            self._known[place] = _Known(drive, fires, starts, self._rows[mine])
 
-    def _parts(self) -> list[tuple[int, int, slice]]:
-        """Return runs of afferents, with their nodes, that fit a processor's cache."""
-        ends = [*self._starts.tolist(), len(self._rows)]
-        return [(a, b, slice(ends[a], ends[b])) for a, b in pairwise(self._cuts.tolist())]
+    def _drives(self, current_ma: Floats) -> Iterator[tuple[int, int, int, Floats, Floats]]:
+        """Yield runs of afferents, first and after the last, with the first of their nodes.
+
+        With them come the drives of these nodes, (N, S), and each afferent's largest, (A, S).
+        """
+        columns = np.ascontiguousarray(current_ma.T)
+        for first, last, here, begins in self._parts:
+            drive = self._rows[here] @ columns
+            yield first, last, here.start, drive, np.maximum.reduceat(drive, begins)
