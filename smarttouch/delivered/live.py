@@ -134,13 +134,14 @@ def serve(number: int) -> None:
     os.nice(_POLITE)
     with Connection(number) as line:
         finger, draw = line.recv()
-        _ = finger.rows
+        model = SpikeModel(finger)
         line.send(None)
         while True:
             try:
                 slots, active, wanted = line.recv()
             except EOFError:
                 return
-            (spikes,) = fire_all(SpikeModel(finger), [slots])
+            model.begin_anew()
+            (spikes,) = fire_all(model, [slots])
             feeling = Feeling(finger, (spikes,), active, wanted)
             line.send((spikes, None if draw is None else draw(feeling)))

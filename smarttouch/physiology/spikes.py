@@ -70,11 +70,16 @@ class SpikeModel:
         self._chronaxie_us = np.array([each.chronaxie_us for each in anatomy], np.float32)
         self._noise = np.array([each.noise for each in anatomy], np.float32)[classes]
         self._refractory_us = np.array([each.refractory_us for each in anatomy])[classes]
-        self._random = np.random.default_rng(seed)
+        self._seed = seed
         self._reference = strength(finger.profile.pulse.width_us, self._chronaxie_us)
         longest = strength(finger.profile.limits.pulse_us, self._chronaxie_us) / self._reference
         self._drives = DriveMemory(*finger.rows, _EXACT_FROM / max(1.0, longest.max()))
-        self._last_us = np.full(len(classes), -np.inf)
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Forget all spikes, and begin with the same noise; known currents stay known."""
+        self._random = np.random.default_rng(self._seed)
+        self._last_us = np.full(len(self.finger.classes), -np.inf)
         self._now_us = 0
 
     def drive(self, current_ua: NDArray[Any], width_us: NDArray[Any]) -> Floats:

@@ -111,8 +111,9 @@ def feel_letters(
     found = []
     for done, seed in enumerate(seeds):
         finger = Finger(profile, seed, anatomy)
+        model = SpikeModel(finger, seed)
         for letter, (sequence, active) in shown.items():
-            model = SpikeModel(finger, seed)
+            model.begin_anew()
             above = model.drive(sequence.current_ua, sequence.width_us)
             counts = np.sum([model.fire(sequence, above).counts for _ in range(_PERIODS)], axis=0)
             spread = felt_map(finger, counts, places).sum(axis=0)

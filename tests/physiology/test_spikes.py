@@ -41,6 +41,17 @@ def test_an_axon_is_refractory_after_a_spike(finger):
     assert np.array_equal(second.time_us, 20_000 + first.time_us)
 
 
+def test_a_model_that_begins_anew_fires_as_at_first(finger):
+    model, near = SpikeModel(finger), slots(finger, current_ma=1.5)
+    first = model.fire(near)
+    model.fire(near)
+    model.begin_anew()
+    again = model.fire(near)
+    assert first.fired.any()
+    assert np.array_equal(again.fired, first.fired)
+    assert np.array_equal(again.time_us, first.time_us)
+
+
 def test_without_refractoriness_every_slot_counts(finger):
     anatomy = finger.anatomy.model_copy(
         update={
