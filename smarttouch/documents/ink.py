@@ -1,5 +1,6 @@
 """Separation of ink from paper: a page as black on white, under any light."""
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -21,7 +22,7 @@ _STEP = 0.6
 """Part of the paper beside below which it ends."""
 _LEAST_LIGHT = 0.25
 """Part of the brightest paper below which an area is no paper, but the table."""
-_DARKEST = 20.0
+_DARKEST = 40.0
 """Grey level below which an area is too dark to contain ink."""
 _PAPER = 210
 """Level of the paper in the image divided by it: leaves room for noise above."""
@@ -39,7 +40,7 @@ _THROUGH = 0.6
 _POOL = 4
 """Pixels across and down that are one where spots that show through are looked for."""
 _DARKER_QUARTER = 0.25
-_DIRECTION_PIXELS = 100_000
+_DIRECTION_PIXELS = 12_500
 """Size of the image in which light and dark are compared."""
 _WINDOWS = 16
 """Windows across a page in which ink is tested to be darker or lighter than paper."""
@@ -86,11 +87,9 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     light_on_dark : bool, optional
         Whether it is printed light on dark; found out if not given.
     """
-    factor = min(max(1, int(math.sqrt(grey.size / _REDUCED_PIXELS))), _REDUCTION)
-    # Whole pixels are averaged faster; what is left over has the paper beside it.
-    small = _resized(
-        grey[: len(grey) // factor * factor, : grey.shape[1] // factor * factor], factor
-    )
+    small, factor = grey, 1
+    while factor < _REDUCTION and small.size >= 4 * _REDUCED_PIXELS:
+        small, factor = _halved(small), 2 * factor
     if light_on_dark is None:
         light_on_dark = is_light_on_dark(small)
     if light_on_dark:
@@ -100,14 +99,11 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     if levels is None:
         blank = np.full_like(grey, 255)
         return Paper(blank, np.zeros(grey.shape, np.bool_), light_on_dark)
-    stretch = (np.arange(256) - levels.black) * (255 / (levels.white - levels.black))
-    cleaned = cv2.LUT(flat, np.rint(np.clip(stretch, 0, 255)).astype(np.uint8))
-    ink = flat <= levels.threshold
-    faint = _faint_spots(flat, levels)
-    if faint is not None:
-        ink &= faint == 0
-        cleaned = cv2.bitwise_or(cleaned, faint)
-    return Paper(np.asarray(cleaned, np.uint8), ink, light_on_dark)
+    _leave_out_faint_spots(flat, levels)
+    _, ink = cv2.threshold(flat, levels.threshold, 1, cv2.THRESH_BINARY_INV)
+    above = cv2.subtract(flat, np.array([levels.black]))
+    cleaned = cv2.convertScaleAbs(above, alpha=255 / (levels.white - levels.black))
+    return Paper(np.asarray(cleaned, np.uint8), ink.view(np.bool_), light_on_dark)
 
 
 def is_light_on_dark(grey: Grey) -> bool:
@@ -118,40 +114,46 @@ def is_light_on_dark(grey: Grey) -> bool:
     window gives the side; where there is no print, or the edge of a sheet on a
     darker table, it is small or cancels.
     """
-    small = reduced(grey, _DIRECTION_PIXELS).astype(np.float32)
+    step = max(1, round(math.sqrt(grey.size / _DIRECTION_PIXELS)))
+    small = grey[::step, ::step].astype(np.float32)
     side = max(3, round(math.sqrt(small.size) / _WINDOWS)) | 1
     window = (side, side)
     mean = cv2.blur(small, window)
     square = cv2.blur(small * small, window)
     cube = cv2.blur(small * small * small, window)
+    # A power is slower than products.
     variance = np.maximum(square - mean * mean, 1.0)
-    third = cube - 3 * mean * square + 2 * mean**3
+    third = cube - mean * (3 * square - 2 * mean * mean)
     return bool((third / variance).sum() > _LEAST_SKEW * np.sqrt(variance).sum())
 
 
 def reduced(grey: Grey, pixels: int) -> Grey:
     """Return an image of at most so many pixels, averaged."""
-    return _resized(grey, math.sqrt(grey.size / pixels))
-
-
-def _resized(grey: Grey, factor: float) -> Grey:
-    """Return an image reduced by a factor, averaged; as it is if the factor is below 1."""
+    factor = math.sqrt(grey.size / pixels)
     if factor <= 1:
         return grey
     size = (max(1, round(grey.shape[1] / factor)), max(1, round(grey.shape[0] / factor)))
     return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
+def _halved(grey: Grey) -> Grey:
+    """Return an image of half the size, averaged; whole pixels are averaged fastest."""
+    height, width = (max(1, side // 2) for side in grey.shape)
+    even = grey[: 2 * height, : 2 * width]
+    return np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+
+
 def _divided(grey: Grey, small: Grey, side: float) -> Grey:
     """Return the page divided by its paper; blank where it is too dark to be paper."""
     side = min(side, math.sqrt(small.size) / _LEAST_WINDOWS)
-    near, far = _closed(small, side), _closed(small, _WIDER * side)
-    solid = near < _SOLID * far
+    near, far = _closed(small, side), _closed(_halved(small), _WIDER * side / 2)
+    far = np.asarray(cv2.resize(far, near.shape[::-1]), np.uint8)
+    solid = near < cv2.convertScaleAbs(far, alpha=_SOLID)
     paper = np.where(_inside(solid), far, near) if solid.any() else near
     # Interpolated, the paper would reach beyond the edge of a sheet.
     around = np.ones((5, 5), np.uint8)
     lowest, highest = cv2.erode(paper, around), cv2.dilate(paper, around)
-    paper = np.where(lowest < _STEP * highest, lowest, paper)
+    paper = np.where(lowest < cv2.convertScaleAbs(highest, alpha=_STEP), lowest, paper)
     darkest = max(_DARKEST, _LEAST_LIGHT * float(np.percentile(paper[::4, ::4], 95)))
     wide = cv2.resize(paper, grey.shape[::-1], interpolation=cv2.INTER_LINEAR)
     flat = cv2.divide(grey, wide, scale=_PAPER)
@@ -193,8 +195,7 @@ class _Levels:
 
 def _levels(flat: Grey) -> _Levels | None:
     """Return the levels of ink and paper; None without ink."""
-    sample = np.ascontiguousarray(flat[::2, ::2])
-    counts = cv2.calcHist([sample], [0], None, [256], [0, 256]).ravel().astype(np.float64)
+    counts = cv2.calcHist([flat[::4]], [0], None, [256], [0, 256]).ravel().astype(np.float64)
     level = np.arange(256)
     # The last level is where no paper was to be seen.
     bright = np.where((level > _BRIGHT * _PAPER) & (level < 255), counts, 0)
@@ -203,7 +204,6 @@ def _levels(flat: Grey) -> _Levels | None:
     dark = level < middle - max(_LEAST_CONTRAST / 2 * _PAPER, 4 * grain)
     if counts[dark].sum() < _FEWEST or not bright.any():
         return None
-    counts[~dark] *= min(1.0, 4 * counts[dark].sum() / counts[~dark].sum())
     otsu = middle - _otsu(counts)
     part = np.clip(otsu / middle / _EVEN_INK, _LEAST_PART, 1)
     threshold = middle - np.clip(_GRAINS * grain, part * otsu, _MOST_PART * otsu)
@@ -213,7 +213,7 @@ def _levels(flat: Grey) -> _Levels | None:
         return None
     black, darker = np.searchsorted(np.cumsum(ink), np.array([0.2, _DARKER_QUARTER]) * ink.sum())
     white = middle - max(2.5 * grain, 0.03 * _PAPER)
-    return _Levels(black, middle - _THROUGH * (middle - darker), threshold, white)
+    return _Levels(float(black), middle - _THROUGH * (middle - darker), threshold, white)
 
 
 def _otsu(counts: NDArray[np.float64]) -> int:
@@ -227,17 +227,21 @@ def _otsu(counts: NDArray[np.float64]) -> int:
     return int(np.divide(between, both, out=np.zeros_like(both), where=both > 0).argmax())
 
 
-def _faint_spots(flat: Grey, levels: _Levels) -> Grey | None:
-    """Return 255 where a spot of ink stays faint all over, and around it; None without any."""
-    side = np.ones((_POOL, _POOL), np.uint8)
-    small = np.ascontiguousarray(cv2.erode(flat, side, anchor=(0, 0))[::_POOL, ::_POOL])
-    _, ink = cv2.threshold(small, levels.threshold, 255, cv2.THRESH_BINARY_INV)
+def _leave_out_faint_spots(flat: Grey, levels: _Levels) -> None:
+    """Make spots of ink that stay faint all over white, and what is around them."""
+    height, width = (side // _POOL for side in flat.shape)
+    if not height * width:
+        return
+    # Rows at once, then columns: quicker than with a window.
+    rows = [flat[k : _POOL * height : _POOL, : _POOL * width] for k in range(_POOL)]
+    lowest = functools.reduce(np.minimum, rows)
+    lowest = functools.reduce(np.minimum, [lowest[:, k::_POOL] for k in range(_POOL)])
+    _, ink = cv2.threshold(lowest, levels.threshold, 255, cv2.THRESH_BINARY_INV)
     count, labels = cv2.connectedComponents(ink, connectivity=8)
     faint = np.full(count, 255, np.uint8)
-    faint[labels[small <= levels.seen]] = 0
+    faint[labels[lowest <= levels.seen]] = 0
     faint[0] = 0
-    if not faint.any():
-        return None
-    size = (_POOL * small.shape[1], _POOL * small.shape[0])
-    spots = cv2.resize(faint[labels], size, interpolation=cv2.INTER_NEAREST)
-    return np.asarray(spots[: flat.shape[0], : flat.shape[1]], np.uint8)
+    if faint.any():
+        spots = np.repeat(faint[labels], _POOL, axis=1)
+        for row in rows:
+            cv2.max(row, spots, dst=row)
