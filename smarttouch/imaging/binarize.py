@@ -24,6 +24,14 @@ _FAINT_RANKS = np.array([0.5, 0.97])
 """Parts of a patch of faint print that are no deeper than grain, and than its ink."""
 _WINDOW = 4
 """Windows of paper across a patch: strokes of text are narrower."""
+AREA_PART = 0.5
+"""Part of the patch across which an area is dark that is wider than any usual stroke."""
+BLACK_AREA = 0.2
+"""Part of the white above which such an area is a table, a picture or a deep shadow, no ink."""
+_MUCH = 0.25
+"""Dark part of a patch from which it is searched for such areas."""
+_BESIDE = 2
+"""Samples around them that are blurred."""
 _SAMPLES = 32
 """Rows and columns of the sample for the guards."""
 
@@ -36,7 +44,8 @@ class Binarizer:
     to frame, ink is what is darker than a fixed part of it, and two guards
     keep the whole patch silent: the darkest part must differ from the white,
     and most of the patch must be one or the other; print below that contrast must
-    stand out from the grain of the paper beside it. Seen through a 5 mm patch,
+    stand out from the grain of the paper beside it. Areas wider than strokes that
+    are not black are no ink, but what a sheet lies on. Seen through a 5 mm patch,
     1 in 100 places of a photographed page has more than 0.37 of its area in
     between; dense noise of any grain has 0.43 and more.
 
@@ -56,11 +65,14 @@ class Binarizer:
         self._sample = self._smooth[::down, ::across]
         side = max(3, min(self._sample.shape) // _WINDOW) | 1
         self._window = np.ones((side, side), np.uint8)
+        area = max(3, round(AREA_PART * min(self._sample.shape))) | 1
+        self._area = np.ones((area, area), np.uint8)
+        self._around = np.ones((area + 2 * _BESIDE, area + 2 * _BESIDE), np.uint8)
         self._levels = np.empty(self._sample.shape, np.intp)
         count = self._sample.size
         # Of the darkest and of the brightest.
         self._ranks = np.array([int(0.02 * count), int(0.95 * count)])
-        self._white = 0.0
+        self._white = self._paper = 0.0
         self._time_ns = 0
 
     def ink(self, image: NDArray[np.uint8], time_ns: int, touching: bool) -> NDArray[np.uint8]:
@@ -87,6 +99,8 @@ class Binarizer:
         self._time_ns = time_ns
         floor = self._white * math.exp(-WHITE_DECAY_PER_S * elapsed_s) if touching else 0.0
         white = self._white = max(bright, floor)
+        if bright >= floor:
+            self._paper = white
         # Those in the middle four tenths of the range.
         low = math.ceil(dark + 0.3 * (bright - dark))
         high = math.ceil(dark + 0.7 * (bright - dark))
@@ -97,7 +111,17 @@ class Binarizer:
             self._ink.fill(0)
             return self._ink
         cv2.threshold(smooth, INK_LEVEL * white, 255, cv2.THRESH_BINARY_INV, dst=self._ink)
+        if counts[int(INK_LEVEL * white)] > _MUCH * counts[-1]:
+            self._leave_out_areas(white)
         return self._ink
+
+    def _leave_out_areas(self, white: float) -> None:
+        """Take areas out of the ink that are wider than strokes, unless they are black."""
+        dark = (self._sample < INK_LEVEL * white).view(np.uint8)
+        areas = np.asarray(cv2.dilate(cv2.erode(dark, self._area), self._around), np.uint8)
+        if areas.any() and cv2.mean(self._sample, areas & dark)[0] > BLACK_AREA * self._paper:
+            wide = cv2.resize(areas, self._ink.shape[::-1], interpolation=cv2.INTER_NEAREST)
+            cv2.subtract(self._ink, wide * np.uint8(255), dst=self._ink)
 
     def _faint_ink(self, white: float) -> NDArray[np.uint8]:
         """Return the ink of faint print: what is darker than the paper close to it.

@@ -9,7 +9,7 @@ from skimage import data
 
 from smarttouch.documents.ink import is_light_on_dark, separate_ink
 
-from .printed import degrade, print_page, some_lines
+from .printed import blank_papers, degrade, print_page, some_lines
 
 
 @pytest.fixture(scope="module")
@@ -109,29 +109,6 @@ def test_any_shape_is_taken(shape):
     grey = np.random.default_rng(0).integers(0, 256, shape).astype(np.uint8)
     paper = separate_ink(grey)
     assert paper.cleaned.shape == paper.ink.shape == shape
-
-
-def blank_papers():
-    """Return papers without print, by their kind."""
-    random = np.random.default_rng(5)
-    y, x = np.mgrid[:600, :800].astype(np.float32)
-    white = np.full((600, 800), 250, np.float32)
-    kinds = {"white": white, "grey": white - 100, "gradient": white - 0.15 * x}
-    kinds["grain"] = white - 30 + random.normal(0, 9, white.shape)
-    kinds["lined"] = np.where(y % 50 < 3, 0.93, 1) * 240
-    kinds["squared"] = np.where((y % 30 < 2) | (x % 30 < 2), 0.93, 1) * 240
-    stain = np.hypot(x - 400, y - 300)
-    kinds["stained"] = 240 - 35 / (1 + np.exp((stain - 150) / 15))
-    kinds["table"] = np.where(x > 90, 230.0, 60.0)
-    kinds["shadow"] = 235 * (1 - 0.4 / (1 + np.exp((x - 0.4 * y - 300) / 12)))
-    text = print_page(some_lines(14, 40), size_pt=11, dpi=150).page.grey[:600, :800]
-    back = np.full((600, 800), 235, np.float32)
-    back[: text.shape[0], : text.shape[1]] = text[:, ::-1]
-    kinds["show-through"] = 235 - 0.08 * cv2.GaussianBlur(235 - back, (0, 0), 2)
-    return {
-        name: np.clip(paper + random.normal(0, 2, paper.shape), 0, 255).astype(np.uint8)
-        for name, paper in kinds.items()
-    }
 
 
 @pytest.mark.parametrize(("name", "grey"), blank_papers().items())

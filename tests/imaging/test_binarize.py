@@ -1,9 +1,12 @@
 """Ink is found, blank paper and noise stay silent."""
 
+import cv2
 import numpy as np
 import pytest
 
 from smarttouch.imaging.binarize import Binarizer
+
+from ..documents.printed import blank_papers
 
 SECOND = 10**9
 
@@ -93,3 +96,29 @@ def test_paper_with_faint_rules_is_silent(binarizer, level, noise):
     for seed in range(10):
         image, _ = faint_bars(level, noise, seed)
         assert share(binarizer.ink(image, 0, True)) <= 0.01
+
+
+@pytest.mark.parametrize(("name", "grey"), blank_papers().items())
+def test_a_finger_over_paper_without_print_feels_nothing(binarizer, name, grey):
+    page = cv2.resize(grey, None, fx=2, fy=2)
+    found, time_ns = [], 0
+    for y in range(0, page.shape[0] - 64, 96):
+        for x in range(page.shape[1] - 64, 0, -24):
+            # Lifted on the way to the next row.
+            patch = np.ascontiguousarray(page[y : y + 64, x : x + 64])
+            found.append(share(binarizer.ink(patch, time_ns, touching=x < page.shape[1] - 64)))
+            time_ns += SECOND // 20
+    assert np.mean(found) <= 0.01
+
+
+@pytest.mark.parametrize(("ink", "seen"), [(30, 1.0), (70, 0.0)])
+def test_only_a_black_area_is_ink(binarizer, patch, ink, seen):
+    binarizer.ink(patch(0, 0), 0, True)
+    assert share(binarizer.ink(patch(0, 64, ink=ink), 1, True)) == seen
+    half = binarizer.ink(patch(0, 40, ink=ink), 2, True)
+    assert share(half[:, :36]) == seen
+    assert share(half[:, 44:]) == 0
+
+
+def test_bold_strokes_of_grey_print_are_no_area(binarizer, patch):
+    assert share(binarizer.ink(patch(20, 44, ink=70), 0, True)) > 0.3
