@@ -5,7 +5,10 @@ import ctypes.util
 import re
 import threading
 import unicodedata
+from collections.abc import Sequence
+from enum import IntFlag
 from functools import cache
+from typing import NamedTuple
 
 from smarttouch.braille.cells import BLANK, pattern
 from smarttouch.errors import BrailleError
@@ -31,6 +34,25 @@ _ESCAPE = re.compile(r"\\([0-9A-F]*)/")
 
 _lock = threading.Lock()
 """Lock of liblouis, which keeps its state in globals."""
+
+
+class Emphasis(IntFlag):
+    """Type of a character in print, as liblouis numbers them."""
+
+    PLAIN = 0
+    ITALIC = 1
+    UNDERLINE = 2
+    BOLD = 4
+
+
+class Translated(NamedTuple):
+    """Cells of a line of text, and which belong to which of its characters."""
+
+    cells: str
+    cell_of: list[int]
+    """Index of the first cell of each character."""
+    character_of: list[int]
+    """Index of the character of each cell: where its cursor goes."""
 
 
 class LouisCode:
@@ -70,13 +92,24 @@ class LouisCode:
 
     def encode(self, line: str) -> str:
         """Return a line of text as cells."""
-        return _translate(self._table, line, _DOTS_IO | _UNICODE_CELLS)
+        return self.translate(line).cells
+
+    def translate(self, line: str, emphasis: Sequence[Emphasis] = ()) -> Translated:
+        """Return a line of text as cells, with the places of its characters.
+
+        Parameters
+        ----------
+        line : str
+        emphasis : sequence of Emphasis
+            Of each character; plain where it ends.
+        """
+        return _translate(self._table, line, _DOTS_IO | _UNICODE_CELLS, emphasis=emphasis)
 
     def decode(self, cells: str) -> str:
         """Return cells as text; a cell that the table cannot read stays as it is."""
         dots = "".join(chr(_DOTS | pattern(cell)) for cell in cells)
-        text = _translate(self._table, dots, _DOTS_IO, back=True)
-        if text == _translate(self._table, dots, _DOTS_IO | _NO_UNDEFINED, back=True):
+        text = _translate(self._table, dots, _DOTS_IO, back=True).cells
+        if text == _translate(self._table, dots, _DOTS_IO | _NO_UNDEFINED, back=True).cells:
             return text
         return _ESCAPE.sub(lambda found: _cell(found[1]), text)
 
@@ -96,7 +129,7 @@ class LouisCode:
             return False
         mode = _DOTS_IO | _UNICODE_CELLS | _NO_UNDEFINED
         alone, undefined = (_translate(self._table, each, mode) for each in (character, _UNDEFINED))
-        return alone != undefined
+        return alone.cells != undefined.cells
 
 
 def version() -> str | None:
@@ -120,6 +153,68 @@ def has_table(table: str) -> bool:
         return bool(library.lou_checkTable(table.encode()))
 
 
+def find_table(language: str) -> str | None:
+    """Return the file name of the plainest table of a language tag, such as ``pt`` or ``pt-BR``.
+
+    Parameters
+    ----------
+    language : str
+        Where there is no table of its region, that of the language itself is taken.
+    """
+    own = language.lower().partition("-")[0]
+    for tag in (language, own):
+        for kind in (" type:literary contraction:no", " type:literary", ""):
+            found = _asked("lou_findTable", f"language:{tag}{kind}".encode())
+            # It finds tables of other languages, too, if all else fits.
+            if found and own == _asked("lou_getTableInfo", found.encode(), b"language"):
+                return found.rpartition("/")[2]
+    return None
+
+
+def title_of(table: str) -> str:
+    """Return the name that a table gives itself; that of its file if none."""
+    return _asked("lou_getTableInfo", table.encode(), b"display-name") or f"liblouis table {table}"
+
+
+class TableFile(NamedTuple):
+    """Table of liblouis, as it describes itself."""
+
+    name: str
+    language: str
+    title: str
+
+
+def table_files() -> list[TableFile]:
+    """Return the tables of liblouis that describe themselves; none where it is not installed."""
+    library = _library()
+    if library is None:
+        return []
+    with _lock:
+        library.lou_listTables.restype = ctypes.POINTER(ctypes.c_char_p)
+        listed, names = library.lou_listTables(), list[bytes]()
+        while listed[len(names)]:
+            names.append(listed[len(names)])
+    return [
+        TableFile(
+            name.decode().rpartition("/")[2],
+            _asked("lou_getTableInfo", name, b"language"),
+            _asked("lou_getTableInfo", name, b"display-name"),
+        )
+        for name in names
+    ]
+
+
+def _asked(function: str, *arguments: bytes) -> str:
+    """Return the text that a function of liblouis gives; empty if none, or without liblouis."""
+    library = _library()
+    if library is None:
+        return ""
+    with _lock:
+        asked = getattr(library, function)
+        asked.restype = ctypes.c_char_p
+        return (asked(*arguments) or b"").decode("utf-8", "replace")
+
+
 @cache
 def _library() -> ctypes.CDLL | None:
     found = ctypes.util.find_library("louis")
@@ -135,12 +230,7 @@ def _library() -> ctypes.CDLL | None:
 
 
 def _goes_both_ways(table: str) -> bool:
-    library = _library()
-    assert library is not None
-    library.lou_getTableInfo.restype = ctypes.c_char_p
-    with _lock:
-        direction = library.lou_getTableInfo(table.encode(), b"direction")
-    return bool(direction != b"forward")
+    return _asked("lou_getTableInfo", table.encode(), b"direction") != "forward"
 
 
 @cache
@@ -150,10 +240,12 @@ def _encoding() -> str:
     return "utf-32-le" if library.lou_charSize() == 4 else "utf-16-le"
 
 
-def _translate(table: str, text: str, mode: int, back: bool = False) -> str:
+def _translate(
+    table: str, text: str, mode: int, back: bool = False, emphasis: Sequence[Emphasis] = ()
+) -> Translated:
     library, encoding = _library(), _encoding()
     assert library is not None
-    translate = library.lou_backTranslateString if back else library.lou_translateString
+    translate = library.lou_backTranslate if back else library.lou_translate
     given = text.encode(encoding, "surrogatepass")
     width = 4 if encoding == "utf-32-le" else 2
     length = len(given) // width
@@ -162,16 +254,19 @@ def _translate(table: str, text: str, mode: int, back: bool = False) -> str:
         inbuf = ctypes.create_string_buffer(given, len(given) + width)
         outbuf = ctypes.create_string_buffer(room * width)
         read, written = ctypes.c_int(length), ctypes.c_int(room)
+        cell_of, character_of = (ctypes.c_int * room)(), (ctypes.c_int * room)()
+        types = (ctypes.c_ushort * room)(*emphasis[:length]) if any(emphasis) else None
         with _lock:
             done = translate(
                 table.encode(), inbuf, ctypes.byref(read), outbuf, ctypes.byref(written),
-                None, None, mode,
+                types, None, cell_of, character_of, None, mode,
             )  # fmt: skip
         if not done:
             break
         # The consumed input does not always show cut output, but that fills its room.
         if read.value == length and written.value <= room // 2:
-            return outbuf.raw[: written.value * width].decode(encoding, "replace")
+            made = outbuf.raw[: written.value * width].decode(encoding, "replace")
+            return Translated(made, cell_of[:length], character_of[: written.value])
     way = "cells into a text" if back else "a text into cells"
     raise BrailleError(
         f"liblouis could not turn {way} with {table}: choose another table",

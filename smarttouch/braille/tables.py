@@ -8,7 +8,7 @@ from functools import cache
 from typing import NamedTuple, Protocol
 
 from smarttouch.braille import louis
-from smarttouch.braille.cells import is_cell, require_cells
+from smarttouch.braille.cells import BLANK, is_cell, require_cells
 from smarttouch.braille.grade1 import Grade1
 from smarttouch.braille.kana import Kana
 from smarttouch.braille.louis import LouisCode
@@ -20,6 +20,8 @@ _MARKED = re.compile(
     r"[\u0300-\u036f\u064b-\u065f\u0670\u093c\u09bc\u0a3c\u0b3c\u0cbc\u3099\u309a]+"
 )
 """A letter and the marks that may belong to it."""
+_TAG = re.compile(r"[a-z]{2,3}(-[A-Z]{2})?")
+"""Tag of a language, with its country or without."""
 MISSING_NOTE = (
     f"liblouis is not here: built-in English grade 1; for other tables and grade 2: {louis.INSTALL}"
 )
@@ -126,9 +128,18 @@ class _EnglishLouis(LouisCode):
     """
 
     def decode(self, cells: str) -> str:
-        """Return cells as text; cells unknown to our own code are read by liblouis."""
+        """Return cells as text; words with a cell unknown to our own code are read by liblouis."""
         text = Grade1().decode(cells)
-        return super().decode(cells) if any(map(is_cell, text)) else text
+        if not any(map(is_cell, text)):
+            return text
+        words, ours = cells.split(BLANK), text.split(" ")
+        if len(words) != len(ours):
+            return super().decode(cells)
+        read = super().decode
+        return " ".join(
+            read(word) if any(map(is_cell, own)) else own
+            for word, own in zip(words, ours, strict=True)
+        )
 
 
 class _Known(NamedTuple):
@@ -166,20 +177,26 @@ def open_table(name: str = DEFAULT_TABLE) -> Table:
     Parameters
     ----------
     name : str
-        A short name of ``known_tables``, or the file name of a table of liblouis.
+        A short name of ``known_tables``, the file name of a table of liblouis, or the tag of a
+        language, such as ``fr`` or ``pt-BR``: its plainest table.
 
     Raises
     ------
     BrailleError
         If there is no such table, or it needs liblouis and that is missing.
     """
+    if _TAG.fullmatch(name):
+        own = name.lower().partition("-")[0]
+        name = next((each for each in _KNOWN if each.partition("-")[0] == own), None) or (
+            louis.find_table(name) or name
+        )
     known = _KNOWN.get(name)
     if known is None:
         if "." in name and louis.has_table(name):
-            return Table(name, f"liblouis table {name}", LouisCode(name))
+            return Table(name, louis.title_of(name), LouisCode(name))
         raise BrailleError(
-            f"unknown table {name!r}: choose one of {', '.join(_KNOWN)}, or give the file name of "
-            "a liblouis table",
+            f"unknown table {name!r}: choose one of {', '.join(_KNOWN)}, or give the tag of a "
+            "language (pt), or the file name of a table of liblouis",
             about="table",
             problem="unknown",
             value=name,

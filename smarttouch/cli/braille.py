@@ -7,7 +7,7 @@ import typer
 
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.saved import SavedSettings
-from smarttouch.cli.source_options import DocumentOptions, TableOption
+from smarttouch.cli.source_options import DocumentOptions, TableOption, table_of
 from smarttouch.cli.standard_input import or_standard_input
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def braille(
             "standard input.",
         ),
     ] = None,
-    table: TableOption = "en-1",
+    table: TableOption = None,
     back: Annotated[bool, typer.Option("--back", help="From cells to text.")] = False,
     output: Annotated[
         Path | None,
@@ -58,8 +58,9 @@ def braille(
         message = "nothing to read is given: give a text or a file, or list the tables"
         raise BrailleError(message, about="text", problem="missing", remedy="tables")
     require_folder(output)
-    code = open_table(table)
-    loaded = _seen(source, table, document)
+    named = table_of(table, document.languages)
+    code = open_table(named)
+    loaded = _seen(source, named, document)
     loaded = loaded or load_cells(source, code, leave_out)
     for note in loaded.notes:
         typer.echo(note, err=True)
@@ -110,14 +111,18 @@ def _print_tables() -> None:
     from smarttouch.terminal import print_table
 
     version = louis.version()
+    known = known_tables()
     print_table(
         [
-            (name + " (default)" * (name == DEFAULT_TABLE), title)
-            for name, title in known_tables().items()
+            *(
+                (name + " (default)" * (name == DEFAULT_TABLE), name.partition("-")[0], title)
+                for name, title in known.items()
+            ),
+            *louis.table_files(),
         ],
-        ("name", "what it is"),
-        note=f"And the file name of any table of liblouis {version}."
+        ("name", "language", "what it is"),
+        note=f"Or any other file of liblouis {version}, or the tag of a language."
         if version
         else f"liblouis is not here: of these only en-1 and ja work. For all: {louis.INSTALL}",
-        left=2,
+        left=3,
     )

@@ -71,7 +71,7 @@ def read(
     run = replace(run, board=board or (None if run.frames is None else "simulated:"))
     own = run.load_profile()
     chosen = profile_for_reading(own)
-    presentation = feel.presentation(lines)
+    presentation = feel.presentation(lines, document.languages)
     motion = presentation.motion(chosen, feel.speed_mm_s, rate_hz)
     notes: list[str] = []
     text = Source(*document.look(source, scale_matters=follow is not None), notes.append)

@@ -14,6 +14,14 @@ if TYPE_CHECKING:
     from smarttouch.reading.shapes import Shapes
 
 _FEEL = "How it is felt"
+_TESSERACT = {
+    "ar": "ara", "cs": "ces", "da": "dan", "de": "deu", "el": "ell", "en": "eng", "es": "spa",
+    "fi": "fin", "fr": "fra", "he": "heb", "hi": "hin", "hu": "hun", "it": "ita", "ja": "jpn",
+    "ko": "kor", "nl": "nld", "pl": "pol", "pt": "por", "ru": "rus", "sv": "swe", "tr": "tur",
+    "uk": "ukr",
+}  # fmt: skip
+"""Languages as Tesseract names them, by their tags."""
+_TAGS = {code: tag for tag, code in _TESSERACT.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,19 +82,29 @@ class DocumentOptions(OptionGroup):
                 RecognitionOptions, source, PageError, but=("password", *more)
             )
         own = {each.name: getattr(self, each.name) for each in fields(DocumentOptions)}
+        if self.languages is not None:
+            own["languages"] = "+".join(
+                _TESSERACT.get(each.partition("-")[0], each) for each in self.languages.split("+")
+            )
         given = {name: value for name, value in own.items() if value is not None}
         given = joined_options(source, given, told, PageError)
         return place, RecognitionOptions(**given, **more)
 
 
 TableOption = Annotated[
-    str,
+    str | None,
     typer.Option(
         metavar="NAME",
         rich_help_panel=_FEEL,
-        help="Code, of smarttouch braille --tables.",
+        help="Code, of smarttouch braille --tables; if none, that of --language, or en-1.",
     ),
 ]
+
+
+def table_of(table: str | None, language: str | None) -> str:
+    """Return the name of the Braille table: that given, or that of the first language."""
+    first = (language or "en").partition("+")[0]
+    return table or _TAGS.get(first, first)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +119,7 @@ class FeelOptions(OptionGroup):
         str,
         typer.Option(metavar="HOW", rich_help_panel=_FEEL, help="plain, thinned or graded."),
     ] = "graded"
-    table: TableOption = "en-1"
+    table: TableOption = None
     cells: Annotated[
         str,
         typer.Option(
@@ -132,8 +150,15 @@ class FeelOptions(OptionGroup):
         ),
     ] = None
 
-    def presentation(self, lines: int = 1) -> "Shapes | Braille":
-        """Return letter shapes or Braille, with so many lines of cells at once."""
+    def presentation(self, lines: int = 1, language: str | None = None) -> "Shapes | Braille":
+        """Return letter shapes or Braille, with so many lines of cells at once.
+
+        Parameters
+        ----------
+        lines : int
+        language : str, optional
+            Whose table is taken if none is given.
+        """
         from smarttouch.cli.choices import parse_choice
         from smarttouch.reading.braille import Braille, Presentation
         from smarttouch.reading.shapes import Shapes, Style
@@ -142,4 +167,5 @@ class FeelOptions(OptionGroup):
         presentation = parse_choice("cells", self.cells, Presentation)
         if parse_choice("kind", self.kind, ("shapes", "braille")) == "shapes":
             return shapes
-        return Braille(self.table, presentation, lines, self.embossed, self.light_from)
+        table = table_of(self.table, language)
+        return Braille(table, presentation, lines, self.embossed, self.light_from)

@@ -58,7 +58,38 @@ def test_any_table_of_liblouis():
     assert table.to_text("⠁⠻⠕") == "año"
 
 
-@pytest.mark.parametrize("name", ["", "en", "nonsense.ctb", "../../etc/passwd", "en-1 "])
+@needs_liblouis
+@pytest.mark.parametrize(
+    ("tag", "name", "cells"),
+    [
+        ("en", "en-1", "⠍"),
+        ("fr-CA", "fr-1", "⠍"),
+        ("pt-BR", "pt-pt-g1.utb", "⠍"),
+        ("ru", "ru-litbrl.ctb", "⠍"),
+        ("ja", "ja", None),
+    ],
+)
+def test_a_language_has_a_table(tag, name, cells):
+    table = open_table(tag)
+    assert table.name == name
+    assert "liblouis" not in table.title
+    assert cells is None or table.to_cells("м" if tag == "ru" else "m") == cells
+
+
+def test_only_languages_of_our_own_without_liblouis(no_liblouis):
+    assert open_table("en-GB").name == "en-1"
+    with raises(BrailleError, about="table", problem="unknown", value="pt"):
+        open_table("pt")
+
+
+@needs_liblouis
+def test_a_word_that_is_unknown_leaves_the_others_as_they_are():
+    table = open_table("en-1")
+    line = table.to_cells("NASA and") + "⠀⣿⠀" + table.to_cells("McCoy 3.5 o'clock")
+    assert table.to_text(line) == "NASA and ⣿ McCoy 3.5 o'clock"
+
+
+@pytest.mark.parametrize("name", ["", "xx", "xx-YY", "nonsense.ctb", "../../etc/passwd", "en-1 "])
 def test_unknown_names(name):
     with raises(
         BrailleError,

@@ -49,9 +49,17 @@ def test_files(braille, tmp_path, suffix):
 def test_tables(braille):
     listed = braille("--tables").splitlines()
     names = [line.split()[0] for line in listed[1:-1]]
-    assert names == list(known_tables())
+    assert [name for name in names if name in known_tables()] == list(known_tables())
+    assert all(each.name in "".join(names) for each in louis.table_files())
     assert [line.split()[0] for line in listed if "(default)" in line] == [DEFAULT_TABLE]
     assert "liblouis" in listed[-1]
+
+
+@pytest.mark.skipif(louis.version() is None, reason=f"needs liblouis: {louis.INSTALL}")
+@pytest.mark.parametrize("language", ["fr", "fra", "fr+en", "fr-CA"])
+def test_a_language_names_the_table(braille, language):
+    assert braille("été", "--language", language) == braille("été", "--table=fr-1") == "⠿⠞⠿\n"
+    assert braille("été", "--language", language, "--table=en-1") == braille("été")
 
 
 def test_left_out(program_here):
