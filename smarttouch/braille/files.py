@@ -1,5 +1,7 @@
 """Files of cells and texts, read whole; each fault is an error with one sentence."""
 
+import codecs
+from enum import StrEnum
 from pathlib import Path
 
 from smarttouch import files
@@ -7,6 +9,46 @@ from smarttouch.errors import BrailleError
 
 MOST_BYTES = 50_000_000
 """Largest file; a book has a few million cells."""
+
+_BEGINNING_BYTES = 4096
+_NO_TEXT = bytes({*range(0x20), 0x7F} - {*b"\t\n\f\r\x1b"})
+
+
+class Kind(StrEnum):
+    """Kind of material that a file holds."""
+
+    TEXT = "text"
+    BRF = "brf"
+    PEF = "pef"
+    PAGES = "pages"
+    """Images or a PDF, or nothing that can be read."""
+
+
+def kind_of(path: Path) -> Kind:
+    """Return what a file holds, by how it begins; only .brf and .txt say so by their names.
+
+    Raises
+    ------
+    BrailleError
+        If it cannot be read.
+    """
+    suffix = path.suffix.lower()
+    with files.open_file(path, BrailleError, files.MOST_DOCUMENT_BYTES) as file:
+        data = file.read(_BEGINNING_BYTES)
+    if suffix == ".brf":
+        return Kind.BRF
+    if b"<pef" in data or suffix == ".pef":
+        return Kind.PEF
+    if suffix == ".txt":
+        return Kind.TEXT
+    if b"%PDF-" in data or data.translate(None, _NO_TEXT) != data:
+        return Kind.PAGES
+    try:
+        # What is cut off at the end may be half a character.
+        codecs.getincrementaldecoder("utf-8")().decode(data)
+    except UnicodeDecodeError:
+        return Kind.PAGES
+    return Kind.TEXT
 
 
 def read_bytes(path: Path) -> bytes:

@@ -1,16 +1,21 @@
 """Input in Braille: a text, a text file, or a file of cells; and output of cells."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 from smarttouch.braille.brf import read_brf, write_brf
 from smarttouch.braille.cells import BLANK, Pages, is_cell
-from smarttouch.braille.files import read_text, write_bytes
+from smarttouch.braille.files import Kind, kind_of, read_text, write_bytes
 from smarttouch.braille.layout import join
 from smarttouch.braille.pef import read_pef, write_pef
 from smarttouch.braille.tables import Table
 from smarttouch.errors import BrailleError
 
+TEXT = "text:"
+"""Before words that are read themselves."""
+_NAME = re.compile(r"\.{0,2}/\S+|\S*\.[A-Za-z]\w{1,3}")
+"""Something without a blank that ends as names of files do, or begins as paths do."""
 _MOST_NAMED = 12
 """Characters listed in a note on left-out ones."""
 
@@ -34,14 +39,38 @@ class Loaded:
     notes: list[str]
 
 
+def file_of(source: str) -> Path | None:
+    """Return the file that a source is the name of; None if it is words.
+
+    Raises
+    ------
+    BrailleError
+        If it looks like the name of a file, and there is none.
+    """
+    if source.startswith(TEXT) or not source:
+        return None
+    try:
+        there = Path(source).exists()
+    except (OSError, ValueError):
+        return None
+    if not there and _NAME.fullmatch(source):
+        raise BrailleError(
+            f"no file {source}: check its name, or give {TEXT}{source} for these words",
+            about="file",
+            problem="missing",
+            value=Path(source),
+        )
+    return Path(source) if there else None
+
+
 def load_cells(source: str, table: Table, leave_out: bool = False) -> Loaded:
     """Load cells.
 
     Parameters
     ----------
     source : str
-        The name of a ``.txt``, ``.brf`` or ``.pef`` file, or a text; cells may stand
-        in a text in place of letters, if nothing else does.
+        The name of a file with a text or with cells, ``text:`` and words, or words that name
+        no file; cells may stand in a text in place of letters, if nothing else does.
     table : Table
         Turns texts into cells.
     leave_out : bool
@@ -52,14 +81,15 @@ def load_cells(source: str, table: Table, leave_out: bool = False) -> Loaded:
     BrailleError
         If there is no such file, nothing in it, or a character without cells.
     """
-    suffix = Path(source).suffix.lower()
+    file = file_of(source)
+    kind = None if file is None else kind_of(file)
     pages: Pages | None = None
     notes: list[str] = []
-    if suffix in (".brf", ".pef"):
-        pages = (read_brf if suffix == ".brf" else read_pef)(Path(source))
+    if file is not None and kind in (Kind.BRF, Kind.PEF):
+        pages = (read_brf if kind is Kind.BRF else read_pef)(file)
         paragraphs = join(pages)
     else:
-        text = read_text(Path(source)) if suffix == ".txt" else source
+        text = source.removeprefix(TEXT) if file is None else read_text(file)
         if _is_braille(text):
             cells = "".join(BLANK if each in " \t" else each for each in text)
         else:

@@ -13,8 +13,6 @@ from smarttouch.cli.standard_input import or_standard_input
 if TYPE_CHECKING:
     from smarttouch.braille.source import Loaded
 
-_DOCUMENTS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pdf", ".bmp", ".webp")
-
 
 @takes_options()
 def braille(
@@ -26,8 +24,8 @@ def braille(
         typer.Argument(
             callback=or_standard_input,
             metavar="TEXT|FILE|-",
-            help="A text, a .txt, .brf or .pef file, or an image or PDF of print or Braille; - for "
-            "standard input.",
+            help="A file of text, of cells (.brf, .pef), of print or Braille (image, PDF); a text, "
+            "or text:WORDS where it could be a file; - for standard input.",
         ),
     ] = None,
     table: TableOption = None,
@@ -93,13 +91,15 @@ def braille(
 
 def _seen(source: str, table: str, document: DocumentOptions) -> "Loaded | None":
     """Return what an image or a PDF shows, as cells; None for anything else."""
-    place, options = document.look(source)
-    if Path(place).suffix.lower() not in _DOCUMENTS:
-        return None
-    from smarttouch.braille.source import Loaded
+    from smarttouch.braille.files import Kind, kind_of
+    from smarttouch.braille.source import Loaded, file_of
     from smarttouch.reading.braille import Braille
     from smarttouch.reading.source import Source
 
+    place, options = document.look(source)
+    file = file_of(place)
+    if file is None or kind_of(file) is not Kind.PAGES:
+        return None
     notes: list[str] = []
     shown = Source(place, options, notes.append)
     return Loaded(Braille(table).paragraphs(shown), None, notes)

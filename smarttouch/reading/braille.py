@@ -6,7 +6,7 @@ from enum import StrEnum
 
 from smarttouch.braille.cells import BLANK, SIX_DOT_PATTERNS, pattern
 from smarttouch.braille.photo import looks_like_braille, read_braille
-from smarttouch.braille.source import load_cells
+from smarttouch.braille.source import TEXT, load_cells
 from smarttouch.braille.tables import DEFAULT_TABLE, Table, open_table
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.text_lines import TextLine
@@ -131,7 +131,9 @@ class Braille:
     def _given(self, source: Source) -> Iterator[Cells]:
         """Yield the cells of a text, or of a file of cells."""
         words = source.words
-        loaded = load_cells(words or source.name, open_table(self.table), leave_out=True)
+        loaded = load_cells(
+            source.name if words is None else TEXT + words, open_table(self.table), leave_out=True
+        )
         for note in loaded.notes:
             source.note(note)
         texts = (words or "").splitlines()

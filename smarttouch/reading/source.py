@@ -5,15 +5,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from smarttouch.braille.files import read_text
+from smarttouch.braille.files import Kind, kind_of, read_text
+from smarttouch.braille.source import TEXT
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.prepare import PreparedPage
 from smarttouch.documents.printed_text import prepare_text
 from smarttouch.reading.printed import Note, RecognitionOptions, document_pages, prepared_pages
 
-_TEXT = "text:"
-_TEXT_FILES = (".txt",)
-_CELL_FILES = (".brf", ".pef")
 _PRINTED_AT_ONCE = 20
 """Lines of a text on one printed page."""
 
@@ -39,12 +37,23 @@ class Source:
     @property
     def title(self) -> str:
         """Title on the screen."""
-        return "a text" if self.name.startswith(_TEXT) else Path(self.name).name
+        return "a text" if self.name.startswith(TEXT) else Path(self.name).name
+
+    @cached_property
+    def kind(self) -> Kind:
+        """Kind of what it holds.
+
+        Raises
+        ------
+        BrailleError
+            If it is a file that cannot be read.
+        """
+        return Kind.TEXT if self.name.startswith(TEXT) else kind_of(Path(self.name))
 
     @property
     def holds_cells(self) -> bool:
         """True if it is a file of Braille cells."""
-        return Path(self.name).suffix.lower() in _CELL_FILES and not self.name.startswith(_TEXT)
+        return self.kind in (Kind.BRF, Kind.PEF)
 
     @cached_property
     def words(self) -> str | None:
@@ -55,9 +64,9 @@ class Source:
         BrailleError
             If it is a file that cannot be read.
         """
-        if self.name.startswith(_TEXT):
-            return self.name[len(_TEXT) :]
-        if Path(self.name).suffix.lower() in _TEXT_FILES:
+        if self.name.startswith(TEXT):
+            return self.name[len(TEXT) :]
+        if self.kind is Kind.TEXT:
             return read_text(Path(self.name))
         return None
 

@@ -1,7 +1,10 @@
 """Texts and files as they are given become cells, and cells become files."""
 
+from pathlib import Path
+
 import pytest
 
+from smarttouch.braille.files import Kind, kind_of
 from smarttouch.braille.source import load_cells, write_cells
 from smarttouch.braille.tables import open_table
 from smarttouch.errors import BrailleError
@@ -33,6 +36,45 @@ def test_a_text_file(load, tmp_path):
     path = tmp_path / "a.TXT"
     path.write_bytes("\ufeffé\r\nb\r\n".encode())
     assert load(path).paragraphs == ["⠘⠌⠑", "⠃"]
+
+
+@pytest.mark.parametrize("name", ["README.md", "notes", "LICENSE.rst"])
+def test_a_file_is_read_whatever_its_name(load, table, tmp_path, monkeypatch, name):
+    (tmp_path / name).write_text("Go")
+    assert load(tmp_path / name).paragraphs == ["⠠⠛⠕"]
+    monkeypatch.chdir(tmp_path)
+    assert load(name).paragraphs == ["⠠⠛⠕"]
+    assert load(f"text:{name}").paragraphs == [table.to_cells(name)]
+
+
+def test_what_looks_like_a_name_is_no_text(load, tmp_path):
+    for name in ("missing.md", "./missing", "a/b.txt"):
+        with raises(BrailleError, about="file", problem="missing", value=Path(name)):
+            load(name)
+    with raises(BrailleError, about="file"):
+        load(tmp_path)
+    for words in ("either/or", "U.S.A.", "3.5", "see a.txt", "text:a.md"):
+        assert load(words).paragraphs
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "kind"),
+    [
+        ("a.md", "é".encode() * 2048, Kind.TEXT),
+        ("a", b"x" + "é".encode() * 2048, Kind.TEXT),
+        ("a.dat", b'<?xml version="1.0"?>\n<pef version="2008-1">', Kind.PEF),
+        ("a.brf", b"ABC", Kind.BRF),
+        ("a.txt", b"\x00", Kind.TEXT),
+        ("a", b"\x89PNG\r\n\x1a\n", Kind.PAGES),
+        ("a", b"%PDF-1.4\nplain", Kind.PAGES),
+        ("a", b"\xffabc", Kind.PAGES),
+        ("a", b"a\x00b", Kind.PAGES),
+        ("a", b"", Kind.TEXT),
+    ],
+)
+def test_kinds_of_files(tmp_path, name, data, kind):
+    (tmp_path / name).write_bytes(data)
+    assert kind_of(tmp_path / name) is kind
 
 
 @pytest.mark.parametrize("suffix", ["brf", "pef", "txt"])

@@ -46,6 +46,12 @@ def test_files(braille, tmp_path, suffix):
     assert shown.startswith("⠀⠀⠠⠕⠝⠑⠀⠞⠺⠕\n⠞⠓⠗⠑⠑⠀⠋⠕⠥⠗⠲\n")
 
 
+def test_what_a_file_holds_is_read(braille, tmp_path):
+    (tmp_path / "README.md").write_text("Go\n")
+    assert braille("README.md") == braille("Go")
+    assert braille("text:README.md") == braille("README.md ").rstrip("⠀\n") + "\n" != braille("Go")
+
+
 def test_tables(braille):
     listed = braille("--tables").splitlines()
     names = [line.split()[0] for line in listed[1:-1]]

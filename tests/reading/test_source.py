@@ -229,3 +229,13 @@ def test_a_cell_stays_as_long_as_a_line_takes_to_move_on_by_one(reading):
 def test_blank_cells_alone_are_nothing_to_read(source_of, reading):
     with raises(SmartTouchError, about="text", problem="empty"):
         list(Braille().lines(source_of(f"text:{BLANK}"), reading))
+
+
+def test_a_file_of_any_name_is_what_it_holds(source_of, tmp_path, reading):
+    (tmp_path / "notes.md").write_text("Go")
+    text = source_of(str(tmp_path / "notes.md"))
+    assert (text.words, text.holds_cells) == ("Go", False)
+    assert [line.text for line in Braille().lines(text, reading)] == ["Go"]
+    assert [line.text for line in Braille().lines(source_of("text:a.md"), reading)] == ["a.md"]
+    with raises(SmartTouchError, about="file"):
+        _ = source_of(str(tmp_path)).words
