@@ -16,6 +16,7 @@ from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.profile.device import Output
 from smarttouch.registry import replaced_finals
 from smarttouch.stimulation.exposure import Dose
+from smarttouch.stimulation.kernel_table import KernelTable
 from smarttouch.stimulation.safety import Now, SafetyGate, SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.timing import ScanTiming
@@ -51,6 +52,8 @@ class Board(Timely, ABC):
     default_profile: ClassVar[str] = DEFAULT_PROFILE
     """Name of the default profile of such a board."""
     takes_wiring: ClassVar[bool] = False
+    keeps_kernels: ClassVar[bool] = False
+    """Whether such boards may keep kernels, and slots should be sums of these."""
     on_a_finger: ClassVar[bool] = True
     """Whether a finger may be on it."""
     ua_per_count: float | None = None
@@ -273,6 +276,15 @@ class Board(Timely, ABC):
                 self.stop()
             finally:
                 self._close()
+
+    def keep_kernels(self, table: KernelTable) -> None:
+        """Give the board the kernels of the sequences to come, if it keeps any.
+
+        Raises
+        ------
+        BoardError
+            If it is closed, stopped or gone.
+        """
 
     def drain(self, timeout_s: float = 1.0) -> None:
         """Wait until all sequences have been delivered, or the time is over.

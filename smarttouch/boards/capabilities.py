@@ -37,6 +37,12 @@ class Capabilities:
     """Whether it has mechanical vibrators."""
     recharges: bool = False
     """Whether it can end a scan with a recharge phase."""
+    kernel_bytes: int = 0
+    """Room for kernels that it keeps."""
+    most_kernels: int = 0
+    """Most kernels that it keeps."""
+    packet_bytes: int | None = None
+    """Largest packet that it takes, before it is encoded, if that has a limit."""
     kept_ms: float | None = None
     """Longest time from the end of this program to zero, if a keeper process ensures that."""
 

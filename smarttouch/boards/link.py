@@ -10,11 +10,20 @@ from numpy.typing import NDArray
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.impedance import SATURATED, Impedance, judge
+from smarttouch.boards.link_kernels import KernelImage
 from smarttouch.boards.link_line import ANSWER_S, LinkLine
-from smarttouch.boards.link_offer import accepted, malformed
+from smarttouch.boards.link_lists import encode_lists
+from smarttouch.boards.link_offer import accepted
 from smarttouch.boards.link_protocol import Kind, Refusal
 from smarttouch.boards.link_sequence import decode_volts, encode_sequence
 from smarttouch.boards.link_session import Message
+from smarttouch.boards.link_setup import (
+    OVERHEAD,
+    account_of,
+    give_kernels,
+    give_limits,
+    reason_of,
+)
 from smarttouch.boards.pairs import measure_in_pairs
 from smarttouch.boards.probe import probe_sequences
 from smarttouch.boards.recovery import start_anew
@@ -22,9 +31,11 @@ from smarttouch.boards.slow_line import slow_line_notes
 from smarttouch.clock import LATE_NS
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
+from smarttouch.stimulation.kernel_table import KernelTable
 from smarttouch.stimulation.limits import parts_per_billion
 from smarttouch.stimulation.safety import Rise, SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.wire.framing import LARGEST_PACKET
 from smarttouch.wire.port import Port, UsbIdentity, identity_of, open_port, reopen_port
 
 RECOVER_S = 3.0
@@ -66,8 +77,12 @@ class LinkBoard(Board):
         # The line may be slower than the gate: the rise that the skin gets is the line's.
         self._rise = Rise(limits.ramp_ns)
         self._again_s = 0.0
+        self._table: KernelTable | None = None
+        self._image: KernelImage | None = None
         self._sent: deque[tuple[int, ScanSequence]] = deque(maxlen=4)
         self._measured: deque[Measured] = deque(maxlen=64)
+
+    keeps_kernels = True
 
     # -- the contract ------------------------------------------------------
 
@@ -103,11 +118,7 @@ class LinkBoard(Board):
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         self._number += 1
-        payload = encode_sequence(
-            self._kind, sequence.period_us, sequence.width_us, sequence.discharge_us,
-            sequence.site, sequence.current_ua, times, self.capabilities.measures,
-            sequence.recharge_ua, sequence.recharge_us,
-        )  # fmt: skip
+        payload = self._encoded(sequence, times)
         self._wait_for_room()
         ppb = parts_per_billion(sequence.intensity)
         if self._is_late(self._due_ns) or not self._rise.permits(ppb, self._clock.now_ns()):
@@ -122,6 +133,32 @@ class LinkBoard(Board):
                 self._in_flight.pop(self._number, None)
             self._drop_late()
         return self._number
+
+    def _encoded(self, sequence: ScanSequence, times: int) -> bytes:
+        can = self.capabilities
+        if self._line.session.version == protocol.NEWEST:
+            room = (can.packet_bytes or LARGEST_PACKET) - OVERHEAD
+            switched = self._kind != "weighted"
+            return encode_lists(sequence, times, can.measures, switched, self._image, room)
+        return encode_sequence(
+            self._kind, sequence.period_us, sequence.width_us, sequence.discharge_us,
+            sequence.site, sequence.current_ua, times, can.measures,
+            sequence.recharge_ua, sequence.recharge_us,
+        )  # fmt: skip
+
+    def keep_kernels(self, table: KernelTable) -> None:
+        self._table = table
+        self._require_open("giving it kernels")
+        self._give_kernels()
+
+    def _give_kernels(self) -> None:
+        """Give the board as many kernels as it has room for; the rest goes as currents."""
+        can, self._image = self.capabilities, None
+        if self._table is None or not can.kernel_bytes or not can.packet_bytes:
+            return
+        image = KernelImage.of(self._table, can.kernel_bytes, can.most_kernels)
+        give_kernels(self._line, image, can.packet_bytes, self._go_on_unless_stopped)
+        self._image = image
 
     def _drop_late(self) -> Never:
         """Count a sequence that is not sent; the next one must begin at zero."""
@@ -244,6 +281,9 @@ class LinkBoard(Board):
 
     def _shake_hands(self, known: Capabilities | None) -> None:
         self._line.begin(lambda offer: self._take_offer(offer, known), self._stopped)
+        if self._line.session.version == protocol.NEWEST:
+            give_limits(self._line, self._gate.limits)
+            self._give_kernels()
         self.notes += slow_line_notes(self._status)
 
     def _take_offer(self, answer: Message, known: Capabilities | None) -> None:
@@ -252,10 +292,7 @@ class LinkBoard(Board):
         )
 
     def _status(self) -> tuple[Any, ...]:
-        answer = self._line.ask(Kind.STATUS)
-        if len(answer.payload) != protocol.REPORT.size:
-            raise malformed(self._line.name)
-        return protocol.REPORT.unpack(answer.payload)
+        return account_of(self._line.ask(Kind.STATUS), self._line.name)
 
     def _hear(self, message: Message) -> None:
         """Handle an unrequested packet."""
@@ -297,7 +334,7 @@ class LinkBoard(Board):
         return None
 
     def _refused(self, message: Message) -> None:
-        why = message.payload[0] if message.payload else 0
+        why, words = reason_of(message)
         if why in (Refusal.GARBLED, Refusal.OLD, Refusal.FOREIGN):
             # Our own part of it is sent again; REPORT counts the rest.
             return
@@ -306,8 +343,7 @@ class LinkBoard(Board):
         self.refused += 1
         line = self._line
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
-            text = message.payload[1:].decode("utf-8", "replace")
-            line.fail(line.gone(f"refused sequence {message.about} as unsafe: {text}", "refused"))
+            line.fail(line.gone(f"refused sequence {message.about} as unsafe: {words}", "refused"))
         elif why == Refusal.STOPPED and not line.overtaken:
             line.fail(line.gone("has been stopped or started anew by someone else", "stopped"))
         elif why == Refusal.SILENCE:

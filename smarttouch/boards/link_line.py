@@ -50,7 +50,11 @@ class LinkLine:
         Longest wait for an answer.
     silence_s : float
         Longest silence of the board in a session.
+    newest : int
+        Version that boards are asked for first.
     """
+
+    newest = protocol.NEWEST
 
     def __init__(
         self,
@@ -61,7 +65,7 @@ class LinkLine:
         draw: Callable[[], int] = draw_half,
     ) -> None:
         self.name = name
-        self.session = HostSession(draw)
+        self.session = HostSession(draw, self.newest)
         self.answer_s, self.silence_s = ANSWER_S, SILENCE_S
         self._draw = draw
         self.news = threading.Condition()
@@ -92,7 +96,7 @@ class LinkLine:
         self._port = port
         self._closing.clear()
         self.fault, self.overtaken = None, False
-        self._refused_before, self.session = self.refused, HostSession(self._draw)
+        self._refused_before, self.session = self.refused, HostSession(self._draw, self.newest)
         self._deframer = Deframer()
         self._answers.clear()
         self._last_written = self.now_s()
@@ -147,7 +151,11 @@ class LinkLine:
         deadline = self.now_s() + self.answer_s
         offer = None
         while self.now_s() < deadline:
+            asked = self.session.version
             offer = self._ask_once(Kind.HELLO, stopped=stopped) or offer
+            if offer is not None and asked != offer.version in protocol.VERSIONS:
+                # An older board: it is asked again in its own version.
+                offer = None
             if offer is None:
                 continue
             accept(offer)
@@ -161,7 +169,7 @@ class LinkLine:
         with self.news:
             self.news.notify_all()
 
-    def ask(self, question: Kind) -> Message:
+    def ask(self, question: Kind, payload: bytes = b"") -> Message:
         """Send a query until it is answered.
 
         Raises
@@ -172,24 +180,28 @@ class LinkLine:
         first = self.session.sent + 1
         deadline = self.now_s() + self.answer_s
         while self.now_s() < deadline:
-            if answer := self._ask_once(question, first):
+            if answer := self._ask_once(question, first, payload=payload):
                 return answer
         raise self._no_answer()
 
     def _ask_once(
-        self, question: Kind, first: int = 0, stopped: threading.Event | None = None
+        self,
+        question: Kind,
+        first: int = 0,
+        stopped: threading.Event | None = None,
+        payload: bytes = b"",
     ) -> Message | None:
         """Send a query; return an answer to it, or to one sent since ``first``."""
         first = first or self.session.sent + 1
-        kind = ANSWERS[question]
+        kind, version = ANSWERS[question], self.session.version
 
         def answered() -> bool:
             found = self._answers.get(kind)
-            # An old version's answer is about nothing.
-            return found is not None and (found.about >= first or found.version != protocol.VERSION)
+            # Another version's answer may be about nothing.
+            return found is not None and (found.about >= first or found.version != version)
 
         # The zero in front ends whatever half packet stands on the line.
-        self.send(question, start=b"\0")
+        self.send(question, payload=payload, start=b"\0")
         with self.news:
             halted = stopped.is_set if stopped is not None else lambda: False
             self.wait(lambda: self.fault is not None or answered() or halted(), AGAIN_S)
@@ -206,7 +218,7 @@ class LinkLine:
     def _no_answer(self) -> BoardError:
         return BoardError(
             f"the board at {self.name} does not answer: check that it is on and speaks link "
-            f"version {protocol.VERSION}",
+            f"version {' or '.join(map(str, protocol.VERSIONS))}",
             about="board",
             problem="mute",
             value=self.name,

@@ -6,6 +6,7 @@ from smarttouch.boards.link_protocol import Feature
 from smarttouch.boards.link_session import Message
 from smarttouch.errors import BoardError, OtherDeviceError
 from smarttouch.profile.device import Output
+from smarttouch.wire.framing import LARGEST_PACKET
 
 
 def accepted(
@@ -30,17 +31,18 @@ def accepted(
     known : Capabilities, optional
         Those from before the line was lost.
     """
-    if answer.version != protocol.VERSION:
+    if answer.version not in protocol.VERSIONS:
         raise BoardError(
             f"the board at {name} speaks link version {answer.version}, this "
-            f"program {protocol.VERSION}: bring both to the same",
+            f"program {' and '.join(map(str, protocol.VERSIONS))}: bring both to the same",
             about="version",
             problem="conflict",
             value=answer.version,
-            allowed=protocol.VERSION,
+            allowed=protocol.VERSIONS,
         )
     head = protocol.CAPABILITIES.size
-    if len(answer.payload) < head:
+    newest = answer.version == protocol.NEWEST
+    if len(answer.payload) < head + newest * protocol.KEEPING.size:
         raise malformed(name)
     outputs, output, features, current_ua, slots, zero_ms, volts = (
         protocol.CAPABILITIES.unpack_from(answer.payload)
@@ -54,6 +56,12 @@ def accepted(
             allowed=protocol.OUTPUTS,
         )
     kind = protocol.OUTPUTS[output]
+    room, packet, kernels = 0, LARGEST_PACKET, 0
+    if newest:
+        room, packet, kernels = protocol.KEEPING.unpack_from(answer.payload, head)
+        head += protocol.KEEPING.size
+    if not features & Feature.KERNELS:
+        room = kernels = 0
     found = Capabilities(
         electrodes=outputs,
         output=kind,
@@ -65,6 +73,9 @@ def accepted(
         force=bool(features & Feature.FORCE),
         compliance_v=float(volts) or None,
         recharges=bool(features & Feature.RECHARGE),
+        kernel_bytes=room,
+        most_kernels=kernels,
+        packet_bytes=packet,
     )
     if known not in (None, found):
         raise OtherDeviceError(

@@ -1,4 +1,6 @@
-"""The ``link`` wire format, for both ends; a specification for firmware.
+"""The ``link`` wire format of version 3, for both ends; a specification for firmware.
+
+New firmware speaks version 4: ``docs/reference/link.md``, and ``firmware/`` in C. Hosts speak both.
 
 A packet is COBS-encoded and ends with one 0x00, so a receiver that has lost
 its place finds it again at the next zero. Decoded, all little endian::
@@ -126,6 +128,9 @@ from enum import IntEnum, IntFlag
 from typing import Literal, get_args
 
 VERSION = 3
+NEWEST = 4
+"""Version whose boards keep kernels; its packets and sessions are those of `VERSION`."""
+VERSIONS = (VERSION, NEWEST)
 SILENCE_MS = 100
 ALIVE_MS = 20
 LATE_MS = 250
@@ -141,6 +146,20 @@ OUTPUTS: tuple[Output, ...] = get_args(Output)
 CAPABILITIES = struct.Struct("<HBBHHHH")
 ALIVE = struct.Struct("<h")
 REPORT = struct.Struct("<IIQIdddBII")
+KEEPING = struct.Struct("<IIH")
+"""Version 4: room for kernels and for a packet, in bytes, and most kernels; after CAPABILITIES."""
+LIMITS = struct.Struct("<IIIHHHH")
+"""Version 4: least period µs, total µA, charge pC, width µs, full µA, rounding µA, full µs."""
+KERNELS = struct.Struct("<III")
+"""Version 4: identity, size and offset."""
+KEPT = struct.Struct("<IIB")
+"""Version 4: identity, bytes that are there, and whether all are and are sound."""
+NAK = struct.Struct("<BBHHii")
+"""Version 4: reason, rule, slot, electrode, value and what is allowed."""
+ACCOUNT = struct.Struct("<IIQIIIIBII")
+"""Version 4: REPORT in whole µA and pC."""
+NOTHING = 0xFFFF
+"""Slot or electrode where a rule is of none; as a slot, the recharge phase."""
 
 
 class Kind(IntEnum):
@@ -152,6 +171,8 @@ class Kind(IntEnum):
     STOP = 0x04
     STATUS = 0x05
     BEGIN = 0x06
+    LIMITS = 0x07
+    KERNELS = 0x08
     CAPABILITIES = 0x81
     ACK = 0x82
     NAK = 0x83
@@ -160,6 +181,8 @@ class Kind(IntEnum):
     STOPPED = 0x86
     VOLTAGES = 0x87
     BEGUN = 0x88
+    LIMITED = 0x89
+    KEPT = 0x8A
 
 
 class Feature(IntFlag):
@@ -168,6 +191,7 @@ class Feature(IntFlag):
     VOLTAGE = 1
     FORCE = 2
     RECHARGE = 4
+    KERNELS = 8
 
 
 class Refusal(IntEnum):
@@ -181,3 +205,28 @@ class Refusal(IntEnum):
     GARBLED = 6
     OLD = 7
     FOREIGN = 8
+
+
+class Rule(IntEnum):
+    """Rules that a board of version 4 checks, in this order."""
+
+    NONE = 0
+    LIMITS = 1
+    SLOTS = 2
+    PERIOD = 3
+    WIDTH = 4
+    DISCHARGE = 5
+    FIT = 6
+    DUTY = 7
+    KIND = 8
+    KERNEL = 9
+    SUM = 10
+    BALANCE = 11
+    CURRENT = 12
+    TOTAL = 13
+    CHARGE = 14
+    STATES = 15
+    MEAN = 16
+    INTENSITY = 17
+    RISE = 18
+    RECHARGE = 19

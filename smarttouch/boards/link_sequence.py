@@ -98,7 +98,7 @@ def encode_sequence(
                 allowed=_U16_MAX,
                 slot=int(source.argmax()),
             )
-        parts += [_u16(source.astype(np.uint16)), _pack_states(np.sign(current_ua))]
+        parts += [_u16(source.astype(np.uint16)), pack_states(np.sign(current_ua))]
     else:
         parts.append(current_ua.astype("<i2", copy=False).tobytes())
     if recharge_ua is not None:
@@ -145,7 +145,7 @@ def decode_sequence(payload: bytes) -> WireSequence:
         current = np.frombuffer(rest, "<i2").reshape(slots, electrodes)
     else:
         source = columns[3 * slots :]
-        state = _unpack_states(np.frombuffer(rest, np.uint8).reshape(slots, packed), electrodes)
+        state = unpack_states(np.frombuffer(rest, np.uint8).reshape(slots, packed), electrodes)
     recharge_us, recharge = 0, None
     if recharges:
         recharge_us = int.from_bytes(payload[end : end + 2], "little")
@@ -171,7 +171,7 @@ def _u16(values: NDArray[Any]) -> bytes:
     return values.astype("<u2", copy=False).tobytes()
 
 
-def _pack_states(signs: NDArray[np.int16]) -> bytes:
+def pack_states(signs: NDArray[np.int16]) -> bytes:
     slots, electrodes = signs.shape
     row = -(-electrodes // 4)
     codes = np.zeros((slots, row * 4), np.uint8)
@@ -181,7 +181,7 @@ def _pack_states(signs: NDArray[np.int16]) -> bytes:
     return bytes(packed.tobytes())
 
 
-def _unpack_states(packed: NDArray[np.uint8], electrodes: int) -> NDArray[np.int8]:
+def unpack_states(packed: NDArray[np.uint8], electrodes: int) -> NDArray[np.int8]:
     codes = (packed[..., None] >> np.array([0, 2, 4, 6], np.uint8)) & 3
     flat = codes.reshape(len(packed), packed.shape[1] * 4)[:, :electrodes]
     return np.asarray(np.array([0, 1, -1, 2], np.int8)[flat])

@@ -5,7 +5,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from smarttouch.boards.link_protocol import HALF, LAST_NUMBER, VERSION, Kind
+from smarttouch.boards.link_protocol import HALF, LAST_NUMBER, VERSION, VERSIONS, Kind
 from smarttouch.errors import LineLostError
 from smarttouch.wire.framing import HEAD_BYTES, Packet, frame_packet, parse_head
 
@@ -17,13 +17,15 @@ ANSWERS = {
     Kind.BEGIN: Kind.BEGUN,
     Kind.STOP: Kind.STOPPED,
     Kind.STATUS: Kind.REPORT,
+    Kind.LIMITS: Kind.LIMITED,
+    Kind.KERNELS: Kind.KEPT,
 }
 _ANSWERS = frozenset(ANSWERS.values())
 
 
 @dataclass(frozen=True)
 class Message:
-    """Packet of this protocol; of another version only ``kind`` and ``version`` are known."""
+    """Packet of this protocol; of an unknown version only ``kind`` and ``version`` are known."""
 
     kind: int
     number: int
@@ -35,19 +37,25 @@ class Message:
 
 
 def encode(
-    kind: Kind, session: int, number: int, heard: int = 0, about: int = 0, payload: bytes = b""
+    kind: Kind,
+    session: int,
+    number: int,
+    heard: int = 0,
+    about: int = 0,
+    payload: bytes = b"",
+    version: int = VERSION,
 ) -> bytes:
     """Return a packet in its wire format."""
-    return frame_packet(VERSION, kind, number, _HEAD.pack(session, heard, about), payload)
+    return frame_packet(version, kind, number, _HEAD.pack(session, heard, about), payload)
 
 
 def decode(packet: Packet) -> Message:
     """Return a packet as a message; one that is too short has session 0, which is never valid."""
-    if packet.version != VERSION or len(packet.payload) < _HEAD.size:
+    if packet.version not in VERSIONS or len(packet.payload) < _HEAD.size:
         return Message(packet.kind, packet.number, version=packet.version)
     session, heard, about = _HEAD.unpack_from(packet.payload)
     payload = packet.payload[_HEAD.size :]
-    return Message(packet.kind, packet.number, session, heard, about, payload)
+    return Message(packet.kind, packet.number, session, heard, about, payload, packet.version)
 
 
 def decode_head(head: bytes) -> Message:
@@ -67,6 +75,8 @@ class HostSession:
     ----------
     draw : callable
         Returns 32 random bits that are not all 0.
+    version : int
+        To begin with; that of the board once it has answered HELLO, if both speak it.
 
     Attributes
     ----------
@@ -78,8 +88,8 @@ class HostSession:
         Packets that were not taken.
     """
 
-    def __init__(self, draw: Callable[[], int] = draw_half) -> None:
-        self.number = draw()
+    def __init__(self, draw: Callable[[], int] = draw_half, version: int = VERSION) -> None:
+        self.number, self.version = draw(), version
         self.begun = False
         self.refused = 0
         self._sent = self._taken = self._offered = 0
@@ -109,7 +119,7 @@ class HostSession:
         if kind in ANSWERS:
             self._asked[self._sent] = ANSWERS[kind]
         session = self.number & HALF if kind == Kind.HELLO else self.number
-        return encode(kind, session, self._sent, self._taken, about, payload)
+        return encode(kind, session, self._sent, self._taken, about, payload, self.version)
 
     def take(self, packet: Packet) -> Message | None:
         """Return a packet as a message, or None if it is refused."""
@@ -119,7 +129,7 @@ class HostSession:
         elif taken := (
             message.session == self.number
             and message.number > self._taken
-            and message.version == VERSION
+            and message.version == self.version
         ):
             self._taken = message.number
             if message.kind in _ANSWERS:
@@ -134,9 +144,17 @@ class HostSession:
         self.refused += self.number > HALF
 
     def _take_capabilities(self, message: Message) -> bool:
-        if message.version != VERSION:
+        if message.version not in VERSIONS:
             # An old board has no sessions: its fault must still be reported.
             return not self.begun
+        if message.version != self.version:
+            # A board of version 3 does not read the half in a HELLO of another version. It is
+            # asked again in its own.
+            own = message.session & HALF in (0, self.number & HALF)
+            if self.begun or not own or not self._was_asked(message):
+                return False
+            self.version = message.version
+            return True
         if message.session & HALF != self.number & HALF or not self._was_asked(message):
             return False
         if self.begun or message.about < self._offered:

@@ -189,6 +189,7 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
         ),
         run.timing,
         vibrated=run.vibrated,
+        in_sums=run.in_sums,
     )
     adaptation = ledger = recharge = None
     if run.hold is not None:

@@ -64,6 +64,7 @@ class RunSettings(BaseModel):
     toned: _Tone | None = Field(None, alias="tone")
     shared: _Sharing = Field(_Sharing(), alias="sharing")
     vibrated: bool = False
+    in_sums: bool = False
 
     @property
     def timing(self) -> ScanTiming:

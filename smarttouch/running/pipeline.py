@@ -15,6 +15,7 @@ from smarttouch.sources.frame import Frame, Pose
 from smarttouch.sources.stimulus import Input, Stimulus
 from smarttouch.stimulation.frames import FrameSlots
 from smarttouch.stimulation.intensity import SoftStart, force_gate
+from smarttouch.stimulation.kernel_table import KernelTable
 from smarttouch.stimulation.schedule import ScanScheduler
 from smarttouch.stimulation.timing import ScanTiming
 
@@ -34,6 +35,13 @@ class Pipeline:
         What the board fixes about the time of a scan.
     vibrated : bool
         Whether mechanical vibrators do what PC is to feel, and no current (paper, Section V).
+    in_sums : bool
+        Whether slots are to be sums of kernels in whole numbers, for boards that keep these.
+
+    Attributes
+    ----------
+    table : KernelTable or None
+        Those kernels.
     """
 
     def __init__(
@@ -44,6 +52,7 @@ class Pipeline:
         timing: ScanTiming | None = None,
         *,
         vibrated: bool = False,
+        in_sums: bool = False,
     ) -> None:
         config = config or RunConfig()
         self._profile, self._bank, self._config = profile, bank, config
@@ -54,7 +63,23 @@ class Pipeline:
         self._restarted = True
         self._scans: dict[Mode, ScanScheduler] = {}
         self._frames: dict[tuple[Afferent, ...], FrameSlots] = {}
+        self.table: KernelTable | None = None
+        if in_sums and profile.output.kind == "weighted":
+            self.table = self._made_table()
         self.change_mode(Mode(config.mode))
+
+    def _made_table(self) -> KernelTable:
+        """Return all kernels of the bank, and those by which slots are shared, in whole numbers."""
+        classes = () if self._sharing.planned else self._sharing.afferents
+        shared = [each for each in classes if each in self._bank.weights]
+        for each in shared:
+            self._frames[each,] = FrameSlots(self._profile, self._bank, (each,), planned=False)
+        table = KernelTable.of(
+            self._bank.weights, {each: self._frames[each,].kernels() for each in shared}
+        )
+        for frames in self._frames.values():
+            frames.table = table
+        return table
 
     def change_mode(self, mode: Mode) -> None:
         """Drive other afferents from the next input on; intensity begins at zero.
@@ -105,6 +130,7 @@ class Pipeline:
                 vibrated,
                 self._sharing,
                 self._frames,
+                self.table,
             )
         return self._scans[mode]
 
@@ -145,7 +171,12 @@ class Pipeline:
         First calls import and allocate; in the loop that would cost a pulse.
         """
         twin = Pipeline(
-            self._profile, self._bank, self._config, self._timing, vibrated=self._vibrated
+            self._profile,
+            self._bank,
+            self._config,
+            self._timing,
+            vibrated=self._vibrated,
+            in_sums=self.table is not None,
         )
         profile, force_n = self._profile, self._profile.force.full_n
         image = np.full((profile.optics.sensor_rows, profile.optics.sensor_columns), 230, np.uint8)

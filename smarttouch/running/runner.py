@@ -149,7 +149,9 @@ class Runner:
                 profile = masked_where_broken(board, profile, self._advise)
         bank = self._load_kernels(profile)
         vibrated = self.display.vibrators_url is not None
-        pipeline = Pipeline(profile, bank, config, board.timing, vibrated=vibrated)
+        pipeline = Pipeline(
+            profile, bank, config, board.timing, vibrated=vibrated, in_sums=board.keeps_kernels
+        )
         state = ControlState(pipeline.mode, self._first)
         chosen = isinstance(source, StimulusSource)
         controls = self._controls(state, (state.mode,) if chosen else pipeline.offered())
@@ -169,6 +171,8 @@ class Runner:
             steady_environment(pipeline, board.simulated_time),
             self._opened(self._stop),
         ):
+            if pipeline.table is not None:
+                board.keep_kernels(pipeline.table)
             self._require_force()
             self._warn_of_simulation(profile)
             regulator = make_regulator(board, profile, self.config, self._advise)
@@ -201,6 +205,7 @@ class Runner:
         return {
             **self.config.settings(profile),
             "vibrated": display.vibrators_url is not None,
+            "in_sums": display.board.keeps_kernels,
             "timing": asdict(display.board.timing),
             "sensor": source.url or source.title,
             "sensor_title": source.title,

@@ -20,6 +20,7 @@ from smarttouch.kernels.frames.slots import plan_slots
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA
 from smarttouch.stimulation.kernel_sums import Found, KernelSums
+from smarttouch.stimulation.kernel_table import PER_UA, KernelLists, KernelTable
 from smarttouch.stimulation.points import Slots, constant_us, felt_at
 from smarttouch.stimulation.sequence import SelectivityReport
 from smarttouch.stimulation.sharing import unsupported_reason
@@ -87,6 +88,8 @@ class FrameSlots:
     most_ua : ndarray, (E,) µA
         What no electrode carries more of in all slots of a frame, magnitudes added up; infinite
         if slots are planned.
+    table : KernelTable or None
+        Kernels in whole numbers; if set, slots that are not planned are sums of these.
 
     Raises
     ------
@@ -144,6 +147,8 @@ class FrameSlots:
         self._widths_us = constant_us(len(self._points_ma), profile.pulse.width_us)
         self._plans: OrderedDict[bytes, SlotAllocation] = OrderedDict()
         self._sums = None
+        self._afferents = afferents
+        self.table: KernelTable | None = None
         self.most_ua = np.full(len(full_ma), np.inf)
         if not planned:
             self._sums = KernelSums(
@@ -156,6 +161,12 @@ class FrameSlots:
             )
             # In each slot rounding adds less than a whole µA.
             self.most_ua = 1000 * self._sums.most_ma(self._points_ma) + len(self._points_ma)
+
+    def kernels(self) -> tuple[Array, NDArray[np.intp]]:
+        """Return the kernels by which slots are shared, (A, E) mA, and their sites (A,)."""
+        if self._sums is None:
+            return np.empty((0, len(self._driven))), np.empty(0, np.intp)
+        return self._sums.kernels_ma, self._sums.sites
 
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
         """Return the slots of the classes' rows of a tactile image, with their proof.
@@ -180,34 +191,58 @@ class FrameSlots:
                 self._plans.popitem(last=False)
         else:
             self._plans.move_to_end(key)
-        current_ua, proof, certain = self._finished(plan, intensity)
+        current_ua, sums, proof, certain = self._finished(plan, intensity)
         if not certain:
             broken = self._broken(current_ua, proof)
             if broken.any():
                 plan = self._one_by_one(plan, broken)
-                current_ua, proof, _ = self._finished(plan, intensity)
-        return Slots(plan.site, current_ua, self._widths_us[: len(plan.site)], proof)
+                current_ua, sums, proof, _ = self._finished(plan, intensity)
+        site = plan.site if sums is None else sums.site
+        return Slots(site, current_ua, self._widths_us[: len(site)], proof, sums)
 
     def _finished(
         self, plan: SlotAllocation, intensity: float
-    ) -> tuple[NDArray[np.int16], SelectivityReport, bool]:
+    ) -> tuple[NDArray[np.int16], KernelLists | None, SelectivityReport, bool]:
         """Return the currents as sent, their effects, and whether all bounds are certainly kept.
 
-        The effects of single points are those of their kernels, as designed.
+        The effects of single points are those of their kernels, as designed. Nothing is certain
+        of sums in whole numbers: their weights are rounded, too.
         """
-        current_ua = round_charge_balanced(1000 * intensity * plan.current_ma)
         found, do = plan.found, plan.do.copy()
-        if self._sums is not None and intensity >= self._sums.certain_from:
+        sums = self._whole_sums(plan, intensity)
+        if sums is not None:
+            current_ua = sums.current_ua()
+        else:
+            current_ua = round_charge_balanced(1000 * intensity * plan.current_ma)
+        if sums is None and self._sums is not None and intensity >= self._sums.certain_from:
             do[:, : len(found.owner)] = self._sums.figures(intensity)[:, found.owner]
             # All that rounding can add is half a µA for each electrode.
             most_ua = 1000 * intensity * found.most_ma + len(self._driven) / 2
-            return current_ua, SelectivityReport(plan.points, *do), most_ua < 1000 * self._limit_ma
+            certain = most_ua < 1000 * self._limit_ma
+            return current_ua, None, SelectivityReport(plan.points, *do), certain
         shared = np.flatnonzero(plan.points > 1)
         with self._blas.limit(limits=1, user_api="blas"):
             do[:, shared] = _selectivity(
                 self._judge, current_ua[shared] / 1000, found.level[shared]
             )
-        return current_ua, SelectivityReport(plan.points, *do), False
+        return current_ua, sums, SelectivityReport(plan.points, *do), False
+
+    def _whole_sums(self, plan: SlotAllocation, intensity: float) -> KernelLists | None:
+        """Return a plan's slots as sums of the table's kernels; None without one."""
+        if self.table is None or self._sums is None:
+            return None
+        (afferent, *_), found = self._afferents, plan.found
+        alone = self.table.points[afferent] + plan.alone
+        peak_ma = np.concatenate(
+            [
+                np.abs(self._sums.kernels_ma[found.kernel]).max(axis=1, initial=0) * found.share,
+                np.abs(self._points_ma[plan.alone]).max(axis=1, initial=0) * plan.alone_level,
+            ]
+        )
+        first = np.concatenate([found.first, found.first[-1] + 1 + np.arange(len(alone))])
+        kernel = np.concatenate([self.table.shared[afferent] + found.kernel, alone])
+        amplitude = np.rint(1000 * PER_UA * intensity * peak_ma)
+        return KernelLists(self.table, first, kernel.astype(np.uint16), amplitude.astype(np.uint16))
 
     def _broken(self, current_ua: NDArray[np.int16], proof: SelectivityReport) -> NDArray[np.bool_]:
         """Return which slots of several points break a bound or the limit of total current."""

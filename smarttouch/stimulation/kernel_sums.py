@@ -32,6 +32,11 @@ class Found:
         Of which proved set the points of each slot are; empty where there are none.
     most_ma : float, mA
         No slot carries more in all.
+    first : ndarray, (S + 1,) intp
+        Where the kernels of each slot begin in `kernel`, and the last one's end.
+    kernel, share : ndarray, (N,) intp and float64
+        Kernels that each slot is a sum of, as rows of `KernelSums.kernels_ma`, and how much of
+        each.
     """
 
     level: Array
@@ -40,10 +45,15 @@ class Found:
     do: NDArray[np.float32]
     owner: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
     most_ma: float = np.inf
+    first: NDArray[np.intp] = field(default_factory=lambda: np.zeros(1, np.intp))
+    kernel: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
+    share: Array = field(default_factory=lambda: np.empty(0))
 
     def without(self, broken: NDArray[np.bool_]) -> "Found":
         """Return the other slots."""
         kept = ~broken
+        size = np.diff(self.first) if len(self.owner) else np.zeros(len(kept), np.intp)
+        own = kept.repeat(size)
         return Found(
             self.level[kept],
             self.current_ma[kept],
@@ -51,6 +61,9 @@ class Found:
             self.do[:, kept],
             self.owner[kept] if len(self.owner) else self.owner,
             self.most_ma,
+            np.concatenate([[0], size[kept].cumsum()]),
+            self.kernel[own],
+            self.share[own],
         )
 
 
@@ -89,10 +102,13 @@ class KernelSums:
         self._points = np.concatenate(
             [nothing, *(each.sites + index * self._electrodes for index, each in every)]
         )
-        self._kernels_ma = np.concatenate(
+        self.kernels_ma = np.concatenate(
             [np.empty((0, self._electrodes)), *(each.kernels for _, each in every)]
         )
-        self._scratch_ma = np.empty_like(self._kernels_ma)
+        """Kernels of all sets, (A, E) mA."""
+        self.sites = self._points % self._electrodes
+        """Site of each, (A,)."""
+        self._scratch_ma = np.empty_like(self.kernels_ma)
         self._totals_ma = np.concatenate([np.empty(0), *(each.totals_ma for _, each in every)])
         self._owner = np.repeat(np.arange(len(every)), [len(each.sites) for _, each in every])
         self._certain = [Certainty.of(each, aim, faintest) for _, each in every]
@@ -115,7 +131,7 @@ class KernelSums:
             Kernels of points that have a slot by themselves.
         """
         each_ma = np.abs(alone_ma)
-        np.maximum.at(each_ma, self._points, np.abs(self._kernels_ma))
+        np.maximum.at(each_ma, self._points, np.abs(self.kernels_ma))
         return np.asarray(each_ma.sum(axis=0))
 
     def add_up(self, level: Array) -> Found:
@@ -138,7 +154,7 @@ class KernelSums:
         levels[slot, self._points[chosen]] = wanted[chosen]
         aimed, kernels_ma = aimed[chosen], self._scratch_ma[: len(chosen)]
         # With "raise", numpy would fill a copy first.
-        self._kernels_ma.take(chosen, axis=0, out=kernels_ma, mode="clip")
+        self.kernels_ma.take(chosen, axis=0, out=kernels_ma, mode="clip")
         current_ma = np.empty((count, self._electrodes))
         ends = size.cumsum()
         begin = 0
@@ -146,7 +162,9 @@ class KernelSums:
             aimed[begin:end].dot(kernels_ma[begin:end], out=row)
             begin = end
         first = owner[index[ends - size]]
-        return Found(levels, current_ma, size, np.zeros((2, count), np.float32), first, most_ma)
+        do = np.zeros((2, count), np.float32)
+        lists = np.concatenate([[0], ends]), chosen, aimed
+        return Found(levels, current_ma, size, do, first, most_ma, *lists)
 
 
 def _parts(

@@ -12,6 +12,12 @@ from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA
+from smarttouch.stimulation.kernel_table import (
+    PER_UA,
+    KernelLists,
+    KernelTable,
+    largest_amplitude,
+)
 from smarttouch.stimulation.sequence import SelectivityReport
 from smarttouch.stimulation.sums import round_charge_balanced, rows_of_block
 from smarttouch.stimulation.timing import ScanTiming
@@ -30,12 +36,15 @@ class Slots(NamedTuple):
     width_us : ndarray, (S,) uint16, µs
     proof : SelectivityReport, optional
         Selectivity of shared slots.
+    sums : KernelLists, optional
+        Kernels that the currents are sums of.
     """
 
     site: NDArray[np.uint16]
     current_ua: NDArray[np.int16]
     width_us: NDArray[np.uint16]
     proof: SelectivityReport | None = None
+    sums: KernelLists | None = None
 
 
 class PointSlots:
@@ -51,6 +60,8 @@ class PointSlots:
         Class to use.
     timing : ScanTiming
         Whether the order of slots is the board's.
+    table : KernelTable, optional
+        Kernels in whole numbers, where slots are to be sums of these.
 
     Raises
     ------
@@ -59,7 +70,12 @@ class PointSlots:
     """
 
     def __init__(
-        self, profile: Profile, bank: KernelBank, afferent: Afferent, timing: ScanTiming
+        self,
+        profile: Profile,
+        bank: KernelBank,
+        afferent: Afferent,
+        timing: ScanTiming,
+        table: KernelTable | None = None,
     ) -> None:
         weights = np.asarray(bank.kernels(afferent), np.float32)
         masked = list(profile.output.masked)
@@ -79,6 +95,12 @@ class PointSlots:
         if limits.electrode_ma is not None:
             most_ma = np.minimum(most_ma, limits.electrode_ma)
         self._most_ua = np.floor(1000 * most_ma[self._strongest] + 1e-6)
+        self._table = table
+        if table is not None:
+            self._base = table.points[afferent]
+            own = table.weights[self._base : self._base + len(weights)]
+            self._largest = largest_amplitude(own, np.floor(1000 * most_ma + 1e-6))
+            self._full = np.asarray(PER_UA * 1000 * profile.full_ma, np.float32)
         self._prove_totals(profile)
         rounding_ua = len(weights) / 2
         self._tight = bool((1000 * profile.full_ma + rounding_ua > self._most_ua).any())
@@ -165,6 +187,9 @@ class PointSlots:
         slots = len(site)
         if width_us is None:
             width_us = self._widths_all_us[:slots]
+        if self._table is not None:
+            sums = self._sums(self._table, site, level)
+            return Slots(site.astype(np.uint16), sums.current_ua(), width_us, None, sums)
         if self._single:
             full_ua = np.abs(self._kernels_ua[site]).max(axis=1)
             whole = np.rint(level * full_ua) / full_ua
@@ -195,6 +220,14 @@ class PointSlots:
             block.dot(self._ones, out=surplus[part])
             np.copyto(current_ua[part], block, casting="unsafe")
         return current_ua, surplus.astype(np.int16)
+
+    def _sums(
+        self, table: KernelTable, site: NDArray[np.intp], level: NDArray[np.float32]
+    ) -> KernelLists:
+        """Return slots of one kernel each, none above the limit of an electrode."""
+        amplitude = np.minimum(np.rint(level * self._full[site]), self._largest[site])
+        kernel = (self._base + site).astype(np.uint16)
+        return KernelLists(table, np.arange(len(site) + 1), kernel, amplitude.astype(np.uint16))
 
     def _carried(self, site: NDArray[np.intp], level: NDArray[np.float32]) -> NDArray[np.int16]:
         """Return slots with the imbalance spread: each under a µA, within its limit, (S, E)."""
@@ -276,4 +309,7 @@ def joined(parts: list[Slots]) -> Slots:
             np.concatenate([each.off_target for each in proofs]),
             np.concatenate([each.spill for each in proofs]),
         )
-    return Slots(site, current_ua, width_us, proof)
+    sums = parts[0].sums
+    for each in parts[1:]:
+        sums = None if sums is None or each.sums is None else sums.joined(each.sums)
+    return Slots(site, current_ua, width_us, proof, sums)

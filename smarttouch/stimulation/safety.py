@@ -188,7 +188,7 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
     SafetyError
         If a field has another type or shape than it should.
     """
-    fields: dict[str, Any] = {"proof": sequence.proof}
+    fields: dict[str, Any] = {"proof": sequence.proof, "sums": sequence.sums}
     slots: int | None = None
     for name, kind, dimensions, of_slots in _ARRAYS:
         values = getattr(sequence, name)

@@ -19,6 +19,7 @@ from smarttouch.stimulation.exposure import (
     shortest_period_us,
 )
 from smarttouch.stimulation.frames import FrameSlots
+from smarttouch.stimulation.kernel_table import KernelTable
 from smarttouch.stimulation.limits import SafetyLimits
 from smarttouch.stimulation.points import PointSlots, constant_us, joined
 from smarttouch.stimulation.rates import PulseRates, rate_share, rates_of
@@ -61,6 +62,8 @@ class ScanScheduler:
     frames : dict, optional
         Slots by classes that other schedulers of this profile, bank and sharing have made; what
         is missing is made and added.
+    table : KernelTable, optional
+        Kernels in whole numbers, where slots are to be sums of these.
 
     Attributes
     ----------
@@ -85,6 +88,7 @@ class ScanScheduler:
         vibrated: bool = False,
         sharing: SlotPolicy = NO_SHARING,
         frames: dict[tuple[Afferent, ...], FrameSlots] | None = None,
+        table: KernelTable | None = None,
     ) -> None:
         timing = ScanTiming() if timing is None else timing
         timing.check(profile)
@@ -94,7 +98,7 @@ class ScanScheduler:
         driven = [each for each in afferents if not (vibrated and each is Afferent.PC)]
         self._driven = tuple(driven)
         self._points = {
-            each: PointSlots(profile, bank, each, timing)
+            each: PointSlots(profile, bank, each, timing, table)
             for each in driven
             if each not in sharing.afferents
         }
@@ -182,7 +186,7 @@ class ScanScheduler:
         made = maker.slots(image.activation[rows], scale)
         if others:
             made = joined([made, *(one.slots(image.activation[of], scale) for one, of in others)])
-        site, current_ua, width_us, proof = made
+        site, current_ua, width_us, proof, sums = made
         slots = len(site)
         if slots < len(self._shortest):
             shortest_us = self._shortest[slots]
@@ -208,6 +212,7 @@ class ScanScheduler:
             if self._vibrated
             else None,
             proof=proof,
+            sums=sums,
         )
 
     def _makers_of(self, classes: tuple[Afferent, ...]) -> list[_Maker]:

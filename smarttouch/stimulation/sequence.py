@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.stimulation.kernel_table import KernelLists
+
 
 @dataclass(frozen=True, eq=False)
 class SelectivityReport:
@@ -80,6 +82,9 @@ class ScanSequence:
         none if not given.
     recharge_us : int, µs
         Length of the recharge phase; 0 without one.
+    sums : KernelLists, optional
+        Kernels that the currents are sums of. No more than a hint: the currents are what is
+        proved and delivered.
     """
 
     current_ua: NDArray[np.int16]
@@ -93,6 +98,7 @@ class ScanSequence:
     proof: SelectivityReport | None = None
     recharge_ua: NDArray[np.int16] | None = None
     recharge_us: int = 0
+    sums: KernelLists | None = None
 
     @property
     def slots(self) -> int:

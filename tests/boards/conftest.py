@@ -28,13 +28,14 @@ SECOND = 10**9
 
 @pytest.fixture(autouse=True)
 def claimed_time(request, monkeypatch):
-    """Let the gate take time as sequences claim it: what is tested here is what drivers do.
+    """Let gate and emulators take time as sequences claim it: what is tested is what drivers do.
 
     A test of the gate on the machine's clock is marked ``wall_clock``.
     """
     if "wall_clock" not in request.keywords:
         monkeypatch.setattr(Board, "_time", lambda self: None)
         monkeypatch.setattr("smarttouch.stimulation.safety.LATE_NS", 3600 * SECOND)
+        monkeypatch.setattr("smarttouch.boards.emulator.checks.RAMP_MS", 0)
 
 
 @pytest.fixture(scope="session")
@@ -88,6 +89,8 @@ def start_emulator():
     started = []
 
     def start(*arguments, electrodes=8, output="weighted", protocol="link"):
+        # Time is what sequences claim, see above: of a board, too.
+        arguments = ("--ramp-ms=0", *arguments) if protocol == "link" else arguments
         process = Forked(
             [
                 *EMULATOR,

@@ -70,7 +70,7 @@ def test_every_slot_is_within_limits_and_bounds_and_its_proof_is_true(
 ):
     random = np.random.default_rng(seed)
     activation = random.random(64, np.float32) * (random.random(64) < density)
-    site, current_ua, _, proof = made[afferent, planned].slots(activation[None], intensity)
+    site, current_ua, _, proof, _ = made[afferent, planned].slots(activation[None], intensity)
     scan = ScanScheduler(profile, bank, (afferent,), 10.0, sharing=SlotPolicy((afferent,), planned))
     sequence = scan.schedule(image(activation, afferent), intensity)
     assert np.array_equal(sequence.current_ua, current_ua)
@@ -254,7 +254,7 @@ def test_a_letter_takes_a_few_slots_and_an_empty_frame_none(slots, bank, profile
     activation = np.zeros(64, np.float32)
     assert len(slots.slots(activation[None], 1.0)[0]) == 0
     activation[LETTER_T] = 1
-    site, _, width_us, _ = slots.slots(activation[None], 1.0)
+    site, _, width_us, *_ = slots.slots(activation[None], 1.0)
     assert len(site) == 3
     assert set(site) <= set(LETTER_T)
     assert (width_us == 200).all()

@@ -39,7 +39,7 @@ def test_width_carries_intensity_at_full_height(by_width, bank):
     slots = PointSlots(by_width, bank, Afferent.RA, ScanTiming())
     activation = np.zeros(64, np.float32)
     activation[[9, 27]] = 1.0, 1e-6
-    site, current_ua, width_us, _ = slots.slots(activation, 1.0)
+    site, current_ua, width_us, *_ = slots.slots(activation, 1.0)
     weak, full = (site.tolist().index(each) for each in (27, 9))
     assert width_us[full] == 200
     # Threshold is half of the strongest: by Weiss, with c = w, in a third of the time.
@@ -50,9 +50,9 @@ def test_width_carries_intensity_at_full_height(by_width, bank):
 
 def test_what_would_be_too_short_is_not_felt(by_width, bank):
     slots = PointSlots(by_width, bank, Afferent.RA, ScanTiming())
-    _, _, width_us, _ = slots.slots(np.ones(64, np.float32), 0.09)
+    _, _, width_us, *_ = slots.slots(np.ones(64, np.float32), 0.09)
     assert len(width_us) == 0
-    _, _, width_us, _ = slots.slots(np.ones(64, np.float32), 0.11)
+    _, _, width_us, *_ = slots.slots(np.ones(64, np.float32), 0.11)
     assert width_us.min() >= SHORTEST_PULSE_US
 
 

@@ -114,6 +114,11 @@ class LinkFirmware(Firmware):
     def busy(self) -> bool:
         return self._running is not None
 
+    @property
+    def at_hand(self) -> int:
+        """Number of sequences that execute or wait."""
+        return (self._running is not None) + (self._waiting is not None)
+
     def feed(self, data: bytes, now_ns: int) -> bytes:
         """Process bytes from the host; return the answer."""
         self._advance(now_ns)
@@ -263,6 +268,7 @@ class LinkFirmware(Firmware):
             if self._running is not None:
                 self.zero("begin", now_ns)
             self._refusing, self._last, self._greeted = None, (-1, False), True
+            self._begun()
         elif refusal := self._session.take(message, self._packet_ns):
             return self._turn_away(refusal)
         self._heard_ns = now_ns
@@ -277,7 +283,15 @@ class LinkFirmware(Firmware):
             self._say(Kind.STOPPED, message.number)
         elif message.kind == Kind.STATUS:
             self._say(Kind.REPORT, message.number, self._report())
+        else:
+            self._answer_more(message)
         return None
+
+    def _begun(self) -> None:
+        """Begin anew with a session; for newer versions."""
+
+    def _answer_more(self, message: Message) -> None:
+        """Answer a packet of another kind; for newer versions."""
 
     def _accept(self, message: Message, now_ns: int) -> None:
         number = message.about
@@ -292,14 +306,10 @@ class LinkFirmware(Firmware):
             return self._turn_away(Refusal.OLD)
         if self._waiting is not None:
             return self._refuse(number, Refusal.BUSY, "one executing and one waiting")
-        try:
-            sequence = decode_sequence(message.payload)
-        except ValueError as error:
+        sequence = self._judged(number, message.payload, now_ns)
+        if sequence is None:
             self.books.violations += 1
-            return self._refuse(number, Refusal.MALFORMED, str(error))
-        if complaint := self._rules.complaint(sequence):
-            self.books.violations += 1
-            return self._refuse(number, Refusal.UNSAFE, complaint)
+            return None
         self._last = (number, False)
         table = _Table(number, sequence, sequence.times)
         if self._running is None:
@@ -307,6 +317,18 @@ class LinkFirmware(Firmware):
         else:
             self._waiting = table
         return self._execute(now_ns)
+
+    def _judged(self, number: int, payload: bytes, now_ns: int) -> WireSequence | None:
+        """Return the sequence in a payload, or refuse it."""
+        try:
+            sequence = decode_sequence(payload)
+        except ValueError as error:
+            self._refuse(number, Refusal.MALFORMED, str(error))
+            return None
+        if complaint := self._rules.complaint(sequence):
+            self._refuse(number, Refusal.UNSAFE, complaint)
+            return None
+        return sequence
 
     def _turn_away(self, reason: Refusal) -> None:
         if self._session.live:
@@ -320,12 +342,14 @@ class LinkFirmware(Firmware):
         self._answers.append(self._session.encode(kind, about, payload))
 
     def _capabilities(self) -> bytes:
-        head = protocol.CAPABILITIES.pack(
+        return self._able() + NAME.encode()
+
+    def _able(self, more: int = 0) -> bytes:
+        return protocol.CAPABILITIES.pack(
             self._electrodes, protocol.OUTPUTS.index(self._output),
-            Feature.VOLTAGE | Feature.FORCE | self._recharging, MAX_CURRENT_UA, MAX_SLOTS,
+            Feature.VOLTAGE | Feature.FORCE | self._recharging | more, MAX_CURRENT_UA, MAX_SLOTS,
             protocol.SILENCE_MS, round(self._compliance_v),
         )  # fmt: skip
-        return head + NAME.encode()
 
     def account(self) -> tuple[int, int, int, int, float, float, float, int]:
         """Return the counts of delivered and refused packets, as in `BoardReport`."""
@@ -337,5 +361,6 @@ class LinkFirmware(Firmware):
 
     def _report(self) -> bytes:
         *delivered, _ = self.account()
-        at_hand = (self._running is not None) + (self._waiting is not None)
-        return protocol.REPORT.pack(*delivered, at_hand, self._session.old, self._session.foreign)
+        return protocol.REPORT.pack(
+            *delivered, self.at_hand, self._session.old, self._session.foreign
+        )

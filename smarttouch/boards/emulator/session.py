@@ -26,6 +26,8 @@ class BoardSession:
     ----------
     draw : callable
         Returns 32 random bits that are not all 0, each time others.
+    version : int
+        Of the protocol.
 
     Attributes
     ----------
@@ -37,7 +39,8 @@ class BoardSession:
         Packets refused, as old and as of another session.
     """
 
-    def __init__(self, draw: Callable[[], int] = draw_half) -> None:
+    def __init__(self, draw: Callable[[], int] = draw_half, version: int = VERSION) -> None:
+        self._version = version
         self.number = self.old = self.foreign = 0
         self.live = False
         self._draw = draw
@@ -51,7 +54,7 @@ class BoardSession:
     def encode(self, kind: Kind, about: int = 0, payload: bytes = b"") -> bytes:
         """Return the board's next packet of the session."""
         self._said += 1
-        return encode(kind, self.number, self._said, self._taken, about, payload)
+        return encode(kind, self.number, self._said, self._taken, about, payload, self._version)
 
     def encode_alive(self, payload: bytes, now_ns: int) -> bytes:
         """Return the next ALIVE; its echo dates what the host has received."""
@@ -65,7 +68,7 @@ class BoardSession:
         if self.live:
             self.foreign += 1
             return None
-        if hello.version == VERSION:
+        if hello.version == self._version:
             last, count = self._hellos.get(half, (0, 0))
             if hello.number <= last:
                 self.old += 1
@@ -74,11 +77,13 @@ class BoardSession:
                 self._count_strangers()
             self._hellos[half] = hello.number, count + 1
         session = self._challenge << 32 | half
-        return encode(Kind.CAPABILITIES, session, 0, 0, hello.number, capabilities)
+        return encode(Kind.CAPABILITIES, session, 0, 0, hello.number, capabilities, self._version)
 
     def begin(self, begin: Message) -> bool:
         """Return whether a BEGIN opens a session, and open it."""
         if self.live or begin.session >> 32 != self._challenge or not begin.session & HALF:
+            return False
+        if begin.version != self._version:
             return False
         half = begin.session & HALF
         self._hellos.pop(half, None)
@@ -119,7 +124,7 @@ class BoardSession:
         return message.kind == Kind.SEQUENCE and early and fresh
 
     def _judge(self, message: Message, began_ns: int) -> Refusal | None:
-        if message.version != VERSION or not self.number or message.session != self.number:
+        if message.version != self._version or not self.number or message.session != self.number:
             return Refusal.FOREIGN
         if message.number <= self._taken:
             return Refusal.OLD

@@ -4,6 +4,7 @@ import random
 import struct
 import zlib
 from collections import Counter
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from cobs import cobs
 
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.link import LinkFirmware
+from smarttouch.boards.emulator.link4 import Link4Firmware
 from smarttouch.boards.emulator.session import BoardSession
 from smarttouch.boards.link import LinkBoard
 from smarttouch.boards.link_line import LinkLine
@@ -134,12 +136,13 @@ class Middle:
 class World:
     """One board, the hosts that come to it one after another, and who sits in between."""
 
-    def __init__(self, seed):
-        self.random = random.Random(seed)
+    def __init__(self, seed, version):
+        self.random, self.version = random.Random(seed), version
         self.books = KeptBooks(4)
         self.books.kept = []
-        session = BoardSession(self.draw)
-        self.firmware = LinkFirmware(4, "weighted", self.books, session=session)
+        session = BoardSession(self.draw, version)
+        make = partial(Link4Firmware, ramp_ms=0) if version == 4 else LinkFirmware
+        self.firmware = make(4, "weighted", self.books, session=session)
         self.to_board, self.to_host = Middle(self.random), Middle(self.random)
         self.heard, self.said = Stream(), Stream()
         self.now_ns, self.host, self.written, self.half = 0, None, b"", 0
@@ -245,7 +248,8 @@ class ToldLine(LinkLine):
 
     def __init__(self, world, board):
         super().__init__("the middle", board._hear, board._aftermath, board._send_again, world.draw)
-        self._world = world
+        # HELLO of another version leaves nothing with a board that it could count.
+        self._world, self.newest = world, world.version
 
     def _listen(self):
         self._world.host, self._world.said.waiting = self, b""
@@ -262,12 +266,12 @@ class ToldLine(LinkLine):
         return True
 
 
-@pytest.fixture
-def make_world(monkeypatch):
+@pytest.fixture(params=[3, 4])
+def make_world(request, monkeypatch):
     """Return a maker of boards with someone in the middle; the last one made is what is opened."""
 
     def make(seed):
-        world = World(seed)
+        world = World(seed, request.param)
         monkeypatch.setattr("smarttouch.boards.link.open_port", lambda name: world)
         monkeypatch.setattr("smarttouch.boards.link.reopen_port", lambda *_: world)
         return world

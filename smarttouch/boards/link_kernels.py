@@ -1,0 +1,65 @@
+"""Kernels as ``link`` of version 4 keeps them on a board: see ``docs/reference/link.md``."""
+
+import struct
+import zlib
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.stimulation.kernel_table import KernelTable
+
+_HEAD = struct.Struct("<HH")
+_RUN = struct.Struct("<HH")
+_SHORTEST_GAP = 3
+"""Zeros from which a new run is shorter than to write them out."""
+
+
+@dataclass(frozen=True, eq=False)
+class KernelImage:
+    """The kernels of a run, as bytes for a board.
+
+    Attributes
+    ----------
+    table : KernelTable
+    count : int
+        Kernels that the board has room for: the first of the table.
+    data : bytes
+    identity : int
+        CRC-32 of it.
+    """
+
+    table: KernelTable
+    count: int
+    data: bytes
+    identity: int
+
+    @classmethod
+    def of(cls, table: KernelTable, room: int, most: int) -> Self:
+        """Return as many kernels as there is room for, in bytes and in number."""
+        parts, size = [b""], _HEAD.size
+        for weights, site in zip(table.weights[:most], table.site, strict=False):
+            record = _record(weights, int(site))
+            if size + len(record) > room:
+                break
+            parts.append(record)
+            size += len(record)
+        count = len(parts) - 1
+        parts[0] = _HEAD.pack(table.weights.shape[1], count)
+        data = b"".join(parts)
+        return cls(table, count, data, zlib.crc32(data))
+
+
+def _record(weights: NDArray[np.int16], site: int) -> bytes:
+    """Return a kernel as runs of weights; long gaps of zeros are left out."""
+    active = np.flatnonzero(weights)
+    if not len(active):
+        return _RUN.pack(site, 0)
+    breaks = np.flatnonzero(np.diff(active) > _SHORTEST_GAP)
+    starts = active[np.concatenate([[0], breaks + 1])].tolist()
+    ends = (active[np.concatenate([breaks, [len(active) - 1]])] + 1).tolist()
+    parts = [_RUN.pack(site, len(starts))]
+    for start, end in zip(starts, ends, strict=True):
+        parts += [_RUN.pack(start, end - start), weights[start:end].astype("<i2").tobytes()]
+    return b"".join(parts)

@@ -1,0 +1,193 @@
+"""The payloads of SEQUENCE and LIMITS in ``link`` of version 4: see ``docs/reference/link.md``."""
+
+import math
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.boards import link_protocol as protocol
+from smarttouch.boards.link_kernels import KernelImage
+from smarttouch.boards.link_sequence import pack_states
+from smarttouch.errors import BoardError
+from smarttouch.stimulation.kernel_table import KernelLists
+from smarttouch.stimulation.limits import PPB, SafetyLimits, parts_per_billion
+from smarttouch.stimulation.sequence import ScanSequence
+
+_HEAD = struct.Struct("<IHHBB")
+_GROUP = struct.Struct("<BBH")
+POINTS, SUM, CURRENTS, STATES = range(4)
+"""Kinds of groups of slots."""
+FULL = 0xFFFF
+"""Intensity 1."""
+MEASURE, RECHARGE = 1, 2
+_MOST_SHAPES = 0xFF
+_U16_MAX = 0xFFFF
+
+
+def encode_limits(limits: SafetyLimits) -> bytes:
+    """Return the payload of LIMITS."""
+    head = protocol.LIMITS.pack(
+        limits.period_us, limits.total_ua, int(limits.charge_pc.max()), limits.pulse_whole_us,
+        math.ceil(limits.full_ua), math.ceil(limits.rounding_ua), math.ceil(limits.full_us or 0),
+    )  # fmt: skip
+    return head + limits.current_ua.astype("<u2").tobytes()
+
+
+def encode_lists(
+    sequence: ScanSequence,
+    times: int,
+    measure: bool,
+    switched: bool,
+    image: KernelImage | None,
+    most_bytes: int,
+) -> bytes:
+    """Return the payload of a SEQUENCE.
+
+    Slots whose currents are just what the board makes of kernels that it keeps go as lists of
+    these, the others as currents or states.
+
+    Parameters
+    ----------
+    sequence : ScanSequence
+        Proved.
+    times : int
+    measure : bool
+        Whether voltages are wanted.
+    switched : bool
+        Whether the board has one source.
+    image : KernelImage, optional
+        What the board keeps.
+    most_bytes : int
+        Largest payload that it takes.
+
+    Raises
+    ------
+    BoardError
+        If it is too large for a packet, or asks a switched board for a recharge phase or for a
+        stronger source than the wire can say.
+    """
+    times_us = sequence.width_us.astype(np.uint32) << 16 | sequence.discharge_us
+    each, shape = np.unique(times_us, return_inverse=True)
+    shapes = np.column_stack([each >> 16, each & 0xFFFF])
+    if len(shapes) > _MOST_SHAPES:
+        raise BoardError(
+            f"{len(shapes)} pulse shapes in one sequence are above the limit of {_MOST_SHAPES}: "
+            "choose fewer pulse widths",
+            about="shapes",
+            problem="too many",
+            value=len(shapes),
+            allowed=_MOST_SHAPES,
+        )
+    recharge = sequence.recharge_ua
+    if switched and recharge is not None:
+        raise BoardError(
+            "a recharge phase needs a source for each electrode, and this board has one for all: "
+            "leave it out",
+            about="recharge_ua",
+            problem="impossible",
+        )
+    intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
+    flags = MEASURE * measure | RECHARGE * (recharge is not None)
+    parts = [
+        _HEAD.pack(sequence.period_us, times, intensity, flags, len(shapes)),
+        shapes.astype("<u2").tobytes(),
+    ]
+    if recharge is not None:
+        parts += [sequence.recharge_us.to_bytes(2, "little"), recharge.astype("<i2").tobytes()]
+    if sequence.slots:
+        parts += _groups(sequence, shape, switched, image)
+    payload = b"".join(parts)
+    if len(payload) > most_bytes:
+        raise BoardError(
+            f"a sequence of {len(payload)} bytes is above the board's limit of {most_bytes}: scan "
+            "fewer points at once",
+            about="packet",
+            problem="too large",
+            value=len(payload),
+            allowed=most_bytes,
+        )
+    return payload
+
+
+def _groups(
+    sequence: ScanSequence, shape: NDArray[np.intp], switched: bool, image: KernelImage | None
+) -> list[bytes]:
+    """Return the groups of slots that have a kind and a shape in common."""
+    slots = sequence.slots
+    kind = np.full(slots, STATES if switched else CURRENTS)
+    lists = None if switched else _kept(sequence, image)
+    if lists is not None:
+        sums, listed = lists
+        size = np.diff(sums.first)
+        kind = np.where(listed, np.where(size == 1, POINTS, SUM), kind)
+        pairs = np.column_stack([sums.kernel, sums.amplitude]).astype("<u2")
+        first = sums.first.tolist()
+    rows = _rows(sequence, switched)
+    new = np.ones(slots, np.bool_)
+    new[1:] = (kind[1:] == SUM) | (np.diff(kind) != 0) | (np.diff(shape) != 0)
+    starts = np.flatnonzero(new).tolist()
+    parts = []
+    for start, end in zip(starts, [*starts[1:], slots], strict=True):
+        what, count = int(kind[start]), end - start
+        if what == SUM:
+            count = first[end] - first[start]
+        if count > _U16_MAX:
+            raise _too_many(count)
+        parts.append(_GROUP.pack(what, int(shape[start]), count))
+        body = pairs[first[start] : first[end]] if what <= SUM else rows[start:end]
+        parts.append(body.tobytes())
+    return parts
+
+
+def _kept(
+    sequence: ScanSequence, image: KernelImage | None
+) -> tuple[KernelLists, NDArray[np.bool_]] | None:
+    """Return lists of kernels, and of which slots the board makes just the proved currents."""
+    sums = sequence.sums
+    if image is None or sums is None or sums.table is not image.table:
+        return None
+    if len(sums.first) != sequence.slots + 1:
+        return None
+    # Copies: nothing may change between the look and the write.
+    own = KernelLists(image.table, sums.first.copy(), sums.kernel.copy(), sums.amplitude.copy())
+    made_ua = own.current_ua()
+    same = (made_ua == sequence.current_ua).all(axis=1) & (own.site == sequence.site)
+    known = np.maximum.reduceat(own.kernel, own.first[:-1]) < image.count
+    # At most what the board adds up in 32 bits.
+    within = np.add.reduceat(own.amplitude, own.first[:-1], dtype=np.int64) <= _U16_MAX
+    return own, same & known & within
+
+
+def _rows(sequence: ScanSequence, switched: bool) -> NDArray[np.uint8]:
+    """Return each slot's site and currents, or site, source and states, as bytes (S, B)."""
+    slots, current_ua = sequence.slots, sequence.current_ua
+    columns = [sequence.site[:, None].astype("<u2").view(np.uint8)]
+    if switched:
+        source = np.maximum(current_ua, 0).sum(axis=1, dtype=np.int64)
+        if (strongest := int(source.max(initial=0))) > _U16_MAX:
+            raise BoardError(
+                f"a slot asks {strongest / 1000:.1f} mA of one source, the wire carries at most "
+                f"{_U16_MAX / 1000:.1f} mA: lower the currents",
+                about="source_ua",
+                problem="too large",
+                value=strongest,
+                allowed=_U16_MAX,
+                slot=int(source.argmax()),
+            )
+        columns.append(source[:, None].astype("<u2").view(np.uint8))
+        states = np.frombuffer(pack_states(np.sign(current_ua)), np.uint8)
+        columns.append(states.reshape(slots, -(-current_ua.shape[1] // 4)))
+    else:
+        columns.append(current_ua.astype("<i2").view(np.uint8))
+    return np.concatenate(columns, axis=1)
+
+
+def _too_many(count: int) -> BoardError:
+    return BoardError(
+        f"{count} slots or points of one kind are above the limit of {_U16_MAX}: scan fewer points",
+        about="slots",
+        problem="too many",
+        value=count,
+        allowed=_U16_MAX,
+    )

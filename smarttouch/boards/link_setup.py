@@ -1,0 +1,130 @@
+"""What a ``link`` board of version 4 is given before sequences, and how its numbers are read."""
+
+from collections.abc import Callable
+from typing import Any
+
+from smarttouch.boards import link_protocol as protocol
+from smarttouch.boards.link_kernels import KernelImage
+from smarttouch.boards.link_line import LinkLine
+from smarttouch.boards.link_lists import encode_limits
+from smarttouch.boards.link_offer import malformed
+from smarttouch.boards.link_protocol import NOTHING, Kind, Rule
+from smarttouch.boards.link_session import Message
+from smarttouch.errors import BoardError
+from smarttouch.stimulation.limits import SafetyLimits
+
+OVERHEAD = 64
+"""Bytes of a packet beside what it carries, at most, and some to spare."""
+_PIECE = 4096
+_IDLE = 3
+"""Times that nothing new may have been kept."""
+
+_RULES = {
+    Rule.LIMITS: "no limits were given in this session",
+    Rule.SLOTS: "too many slots",
+    Rule.PERIOD: "a period that is too short, µs",
+    Rule.WIDTH: "a pulse width that is none or too long, µs",
+    Rule.DISCHARGE: "a discharge that is too short, µs",
+    Rule.FIT: "slots that do not fit the period, µs",
+    Rule.DUTY: "current for too long, µs",
+    Rule.KIND: "slots for another kind of outputs",
+    Rule.KERNEL: "a kernel that it does not keep",
+    Rule.SUM: "amplitudes that add up to too much",
+    Rule.BALANCE: "out of balance, µA",
+    Rule.CURRENT: "too much current, µA",
+    Rule.TOTAL: "too much current in all, µA",
+    Rule.CHARGE: "too much charge, pC",
+    Rule.STATES: "states that make no circuit",
+    Rule.MEAN: "too much charge in one period, pC",
+    Rule.INTENSITY: "more than the stated intensity allows, µA or pC",
+    Rule.RISE: "a rise that is too fast, of 65,535",
+    Rule.RECHARGE: "a recharge phase that is too long or without slots, µs",
+}
+
+
+def give_limits(line: LinkLine, limits: SafetyLimits) -> None:
+    """Give a board the limits of the session.
+
+    Raises
+    ------
+    BoardError
+        If it does not take them, or is gone.
+    """
+    if line.ask(Kind.LIMITS, encode_limits(limits)).payload != b"\1":
+        raise malformed(line.name)
+
+
+def give_kernels(
+    line: LinkLine, image: KernelImage, most_bytes: int, go_on: Callable[[], None]
+) -> None:
+    """Give a board its kernels; what it keeps of them already is not sent again.
+
+    Parameters
+    ----------
+    line : LinkLine
+    image : KernelImage
+    most_bytes : int
+        Largest packet that it takes.
+    go_on : callable
+        Raises if the board is to be stopped.
+
+    Raises
+    ------
+    BoardError
+        If it does not take them, or is gone.
+    """
+    piece = min(_PIECE, most_bytes - OVERHEAD)
+    at, data, idle = 0, b"", 0
+    while idle < _IDLE:
+        go_on()
+        head = protocol.KERNELS.pack(image.identity, len(image.data), at)
+        answer = line.ask(Kind.KERNELS, head + data).payload
+        if len(answer) != protocol.KEPT.size:
+            raise malformed(line.name)
+        identity, kept, whole = protocol.KEPT.unpack(answer)
+        if identity == image.identity and whole:
+            return
+        # The first question has nothing in it, and finds out where to begin.
+        kept = kept if identity == image.identity and kept < len(image.data) else 0
+        idle = 0 if kept > at else idle + 1
+        at, data = kept, image.data[kept : kept + piece]
+    raise BoardError(
+        f"the board at {line.name} does not keep the kernels that it is sent: check its firmware",
+        about="kernels",
+        problem="refused",
+        value=len(image.data),
+    )
+
+
+def account_of(answer: Message, name: str) -> tuple[Any, ...]:
+    """Return a REPORT of either version: counts, mA and µC, as of version 3.
+
+    Raises
+    ------
+    BoardError
+        If it is none.
+    """
+    newest = answer.version == protocol.NEWEST
+    form = protocol.ACCOUNT if newest else protocol.REPORT
+    if len(answer.payload) != form.size:
+        raise malformed(name)
+    told = form.unpack(answer.payload)
+    if not newest:
+        return told
+    strongest_ua, charge_pc, net_pc = told[4:7]
+    return (*told[:4], strongest_ua / 1e3, charge_pc / 1e6, net_pc / 1e6, *told[7:])
+
+
+def reason_of(refusal: Message) -> tuple[int, str]:
+    """Return the reason of a NAK of either version, and words for the rest of it."""
+    payload = refusal.payload
+    if refusal.version != protocol.NEWEST:
+        return (payload[0] if payload else 0), payload[1:].decode("utf-8", "replace")
+    if len(payload) != protocol.NAK.size:
+        return 0, ""
+    reason, rule, slot, electrode, value, allowed = protocol.NAK.unpack(payload)
+    words = _RULES[Rule(rule)] if rule in _RULES else "malformed" if not rule else f"rule {rule}"
+    words += f": {value}, allowed {allowed}" if value or allowed else ""
+    words += f", slot {slot}" if slot != NOTHING else ""
+    words += f", electrode {electrode}" if electrode != NOTHING else ""
+    return reason, words

@@ -1,0 +1,146 @@
+"""Kernels in whole numbers, and slots as sums of them: the same µA here and on a board.
+
+A weight is an int16, 32,767 the largest of its kernel; an amplitude counts quarters of a µA. What
+flows is defined to the bit, by `KernelLists.current_ua`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.afferent import Afferent
+
+PEAK = 32_767
+"""Largest magnitude of a kernel's weights."""
+PER_UA = 4
+"""Amplitudes are in quarters of a µA."""
+SHIFT = 17
+"""A weight of 2^15 times an amplitude of 4 is one µA: 2^17."""
+MOST_KERNELS = 0xFFFF
+
+Shared = Mapping[Afferent, tuple[NDArray[np.float64], NDArray[np.intp]]]
+
+
+@dataclass(frozen=True, eq=False)
+class KernelTable:
+    """Kernels of a run in whole numbers.
+
+    Attributes
+    ----------
+    weights : ndarray, (K, E) int16
+        Positive cathodic; the largest magnitude of each is `PEAK`, and each sums to zero. Rows of
+        masked sites are zero.
+    site : ndarray, (K,) uint16
+        Electrode that each is for.
+    points, shared : dict
+        Row of electrode 0 of each class, and the first row of those that share slots.
+    """
+
+    weights: NDArray[np.int16]
+    site: NDArray[np.uint16]
+    points: dict[Afferent, int]
+    shared: dict[Afferent, int]
+
+    @classmethod
+    def of(cls, weights: Mapping[Afferent, NDArray[np.float64]], shared: Shared) -> "KernelTable":
+        """Return kernels of any scale in whole numbers.
+
+        Parameters
+        ----------
+        weights : dict of Afferent to ndarray, (E, E)
+            Of each site, as in a bank.
+        shared : dict of Afferent to two ndarrays, (A, E) and (A,)
+            Kernels by which points of a class share slots, and their sites.
+        """
+        every = {each: (own, np.arange(len(own))) for each, own in weights.items()}
+        parts: list[NDArray[np.float64]] = []
+        sites: list[NDArray[np.intp]] = []
+        points: dict[Afferent, int] = {}
+        sharing: dict[Afferent, int] = {}
+        # Those in use first: a board may not have room for all.
+        for first, kernels in ((sharing, shared), (points, every)):
+            for afferent in sorted(kernels):
+                first[afferent] = sum(map(len, parts))
+                parts.append(np.asarray(kernels[afferent][0], np.float64))
+                sites.append(kernels[afferent][1])
+        site = np.concatenate(sites).astype(np.uint16)
+        return cls(quantized(np.concatenate(parts)), site, points, sharing)
+
+
+def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
+    """Return kernels (K, E) as whole numbers of which each row sums to zero; zero stays zero."""
+    peak = np.abs(kernels).max(axis=1, keepdims=True, initial=0)
+    carried = np.cumsum(kernels * (PEAK / np.where(peak > 0, peak, 1)), axis=1)
+    carried[:, -1:] = 0
+    return np.asarray(np.diff(np.rint(carried), axis=1, prepend=0), np.int16)
+
+
+@dataclass(frozen=True, eq=False)
+class KernelLists:
+    """Slots as lists of kernels with amplitudes.
+
+    Attributes
+    ----------
+    table : KernelTable
+    first : ndarray, (S + 1,) intp
+        Where the list of each slot begins, and the last one ends; none is empty.
+    kernel : ndarray, (N,) uint16
+        Row in the table.
+    amplitude : ndarray, (N,) uint16
+        In quarters of a µA; those of a slot sum to at most 65,535.
+    """
+
+    table: KernelTable
+    first: NDArray[np.intp]
+    kernel: NDArray[np.uint16]
+    amplitude: NDArray[np.uint16]
+
+    @property
+    def site(self) -> NDArray[np.uint16]:
+        """Site of each slot, (S,): that of its first kernel."""
+        return self.table.site[self.kernel[self.first[:-1]]]
+
+    def current_ua(self) -> NDArray[np.int16]:
+        """Return what flows, (S, E) int16, µA, positive cathodic.
+
+        Of weights times amplitudes, added up, the sum from electrode 0 to each one is rounded to
+        whole µA, halves upward; an electrode gets the difference of two of these.
+        """
+        slots, weights = len(self.first) - 1, self.table.weights
+        if not slots:
+            return np.zeros((0, weights.shape[1]), np.int16)
+        # In doubles all of it is exact: sums stay far below 2^53.
+        scaled = weights[self.kernel] * self.amplitude.astype(np.float64)[:, None]
+        if len(scaled) > slots:
+            scaled = np.add.reduceat(scaled, self.first[:-1], axis=0)
+        np.cumsum(scaled, axis=1, out=scaled)
+        scaled += 1 << SHIFT - 1
+        scaled *= 2.0**-SHIFT
+        np.floor(scaled, out=scaled)
+        return np.asarray(np.diff(scaled, axis=1, prepend=0), np.int16)
+
+    def joined(self, other: "KernelLists") -> "KernelLists":
+        """Return these slots, and then others of the same table."""
+        return KernelLists(
+            self.table,
+            np.concatenate([self.first, self.first[-1] + other.first[1:]]),
+            np.concatenate([self.kernel, other.kernel]),
+            np.concatenate([self.amplitude, other.amplitude]),
+        )
+
+
+def largest_amplitude(
+    weights: NDArray[np.int16], most_ua: NDArray[np.float64]
+) -> NDArray[np.uint16]:
+    """Return the largest amplitude of each kernel (K, E) that keeps all electrodes' limits.
+
+    Parameters
+    ----------
+    weights : ndarray, (K, E) int16
+    most_ua : ndarray, (E,) µA
+        Largest current of each electrode, whole: what is at most that stays so when it is rounded.
+    """
+    room = np.floor(most_ua) * 2.0**SHIFT / np.maximum(np.abs(weights.astype(np.float64)), 1)
+    return np.asarray(np.minimum(np.floor(room.min(axis=1)), 0xFFFF), np.uint16)
