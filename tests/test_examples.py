@@ -12,7 +12,7 @@ import smarttouch as st
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))
-LONG = ("braille_page", "electric_mouse", "frequency_discrimination", "paper_effects", "read_a_page")
+LONG = ("braille_page", "electric_mouse", "frequency_discrimination", "paper_effects")
 """Programs that the gallery alone runs, whenever the pages are built."""
 
 
