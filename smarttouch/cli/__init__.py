@@ -29,6 +29,7 @@ from smarttouch.cli.read import read
 from smarttouch.cli.recordings import recordings
 from smarttouch.cli.replay import replay
 from smarttouch.cli.report import report
+from smarttouch.cli.run_command import RunCommand
 from smarttouch.cli.sensor import sensor
 from smarttouch.cli.stop import stop
 from smarttouch.errors import SmartTouchError, TableError
@@ -84,7 +85,7 @@ for _panel, _commands in _COMMANDS.items():
         if isinstance(_command, typer.Typer):
             app.add_typer(_command, name=_name, rich_help_panel=_panel)
         else:
-            app.command(_name, rich_help_panel=_panel)(_command)
+            app.command(_name, cls=RunCommand, rich_help_panel=_panel)(_command)
 experiment.command()(fit)
 
 

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from smarttouch.cli.option_groups import takes_options
+from smarttouch.cli.run_command import RunCommand
 from smarttouch.cli.run_options import RunOptions
 from smarttouch.cli.saved import SavedSettings
 from smarttouch.monitor.driving import drives_a_board
@@ -38,7 +39,7 @@ def list_all() -> None:
     typer.echo(f"{'free':13} turn amplitude, rate and mode by hand: smarttouch experiment free")
 
 
-@experiment.command("run")
+@experiment.command("run", cls=RunCommand)
 @drives_a_board
 @takes_options(scan="points", anatomy="paper")
 def run_listed(
@@ -155,7 +156,7 @@ def run_listed(
         sit(sitting, run, config, simulate)
 
 
-@experiment.command()
+@experiment.command(cls=RunCommand)
 @drives_a_board
 @takes_options(scan="points")
 def free(

@@ -27,9 +27,8 @@ def read(
         typer.Argument(
             callback=or_standard_input,
             metavar="FILE",
-            help="Page (image, PDF), .txt, Braille (.brf, .pef, photo), or text:WORDS; - for "
-            "standard input. Options: page.pdf?dpi=300, page_width_mm, languages, "
-            "light_on_dark.",
+            help="Page (image, PDF), .txt, Braille (.brf, .pef, photo), text:WORDS, - "
+            "(standard input); options: ?dpi=300, page_width_mm, languages, light_on_dark.",
         ),
     ],
     lines: Annotated[int, typer.Option(help="Lines of Braille at once.")] = 1,

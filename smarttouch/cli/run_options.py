@@ -73,7 +73,7 @@ class RunOptions(OptionGroup):
         typer.Option(
             metavar="URL",
             rich_help_panel=FINGER,
-            help="hx711:PORT, loadcell:PORT, recorded:CSV, fixed:N; else what source or board say.",
+            help="hx711:, loadcell:, recorded:, fixed:N, or source's.",
         ),
     ] = None
     intensity: Annotated[
@@ -130,6 +130,10 @@ class RunOptions(OptionGroup):
         ),
     ] = False
     json_file: JsonOption = None
+    window: Annotated[
+        int | None,
+        typer.Option(metavar="[PORT]", help="Page in a browser."),
+    ] = None
     quiet: QuietOption = False
 
     def __post_init__(self) -> None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _NOT_KEPT = (
     "save", "settings", "intensity", "quiet", "json_file", "felt", "finger", "anatomy", "frames",
-    "record", "plot", "output", "overwrite", "password", "tables",
+    "record", "window", "plot", "output", "overwrite", "password", "tables",
 )  # fmt: skip
 """Names of options that are given anew for each run."""
 _PLACES = ("source", "texture", "profile", "motion", "force", "follow")

@@ -105,6 +105,12 @@ class LiveFinger(Listener):
                 process.kill()
                 process.wait()
 
+    def abandon(self) -> None:
+        """End the process at once, whatever it is at; from any thread."""
+        process = self._process
+        if process is not None:
+            process.kill()
+
     def _take(self) -> None:
         assert self._given is not None
         spikes, self.drawn = self._receive()

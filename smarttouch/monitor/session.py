@@ -11,6 +11,7 @@ from pathlib import Path
 from smarttouch.boards.board import Board
 from smarttouch.files import require_folder, write_json
 from smarttouch.kernels.bank import KernelBank, load_bank
+from smarttouch.monitor.blind_screen import BlindScreen
 from smarttouch.monitor.driving import ending_in_order, opened, the_stop
 from smarttouch.monitor.keyboard import LOST, keyboard_listener
 from smarttouch.monitor.progress import bank_progress
@@ -44,6 +45,7 @@ class Outputs:
     record: Path | None = None
     markers: bool = False
     json_file: Path | None = None
+    window: int | None = None
     quiet: bool = False
 
     def __post_init__(self) -> None:
@@ -108,12 +110,31 @@ def run_in_terminal(
     stop = the_stop()
     shown = screen(display.url, outputs.quiet, keys_help)
     typed = sys.stdin.isatty()
+    windows: list[Listener] = []
+    if outputs.window is not None:
+        from smarttouch.window.live import Window
+
+        # Before the screen: it says its address.
+        blind = issubclass(screen, BlindScreen)
+        windows.append(
+            Window(
+                stop,
+                outputs.window,
+                keys=keys,
+                keys_help=keys_help,
+                alone=not typed,
+                blind=blind,
+                finger=outputs.finger,
+                anatomy=outputs.anatomy,
+            )
+        )
     runner = Runner(
         source,
         display,
         config,
         force=force,
         listeners=[
+            *windows,
             shown,
             _Keyboard(stop, keys or {}),
             *outputs.listeners(),
@@ -121,8 +142,8 @@ def run_in_terminal(
             _Orderly(outputs.patience_s),
         ],
         controls=controls,
-        # On a board with a finger on it, whoever has a keyboard turns it up from zero.
-        first_level=0.0 if display.on_a_finger and typed else None,
+        # On a board with a finger on it, whoever has controls turns it up from zero.
+        first_level=0.0 if display.on_a_finger and (typed or windows) else None,
         most=config.intensity if display.on_a_finger else None,
         stop=stop,
         load_kernels=partial(_load_kernels, quiet=outputs.quiet),

@@ -66,3 +66,6 @@ class RecordedControls(Controls):
 
     def next_mode(self) -> None:
         """Do nothing: the modes are the recording's."""
+
+    def choose_mode(self, mode: Mode) -> None:
+        """Do nothing: the modes are the recording's."""

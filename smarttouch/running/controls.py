@@ -1,6 +1,8 @@
 """The user's own controls: intensity, mode and pause, changed while it runs."""
 
+import threading
 from dataclasses import dataclass, replace
+from typing import Any
 
 from smarttouch.afferent import Mode
 
@@ -46,6 +48,8 @@ class Controls:
 
     Attributes
     ----------
+    modes : tuple of Mode
+        That are offered.
     most : float, in [0, 1]
         No level is raised above it.
     """
@@ -53,7 +57,9 @@ class Controls:
     most = 1.0
 
     def __init__(self, state: ControlState, modes: tuple[Mode, ...] = ()) -> None:
-        self._state, self._modes = state, modes or (state.mode,)
+        self._state, self.modes = state, modes or (state.mode,)
+        # A change that another thread makes in between must not be lost, least of all a pause.
+        self._lock = threading.RLock()
 
     def state(self, _time_ns: int) -> ControlState:
         """Return the state at a time of the run."""
@@ -61,18 +67,38 @@ class Controls:
 
     def change_level(self, by: float) -> None:
         """Raise or lower the level, from 0 to the most that is allowed."""
-        level = min(self.most, max(0.0, round(self._state.level + by, 6)))
-        self._state = replace(self._state, level=level)
+        with self._lock:
+            level = min(self.most, max(0.0, round(self._state.level + by, 6)))
+            self._change(level=level)
 
     def silence(self) -> None:
         """Level 0 at once."""
-        self._state = replace(self._state, level=0.0)
+        self._change(level=0.0)
+
+    def pause(self) -> None:
+        """Level that flows is 0 at once, until somebody goes on."""
+        self._change(paused=True)
+
+    def resume(self) -> None:
+        """Go on from zero intensity."""
+        self._change(paused=False)
 
     def toggle_pause(self) -> None:
         """Pause, or go on from zero intensity."""
-        self._state = replace(self._state, paused=not self._state.paused)
+        with self._lock:
+            self._change(paused=not self._state.paused)
 
     def next_mode(self) -> None:
         """Go to the next mode that is offered."""
-        at = self._modes.index(self._state.mode)
-        self._state = replace(self._state, mode=self._modes[(at + 1) % len(self._modes)])
+        with self._lock:
+            at = self.modes.index(self._state.mode)
+            self._change(mode=self.modes[(at + 1) % len(self.modes)])
+
+    def choose_mode(self, mode: Mode) -> None:
+        """Go to one of the modes that are offered; to no other."""
+        if mode in self.modes:
+            self._change(mode=mode)
+
+    def _change(self, **changes: Any) -> None:
+        with self._lock:
+            self._state = replace(self._state, **changes)

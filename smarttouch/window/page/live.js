@@ -1,0 +1,303 @@
+// The page of a run: takes the newest, steers, and stops.
+
+import { ElectrodesView, FeltView, SensorView, TactileView, bytes, calm } from "./views.js";
+import { SlotPlayer } from "./slots.js";
+
+const find = (id) => document.getElementById(id);
+const CALM_MS = 500;
+const WORDS_MS = 1000;
+const MOST_EVENTS = 200;
+
+let socket;
+let over = false;
+let views = {};
+let player;
+let array;
+let keys = [];
+let state;
+let newest = null;
+let drawing = false;
+let drawnAt = 0;
+let saidAt = 0;
+
+function say(message) {
+  if (socket?.readyState === WebSocket.OPEN) socket.send(message);
+}
+
+function stop() {
+  if (over) return;
+  say("stop");
+  // Beside it, by another way: the connection may be lost.
+  fetch("stop", { method: "POST", keepalive: true }).catch(() => {});
+  setStatus("stopping …", "waits");
+}
+
+function alertUser(words) {
+  find("alert").hidden = !words;
+  if (find("alert").textContent !== words) find("alert").textContent = words;
+}
+
+function setStatus(words, kind) {
+  if (find("status").textContent !== words) find("status").textContent = words;
+  find("status").className = `status ${kind}`;
+}
+
+function connect() {
+  socket = new WebSocket(new URL("socket", location.href.replace(/^http/, "ws")));
+  socket.addEventListener("message", ({ data }) => {
+    const message = JSON.parse(data);
+    if (message.type === "hello") greet(message);
+    else if (message.type === "update") update(message);
+    else end(message.reason);
+  });
+  socket.addEventListener("close", () => {
+    if (over) return;
+    setStatus("not connected", "waits");
+    alertUser("The connection is lost. Stop still asks for the end; else press q in the terminal, or type: smarttouch stop");
+    disable(true);
+    setTimeout(connect, 1000);
+  });
+}
+
+function greet(hello) {
+  alertUser("");
+  array = hello.array;
+  keys = hello.keys;
+  find("keys").textContent = `${hello.keys_help}+ − intensity   0 none   p pause   Esc, space stop`;
+  find("full").textContent = `full color ${array.full_ma.toFixed(2)} mA`;
+  for (const id of ["electrodes-card", "sensor-card", "tactile-card"]) find(id).hidden = hello.blind;
+  find("felt-card").hidden = !hello.finger;
+  views = {
+    electrodes: new ElectrodesView(find("electrodes"), array),
+    sensor: new SensorView(find("sensor")),
+    tactile: new TactileView(find("tactile"), array),
+    felt: hello.finger && new FeltView(find("felt"), hello.finger, array),
+  };
+  player ??= new SlotPlayer(find);
+  player.view = views.electrodes;
+  views.blind = hello.blind;
+  views.board = hello.board;
+  find("classes").replaceChildren(...Object.entries(array.colors).flatMap(([name, color]) => {
+    const swatch = document.createElement("span");
+    swatch.className = "swatch";
+    swatch.style.background = color;
+    return [swatch, name];
+  }));
+  find("modes").replaceChildren(...hello.modes.map((mode) => {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.textContent = mode;
+    button.dataset.mode = mode;
+    button.addEventListener("click", () => say(`do mode:${mode}`));
+    return button;
+  }));
+  find("events").replaceChildren();
+  disable(false);
+}
+
+function disable(off) {
+  for (const id of ["less", "more", "none", "pause", "steer"]) find(id).disabled = off;
+  for (const each of find("modes").children) each.disabled = off;
+}
+
+function update(message) {
+  say("seen");
+  state = message.state;
+  state.events.forEach(note);
+  if (message.picture) newest = message.picture;
+  if (message.felt) views.newFelt = message.felt;
+  if (!drawing) {
+    drawing = true;
+    requestAnimationFrame(draw);
+  }
+}
+
+function draw(now) {
+  drawing = false;
+  if (calm() && now - drawnAt < CALM_MS) return;
+  drawnAt = now;
+  showState();
+  if (newest && newest !== views.shown) {
+    views.shown = newest;
+    player.take(newest);
+    views.tactile.take(newest.tactile);
+    find("sensor-card").hidden = !newest.image;
+    if (newest.image) views.sensor.take(newest.image);
+  }
+  if (views.newFelt && views.felt) {
+    const words = views.felt.take(views.newFelt);
+    if (now - saidAt > WORDS_MS) find("felt-words").textContent = words;
+    views.newFelt = null;
+  }
+  if (now - saidAt > WORDS_MS) {
+    saidAt = now;
+    describe();
+  }
+}
+
+// Pictures in words, as often as somebody can read them.
+function describe() {
+  if (!newest) return;
+  find("electrodes").setAttribute("aria-label", views.electrodes.words());
+  find("tactile").setAttribute("aria-label", views.tactile.words());
+  if (views.felt?.said) find("felt").setAttribute("aria-label", views.felt.said);
+  if (newest.image) {
+    const grey = bytes(newest.image.grey);
+    const dark = Math.round((100 * grey.filter((each) => each < 128).length) / grey.length);
+    find("sensor").setAttribute("aria-label", `Image of ${newest.image.width} by ${newest.image.height} pixels, ${dark} % of it dark`);
+  }
+  if (!document.querySelector("#electrodes-card details").open || !views.electrodes.current) return;
+  find("currents").replaceChildren(...[...views.electrodes.current].flatMap((current, at) => {
+    if (!current) return [];
+    const row = document.createElement("tr");
+    for (const text of [at, (current / 1000).toFixed(3)]) {
+      const cell = document.createElement("td");
+      cell.textContent = text;
+      row.append(cell);
+    }
+    return [row];
+  }));
+}
+
+function showState() {
+  find("title").textContent = `${state.title}  →  ${array.profile}  →  ${views.board}`;
+  find("level").textContent = Math.round(100 * state.level);
+  find("more").disabled = state.level >= state.most;
+  find("pause").textContent = state.paused ? "Go on" : "Pause";
+  find("pause").setAttribute("aria-pressed", String(state.paused));
+  const mine = state.steers === "you";
+  find("steer").setAttribute("aria-pressed", String(mine));
+  find("steer").textContent = mine ? "Leave" : "Steer";
+  find("steers").textContent = `${state.steers === "you" ? "this page" : state.steers === "nobody" ? "nobody" : "another page"} steers`;
+  disableWhere(state.steers === "another");
+  for (const each of find("modes").children) each.setAttribute("aria-pressed", String(each.dataset.mode === state.mode));
+  setStatus(state.paused ? "paused" : state.level ? "running" : "running, no intensity", state.paused ? "waits" : "runs");
+  const { limits } = array;
+  const picture = views.blind ? null : newest;
+  gauges([
+    picture && ["intensity", picture.intensity, 1, `${Math.round(100 * picture.intensity)} %`],
+    ["force", state.force_n ?? 0, array.full_n, state.force_n === null ? "unknown" : `${state.force_n.toFixed(2)} N`],
+    picture && ["current", picture.peak_ma, limits.current_ma, `${picture.peak_ma.toFixed(2)} of ${limits.current_ma} mA`],
+    picture && ["charge", picture.charge_uc, limits.charge_uc, `${picture.charge_uc.toFixed(3)} of ${limits.charge_uc} µC`],
+    ["session", state.dose_s, limits.session_s, `${state.dose_s.toFixed(0)} of ${limits.session_s} s`],
+    !views.blind && ["dose", state.dose_mc, limits.session_mc, `${state.dose_mc.toFixed(1)} of ${limits.session_mc} mC`],
+  ].filter(Boolean));
+  table([
+    ["time", `${state.time_s.toFixed(1)} s`],
+    ["mode", state.mode],
+    picture && ["rate", `${(1e6 / picture.period_us).toFixed(1)} Hz`],
+    picture && ["scan", `${picture.points} points, ${picture.slots} slots`],
+    picture && ["latency", `${picture.latency_ms.toFixed(1)} ms`],
+    ["sequences", `${state.sequences}, ${state.acknowledged} acknowledged`],
+    ["late", String(state.late)],
+    ["own work", `${(100 * state.work_share).toFixed(1)} % of the scans`],
+  ].filter(Boolean));
+}
+
+function disableWhere(another) {
+  for (const id of ["less", "none", "pause", "steer"]) find(id).disabled = another;
+  if (another) find("more").disabled = true;
+  for (const each of find("modes").children) each.disabled = another;
+}
+
+// Rows of a list of terms, made once and then changed in place.
+function rows(id, names, make) {
+  const list = find(id);
+  if (list.dataset.names !== names.join()) {
+    list.dataset.names = names.join();
+    list.replaceChildren(...names.flatMap(make));
+  }
+  return [...list.querySelectorAll("dd.value")];
+}
+
+function term(name) {
+  const term = document.createElement("dt");
+  term.textContent = name;
+  return term;
+}
+
+function value() {
+  const value = document.createElement("dd");
+  value.className = "value";
+  return value;
+}
+
+function gauges(given) {
+  const values = rows("gauges", given.map(([name]) => name), (name) => {
+    const holder = document.createElement("dd");
+    const meter = document.createElement("meter");
+    meter.setAttribute("aria-label", name);
+    meter.max = 1;
+    if (name !== "intensity" && name !== "force") {
+      meter.low = 0.5;
+      meter.high = 0.85;
+      meter.optimum = 0;
+    }
+    holder.append(meter);
+    return [term(name), holder, value()];
+  });
+  const meters = find("gauges").querySelectorAll("meter");
+  given.forEach(([, part, most, words], at) => {
+    meters[at].value = part / most;
+    values[at].textContent = words;
+  });
+}
+
+function table(given) {
+  const values = rows("numbers", given.map(([name]) => name), (name) => [term(name), value()]);
+  given.forEach(([, words], at) => {
+    values[at].textContent = words;
+  });
+}
+
+function note({ time_s, text }) {
+  const item = document.createElement("p");
+  const time = document.createElement("time");
+  time.textContent = `${time_s.toFixed(1)} s`;
+  item.append(time, text);
+  find("events").prepend(item);
+  while (find("events").children.length > MOST_EVENTS) find("events").lastChild.remove();
+}
+
+function end(reason) {
+  over = true;
+  if (state) draw(Infinity);
+  setStatus("ended", "waits");
+  alertUser(`The run is over: ${reason || "it was ended"}. All electrodes are off.`);
+  disable(true);
+  find("stop").disabled = true;
+}
+
+find("stop").addEventListener("click", stop);
+find("less").addEventListener("click", () => say("do less"));
+find("more").addEventListener("click", () => say("do more"));
+find("none").addEventListener("click", () => say("do none"));
+find("pause").addEventListener("click", () => say(state?.paused ? "do resume" : "do pause"));
+find("steer").addEventListener("click", () => say(state?.steers === "you" ? "leave" : "steer"));
+
+const ARROWS = { ArrowLeft: "left", ArrowRight: "right", Enter: "\n" };
+
+document.addEventListener("keydown", (event) => {
+  const typing = event.target.matches?.("input[type=text], textarea");
+  if (event.key === "Escape" || (event.key === " " && !typing)) {
+    event.preventDefault();
+    event.stopPropagation();
+    stop();
+    return;
+  }
+  if (typing || event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.("select")) return;
+  if (event.key === "Enter" && event.target !== document.body) return;
+  const key = ARROWS[event.key] ?? event.key;
+  const own = { "+": "do more", "=": "do more", "-": "do less", "_": "do less", 0: "do none" };
+  if (keys.includes(key)) say(`do key:${key}`);
+  else if (key === "p") find("pause").click();
+  else if (own[key]) say(own[key]);
+  else return;
+  event.preventDefault();
+}, true);
+// A button would act on the release of the space that has just stopped.
+document.addEventListener("keyup", (event) => {
+  if (event.key === " " && !event.target.matches?.("input[type=text], textarea")) event.preventDefault();
+}, true);
+
+connect();

@@ -1,0 +1,200 @@
+"""Server of a page: this machine alone, a secret in its address, own thread."""
+
+import contextlib
+import os
+import secrets
+import socket
+import sys
+import threading
+import webbrowser
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from smarttouch.errors import SmartTouchError
+
+if TYPE_CHECKING:
+    import uvicorn
+    from starlette.routing import BaseRoute
+
+HOST = "127.0.0.1"
+MOST_MESSAGE_BYTES = 65_536
+"""Longest message that a page may send; longer ones end its connection."""
+PAGE_FOLDER = Path(__file__).parent / "page"
+_JOIN_S = 1.0
+_HEADERS = {
+    "content-security-policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
+        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "cache-control": "no-store",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "referrer-policy": "no-referrer",
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+}
+
+
+class PageServer:
+    """Serves the files of the page and some routes until it is closed.
+
+    Requests for another host, from another origin or without the secret are refused.
+
+    Parameters
+    ----------
+    port : int
+        Of 127.0.0.1; 0: one that is free.
+    routes : sequence of starlette.routing.BaseRoute
+        Beside the files, relative to the secret.
+    name : str
+        File of the page.
+
+    Attributes
+    ----------
+    address : str
+
+    Raises
+    ------
+    SmartTouchError
+        If the extra ``window`` is missing, or the port cannot be had.
+    """
+
+    def __init__(self, port: int, routes: "Sequence[BaseRoute]", name: str = "live.html") -> None:
+        server = import_server()
+        from starlette.applications import Starlette
+        from starlette.routing import Mount
+        from starlette.staticfiles import StaticFiles
+
+        self._socket = _bound(port)
+        self.port = int(self._socket.getsockname()[1])
+        self._prefix = f"/{secrets.token_urlsafe(24)}/"
+        self.address = f"http://{HOST}:{self.port}{self._prefix}{name}"
+        self._hosts = {f"{each}:{self.port}" for each in (HOST, "localhost")}
+        self._inner = Starlette(routes=[*routes, Mount("/", StaticFiles(directory=PAGE_FOLDER))])
+        config = server.Config(
+            self._guarded,
+            interface="asgi3",
+            http="h11",
+            ws="websockets-sansio",
+            ws_max_size=MOST_MESSAGE_BYTES,
+            ws_per_message_deflate=False,
+            loop="asyncio",
+            lifespan="off",
+            log_config=None,
+            log_level="critical",
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=1,
+        )
+        self._server: uvicorn.Server = server.Server(config)
+        self._thread = threading.Thread(target=self._serve, name="window", daemon=True)
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End all connections."""
+        self._server.should_exit = self._server.force_exit = True
+        if self._thread.is_alive():
+            self._thread.join(_JOIN_S)
+        self._socket.close()
+
+    def _serve(self) -> None:
+        self._server.run([self._socket])
+
+    async def _guarded(self, scope: Any, receive: Any, send: Any) -> None:
+        """Serve what is allowed, with headers that forbid everything else to the page."""
+        headers = {name.decode("latin-1"): value for name, value in scope["headers"]}
+        if not self._allows(scope, headers):
+            await _refuse(scope, send)
+            return
+
+        async def send_with_headers(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                own = [(name.encode(), value.encode()) for name, value in _HEADERS.items()]
+                message["headers"] = [*message["headers"], *own]
+            await send(message)
+
+        path = scope["path"][len(self._prefix) - 1 :]
+        await self._inner({**scope, "path": path, "root_path": ""}, receive, send_with_headers)
+
+    def _allows(self, scope: Any, headers: dict[str, bytes]) -> bool:
+        origin = headers.get("origin", b"").decode("latin-1")
+        # Pages may be looked at by a link; what acts must say that it is ours.
+        acts = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
+        ours = origin in {f"http://{each}" for each in self._hosts} or not (origin or acts)
+        path = scope["path"][: len(self._prefix)].encode()
+        return (
+            headers.get("host", b"").decode("latin-1") in self._hosts
+            and ours
+            and secrets.compare_digest(path, self._prefix.encode())
+        )
+
+
+async def _refuse(scope: Any, send: Any) -> None:
+    if scope["type"] == "websocket":
+        # Before it is accepted: the server then answers with 403.
+        await send({"type": "websocket.close", "code": 1008})
+        return
+    await send({"type": "http.response.start", "status": 403, "headers": []})
+    await send({"type": "http.response.body", "body": b"forbidden"})
+
+
+def import_server() -> Any:
+    """Return uvicorn.
+
+    Raises
+    ------
+    SmartTouchError
+        If the extra is missing.
+    """
+    try:
+        import starlette  # noqa: F401
+        import uvicorn
+        import websockets  # noqa: F401
+    except ImportError:
+        raise SmartTouchError(
+            "a window needs the extra window: pip install 'smarttouch[window]'",
+            about="window",
+            problem="missing",
+            remedy="pip install 'smarttouch[window]'",
+        ) from None
+    return uvicorn
+
+
+def open_browser(address: str) -> None:
+    """Open an address in the browser of the desktop, where there is one; wait for nothing."""
+    shown = sys.platform in ("win32", "darwin") or any(
+        os.environ.get(each) for each in ("DISPLAY", "WAYLAND_DISPLAY")
+    )
+    if not shown:
+        return
+
+    def show() -> None:
+        with contextlib.suppress(webbrowser.Error, OSError):
+            webbrowser.open(address)
+
+    threading.Thread(target=show, name="browser", daemon=True).start()
+
+
+def _bound(port: int) -> socket.socket:
+    found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        found.bind((HOST, port))
+        # From now on whoever connects waits, and is not refused.
+        found.listen(128)
+    except (OSError, OverflowError) as error:
+        found.close()
+        raise SmartTouchError(
+            f"the window cannot have port {port}: {getattr(error, 'strerror', None) or error}; "
+            "give another one, or none for one that is free",
+            about="window",
+            problem="unavailable",
+            value=port,
+            allowed=(0, 65535),
+            remedy="window",
+        ) from None
+    return found

@@ -1,0 +1,111 @@
+"""Steering of a run by pages: several look, one steers, anyone stops."""
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+
+from smarttouch.afferent import Mode
+from smarttouch.running.controls import STEP, Controls
+from smarttouch.stopping import StopRequest
+
+LOST_S = 0.7
+"""Silence after which a page no longer steers."""
+
+
+class Steering:
+    """Passes what one page asks for to the controls of a run, as keys do.
+
+    A page that asks for something steers if no other does. What nobody steers any more is paused
+    where pages are the only controls.
+
+    Parameters
+    ----------
+    controls : Controls
+    stop : StopRequest
+    keys : mapping of str to callable
+        Functions of single keys of the source.
+    alone : bool
+        Whether there are no other controls than pages.
+    """
+
+    def __init__(
+        self,
+        controls: Controls,
+        stop: StopRequest,
+        keys: Mapping[str, Callable[[], None]],
+        *,
+        alone: bool,
+    ) -> None:
+        self.controls, self._stop, self._keys, self._alone = controls, stop, keys, alone
+        self._page: int | None = None
+        self._heard_s = 0.0
+        self._lock = threading.Lock()
+        self._does: dict[str, Callable[[], None]] = {
+            "more": lambda: controls.change_level(STEP),
+            "less": lambda: controls.change_level(-STEP),
+            "none": controls.silence,
+            "pause": controls.pause,
+            "resume": controls.resume,
+        }
+
+    @property
+    def page(self) -> int | None:
+        """Number of the page that steers; None if none does."""
+        return self._page
+
+    def stop(self) -> None:
+        """End the run with all electrodes at zero; anyone may."""
+        self._stop.ask("the window")
+
+    def steer(self, page: int) -> bool:
+        """Return whether a page steers; it begins to if no other does."""
+        with self._lock:
+            if self._page is None:
+                self._page, self._heard_s = page, time.monotonic()
+            return self._page == page
+
+    def leave(self, page: int) -> None:
+        """Let a page steer no longer, if it did."""
+        with self._lock:
+            if self._page != page:
+                return
+            self._page = None
+        if self._alone:
+            self.controls.pause()
+
+    def hear(self, page: int) -> None:
+        """Note that a page is alive."""
+        if self._page == page:
+            self._heard_s = time.monotonic()
+
+    def look_after(self) -> None:
+        """Let a page that has fallen silent steer no longer; from any thread."""
+        page = self._page
+        if page is not None and time.monotonic() - self._heard_s > LOST_S:
+            self.leave(page)
+
+    def act(self, page: int, what: str) -> bool:
+        """Do what a page asks for; return False if another steers.
+
+        Raises
+        ------
+        ValueError
+            If there is no such thing to do.
+        """
+        kind, _, name = what.partition(":")
+        if what in self._does:
+            does = self._does[what]
+        elif kind == "mode" and name in {str(each) for each in self.controls.modes}:
+            mode = Mode(name)
+
+            def does() -> None:
+                self.controls.choose_mode(mode)
+
+        elif kind == "key" and name in self._keys:
+            does = self._keys[name]
+        else:
+            raise ValueError(what)
+        if not self.steer(page):
+            return False
+        does()
+        return True

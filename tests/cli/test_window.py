@@ -1,0 +1,57 @@
+"""``--window``: with and without a port, and a run that a page stops."""
+
+import re
+import sys
+from urllib.parse import urlsplit
+from urllib.request import Request, urlopen
+
+import pytest
+
+from smarttouch.cli.run_command import with_ports
+from smarttouch.errors import SmartTouchError
+
+from .conftest import refused, says
+
+pytestmark = pytest.mark.realtime
+
+
+@pytest.mark.parametrize(("words", "expected"), [
+    ("", ""),
+    ("live --window", "live --window 0"),
+    ("--window 8080 --quiet", "--window 8080 --quiet"),
+    ("--window --quiet", "--window 0 --quiet"),
+    ("--window page.png", "--window 0 page.png"),
+    ("--window -1", "--window -1"),
+    ("--quiet -- --window", "--quiet -- --window"),
+])  # fmt: skip
+def test_the_port_may_be_left_out(words, expected):
+    assert with_ports(words.split()) == expected.split()
+
+
+@pytest.mark.parametrize("port", ["-1", "65536"])
+def test_an_impossible_port_is_refused(program_here, port):
+    done = program_here("live", "--window", port, "--board", "simulated:")
+    said = {"about": "window", "problem": "unavailable", "value": int(port)}
+    says(SmartTouchError, **said)(refused(done))
+
+
+def test_without_the_extra_it_says_which(program_here, monkeypatch):
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    done = program_here("live", "--window", "--board", "simulated:")
+    says(SmartTouchError, "smarttouch[window]", about="window", problem="missing")(refused(done))
+
+
+def test_a_page_stops_a_run(start_program):
+    run = start_program(
+        "live", "--source", "text:touch?speed_mm_s=2", "--window", "--quiet",
+        "--profile", "smarttouch-4x4", "--anatomy", "paper",
+    )  # fmt: skip
+    address = re.fullmatch("window: (http://[^ ]+)\n", run.stderr.readline())[1]
+    stop = Request(
+        address.replace("live.html", "stop"),
+        method="POST",
+        headers={"Origin": f"http://{urlsplit(address).netloc}"},
+    )
+    with urlopen(stop, timeout=20) as answer:
+        assert answer.status == 204
+    assert run.wait(20) == 0

@@ -1,0 +1,55 @@
+"""A real browser, Debian's Chromium, where it is installed; and axe-core, where that is."""
+
+import os
+import shutil
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+ARGUMENTS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+)  # fmt: skip
+AXE = Path(os.environ.get("AXE_CORE", "/usr/share/nodejs/axe-core/axe.min.js"))
+"""Script of axe-core: see `.ci/run`."""
+
+
+@contextmanager
+def chromium():
+    """Yield a browser; skip where there is none."""
+    playwright = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("there is no Chromium: apt install chromium")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(ARGUMENTS))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+@contextmanager
+def opened(browser, address, width=1440, height=900, **options):
+    """Yield a page; fail if a script of it failed or something was not loaded."""
+    wrong = []
+    page = browser.new_page(viewport={"width": width, "height": height}, **options)
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("requestfailed", lambda request: wrong.append(request.url))
+    try:
+        page.goto(address)
+        yield page
+        assert wrong == []
+    finally:
+        page.close()
+
+
+def violations(page):
+    """Return what axe-core finds wrong; skip where that is not installed."""
+    if not AXE.is_file():
+        pytest.skip("there is no axe-core: npm install axe-core, and AXE_CORE=…/axe.min.js")
+    # The page forbids scripts of others; the browser may bring one along.
+    page.evaluate(AXE.read_text("utf-8"))
+    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
+    return [(each["id"], [node["html"] for node in each["nodes"]]) for each in found]

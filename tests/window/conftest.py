@@ -1,0 +1,107 @@
+"""Runs with a window, in a thread of this process, on a board that keeps what it is sent."""
+
+import threading
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+import smarttouch as st
+from smarttouch.running.runner import Runner
+from smarttouch.sources.source import StimulusSource
+from smarttouch.sources.stimulus import Stimulus
+from smarttouch.stopping import StopRequest
+
+pytest.importorskip("starlette")
+pytest.importorskip("uvicorn")
+from smarttouch.window.live import Window
+
+WAIT_S = 20
+
+
+def wait_for(holds):
+    """Wait until something holds; return what it gives."""
+    over_s = time.monotonic() + WAIT_S
+    while not (found := holds()):
+        assert time.monotonic() < over_s, "it never came"
+        time.sleep(0.01)
+    return found
+
+
+class Spots(StimulusSource):
+    """Gives electrodes at random, others each time, with an image of as many pixels."""
+
+    knows_force = True
+
+    def __init__(self, profile):
+        super().__init__("spots")
+        self.profile, self._random = profile, np.random.default_rng(1)
+        self.pressed = []
+
+    @property
+    def keys(self):
+        return {"x": lambda: self.pressed.append("x")}
+
+    def read(self, time_ns):
+        self.frames += 1
+        active = np.zeros((3, len(self.profile.electrodes)), np.float32)
+        active[0, self._random.integers(0, active.shape[1], 5)] = 1
+        image = self._random.integers(0, 256, (8, 12), np.uint8)
+        full_n = self.profile.force.full_n
+        return Stimulus(active, time_ns, full_n, number=self.frames, image=image)
+
+
+class Run:
+    """A run with a window."""
+
+    def __init__(self, profile, source, board, rate_hz=None, **options):
+        self.stop, self.results = StopRequest(), {}
+        self.display, self.source = st.open_display(board, profile), source
+        options = {"finger": None, "keys": source.keys, "show": lambda _: None} | options
+        self.window = Window(self.stop, **options)
+        self.board = self.display.board
+        self.runner = Runner(
+            source, self.display, st.RunConfig(intensity=1.0, rate_hz=rate_hz), stop=self.stop,
+            listeners=[self.window, self.keep],
+        )  # fmt: skip
+        self.thread = threading.Thread(target=self.runner.run)
+
+    def keep(self, result):
+        self.results[result.number] = result
+
+    @property
+    def controls(self):
+        return self.window.steering.controls
+
+    @property
+    def address(self):
+        return self.window.address
+
+    def state(self):
+        return self.controls.state(0)
+
+    def ended(self):
+        """Wait for the end; return how it came."""
+        self.thread.join(WAIT_S)
+        return self.runner.statistics.ended
+
+
+@pytest.fixture
+def running(profile):
+    """Return a context of a run with a window, which is stopped at its end."""
+
+    @contextmanager
+    def run(source=None, board="memory:", **options):
+        given = source or Spots(profile)
+        made = Run(given.profile, given, board, **options)
+        made.thread.start()
+        try:
+            wait_for(lambda: made.results)
+            yield made
+        finally:
+            made.stop.ask("the test")
+            made.thread.join(WAIT_S)
+            made.window.close()
+
+    return run

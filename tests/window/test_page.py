@@ -1,0 +1,167 @@
+"""The page in a real browser: what it draws, how it is used, and by whom."""
+
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from .browser import chromium, opened, violations
+from .conftest import wait_for
+
+pytestmark = pytest.mark.realtime
+
+CATHODIC, ANODIC, BASE = (179, 88, 6), (84, 39, 136), (236, 238, 241)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture
+def on_page(browser, running):
+    """Return a context of a run and its page, once that has drawn something."""
+
+    @contextmanager
+    def show(width=800, height=700, media=None, **options):
+        media = media or {}
+        with (
+            running(rate_hz=20, **options) as run,
+            opened(browser, run.address, width, height, **media) as page,
+        ):
+            page.wait_for_selector("#electrodes[data-number]")
+            yield run, page
+
+    return show
+
+
+PIXELS = """array => {
+  const canvas = document.getElementById('electrodes');
+  const paint = canvas.getContext('2d');
+  const longest = Math.max(canvas.width, canvas.height);
+  const scale = longest / Math.max(...array.extent);
+  return {
+    number: Number(canvas.dataset.number),
+    slot: canvas.dataset.slot,
+    colors: array.places.map(([x, y]) => [...paint.getImageData(
+      Math.round(canvas.width / 2 + x * scale),
+      Math.round(canvas.height / 2 + (y - 0.7 * array.radius) * scale), 1, 1).data].slice(0, 3)),
+  };
+}"""
+
+
+def drawn(page, profile):
+    electrodes = profile.electrodes
+    return page.evaluate(PIXELS, {
+        "extent": [*electrodes.extent_mm],
+        "places": electrodes.position_mm.tolist(),
+        "radius": 0.42 * electrodes.pitch_mm,
+    })  # fmt: skip
+
+
+def colors(current_ua, profile):
+    """Return the color of each electrode, (E, 3), as the page's own rule has it."""
+    part = current_ua / (1000 * float(profile.full_ma.max()))
+    target = np.where(part[:, None] < 0, ANODIC, CATHODIC)
+    share = np.minimum(1, np.abs(part))[:, None]
+    return np.floor(BASE + (target - BASE) * share + 0.5).astype(int)
+
+
+def strongest(sequence):
+    current = sequence.current_ua.astype(int)
+    if not len(current):
+        return np.zeros(current.shape[1], int)
+    return np.take_along_axis(current, np.abs(current).argmax(axis=0)[None], axis=0)[0]
+
+
+def test_pixels_are_the_delivered_sequence(on_page, profile):
+    with on_page() as (run, page):
+        wait_for(lambda: len(run.results) > 25)
+        for _ in range(3):
+            found = drawn(page, profile)
+            sequence = run.results[found["number"]].sequence
+            assert sequence.slots
+            expected = colors(strongest(sequence), profile)
+            assert np.array_equal(found["colors"], expected)
+            page.wait_for_timeout(100)
+        page.click("#slot-after")
+        found = drawn(page, profile)
+        sequence = run.results[found["number"]].sequence
+        for slot in range(sequence.slots):
+            found = drawn(page, profile)
+            assert found["slot"] == str(slot)
+            assert np.array_equal(found["colors"], colors(sequence.current_ua[slot], profile))
+            page.click("#slot-after")
+        words = page.get_attribute("#sensor", "aria-label")
+        assert "12 by 8" in words
+
+
+@pytest.mark.parametrize("how", ["button", "Escape", "Space"])
+def test_stop_is_always_there(on_page, how):
+    with on_page(360, 640) as (run, page):
+        page.evaluate("scrollTo(0, document.body.scrollHeight)")
+        if how == "button":
+            page.click("#stop")
+        else:
+            page.focus("#more")
+            page.keyboard.press(how)
+        assert run.ended() == "the window"
+        assert run.state().level == 1
+        page.wait_for_selector("#stop:disabled")
+
+
+def test_a_keyboard_is_enough(on_page):
+    with on_page() as (run, page):
+        page.keyboard.press("-")
+        wait_for(lambda: run.state().level < 1)
+        page.wait_for_selector("#steer[aria-pressed=true]")
+        page.keyboard.press("p")
+        wait_for(lambda: run.state().paused)
+        page.wait_for_selector("#pause[aria-pressed=true]")
+        page.focus("#pause")
+        page.keyboard.press("Enter")
+        wait_for(lambda: not run.state().paused)
+        page.keyboard.press("x")
+        wait_for(lambda: run.source.pressed)
+        page.keyboard.press("0")
+        wait_for(lambda: not run.state().level)
+        reached = set()
+        for _ in range(40):
+            page.keyboard.press("Tab")
+            reached.add(page.evaluate("document.activeElement.id"))
+        buttons = page.evaluate(
+            "[...document.querySelectorAll('button[id]:enabled')].map(b => b.id)"
+        )
+        assert {*buttons} <= reached
+
+
+def test_axe_finds_nothing(on_page):
+    with on_page() as (_, page):
+        page.click("summary")
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            assert violations(page) == []
+
+
+def test_it_fits_a_phone_and_little_moves_for_who_wants_that(on_page):
+    with on_page(360, 740, media={"reduced_motion": "reduce"}) as (_, page):
+        page.click("#slow")
+        slot = page.inner_text("#slot")
+        page.wait_for_timeout(400)
+        assert page.inner_text("#slot") == slot
+        assert page.evaluate("document.documentElement.scrollWidth") == 360
+        page.evaluate("scrollTo(0, document.body.scrollHeight)")
+        assert page.is_visible("#stop")
+        box = page.locator("#stop").bounding_box()
+        assert box["y"] >= 0
+        assert box["height"] >= 44
+
+
+def test_who_must_not_see_sees_nothing(on_page, running, browser):
+    with running(blind=True) as run, opened(browser, run.address) as page:
+        page.wait_for_selector("#status.runs")
+        assert not page.is_visible("#electrodes")
+        assert not page.is_visible("#tactile")
+        assert not page.is_visible("#sensor")
+        assert "spots" in page.inner_text("#title")
