@@ -5,6 +5,7 @@ activating function takes them as alike. Fibers are straight, as in the paper's 
 """
 
 from collections.abc import Collection
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,9 @@ from smarttouch.profile import Profile, Skin
 
 _BELOW = (0, 1, 2, 3, 5, 8, 12, 18)
 """Nodes of a rising fiber that are looked at, from its ending on: densest where it is shallow."""
-_SPACING_MM = 0.2
-"""Largest distance of places that are looked at: half of it changes a kernel's worst other drive by
-some thousandth, as drives are smooth along the skin."""
+_SPACING_MM = 0.1
+"""Largest distance of places that are looked at."""
+_ROUND_MM = 9
 _AT_ONCE = 2048
 
 
@@ -102,15 +103,42 @@ class DrivingProblem(Problem):
         operator = driving.operator(len(steps))[below]
         operator = operator / self.anatomy[nodes.afferent].threshold_factor
         along_mm = np.asarray(steps * driving.internode_mm, np.float64)
+        places, electrodes, which = nodes.position_mm, self.profile.electrodes, None
+        shared = _displacements(places, electrodes.position_mm)
+        if shared is not None and len(electrodes.kinds) == 1:
+            places, which = shared
+            # One electrode is no array: the second one's column is not used.
+            one = np.array([[0.0, 0.0], [electrodes.pitch_mm, 0.0]])
+            electrodes = replace(electrodes, position_mm=one)
         found = []
         for direction in nodes.direction:
-            layers = np.empty((len(below), len(nodes.position_mm), self.electrodes))
-            for first in range(0, len(nodes.position_mm), _AT_ONCE):
+            layers = np.empty((len(below), len(places), len(electrodes)))
+            for first in range(0, len(places), _AT_ONCE):
                 part = slice(first, first + _AT_ONCE)
-                points = fiber_points(nodes.position_mm[part], nodes.depth_mm, direction, along_mm)
-                layers[:, part] = np.swapaxes(operator @ potential_mv(self.profile, points), 0, 1)
-            found.append(layers.reshape(-1, self.electrodes))
+                points = fiber_points(places[part], nodes.depth_mm, direction, along_mm)
+                potential = potential_mv(self.profile, points, electrodes)
+                layers[:, part] = np.swapaxes(operator @ potential, 0, 1)
+            every = layers if which is None else layers[..., 0][:, which]
+            found.append(every.reshape(-1, self.electrodes))
         return np.concatenate(found)
+
+
+def _displacements(place_mm: Array, electrode_mm: Array) -> tuple[Array, NDArray[np.intp]] | None:
+    """Return displacements (D, 2) mm, and which of them each place has from each electrode, (N, E).
+
+    On a grid many are alike; None where there are too few of these.
+    """
+    sides, which = [], []
+    for place, electrode in zip(place_mm.T, electrode_mm.T, strict=True):
+        own, row = np.unique(place.round(_ROUND_MM), return_inverse=True)
+        away = (own[:, None] - electrode).round(_ROUND_MM)
+        side, index = np.unique(away, return_inverse=True)
+        sides.append(side)
+        which.append(index.reshape(away.shape)[row])
+    if 2 * len(sides[0]) * len(sides[1]) >= which[0].size:
+        return None
+    x, y = np.meshgrid(*sides)
+    return np.column_stack([x.ravel(), y.ravel()]), which[1] * len(sides[0]) + which[0]
 
 
 def fiber_points(

@@ -138,7 +138,9 @@ def af_matrix(
     return np.asarray(scale * np.concatenate(rows))
 
 
-def potential_mv(profile: Profile, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+def potential_mv(
+    profile: Profile, points_mm: NDArray[np.float64], electrodes: ElectrodeArray | None = None
+) -> NDArray[np.float64]:
     """Return the potential of every electrode at points anywhere in the skin.
 
     Parameters
@@ -147,6 +149,8 @@ def potential_mv(profile: Profile, points_mm: NDArray[np.float64]) -> NDArray[np
         Array and homogeneous skin.
     points_mm : ndarray, (..., 3), mm
         Places along the skin, and depths below it.
+    electrodes : ElectrodeArray, optional
+        Others than the profile's.
 
     Returns
     -------
@@ -158,7 +162,7 @@ def potential_mv(profile: Profile, points_mm: NDArray[np.float64]) -> NDArray[np
     DesignError
         If the skin is layered: its fields are known depth by depth only.
     """
-    electrodes, skin = profile.electrodes, profile.skin
+    electrodes, skin = electrodes or profile.electrodes, profile.skin
     if skin.layers:
         raise DesignError(
             "a finger of layered skin is not offered: give the profile a homogeneous medium, "

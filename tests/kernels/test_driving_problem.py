@@ -1,5 +1,8 @@
 """Kernels designed on driving functions: right by the cable model at sites and fibers of others."""
 
+from copy import copy
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -40,7 +43,7 @@ def test_counts_of_rows_classes_and_places(problem):
 
 
 def test_places_lie_closer_than_in_the_profile(problem):
-    assert problem.profile.skin.node_spacing_mm == 0.2
+    assert problem.profile.skin.node_spacing_mm == 0.1
 
 
 def test_a_kernel_is_what_the_cable_says(problem):
@@ -58,3 +61,18 @@ def test_it_is_more_selective_than_one_designed_on_the_activating_function(probl
     new = design_kernel(problem, 5)
     by_cable = [judge_by_cable(problem, each.weights, 5).off_target for each in (old, new)]
     assert by_cable[1] < by_cable[0]
+
+
+def test_electrodes_anywhere_have_the_rows_of_a_grid_that_they_make_up(problem):
+    """An array that is no grid shares no displacements: each row is computed by itself."""
+    grid = problem.profile
+    places = np.vstack([grid.electrodes.position_mm, [[0.123, 9.4567], [-0.123, -9.4567]]])
+    free = {"layout": "free", "positions_mm": places.tolist(), "size_mm": (1.0, 0.0)}
+    anywhere = type(grid).model_validate(grid.model_dump() | {"array": free})
+    one = targets(grid, problem.afferent)
+    aside = replace(one, position_mm=one.position_mm + np.array([0.3, -0.7]))
+    other = copy(problem)
+    other.profile = anywhere
+    assert other._matrix(aside, grid.skin)[:, :-2] == pytest.approx(
+        problem._matrix(aside, grid.skin), abs=1e-9
+    )
