@@ -260,7 +260,7 @@ def _selective_rows(
     rows = []
     for mode, said in (
         (Afferent.RA, "RA alone"),
-        (Afferent.SAI, "SAI, little else"),
+        (Afferent.SAI, "SAI, alone in a narrow range"),
         (Afferent.PC, "PC, with RA above it"),
     ):
         current_ma = CLEAR_MA * kernel_ma(fingers[0].profile, bank, mode)[list(sites)]

@@ -74,14 +74,19 @@ def test_pc_is_felt_toward_the_fingertip(mouse, flat_mm):
     assert abs(found.x_mm) < 0.5
 
 
-def test_each_mode_fires_its_class_most(mouse):
-    for mode in (Afferent.RA, Afferent.SAI):
-        current_ma = CLEAR_MA * kernel_ma(mouse.profile, mouse.bank, mode)[mouse.sites]
-        counts = sum(
-            np.bincount(one.classes, fired(one, current_ma).sum(axis=1), 3) for one in mouse.fingers
-        )
-        assert counts.argmax() == mode
-        assert counts[Afferent.PC] < 0.15 * counts[mode]
+@pytest.mark.parametrize(("mode", "most_pc"), [(Afferent.RA, 0.03), (Afferent.SAI, 0.15)])
+def test_each_mode_fires_its_class_most(mouse, mode, most_pc):
+    """PC are .009 of what RA mode fires, .115 in SAI mode, over 60 fingers.
+
+    Of four fingers the shares differ with a standard deviation of .008 and .018. RA mode fires no
+    PC, says the paper; of SAI mode it says only that it is pure in a narrow range of currents.
+    """
+    current_ma = CLEAR_MA * kernel_ma(mouse.profile, mouse.bank, mode)[mouse.sites]
+    counts = sum(
+        np.bincount(one.classes, fired(one, current_ma).sum(axis=1), 3) for one in mouse.fingers
+    )
+    assert counts.argmax() == mode
+    assert counts[Afferent.PC] < most_pc * counts[mode]
 
 
 def test_an_anodic_disc_in_a_ring_fires_ra_alone():
