@@ -108,16 +108,19 @@ def like_letters(spots: Spots, height: float) -> NDArray[np.bool_]:
     return np.asarray(right_size & (spots.width < _LONGEST * spots.height))
 
 
-def count_pictures(spots: Spots, height: float) -> int:
-    """Return the number of pictures: spots large both ways; those that overlap are one.
+def find_pictures(ink: NDArray[np.bool_], height: float) -> tuple[NDArray[np.bool_], int]:
+    """Return the ink of pictures, (H, W) bool, and their number.
+
+    They are spots large both ways; those that overlap are one.
 
     Parameters
     ----------
-    spots : Spots
+    ink : ndarray, (H, W) bool
         Ink of the page.
     height : float, px
         Usual height of a letter.
     """
+    spots, label, labels = _labeled(ink)
     large = np.minimum(spots.width, spots.height) > _LETTER[1] * height
     large &= spots.area > _FILLED * spots.width * spots.height
     boxes = spots.of(large)
@@ -127,7 +130,7 @@ def count_pictures(spots: Spots, height: float) -> int:
         down = (boxes.top[apart] < boxes.bottom[k]) & (boxes.bottom[apart] > boxes.top[k])
         if not (across & down).any():
             apart.append(int(k))
-    return len(apart)
+    return np.isin(labels, label[large]), len(apart)
 
 
 def letters_alone(ink: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Spots, float] | None:

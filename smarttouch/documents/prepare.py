@@ -5,11 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.documents.ink import separate_ink
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.straighten import straighten
 from smarttouch.documents.strips import cut_strip
-from smarttouch.documents.text_lines import TextLine, enlarged, lines_of
+from smarttouch.documents.text_lines import TextLine, ink_of_lines, lines_of
 
 LEFT_OUT = "left out: "
 """Beginning of the note of what is not among the lines."""
@@ -66,10 +65,7 @@ def prepare_page(
     notes: list[str] = []
     if straightened:
         page, notes = straighten(page, quarter)
-    paper = separate_ink(page.grey, light_on_dark)
-    larger = enlarged(page, paper)
-    if larger is not page:
-        page, paper = larger, separate_ink(larger.grey, paper.light_on_dark)
+    page, paper = ink_of_lines(page, light_on_dark)
     lines, left_out = lines_of(paper, page.mm_per_pixel)
     if left_out:
         notes.append(f"{LEFT_OUT}{left_out}")

@@ -6,12 +6,14 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-_LEAST_SHARED = 0.05
+_LEAST_SHARED = 0.2
 """Least overlap of lines, one above the other, as a part of the shorter one's length."""
 _HEADLINE, _SAME_SIZE = 1.3, 0.15
 """Least height of a headline, in usual ones of the page, and difference between its lines."""
 _LEVEL = 1.5
-"""Distance, in line heights, within which two lines are on one level."""
+"""Distance, in line heights, within which two lines stand beside each other."""
+_SAME_LEVEL = 0.5
+"""Difference of baselines, in line heights, of parts of one title or foot."""
 
 
 def reading_order(left: Floats, right: Floats, y: Floats, height: Floats) -> list[int]:
@@ -37,20 +39,29 @@ def reading_order(left: Floats, right: Floats, y: Floats, height: Floats) -> lis
     over = shared > _LEAST_SHARED * shorter
     first = over & (y[:, None] < y)
     first |= _left_column(left, y, height, over)
-    _put_outermost(first, y, height)
+    _put_outermost(first, left, y, height)
     return _sorted(first, np.lexsort((left, y)))
 
 
-def _put_outermost(first: Flags, y: Floats, height: Floats) -> None:
-    """Put a title far above all columns first, and a number far below them last."""
-    if len(y) < 2:
-        return
-    by_height = np.argsort(y)
-    top, bottom = by_height[0], by_height[-1]
-    if y[by_height[1]] - y[top] > _LEVEL * height[by_height[1]]:
-        first[top], first[:, top] = y > y[top], False
-    if y[bottom] - y[by_height[-2]] > _LEVEL * height[bottom]:
-        first[:, bottom], first[bottom] = y < y[bottom], False
+def _put_outermost(first: Flags, left: Floats, y: Floats, height: Floats) -> None:
+    """Put a title far above all columns first, and numbers far below them last."""
+    above = _far_above(y, height)
+    first[above], first[:, above] = True, False
+    below = _far_above(-y, height)
+    first[:, below], first[below] = True, False
+    for far in (above, below):
+        first[np.ix_(far, far)] = left[far][:, None] < left[far]
+
+
+def _far_above(y: Floats, height: Floats) -> Flags:
+    """Return the uppermost line and those on its level, if they stand far above the others."""
+    top = int(y.argmin())
+    level = y < y[top] + _SAME_LEVEL * height[top]
+    if level.all():
+        return np.zeros(len(y), np.bool_)
+    others = np.where(level, np.inf, y)
+    far = float(others.min() - y[level].max()) > _LEVEL * height[int(others.argmin())]
+    return np.asarray(level & far)
 
 
 def _of_headlines(left: Floats, right: Floats, y: Floats, height: Floats) -> tuple[Floats, Floats]:

@@ -62,7 +62,7 @@ def find_rows(
     spots : Spots
         All ink of the page: marks between letters fill a gap.
     dividers : ndarray, (H, W) bool, optional
-        Vertical rules, which end a row.
+        Vertical rules and pictures, which end a row.
     """
     count = len(letters.area)
     if count < 2:
@@ -133,7 +133,7 @@ def _cheapest(of: Indices, cost: NDArray[np.float64]) -> Indices:
 
 
 def _undivided(letters: Spots, links: Links, dividers: NDArray[np.bool_]) -> Links:
-    """Return the links that no vertical rule crosses halfway up the letters."""
+    """Return the links that no rule or picture crosses halfway up the letters."""
     middle = (letters.top[links.first] + letters.bottom[links.first]) // 2
     passed = np.cumsum(dividers, axis=1, dtype=np.int32)
     ends = np.minimum(letters.left[links.second], dividers.shape[1] - 1)
@@ -143,8 +143,9 @@ def _undivided(letters: Spots, links: Links, dividers: NDArray[np.bool_]) -> Lin
 
 def _without_gutters(letters: Spots, links: Links, spots: Spots) -> Links:
     """Remove links over a white lane that runs down between columns."""
-    taller = np.maximum(letters.height[links.first], letters.height[links.second])
-    part = links.gap / taller
+    # Of both letters: a parenthesis is much taller than the others.
+    mean = (letters.height[links.first] + letters.height[links.second]) / 2
+    part = links.gap / mean
     spaces = part[part > _LEAST_SPACE]
     usual = float(np.median(spaces)) if len(spaces) else 0.0
     narrowest = min(max(_NARROWEST, _WIDER * usual), _WIDE)
@@ -152,7 +153,7 @@ def _without_gutters(letters: Spots, links: Links, spots: Spots) -> Links:
     for k in np.flatnonzero(part > narrowest):
         first, second = links.first[k], links.second[k]
         y = float(letters.bottom[first] + letters.bottom[second]) / 2
-        size = float(taller[k])
+        size = float(mean[k])
         white = widest_white(
             spots, int(letters.right[first]), int(letters.left[second]), y - size, y
         )

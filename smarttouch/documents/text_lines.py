@@ -12,8 +12,8 @@ from smarttouch.documents.baselines import Baseline, along, follow
 from smarttouch.documents.ink import Paper, separate_ink
 from smarttouch.documents.letters import (
     Spots,
-    count_pictures,
     find_dividers,
+    find_pictures,
     find_rules,
     find_spots,
     like_letters,
@@ -21,6 +21,7 @@ from smarttouch.documents.letters import (
 )
 from smarttouch.documents.marks import with_marks
 from smarttouch.documents.page_image import Page
+from smarttouch.documents.panels import turn_panels
 from smarttouch.documents.print_size import reach_of_print, shared_x_heights
 from smarttouch.documents.reading_order import reading_order
 from smarttouch.documents.rows import find_rows
@@ -100,23 +101,23 @@ def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]
     light_on_dark : bool, optional
         Whether it is printed light on dark; None to find out.
     """
-    paper = separate_ink(page.grey, light_on_dark)
-    larger = enlarged(page, paper)
-    if larger is not page:
-        page, paper = larger, separate_ink(larger.grey, paper.light_on_dark)
+    page, paper = ink_of_lines(page, light_on_dark)
     return lines_of(paper, page.mm_per_pixel)[0]
 
 
-def enlarged(page: Page, paper: Paper) -> Page:
-    """Return a page with small print enlarged until its lines can be followed; else as it is."""
+def ink_of_lines(page: Page, light_on_dark: bool | None) -> tuple[Page, Paper]:
+    """Return a page and its ink, dark panels turned light.
+
+    Small print is enlarged until its lines can be followed.
+    """
+    paper = separate_ink(page.grey, light_on_dark)
     height = usual_height(find_spots(paper.ink), paper.ink.shape)
-    if height is None or height >= _SMALL_PX:
-        return page
-    factor = math.ceil(_SMALL_PX / height)
-    if factor**2 * page.grey.size > _MOST_PIXELS:
-        return page
-    grey = cv2.resize(page.grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
-    return Page(np.asarray(grey, np.uint8), page.mm_per_pixel / factor)
+    factor = 1 if height is None else math.ceil(_SMALL_PX / height)
+    if 1 < factor**2 <= _MOST_PIXELS / page.grey.size:
+        grey = cv2.resize(page.grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
+        page = Page(np.asarray(grey, np.uint8), page.mm_per_pixel / factor)
+        paper = separate_ink(page.grey, paper.light_on_dark)
+    return page, turn_panels(paper)
 
 
 def lines_of(paper: Paper, mm_per_pixel: float) -> tuple[list[TextLine], str]:
@@ -127,11 +128,13 @@ def lines_of(paper: Paper, mm_per_pixel: float) -> tuple[list[TextLine], str]:
         return [], ""
     rules = find_rules(paper.ink, height)
     dividers = find_dividers(paper.ink, height)
-    spots = find_spots(part_lines(paper.ink & ~rules & ~dividers, spots, height))
+    parted = part_lines(paper.ink & ~rules & ~dividers, spots, height)
+    pictures, count = find_pictures(parted, height)
+    spots = find_spots(parted)
     density = np.where(rules | dividers, np.uint8(0), 255 - paper.cleaned)
-    found, small = _courses(density, spots, height, dividers)
+    found, small = _courses(density, spots, height, dividers | pictures)
     baselines = with_marks(found, spots)
-    left_out = _left_out(small, count_pictures(spots, height))
+    left_out = _left_out(small, count)
     if not baselines:
         return [], left_out
     ascent, descent = reach_of_print(baselines)

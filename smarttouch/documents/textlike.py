@@ -20,7 +20,7 @@ _ZONE = (0.15, 0.9)
 """Ink of the letters between baseline and top of an x; thin print has 0.3, bold 0.6."""
 _MOST_BETWEEN = 0.35
 """Least ink between this line and its neighbors, relative to that in the line."""
-_MOST_BESIDE = 0.6
+_MOST_BESIDE = 0.65
 """Ink beside ascenders or descenders, relative to that in the line; print has 0.1 to 0.5."""
 _LEAST_EDGE = 2.0
 """Fall of the ink at the baseline per x-height, of the ink in the line; print has 4 and more."""
@@ -40,14 +40,15 @@ _LEAST_OWN = 0.6
 """Letters' part of the ink between baseline and top of an x: print has 1.0 and more."""
 _NEAR, _NEAR_PX = 0.2, 0.5
 """Distance within which a letter begins or ends at such a height: in x-heights, plus pixels."""
-_LEAST_ON_LEVELS = 0.6
-"""Least part of such letters; words run together 0.7, print 0.9 and more, specks 0.3 to 0.7."""
+_LEAST_ON_LEVELS, _RUN_TOGETHER_ON_LEVELS = 0.6, 0.5
+"""Least part of such letters, and of words run together; print has 0.9 and more, words run
+together 0.5 and more, specks 0.3 to 0.7."""
 _LEAST_WHITE = 0.06
 """Least white between letters that do not touch, of the line's length; print has 0.1 and more, but
 what is left between light letters on dark has not."""
-_FEWEST_CAPITALS, _IN_LINE, _MOSTLY, _LEAST_WIDE = 5, 0.07, 0.8, 0.3
+_FEWEST_CAPITALS, _IN_LINE, _MOSTLY, _WIDE = 5, 0.07, 0.7, (0.3, 1.35)
 """Capitals or figures of a line: their number, how even they are in their heights, which part of
-them at least, and their usual width; bars of a code are narrower."""
+them at least, and their usual width in heights; bars of a code are narrower."""
 _OWN, _BAND = (-0.7, 1.9), 2.1
 """What a line covers over its baseline, and the bands beside it, in x-heights."""
 _FOREIGN = 0.4
@@ -85,7 +86,8 @@ def _are_capitals(baseline: Baseline, letters: Spots) -> bool:
     wide = float(np.median(letters.width / letters.height))
     return bool(
         np.mean(even[0] & even[1]) > _MOSTLY
-        and _LEAST_WIDE < wide < 1
+        and _WIDE[0] < wide < _WIDE[1]
+        and (wide < 1 or not _are_solid(letters))
         and baseline.strokes > _FEWEST_STROKES
         and baseline.strokes < _MOST_STROKES
     )
@@ -125,7 +127,7 @@ def _are_letters(baseline: Baseline, letters: Spots, covered: float) -> bool:
         and float(letters.area.sum()) > _LEAST_OWN * line_px
         and baseline.strokes > (_FEWER_STROKES if run_together else _FEWEST_STROKES) * covered
         and baseline.strokes < _MOST_STROKES + _STROKE_MORE / length
-        and on_levels > _LEAST_ON_LEVELS
+        and on_levels > (_RUN_TOGETHER_ON_LEVELS if run_together else _LEAST_ON_LEVELS)
     )
 
 

@@ -65,3 +65,17 @@ def test_the_order_does_not_depend_on_how_lines_were_found(shuffled):
 def test_every_line_is_read_once(lines):
     found = order(*(((left, left + width), y) for left, width, y in lines))
     assert sorted(found) == list(range(len(lines)))
+
+
+def test_the_foot_of_a_page_comes_last_in_all_its_parts():
+    lines = [*columns([(LEFT, 20), (RIGHT, 20)]), ((0, 15), 90), ((60, 90), 91)]
+    assert order(*lines) == list(range(10))
+
+
+def test_a_box_between_columns_that_reaches_into_one_does_not_part_it():
+    upper = [((0, 40), 20), ((0, 40), 30)]
+    beside = [((0, 18), y) for y in (40, 50, 60)]
+    box = [((20, 52), y) for y in (42, 52, 62)]
+    lower = [((0, 40), 75), ((0, 40), 85)]
+    right = [((48, 90), y) for y in (20, 30)] + [((54, 90), y) for y in (40, 50, 60, 75, 85)]
+    assert order(*upper, *beside, *box, *lower, *right) == list(range(17))

@@ -245,3 +245,29 @@ def test_a_large_headline_keeps_the_small_print_under_it():
     found = find_lines(Page(grey, page.page.mm_per_pixel))
     assert len(found) == 9
     assert found[0].x_height_mm > 3 * found[1].x_height_mm
+
+
+def test_figures_set_tight_in_wide_letters_are_lines():
+    sheet = np.full((700, 900), 235, np.uint8)
+    for row in range(12):
+        figures = "   ".join(f"{(7 * row + 11 * k) % 90 + 10}" for k in range(5))
+        line = np.full((44, 500), 235, np.uint8)
+        cv2.putText(line, figures, (5, 36), cv2.FONT_HERSHEY_SIMPLEX, 1.1, 20, 3)
+        wide = cv2.resize(line, (800, 44))
+        top = 60 + 32 * row
+        sheet[top : top + 44, 50:850] = np.minimum(sheet[top : top + 44, 50:850], wide)
+    assert len(find_lines(Page(sheet, 0.1))) == 12
+
+
+def test_a_line_ends_at_a_picture():
+    page = print_page(some_lines(8, 30), size_pt=11, dpi=150)
+    grey = np.pad(page.page.grey, ((0, 0), (130, 0)), constant_values=235)
+    left = round(page.lines[0].baseline_mm[0, 0] / page.page.mm_per_pixel) + 130
+    cv2.rectangle(grey, (left - 210, 90), (left - 10, 308), 25, 3)
+    cv2.circle(grey, (left - 130, 200), 100, 25, -1)
+    for y in (117, 146, 175, 203):
+        cv2.rectangle(grey, (left - 25, y - 11), (left - 18, y), 25, 2)
+    lines = find_lines(Page(grey, page.page.mm_per_pixel))
+    beside = [line for line in lines if line.right_mm > left * page.page.mm_per_pixel + 20]
+    assert len(beside) >= 7
+    assert all(line.left_mm > (left - 12) * page.page.mm_per_pixel for line in beside)
