@@ -61,8 +61,12 @@ class PatternFile:
         """Keep the activation of a step, zero where there is no current."""
         tactile, sequence = sent.step.tactile, sent.step.sequence
         felt = tactile.activation.max(axis=0) * (sequence.intensity > 0)
-        self._activation.append(np.rint(255 * felt).astype(np.uint8))
-        self._period_us.append(sequence.period_us)
+        self.add(np.rint(255 * felt).astype(np.uint8), sequence.period_us)
+
+    def add(self, level: NDArray[np.uint8], period_us: int) -> None:
+        """Keep an activation, (E,), 255 the strongest, for a time."""
+        self._activation.append(level)
+        self._period_us.append(period_us)
 
     def save(self) -> None:
         """Write all files.

@@ -13,7 +13,9 @@ _OWN = {
     "smarttouch.sources": {
         "brltty": "smarttouch.braille_display.source:open_brltty",
         "camera": "smarttouch.sources.camera:open_camera",
+        "draw": "smarttouch.drawing.source:open_draw",
         "frames": "smarttouch.sources.video:open_frames",
+        "osc": "smarttouch.drawing.osc:open_osc",
         "page": "smarttouch.sources.page:open_page",
         "recording": "smarttouch.recording.source:open_recording",
         "serial-array": "smarttouch.sources.serial_array:open_serial_array",

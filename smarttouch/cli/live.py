@@ -28,8 +28,8 @@ def live(
             "--sensor",
             callback=or_standard_input,
             metavar="URL",
-            help="page:, text:, camera:, video:, frames:, serial-array:, brltty:, recording: and a "
-            "place; options behind it: page:a.png?dpi=300&speed_mm_s=40",
+            help="page:, text:, camera:, video:, frames:, serial-array:, brltty:, draw:, osc:, "
+            "recording: and a place; options behind it: page:a.png?dpi=300&speed_mm_s=40",
         ),
     ] = None,
     mode: ModeOption = "RA",

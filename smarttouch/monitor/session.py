@@ -111,7 +111,9 @@ def run_in_terminal(
     shown = screen(display.url, outputs.quiet, keys_help)
     typed = sys.stdin.isatty()
     windows: list[Listener] = []
-    if outputs.window is not None:
+    # What is drawn on a page needs one.
+    port = 0 if outputs.window is None and getattr(source, "on_page", False) else outputs.window
+    if port is not None:
         from smarttouch.window.live import Window
 
         # Before the screen: it says its address.
@@ -119,7 +121,7 @@ def run_in_terminal(
         windows.append(
             Window(
                 stop,
-                outputs.window,
+                port,
                 keys=keys,
                 keys_help=keys_help,
                 alone=not typed,

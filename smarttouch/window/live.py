@@ -12,9 +12,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from smarttouch.delivered.live import LiveFinger
+from smarttouch.drawing.source import DrawSource
 from smarttouch.errors import DesignError, SmartTouchError
 from smarttouch.events import Event, RunEnded, RunFailed
 from smarttouch.physiology.finger import Finger
+from smarttouch.realtime import prioritized
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
 from smarttouch.stopping import StopRequest
@@ -48,6 +50,9 @@ class _Page:
     """Whether it has drawn what it was sent last."""
     shown: StepResult | None = None
     events: int = 0
+    felt: str = ""
+    drawn: int = 0
+    """Changes of the drawing that it has seen."""
     heard: int = 0
     """Messages of this second."""
     second: int = 0
@@ -114,6 +119,7 @@ class Window(Listener):
         self._numbers = itertools.count(1)
         self._over, self._all_told = threading.Event(), threading.Event()
         self._live: LiveFinger | None = None
+        self._felt = ""
         self._switch_s: float | None = None
         self._ended = ""
 
@@ -135,6 +141,7 @@ class Window(Listener):
         hello: dict[str, Any] = {
             "type": "hello",
             "blind": self._blind,
+            "draws": isinstance(run.source, DrawSource),
             "board": str(run.settings.get("board", "")),
             "modes": [str(each) for each in run.controls.modes],
             "keys": list(self._keys),
@@ -191,16 +198,19 @@ class Window(Listener):
             self.notes.append(f"the window shows no finger: {error}")
             return None
 
+    @prioritized()
     def _feel(self, live: LiveFinger) -> None:
         """Let the finger feel the newest step whenever it is idle, while somebody looks."""
-        felt: StepResult | None = None
+        latest = feeling = None
         try:
             live.prepare(self._context)
             while not self._over.wait(_LOOK_S):
-                latest = self._latest
-                if latest is not None and latest is not felt and self._pages:
+                if self._latest is not None and self._latest is not latest and self._pages:
+                    latest = self._latest
                     live.step(latest)
-                    felt = latest
+                if live.newest is not None and live.newest is not feeling:
+                    feeling = live.newest
+                    self._felt = json.dumps(felt_message(feeling))
         except SmartTouchError:
             # The finger's process has ended: what is delivered does not depend on it.
             pass
@@ -266,14 +276,24 @@ class Window(Listener):
             self.steering.steer(page.number)
         elif text == "leave":
             self.steering.leave(page.number)
-        elif verb == "do":
+        elif verb in ("do", "draw"):
             try:
-                self.steering.act(page.number, rest)
+                await self._act(page, verb, rest)
             except ValueError:
                 return False
         else:
             return False
         return True
+
+    async def _act(self, page: _Page, verb: str, rest: str) -> None:
+        assert self.steering is not None
+        source = self._context.source
+        if verb == "do":
+            self.steering.act(page.number, rest)
+        elif not isinstance(source, DrawSource):
+            raise ValueError(rest)
+        elif self.steering.steer(page.number):
+            await asyncio.to_thread(source.draw, rest)
 
     async def _feed(self, socket: "WebSocket", page: _Page) -> None:
         """Send the newest to one page whenever it has drawn what it has."""
@@ -302,9 +322,14 @@ class Window(Listener):
             if self._encoded[0] is not latest:
                 self._encoded = latest, json.dumps(picture_message(latest))
             parts.append(f'"picture":{self._encoded[1]}')
-        feeling = None if self._live is None else self._live.newest
-        if feeling is not None:
-            parts.append(f'"felt":{json.dumps(felt_message(feeling))}')
+        if self._felt is not page.felt:
+            page.felt = self._felt
+            parts.append(f'"felt":{self._felt}')
+        source = self._context.source
+        if isinstance(source, DrawSource) and source.changes != page.drawn:
+            drawn = source.message()
+            page.drawn = drawn["changes"]
+            parts.append(f'"drawn":{json.dumps(drawn)}')
         page.shown, page.events = latest, count
         return "{" + ",".join(parts) + "}"
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from smarttouch.errors import SmartTouchError
+from smarttouch.realtime import prioritized
 
 if TYPE_CHECKING:
     import uvicorn
@@ -101,6 +102,8 @@ class PageServer:
             self._thread.join(_JOIN_S)
         self._socket.close()
 
+    # Whoever holds the interpreter at a lower priority would hold up the loop, which waits for it.
+    @prioritized()
     def _serve(self) -> None:
         self._server.run([self._socket])
 

@@ -55,12 +55,14 @@ class Spots(StimulusSource):
 class Run:
     """A run with a window."""
 
-    def __init__(self, profile, source, board, rate_hz=None, **options):
+    def __init__(self, profile, source, board, rate_hz=None, books=None, **options):
         self.stop, self.results = StopRequest(), {}
         self.display, self.source = st.open_display(board, profile), source
         options = {"finger": None, "keys": source.keys, "show": lambda _: None} | options
         self.window = Window(self.stop, **options)
         self.board = self.display.board
+        if books is not None:
+            self.board.keep_books(books)
         self.runner = Runner(
             source, self.display, st.RunConfig(intensity=1.0, rate_hz=rate_hz), stop=self.stop,
             listeners=[self.window, self.keep],
@@ -94,7 +96,7 @@ def running(profile):
     @contextmanager
     def run(source=None, board="memory:", **options):
         given = source or Spots(profile)
-        made = Run(given.profile, given, board, **options)
+        made = Run(getattr(given, "profile", profile), given, board, **options)
         made.thread.start()
         try:
             wait_for(lambda: made.results)

@@ -131,7 +131,8 @@ def test_a_keyboard_is_enough(on_page):
             page.keyboard.press("Tab")
             reached.add(page.evaluate("document.activeElement.id"))
         buttons = page.evaluate(
-            "[...document.querySelectorAll('button[id]:enabled')].map(b => b.id)"
+            "[...document.querySelectorAll('button[id]:enabled')]"
+            ".filter(each => each.offsetParent).map(each => each.id)"
         )
         assert {*buttons} <= reached
 

@@ -2,6 +2,7 @@
 
 import { ElectrodesView, FeltView, SensorView, TactileView, bytes, calm } from "./views.js";
 import { SlotPlayer } from "./slots.js";
+import { Drawing } from "./draw.js";
 
 const find = (id) => document.getElementById(id);
 const CALM_MS = 500;
@@ -16,7 +17,8 @@ let array;
 let keys = [];
 let state;
 let newest = null;
-let drawing = false;
+let drawing = null;
+let asked = false;
 let drawnAt = 0;
 let saidAt = 0;
 
@@ -66,6 +68,8 @@ function greet(hello) {
   find("keys").textContent = `${hello.keys_help}+ − intensity   0 none   p pause   Esc, space stop`;
   find("full").textContent = `full color ${array.full_ma.toFixed(2)} mA`;
   for (const id of ["electrodes-card", "sensor-card", "tactile-card"]) find(id).hidden = hello.blind;
+  find("draw-card").hidden = !hello.draws;
+  if (hello.draws) drawing ??= new Drawing(find, say, array);
   find("felt-card").hidden = !hello.finger;
   views = {
     electrodes: new ElectrodesView(find("electrodes"), array),
@@ -105,15 +109,16 @@ function update(message) {
   state = message.state;
   state.events.forEach(note);
   if (message.picture) newest = message.picture;
+  if (message.drawn) drawing.take(message.drawn);
   if (message.felt) views.newFelt = message.felt;
-  if (!drawing) {
-    drawing = true;
+  if (!asked) {
+    asked = true;
     requestAnimationFrame(draw);
   }
 }
 
 function draw(now) {
-  drawing = false;
+  asked = false;
   if (calm() && now - drawnAt < CALM_MS) return;
   drawnAt = now;
   showState();
@@ -278,14 +283,14 @@ find("steer").addEventListener("click", () => say(state?.steers === "you" ? "lea
 const ARROWS = { ArrowLeft: "left", ArrowRight: "right", Enter: "\n" };
 
 document.addEventListener("keydown", (event) => {
-  const typing = event.target.matches?.("input[type=text], textarea");
+  const typing = event.target.matches?.("input[type=text]");
   if (event.key === "Escape" || (event.key === " " && !typing)) {
     event.preventDefault();
     event.stopPropagation();
     stop();
     return;
   }
-  if (typing || event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.("select")) return;
+  if (typing || event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.("select, #sketch")) return;
   if (event.key === "Enter" && event.target !== document.body) return;
   const key = ARROWS[event.key] ?? event.key;
   const own = { "+": "do more", "=": "do more", "-": "do less", "_": "do less", 0: "do none" };
@@ -297,7 +302,7 @@ document.addEventListener("keydown", (event) => {
 }, true);
 // A button would act on the release of the space that has just stopped.
 document.addEventListener("keyup", (event) => {
-  if (event.key === " " && !event.target.matches?.("input[type=text], textarea")) event.preventDefault();
+  if (event.key === " " && !event.target.matches?.("input[type=text]")) event.preventDefault();
 }, true);
 
 connect();

@@ -29,7 +29,7 @@ export function currentColor(part) {
 export const calm = () => window.matchMedia("(prefers-reduced-motion: reduce)").matches;
 
 // A canvas in millimeters, with the array's own places.
-class Field {
+export class Field {
   constructor(canvas, halfWidth, halfHeight, longest = 560) {
     this.canvas = canvas;
     this.scale = longest / (2 * Math.max(halfWidth, halfHeight));
@@ -46,7 +46,7 @@ class Field {
     this.paint.clearRect(0, 0, this.canvas.width, this.canvas.height);
   }
 
-  disc(place, radius, fill, edge) {
+  disc(place, radius, fill, edge, width = 1.2) {
     const [x, y] = this.at(place);
     this.paint.beginPath();
     this.paint.arc(x, y, radius * this.scale, 0, 2 * Math.PI);
@@ -56,7 +56,7 @@ class Field {
     }
     if (edge) {
       this.paint.strokeStyle = edge;
-      this.paint.lineWidth = 1.2;
+      this.paint.lineWidth = width;
       this.paint.stroke();
     }
   }

@@ -1,0 +1,1 @@
+"""Patterns that a user draws, plays from a list, or sends from another program."""

@@ -1,0 +1,240 @@
+"""``osc:``: images and points from other programs, by Open Sound Control over UDP."""
+
+import contextlib
+import math
+import re
+import select
+import socket
+import threading
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.afferent import Afferent
+from smarttouch.errors import SourceError
+from smarttouch.profile import Profile
+from smarttouch.reading.window import press_n
+from smarttouch.sources.source import StimulusSource
+from smarttouch.sources.stimulus import Stimulus
+
+SILENT_S = 0.5
+"""Silence after which nothing is felt."""
+MOST_PIXELS = 1_000_000
+_MOST_BYTES = 65_536
+_LOOK_S = 0.1
+_JOIN_S = 1.0
+
+
+def open_osc(rest: str, profile: Profile) -> "OscSource":
+    """Open ``osc:PORT``, which listens on 127.0.0.1, or ``osc:ADDRESS:PORT``.
+
+    Raises
+    ------
+    SourceError
+        If that is no port, it cannot be had, or the extra ``osc`` is missing.
+    """
+    host, _, port = rest.rpartition(":")
+    if not re.fullmatch(r"\d{1,5}", port) or not 0 < int(port) < 65536:
+        raise SourceError(
+            f"{rest!r} is no place to listen at: give osc:PORT or osc:ADDRESS:PORT, as in osc:9000",
+            about="address",
+            problem="malformed",
+            value=rest,
+        )
+    return OscSource(profile, host.strip("[]") or "127.0.0.1", int(port))
+
+
+class OscSource(StimulusSource):
+    """Gives what comes as messages; half a second of silence is nothing.
+
+    ========================================  ==================================================
+    ``/smarttouch/electrodes`` levels         of all electrodes: numbers, or a blob of bytes
+    ``/smarttouch/image`` width height grey   row by row, bright is felt: numbers, or a blob
+    ``/smarttouch/point`` x y [level [mm]]    from the top left, 0 to 1; within a radius if given
+    ``/smarttouch/clear``                     nothing is felt
+    ========================================  ==================================================
+
+    Numbers are from 0 to 1, bytes from 0 to 255. Each packet is a pattern of its own: points of one
+    bundle belong together.
+
+    Parameters
+    ----------
+    profile : Profile
+    host : str
+    port : int
+
+    Attributes
+    ----------
+    wrong : int
+        Messages that were not understood.
+    """
+
+    knows_force = True
+
+    def __init__(self, profile: Profile, host: str, port: int) -> None:
+        self._parse = _import_parser()
+        super().__init__(f"OSC at {host}:{port}")
+        self.wrong = 0
+        self._electrodes = profile.electrodes
+        self._press_n = press_n(profile)
+        self._level = np.zeros(len(profile.electrodes), np.float32)
+        self._heard_s = -math.inf
+        self._given = 0
+        self._read: int | None = None
+        self._line = _bound(host, port)
+        self._closing = False
+        self._thread = threading.Thread(target=self._listen, name="osc", daemon=True)
+        self._thread.start()
+
+    def read(self, time_ns: int) -> Stimulus:
+        """Return what came last; stale after a silence."""
+        level, given = self._level, self._given
+        since_s = time.monotonic() - self._heard_s
+        if given != self._read:
+            self.frames += 1
+            self.dropped_frames += max(0, given - (self._read or 0) - 1)
+            self._read = given
+        stale = since_s > SILENT_S
+        activation = np.zeros((len(Afferent), len(level)), np.float32)
+        if not stale:
+            activation[:] = level
+        age_ns = 0 if stale else int(1e9 * max(0.0, since_s))
+        return Stimulus(
+            activation, time_ns, self._press_n, number=given, age_ns=age_ns, stale=stale
+        )
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._closing = True
+        self._thread.join(_JOIN_S)
+        self._line.close()
+        if self.wrong:
+            self.notes.append(f"{self.wrong} OSC messages were not understood")
+            self.wrong = 0
+
+    def _listen(self) -> None:
+        while not self._closing:
+            if not select.select([self._line], [], [], _LOOK_S)[0]:
+                continue
+            with contextlib.suppress(OSError):
+                self._take(self._line.recv(_MOST_BYTES))
+
+    def _take(self, data: bytes) -> None:
+        """Take the messages of one packet, all or none."""
+        level = np.zeros_like(self._level)
+        try:
+            messages = self._parse(data)
+            if not messages:
+                raise ValueError(data)
+            for address, values in messages:
+                level = self._changed(level, address, values)
+        except (ValueError, TypeError, IndexError, OverflowError):
+            self.wrong += 1
+            return
+        self._level, self._heard_s = level, time.monotonic()
+        self._given += 1
+
+    def _changed(
+        self, level: NDArray[np.float32], address: str, values: Sequence[Any]
+    ) -> NDArray[np.float32]:
+        """Return the activation of the electrodes after a message."""
+        kind = address.removeprefix("/smarttouch/")
+        if kind == "clear":
+            return np.zeros_like(level)
+        if kind == "electrodes":
+            return _numbers(values, len(level))
+        if kind == "image":
+            width, height = int(values[0]), int(values[1])
+            if not (width > 0 and height > 0 and width * height <= MOST_PIXELS):
+                raise ValueError(values[:2])
+            return self._sampled(_numbers(values[2:], width * height).reshape(height, width))
+        if kind == "point":
+            return np.maximum(level, self._point(*map(float, values)))
+        raise ValueError(address)
+
+    def _sampled(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the mean of an image over the cell of each electrode; it fills the array."""
+        wide, high = self._electrodes.extent_mm
+        cell_x, cell_y = self._electrodes.cell_mm
+        columns, rows = (
+            4 * max(1, round(all_mm / mm)) for all_mm, mm in ((wide, cell_x), (high, cell_y))
+        )
+        fine = cv2.resize(
+            image,
+            (columns, rows),
+            interpolation=cv2.INTER_AREA if image.shape[0] > rows else cv2.INTER_NEAREST,
+        )
+        mean = cv2.blur(fine, (4, 4), borderType=cv2.BORDER_REPLICATE)
+        x, y = (self._electrodes.position_mm / (wide, high) + 0.5).T
+        at_x = np.clip(np.rint(x * columns), 0, columns - 1).astype(int)
+        at_y = np.clip(np.rint(y * rows), 0, rows - 1).astype(int)
+        return np.asarray(mean[at_y, at_x], np.float32)
+
+    def _point(
+        self, x: float, y: float, level: float = 1.0, radius_mm: float | None = None
+    ) -> NDArray[np.float32]:
+        """Return the electrodes within a radius of a place; the nearest if none is given."""
+        if not (0 <= x <= 1 and 0 <= y <= 1 and 0 <= level <= 1):
+            raise ValueError((x, y, level))
+        place = (np.array([x, y]) - 0.5) * self._electrodes.extent_mm
+        away = np.linalg.norm(self._electrodes.position_mm - place, axis=1)
+        on = away <= (away.min() if radius_mm is None else float(radius_mm))
+        return np.asarray(on * np.float32(level), np.float32)
+
+
+def _numbers(values: Sequence[Any], count: int) -> NDArray[np.float32]:
+    """Return so many numbers from 0 to 1, given as such or as a blob of bytes."""
+    blob = len(values) == 1 and isinstance(values[0], bytes)
+    given = np.frombuffer(values[0], np.uint8) / 255 if blob else np.array(values, np.float64)
+    found = np.asarray(given, np.float32)
+    if found.shape != (count,) or not ((found >= 0) & (found <= 1)).all():
+        raise ValueError(count)
+    return found
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    try:
+        kind, *_, place = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        line = socket.socket(kind, socket.SOCK_DGRAM)
+        try:
+            line.bind(place)
+        except OSError:
+            line.close()
+            raise
+    except OSError as error:
+        raise SourceError(
+            f"cannot listen at {host}:{port}: {error.strerror or error}; give another port, as in "
+            "osc:9001",
+            about="address",
+            problem="unavailable",
+            value=f"{host}:{port}",
+        ) from None
+    return line
+
+
+def _import_parser() -> Any:
+    try:
+        from pythonosc.osc_bundle import ParseError as BundleError
+        from pythonosc.osc_message import ParseError as MessageError
+        from pythonosc.osc_packet import OscPacket, ParseError
+    except ImportError:
+        raise SourceError(
+            "osc: needs the extra osc: pip install 'smarttouch[osc]'",
+            about="osc",
+            problem="missing",
+            remedy="pip install 'smarttouch[osc]'",
+        ) from None
+
+    def parse(data: bytes) -> list[tuple[str, list[Any]]]:
+        try:
+            return [
+                (each.message.address, each.message.params) for each in OscPacket(data).messages
+            ]
+        except (ParseError, BundleError, MessageError) as error:
+            raise ValueError(str(error)) from None
+
+    return parse

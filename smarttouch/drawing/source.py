@@ -1,0 +1,305 @@
+"""``draw:``: what a page of the window draws, alone or from a list that is played."""
+
+import base64
+import binascii
+import json
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smarttouch.afferent import Afferent
+from smarttouch.drawing.library import (
+    LONGEST_MS,
+    SHORTEST_MS,
+    USUAL_MS,
+    Levels,
+    Pattern,
+    library,
+)
+from smarttouch.errors import SmartTouchError, SourceError
+from smarttouch.files import open_file, unreadable
+from smarttouch.patterns import PatternFile
+from smarttouch.profile import Profile
+from smarttouch.psychophysics.letters import draw_letter
+from smarttouch.reading.window import press_n
+from smarttouch.sources.source import StimulusSource
+from smarttouch.sources.stimulus import Stimulus
+
+MOST_PATTERNS = 500
+_MOST_BYTES = 20_000_000
+
+
+def open_draw(rest: str, profile: Profile) -> "DrawSource":
+    """Open ``draw:``, or ``draw:FILE.json`` with patterns as `PatternFile` writes them.
+
+    Raises
+    ------
+    SourceError
+        If the file cannot be read, or is of another array.
+    """
+    source = DrawSource(profile)
+    if rest:
+        source.patterns = read_patterns(Path(rest), profile)
+    return source
+
+
+class DrawSource(StimulusSource):
+    """Gives the drawing of a page, or the patterns of a list one after another.
+
+    Parameters
+    ----------
+    profile : Profile
+
+    Attributes
+    ----------
+    patterns : list of Pattern
+    changes : int
+        Counts what pages must show anew.
+    """
+
+    knows_force = True
+    on_page = True
+
+    def __init__(self, profile: Profile) -> None:
+        super().__init__("drawing")
+        self.patterns: list[Pattern] = []
+        self.changes = 1
+        self._profile = profile
+        self._level = np.zeros(len(profile.electrodes), np.uint8)
+        self._press_n, self._library = press_n(profile), library(profile.electrodes)
+        self._playing, self._loops, self._begun_ns = False, False, -1
+        self._at = 0
+        self._shown: Levels | None = None
+        self._said = ""
+        self._lock = threading.Lock()
+
+    def read(self, time_ns: int) -> Stimulus:
+        """Return what is drawn at a time."""
+        with self._lock:
+            level = self._now(time_ns)
+        if self._shown is None or not np.array_equal(level, self._shown):
+            self._shown = level
+            self.frames += 1
+        activation = np.empty((len(Afferent), len(level)), np.float32)
+        activation[:] = level / np.float32(255)
+        return Stimulus(activation, time_ns, self._press_n, number=self.frames - 1)
+
+    def _now(self, time_ns: int) -> Levels:
+        if not self._playing:
+            return self._level
+        if self._begun_ns < 0:
+            self._begun_ns = time_ns
+        ends_ms = np.cumsum([each.duration_ms for each in self.patterns])
+        since_ms = (time_ns - self._begun_ns) / 1e6
+        if since_ms >= ends_ms[-1] and not self._loops:
+            self._halt()
+            return self._level
+        at = int(np.searchsorted(ends_ms, since_ms % ends_ms[-1], side="right"))
+        if at != self._at:
+            self._at = at
+            self.changes += 1
+        return self.patterns[at].level
+
+    def message(self) -> dict[str, Any]:
+        """Return all that a page shows of it."""
+        with self._lock:
+            return {
+                "changes": self.changes,
+                "level": _text(self._level),
+                "patterns": [
+                    {"level": _text(each.level), "ms": each.duration_ms} for each in self.patterns
+                ],
+                "playing": self._at if self._playing else None,
+                "loops": self._loops,
+                "said": self._said,
+                "library": list(self._library),
+            }
+
+    def draw(self, words: str) -> None:
+        """Do what a page asks for; see the methods whose names begin with ``_do_``.
+
+        Raises
+        ------
+        ValueError
+            If it cannot be understood.
+        """
+        verb, _, rest = words.partition(" ")
+        does = getattr(self, f"_do_{verb}", None) if verb.isidentifier() else None
+        if does is None:
+            raise ValueError(words)
+        with self._lock:
+            self._said = ""
+            try:
+                does(rest)
+            except SmartTouchError as error:
+                self._said = str(error)
+            self.changes += 1
+
+    def _do_level(self, text: str) -> None:
+        """Replace the drawing by the activation of all electrodes, bytes in base64."""
+        level = _levels(text, len(self._level))
+        self._halt()
+        self._level = level
+
+    def _do_letter(self, letter: str) -> None:
+        """Draw a letter."""
+        if len(letter) != 1 or not letter.isprintable() or letter == " ":
+            raise ValueError(letter)
+        self._halt()
+        self._level = np.rint(255 * draw_letter(letter, self._profile)).astype(np.uint8)
+
+    def _do_library(self, name: str) -> None:
+        """Draw a pattern of the library; what moves goes to the list."""
+        if name not in self._library:
+            raise ValueError(name)
+        self._halt()
+        chosen = self._library[name]
+        self._level = chosen[0].level
+        if len(chosen) > 1:
+            self._add(*chosen)
+
+    def _do_keep(self, text: str) -> None:
+        """Add the drawing to the list, for so many ms."""
+        self._add(Pattern(self._level, _duration_ms(text)))
+
+    def _do_show(self, text: str) -> None:
+        """Draw a pattern of the list."""
+        self._halt()
+        self._level = self.patterns[self._index(text)].level
+
+    def _do_drop(self, text: str) -> None:
+        """Remove a pattern from the list."""
+        index = self._index(text)
+        self._halt()
+        del self.patterns[index]
+
+    def _do_play(self, how: str) -> None:
+        """Play the list, once or in a loop."""
+        if how not in ("once", "loop"):
+            raise ValueError(how)
+        self._halt()
+        self._playing, self._loops = bool(self.patterns), how == "loop"
+
+    def _do_halt(self, rest: str) -> None:
+        """Play no more, and show nothing."""
+        if rest:
+            raise ValueError(rest)
+        self._halt()
+
+    def _do_save(self, kind: str) -> None:
+        """Write the list to a new file or folder where the program was started."""
+        if kind not in ("json", "png"):
+            raise ValueError(kind)
+        path = _free_name(".json" if kind == "json" else "")
+        file = PatternFile(path, self._profile)
+        for each in self.patterns or [Pattern(self._level)]:
+            file.add(each.level, 1000 * each.duration_ms)
+        file.save()
+        self._said = f"saved as {path}"
+
+    def _add(self, *patterns: Pattern) -> None:
+        if len(self.patterns) + len(patterns) > MOST_PATTERNS:
+            self._said = f"the list is full: it has {MOST_PATTERNS} patterns"
+            return
+        self._halt()
+        self.patterns += patterns
+
+    def _halt(self) -> None:
+        if self._playing:
+            self._level = np.zeros_like(self._level)
+            self.changes += 1
+        self._playing, self._begun_ns, self._at = False, -1, 0
+
+    def _index(self, text: str) -> int:
+        if not (text.isascii() and text.isdecimal()) or int(text) >= len(self.patterns):
+            raise ValueError(text)
+        return int(text)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def read_patterns(path: Path, profile: Profile) -> list[Pattern]:
+    """Return the patterns of a file as `PatternFile` writes it.
+
+    The last lasts as long as the one before it.
+
+    Raises
+    ------
+    SourceError
+        If it cannot be read, or is of another array.
+    """
+    try:
+        with open_file(path, SourceError, _MOST_BYTES) as file:
+            document = json.loads(file.read())
+        steps, electrodes = document["steps"], document["electrodes"]
+        levels = [np.array(each["activation"], np.float64) for each in steps]
+        begin_ms = np.array([each["time_ms"] for each in steps], np.float64)
+        place = np.array([(each["x_mm"], each["y_mm"]) for each in electrodes], np.float64)
+        sound = (
+            0 < len(levels) <= MOST_PATTERNS
+            and all(each.shape == (len(electrodes),) for each in levels)
+            and all((each >= 0).all() and (each <= 1).all() for each in levels)
+        )
+    except OSError as error:
+        raise unreadable(SourceError, path, error) from None
+    except (ValueError, KeyError, TypeError, RecursionError):
+        sound = False
+    if not sound:
+        raise SourceError(
+            f"{path} has no patterns of electrodes, 1 to {MOST_PATTERNS}: give a file that "
+            "the frames of a run were written to",
+            about="file",
+            problem="malformed",
+            value=path,
+            allowed=MOST_PATTERNS,
+        )
+    own = profile.electrodes.position_mm
+    if place.shape != own.shape or not np.allclose(place, own, atol=0.01):
+        raise SourceError(
+            f"{path} is of {len(place)} electrodes at other places than the {len(own)} of "
+            f"{profile.name}: choose the profile that it was made with",
+            about="profile",
+            problem="conflict",
+            value=len(place),
+            allowed=len(own),
+            remedy="profile",
+        )
+    lasts_ms = np.diff(begin_ms).tolist()
+    lasts_ms.append(lasts_ms[-1] if lasts_ms else USUAL_MS)
+    return [
+        Pattern(
+            np.rint(255 * level).astype(np.uint8),
+            int(np.clip(round(ms), SHORTEST_MS, LONGEST_MS)),
+        )
+        for level, ms in zip(levels, lasts_ms, strict=True)
+    ]
+
+
+def _duration_ms(text: str) -> int:
+    if not (text.isascii() and text.isdecimal()) or not SHORTEST_MS <= int(text) <= LONGEST_MS:
+        raise ValueError(text)
+    return int(text)
+
+
+def _levels(text: str, electrodes: int) -> Levels:
+    try:
+        level = np.frombuffer(base64.b64decode(text, validate=True), np.uint8)
+    except binascii.Error:
+        raise ValueError(text) from None
+    if len(level) != electrodes:
+        raise ValueError(text)
+    return level
+
+
+def _text(level: Levels) -> str:
+    return base64.b64encode(level.tobytes()).decode("ascii")
+
+
+def _free_name(suffix: str) -> Path:
+    number = 1
+    while (path := Path(f"drawing-{number}{suffix}")).exists():
+        number += 1
+    return path

@@ -1,0 +1,105 @@
+"""Drawing on the page, in a real browser: what a mouse draws comes out of the emulator."""
+
+import json
+
+import numpy as np
+import pytest
+
+from smarttouch.boards.emulator.delivery_log import read_delivered
+from smarttouch.drawing.source import DrawSource
+
+from .browser import chromium, opened, violations
+from .conftest import wait_for
+
+pytestmark = pytest.mark.realtime
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as found:
+        yield found
+
+
+def stroke(page, *places):
+    """Draw along rows and columns of the sketch of 8 x 8 electrodes."""
+    box = page.locator("#sketch").bounding_box()
+    at = [
+        (box["x"] + (column + 0.5) * box["width"] / 8, box["y"] + (row + 0.5) * box["height"] / 8)
+        for row, column in places
+    ]
+    page.mouse.move(*at[0])
+    page.mouse.down()
+    for place in at[1:]:
+        page.mouse.move(*place, steps=4)
+    page.mouse.up()
+
+
+def numbers_of(run, letter):
+    """Return the numbers of the sequences that a letter was delivered with."""
+    return {
+        number
+        for number, each in [*run.results.items()]
+        if number
+        and each.sequence.intensity > 0.5
+        and np.array_equal(each.tactile.activation[0] > 0, letter.ravel())
+    }
+
+
+def test_a_letter_drawn_by_hand_comes_out_of_the_emulator(browser, running, profile, tmp_path):
+    letter = np.zeros((8, 8), bool)
+    letter[1:7, 2] = letter[6, 2:6] = True
+    source = DrawSource(profile)
+    with running(source, board="emulator:", rate_hz=20, books=tmp_path) as run:
+        with opened(browser, run.address) as page:
+            page.wait_for_selector("#draw-card:not([hidden])")
+            stroke(page, (1, 2), (6, 2), (6, 5))
+            wait_for(lambda: len(numbers_of(run, letter)) > 10)
+            page.click("#stop")
+            run.ended()
+        numbers, _, current_ua = read_delivered(tmp_path)
+        # On a busy machine the board drops what is late.
+        delivered = numbers_of(run, letter) & {*numbers.tolist()}
+        assert delivered
+        for number in delivered:
+            expected = run.results[number].sequence.current_ua
+            np.testing.assert_array_equal(current_ua[numbers == number], expected)
+
+
+def test_lists_letters_and_keys(browser, running, profile, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    source = DrawSource(profile)
+    with running(source, rate_hz=20) as run, opened(browser, run.address) as page:
+        page.wait_for_selector("#draw-card:not([hidden])")
+        page.fill("#letter", "T")
+        wait_for(lambda: source.message()["changes"] > 1)
+        drawn = source.read(0).activation[0]
+        assert drawn.any()
+        page.click("#keep")
+        page.wait_for_selector("#patterns li")
+        page.select_option("#library", "sweep right")
+        page.wait_for_selector("#patterns li:nth-child(9)")
+        page.click("#draw-clear")
+        wait_for(lambda: not source.read(0).activation.any())
+        page.focus("#sketch")
+        for key in ("ArrowUp", "ArrowLeft", "Enter"):
+            page.keyboard.press(key)
+        wait_for(lambda: source.read(0).activation[0].sum() == 1)
+        page.click("#loop")
+        page.wait_for_selector("#patterns li.now")
+        page.click("#loop")
+        wait_for(lambda: source.message()["playing"] is None)
+        page.click("#save-json")
+        wait_for(lambda: [*tmp_path.iterdir()])
+        assert len(json.loads((tmp_path / "drawing-1.json").read_text())["steps"]) == 9
+        assert not run.stop.event.is_set()
+        assert violations(page) == []
+
+
+def test_who_does_not_steer_does_not_draw(browser, running, profile):
+    source = DrawSource(profile)
+    with running(source, rate_hz=20) as run, opened(browser, run.address) as page:
+        page.wait_for_selector("#draw-card:not([hidden])")
+        assert run.window.steering.steer(0)
+        stroke(page, (1, 2), (6, 2))
+        page.wait_for_timeout(300)
+        assert not source.read(0).activation.any()
