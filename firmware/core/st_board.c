@@ -1,0 +1,424 @@
+/* The state machine: packets in, pulses and answers out. */
+#include <string.h>
+
+#include "st_inside.h"
+
+static uint8_t *put_u16(uint8_t *at, uint32_t value)
+{
+    at[0] = (uint8_t)value;
+    at[1] = (uint8_t)(value >> 8);
+    return at + 2;
+}
+
+static uint8_t *put_u32(uint8_t *at, uint32_t value)
+{
+    return put_u16(put_u16(at, value), value >> 16);
+}
+
+static void say(st_board *board, uint8_t kind, uint32_t about, const uint8_t *payload, size_t size)
+{
+    st_session *session = &board->session;
+    session->said++;
+    st_say(board, kind, session->number, session->said, session->taken, about, payload, size);
+}
+
+static void say_refusal(st_board *board, uint32_t about, const st_refusal *refusal)
+{
+    uint8_t payload[14];
+    payload[0] = refusal->reason;
+    payload[1] = refusal->rule;
+    uint8_t *at = put_u16(put_u16(payload + 2, refusal->slot), refusal->electrode);
+    (void)put_u32(put_u32(at, (uint32_t)refusal->value), (uint32_t)refusal->allowed);
+    say(board, ST_NAK, about, payload, sizeof payload);
+}
+
+static void refuse(st_board *board, uint32_t about, uint8_t reason)
+{
+    const st_refusal refusal = { reason, ST_RULE_NONE, ST_NOTHING, ST_NOTHING, 0, 0 };
+    say_refusal(board, about, &refusal);
+}
+
+static void turn_away(st_board *board, uint8_t reason)
+{
+    if (board->session.live) {
+        refuse(board, 0, reason);
+    }
+}
+
+void st_init(st_board *board, const st_config *config, const st_port *port)
+{
+    memset(board, 0, sizeof *board);
+    board->config = *config;
+    board->port = *port;
+    board->last_number = -1;
+    board->refusing = ST_NOT_BEGUN;
+    st_session_init(board);
+    board->port.shorted(board->port.self, "start");
+}
+
+void st_zero(st_board *board, const char *reason)
+{
+    board->port.shorted(board->port.self, reason);
+    board->running = board->waiting = NULL;
+}
+
+static void end_session(st_board *board, uint8_t reason)
+{
+    board->refusing = reason;
+    board->session.live = false;
+}
+
+/* -- execution ----------------------------------------------------------------------------- */
+
+static void start_scan(st_sequence *sequence, uint64_t start_us)
+{
+    sequence->start_us = sequence->next_us = start_us;
+    sequence->end_us = start_us + sequence->period_us;
+    sequence->recharged = (sequence->flags & 2u) == 0u;
+    st_first_slot(sequence, &sequence->place);
+}
+
+static void begin_sequence(st_board *board, st_sequence *sequence, uint64_t start_us)
+{
+    board->running = sequence;
+    start_scan(sequence, start_us);
+    board->last_number = sequence->number;
+    board->last_begun = true;
+    say(board, ST_ACK, sequence->number, NULL, 0);
+}
+
+static void note_pulse(st_board *board, uint32_t width_us, uint32_t source_ua)
+{
+    uint32_t strongest_ua = 0;
+    uint32_t flowing = 0;
+    uint32_t poles[2] = { 0, 0 };
+    for (uint32_t each = 0; each < board->config.electrodes; each++) {
+        const int16_t ua = board->config.current_ua[each];
+        const uint32_t magnitude = st_magnitude(ua);
+        flowing += magnitude > 0u ? 1u : 0u;
+        poles[0] += ua > 0 ? 1u : 0u;
+        poles[1] += ua < 0 ? 1u : 0u;
+        strongest_ua = magnitude > strongest_ua ? magnitude : strongest_ua;
+    }
+    if (board->config.output != ST_WEIGHTED) {
+        const uint32_t fewest = poles[0] < poles[1] ? poles[0] : poles[1];
+        strongest_ua = (source_ua + fewest - 1u) / (fewest > 0u ? fewest : 1u);
+        flowing = source_ua > 0u ? flowing : 0u;
+    }
+    st_books *books = &board->books;
+    const uint32_t charge_pc = strongest_ua * width_us;
+    books->slots++;
+    books->pulses += flowing;
+    books->max_current_ua =
+        strongest_ua > books->max_current_ua ? strongest_ua : books->max_current_ua;
+    books->max_charge_pc = charge_pc > books->max_charge_pc ? charge_pc : books->max_charge_pc;
+}
+
+static void deliver(st_board *board, st_sequence *sequence)
+{
+    const st_place *place = &sequence->place;
+    st_pulse pulse = { 0 };
+    pulse.start_us = sequence->next_us;
+    pulse.number = sequence->number;
+    pulse.slot = (uint16_t)place->slot;
+    pulse.width_us = st_shape_width(sequence, place->shape);
+    pulse.current_ua = board->config.current_ua;
+    pulse.site = st_slot_currents(board, sequence, place, &pulse.source_ua);
+    board->port.pulse(board->port.self, &pulse);
+    note_pulse(board, pulse.width_us, pulse.source_ua);
+    sequence->next_us += (uint32_t)pulse.width_us + st_shape_discharge(sequence, place->shape);
+    st_next_slot(sequence, &sequence->place, board->config.electrodes);
+}
+
+static void recharge(st_board *board, st_sequence *sequence)
+{
+    const uint32_t electrodes = board->config.electrodes;
+    const uint8_t *current = sequence->data + sequence->body_at - 2u * electrodes;
+    for (uint32_t each = 0; each < electrodes; each++) {
+        board->config.current_ua[each] = st_i16(current + 2u * each);
+    }
+    st_pulse pulse = { 0 };
+    pulse.start_us = sequence->next_us;
+    pulse.number = sequence->number;
+    pulse.slot = pulse.site = ST_NOTHING;
+    pulse.width_us = sequence->recharge_us;
+    pulse.current_ua = board->config.current_ua;
+    board->port.pulse(board->port.self, &pulse);
+    board->books.recharges++;
+    sequence->recharged = true;
+}
+
+static void end_scan(st_board *board, st_sequence *sequence)
+{
+    const uint64_t end_us = sequence->end_us;
+    sequence->left--;
+    if (sequence->left > 0u && board->waiting == NULL) {
+        start_scan(sequence, end_us);
+        return;
+    }
+    board->books.sequences++;
+    st_sequence *next = board->waiting;
+    board->running = board->waiting = NULL;
+    if (next != NULL) {
+        begin_sequence(board, next, end_us);
+    } else {
+        board->port.shorted(board->port.self, "end");
+    }
+}
+
+static void execute(st_board *board, uint64_t until_us)
+{
+    while (board->running != NULL) {
+        st_sequence *sequence = board->running;
+        while (sequence->place.slot < sequence->slots && sequence->next_us <= until_us) {
+            deliver(board, sequence);
+        }
+        if (sequence->place.slot == sequence->slots && !sequence->recharged
+            && sequence->next_us <= until_us) {
+            recharge(board, sequence);
+        }
+        if (until_us < sequence->end_us) {
+            return;
+        }
+        end_scan(board, sequence);
+    }
+}
+
+void st_advance(st_board *board, uint64_t now_us)
+{
+    const uint64_t deadline_us = board->heard_us + ST_SILENCE_US;
+    execute(board, now_us < deadline_us ? now_us : deadline_us);
+    if (now_us >= deadline_us && board->refusing == 0u) {
+        const st_sequence *dropped = board->waiting;
+        st_zero(board, "silence");
+        end_session(board, ST_SILENCE);
+        if (dropped != NULL) {
+            refuse(board, dropped->number, ST_SILENCE);
+        }
+    }
+    if (board->greeted && now_us - board->alive_us >= ST_ALIVE_US) {
+        uint8_t force[2];
+        board->alive_us = now_us;
+        (void)put_u16(force, (uint16_t)board->port.force_mn(board->port.self));
+        say(board, ST_ALIVE, 0, force, sizeof force);
+        st_note_alive(board, now_us);
+    }
+}
+
+uint64_t st_next_us(const st_board *board)
+{
+    uint64_t next_us = board->greeted ? board->alive_us + ST_ALIVE_US : UINT64_MAX;
+    if (board->refusing == 0u && board->heard_us + ST_SILENCE_US < next_us) {
+        next_us = board->heard_us + ST_SILENCE_US;
+    }
+    if (board->running != NULL) {
+        const st_sequence *sequence = board->running;
+        const bool more = sequence->place.slot < sequence->slots || !sequence->recharged;
+        const uint64_t due_us = more ? sequence->next_us : sequence->end_us;
+        next_us = due_us < next_us ? due_us : next_us;
+    }
+    return next_us;
+}
+
+/* -- packets ------------------------------------------------------------------------------- */
+
+static void offer(st_board *board, const st_message *hello)
+{
+    const st_config *config = &board->config;
+    uint8_t payload[ST_OUT_BYTES - 32u];
+    uint64_t session = 0;
+    if (!st_offers(board, hello, &session)) {
+        turn_away(board, ST_FOREIGN);
+        return;
+    }
+    uint8_t *at = put_u16(payload, config->electrodes);
+    *at++ = config->output;
+    *at++ = config->features;
+    at = put_u16(put_u16(at, ST_MAX_CURRENT_UA), config->most_slots);
+    at = put_u16(put_u16(at, ST_SILENCE_US / 1000u), config->compliance_v);
+    at = put_u32(put_u32(at, config->kernel_bytes), config->packet_bytes);
+    at = put_u16(at, config->most_kernels);
+    const size_t head = (size_t)(at - payload);
+    size_t name = strlen(config->name);
+    if (name > sizeof payload - head) {
+        name = sizeof payload - head;
+    }
+    memcpy(at, config->name, name);
+    st_say(board, ST_CAPABILITIES, session, 0, 0, hello->number, payload, head + name);
+}
+
+static void report(st_board *board, uint32_t about)
+{
+    const st_books *books = &board->books;
+    uint8_t payload[41];
+    uint8_t *at = put_u32(put_u32(payload, books->sequences), books->slots);
+    at = put_u32(put_u32(at, (uint32_t)books->pulses), (uint32_t)(books->pulses >> 32));
+    at = put_u32(at, books->violations);
+    at = put_u32(put_u32(at, books->max_current_ua), books->max_charge_pc);
+    at = put_u32(at, 0);
+    *at++ = (uint8_t)((board->running != NULL ? 1 : 0) + (board->waiting != NULL ? 1 : 0));
+    at = put_u32(put_u32(at, books->old_packets), books->foreign_packets);
+    say(board, ST_REPORT, about, payload, (size_t)(at - payload));
+}
+
+static void keep(st_board *board, const st_message *message)
+{
+    uint8_t payload[9];
+    /* What a sequence is made of stays as it is until that is over. */
+    if (message->size >= 12u && board->running == NULL && board->refusing == 0u) {
+        st_keep_take(board, message->payload, message->size);
+    }
+    uint8_t *at = put_u32(put_u32(payload, board->keep.identity), board->keep.received);
+    *at = board->keep.whole ? 1u : 0u;
+    say(board, ST_KEPT, message->number, payload, sizeof payload);
+}
+
+/* Return a buffer that neither a packet nor a sequence is in. */
+static uint8_t free_buffer(const st_board *board)
+{
+    uint8_t buffer = 0;
+    while (buffer == board->stream.packet
+           || (board->running != NULL && buffer == board->running->buffer)
+           || (board->waiting != NULL && buffer == board->waiting->buffer)) {
+        buffer++;
+    }
+    return buffer;
+}
+
+static void accept(st_board *board, const st_message *message, uint64_t now_us)
+{
+    const uint32_t number = message->about;
+    st_refusal refusal = { 0, ST_RULE_NONE, ST_NOTHING, ST_NOTHING, 0, 0 };
+    if (board->refusing != 0u) {
+        refuse(board, number, board->refusing);
+        return;
+    }
+    if ((int64_t)number == board->last_number) {
+        if (board->last_begun) {
+            say(board, ST_ACK, number, NULL, 0);
+        }
+        return;
+    }
+    if ((int64_t)number < board->last_number) {
+        board->books.old_packets++;
+        turn_away(board, ST_OLD);
+        return;
+    }
+    if (board->waiting != NULL) {
+        refuse(board, number, ST_BUSY);
+        return;
+    }
+    st_sequence *sequence = &board->sequence[board->running == &board->sequence[0] ? 1 : 0];
+    if (!st_read_sequence(board, message->payload, message->size, sequence, &refusal)
+        || !st_obeys(board, sequence, now_us, &refusal)) {
+        board->books.violations++;
+        say_refusal(board, number, &refusal);
+        return;
+    }
+    st_rise_note(board, sequence->intensity, now_us);
+    sequence->number = number;
+    sequence->buffer = board->stream.packet;
+    board->last_number = number;
+    board->last_begun = false;
+    if (board->running == NULL) {
+        begin_sequence(board, sequence, now_us);
+    } else {
+        board->waiting = sequence;
+    }
+    /* The sequence stays where it came in; the next packet comes into another buffer. */
+    board->stream.packet = free_buffer(board);
+    execute(board, now_us);
+}
+
+static void begin(st_board *board)
+{
+    /* A new host starts from zero, whatever the one before left. */
+    if (board->running != NULL) {
+        st_zero(board, "begin");
+    }
+    board->refusing = 0;
+    board->last_number = -1;
+    board->last_begun = false;
+    board->greeted = true;
+    board->limits.given = false;
+    memset(&board->ramp, 0, sizeof board->ramp);
+}
+
+static void answer(st_board *board, const st_message *message, uint64_t began_us, uint64_t now_us)
+{
+    if (message->kind == ST_HELLO) {
+        offer(board, message);
+        return;
+    }
+    if (message->kind == ST_BEGIN && st_begins(board, message)) {
+        begin(board);
+    } else {
+        const uint8_t reason = st_take(board, message, began_us);
+        if (reason != 0u) {
+            turn_away(board, reason);
+            return;
+        }
+    }
+    board->heard_us = now_us;
+    switch (message->kind) {
+    case ST_BEGIN:
+        if (board->refusing == 0u) {
+            say(board, ST_BEGUN, message->number, NULL, 0);
+        }
+        break;
+    case ST_SEQUENCE:
+        accept(board, message, now_us);
+        break;
+    case ST_STOP:
+        end_session(board, ST_NOT_BEGUN);
+        st_zero(board, "stop");
+        say(board, ST_STOPPED, message->number, NULL, 0);
+        break;
+    case ST_STATUS:
+        report(board, message->number);
+        break;
+    case ST_LIMITS: {
+        const uint8_t taken = st_limits_take(board, message->payload, message->size) ? 1u : 0u;
+        say(board, ST_LIMITED, message->number, &taken, 1);
+        break;
+    }
+    case ST_LOAD:
+        keep(board, message);
+        break;
+    default:
+        break;
+    }
+}
+
+void st_feed(st_board *board, const uint8_t *data, size_t size, uint64_t now_us)
+{
+    const uint32_t garbled = board->books.framing_errors;
+    st_message message;
+    uint32_t length = 0;
+    st_advance(board, now_us);
+    for (size_t index = 0; index < size; index++) {
+        const uint64_t began_us = board->stream.packet_us;
+        if (st_take_byte(board, data[index], now_us, &length)) {
+            st_parse(board->config.buffer[board->stream.packet], length, &message);
+            answer(board, &message, began_us, now_us);
+        }
+    }
+    if (board->books.framing_errors > garbled && board->greeted) {
+        refuse(board, 0, ST_GARBLED);
+    }
+    if (st_head(board, &message) && message.kind == ST_SEQUENCE
+        && now_us - board->stream.packet_us <= ST_LONGEST_US
+        && st_judge(board, &message, board->stream.packet_us) == 0u) {
+        board->heard_us = now_us;
+    }
+}
+
+void st_hang_up(st_board *board, uint64_t now_us)
+{
+    st_advance(board, now_us);
+    if (board->refusing != ST_NOT_BEGUN) {
+        st_zero(board, "host closed");
+    }
+    end_session(board, ST_NOT_BEGUN);
+    board->greeted = false;
+}

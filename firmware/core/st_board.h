@@ -1,0 +1,176 @@
+/* Core of a SmartTouch board: the link protocol of version 4 between bytes and pulses.
+ *
+ * It knows no hardware, has no heap and no clock: a port gives it memory, bytes and the time in
+ * microseconds, and makes pulses. docs/reference/link.md is the specification.
+ * Currents are positive cathodic.
+ */
+#ifndef ST_BOARD_H
+#define ST_BOARD_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#define ST_VERSION 4u
+#define ST_NOTHING 0xFFFFu    /* no slot or electrode; as a slot, the recharge phase */
+#define ST_BUFFERS 3u         /* a packet that comes in, a sequence that executes, one that waits */
+#define ST_HOSTS 8u           /* hosts whose HELLOs are told apart */
+#define ST_ALIVES 14u         /* packets ALIVE whose age is known */
+#define ST_OUT_BYTES 160u     /* largest packet of the board */
+
+enum { ST_WEIGHTED = 0, ST_THREE_STATE = 1, ST_ONE_AGAINST_ALL = 2 };
+enum { ST_VOLTAGE = 1, ST_FORCE = 2, ST_RECHARGE = 4, ST_KERNELS = 8 };
+
+/* A pulse that begins now. The port ends it after width_us by a timer of its own, and shorts all
+ * electrodes then; so the core may be late, and a pulse never is too long. */
+typedef struct {
+    uint64_t start_us;
+    uint32_t number;           /* of the sequence */
+    uint16_t slot;             /* ST_NOTHING: the recharge phase */
+    uint16_t site;
+    uint16_t width_us;
+    uint16_t source_ua;        /* of a switched board */
+    const int16_t *current_ua; /* (E,) of a weighted board; of a switched one states 1, -1, 0 */
+} st_pulse;
+
+/* What a port does for the core. */
+typedef struct {
+    void *self;
+    uint32_t (*draw)(void *self); /* random bits, or a counter that survives switching off; not 0 */
+    void (*send)(void *self, const uint8_t *data, size_t size);
+    void (*pulse)(void *self, const st_pulse *pulse);
+    void (*shorted)(void *self, const char *reason); /* all electrodes shorted, now */
+    int16_t (*force_mn)(void *self);
+} st_port;
+
+/* What a board is, and the memory it has; all of it is the port's. */
+typedef struct {
+    uint16_t electrodes;
+    uint8_t output;
+    uint8_t features;      /* ST_FORCE, ST_RECHARGE, ST_KERNELS */
+    uint16_t most_slots;
+    uint16_t compliance_v;
+    uint16_t ramp_ms;      /* least time from zero to full intensity; 0 only in tests */
+    uint16_t most_kernels;
+    uint32_t packet_bytes; /* of each buffer */
+    uint32_t kernel_bytes;
+    uint8_t *buffer[ST_BUFFERS];
+    uint8_t *kernels;
+    uint32_t *kernel_at;   /* (most_kernels,) */
+    int32_t *sums;         /* (E,) */
+    int16_t *current_ua;   /* (E,) */
+    uint32_t *passed_pc;   /* (E,) */
+    uint16_t *limit_ua;    /* (E,) */
+    const char *name;
+} st_config;
+
+typedef struct {
+    uint32_t sequences, slots, violations, framing_errors, old_packets, foreign_packets;
+    uint32_t max_current_ua, max_charge_pc, recharges;
+    uint64_t pulses;
+} st_books;
+
+typedef struct {
+    uint8_t reason, rule;
+    uint16_t slot, electrode;
+    int32_t value, allowed;
+} st_refusal;
+
+typedef struct {
+    uint32_t period_us, total_ua, charge_pc, width_us, full_ua, rounding_ua, full_us;
+    bool given;
+} st_limits;
+
+typedef struct {
+    uint64_t since_us;
+    uint32_t level;
+    bool risen;
+} st_ramp;
+
+/* A place in a sequence: the slot that comes next. */
+typedef struct {
+    uint32_t at;         /* of its body in the payload */
+    uint32_t group_left; /* slots of the group, with this one */
+    uint32_t pairs;      /* of a sum */
+    uint32_t slot;
+    uint8_t kind, shape;
+} st_place;
+
+typedef struct {
+    const uint8_t *data; /* payload */
+    uint32_t size, number, period_us, body_at, slots, slots_us;
+    uint32_t left;       /* scans, with the one at hand */
+    uint16_t times, intensity, recharge_us;
+    uint8_t shapes, flags, buffer;
+    uint64_t start_us, next_us, end_us;
+    st_place place;
+    bool recharged;
+} st_sequence;
+
+typedef struct {
+    uint8_t kind, version;
+    uint32_t number, heard, about;
+    uint64_t session;
+    const uint8_t *payload;
+    uint32_t size;
+} st_message;
+
+typedef struct {
+    /* of the stream */
+    uint32_t filled, block_left;
+    uint8_t code, packet;
+    bool started, broken;
+    uint64_t packet_us;
+} st_stream;
+
+typedef struct {
+    uint32_t half, last, count;
+} st_host;
+
+typedef struct {
+    uint64_t number;
+    uint32_t challenge, taken, said;
+    bool live;
+    st_host hosts[ST_HOSTS];
+    uint8_t host_count;
+    uint64_t alive_us[ST_ALIVES];
+    uint32_t alive_number[ST_ALIVES];
+    uint8_t alive_count, alive_at;
+} st_session;
+
+typedef struct {
+    uint32_t identity, size, received, count;
+    bool whole;
+} st_keep;
+
+typedef struct {
+    st_config config;
+    st_port port;
+    st_books books;
+    st_stream stream;
+    st_session session;
+    st_keep keep;
+    st_limits limits;
+    st_ramp ramp;
+    st_sequence sequence[2];
+    st_sequence *running, *waiting;
+    uint64_t heard_us, alive_us;
+    int64_t last_number;
+    bool last_begun, greeted;
+    uint8_t refusing; /* a reason, 0 if sequences are taken */
+} st_board;
+
+/* Begin, with all electrodes shorted. */
+void st_init(st_board *board, const st_config *config, const st_port *port);
+/* Take bytes of the host. */
+void st_feed(st_board *board, const uint8_t *data, size_t size, uint64_t now_us);
+/* Do all that is due; put all at zero if the host is silent. */
+void st_advance(st_board *board, uint64_t now_us);
+/* When there is something to do at the latest, if no byte comes. */
+uint64_t st_next_us(const st_board *board);
+/* The host has closed the line. */
+void st_hang_up(st_board *board, uint64_t now_us);
+/* Drop everything and short all electrodes, for example where the port finds a fault. */
+void st_zero(st_board *board, const char *reason);
+
+#endif

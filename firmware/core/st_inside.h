@@ -1,0 +1,109 @@
+/* What the parts of the core have in common. */
+#ifndef ST_INSIDE_H
+#define ST_INSIDE_H
+
+#include "st_board.h"
+
+enum {
+    ST_HELLO = 0x01, ST_SEQUENCE = 0x02, ST_HEARTBEAT = 0x03, ST_STOP = 0x04, ST_STATUS = 0x05,
+    ST_BEGIN = 0x06, ST_LIMITS = 0x07, ST_LOAD = 0x08, ST_CAPABILITIES = 0x81, ST_ACK = 0x82,
+    ST_NAK = 0x83, ST_ALIVE = 0x84, ST_REPORT = 0x85, ST_STOPPED = 0x86, ST_BEGUN = 0x88,
+    ST_LIMITED = 0x89, ST_KEPT = 0x8A
+};
+enum {
+    ST_BUSY = 1, ST_MALFORMED = 2, ST_UNSAFE = 3, ST_NOT_BEGUN = 4, ST_SILENCE = 5,
+    ST_GARBLED = 6, ST_OLD = 7, ST_FOREIGN = 8
+};
+enum {
+    ST_RULE_NONE = 0, ST_RULE_LIMITS, ST_RULE_SLOTS, ST_RULE_PERIOD, ST_RULE_WIDTH,
+    ST_RULE_DISCHARGE, ST_RULE_FIT, ST_RULE_DUTY, ST_RULE_KIND, ST_RULE_KERNEL, ST_RULE_SUM,
+    ST_RULE_BALANCE, ST_RULE_CURRENT, ST_RULE_TOTAL, ST_RULE_CHARGE, ST_RULE_STATES, ST_RULE_MEAN,
+    ST_RULE_INTENSITY, ST_RULE_RISE, ST_RULE_RECHARGE
+};
+enum { ST_POINTS = 0, ST_SUM = 1, ST_CURRENTS = 2, ST_STATES = 3 };
+
+#define ST_HEAD_BYTES 22u /* of a decoded packet before its payload */
+#define ST_SILENCE_US 100000u
+#define ST_ALIVE_US 20000u
+#define ST_LATE_US 250000u
+#define ST_LONGEST_US 1000000u
+#define ST_FULL 65535u
+
+/* The project's ceilings: the host may ask for less, never for more. */
+#define ST_MAX_CURRENT_UA 5000u
+#define ST_MAX_TOTAL_UA 10000u
+#define ST_MAX_WIDTH_US 200u
+#define ST_MAX_CHARGE_PC 500000u
+#define ST_MIN_PERIOD_US 5000u
+#define ST_MIN_DISCHARGE_US 20u
+#define ST_MAX_DUTY_PERCENT 80u
+#define ST_MAX_MEAN_UA 500u
+#define ST_BURST_US 40000u
+#define ST_MAX_RECHARGE_UA 500u
+#define ST_MAX_RECHARGE_US 20000u
+#define ST_MAX_RECHARGE_PC 2000000u
+#define ST_CATCH_UP_US 150000u
+#define ST_RISE_LEEWAY 2u
+
+static inline uint16_t st_u16(const uint8_t *at)
+{
+    return (uint16_t)(at[0] | ((unsigned)at[1] << 8));
+}
+
+static inline uint32_t st_u32(const uint8_t *at)
+{
+    return (uint32_t)st_u16(at) | ((uint32_t)st_u16(at + 2) << 16);
+}
+
+static inline int16_t st_i16(const uint8_t *at)
+{
+    const uint16_t bits = st_u16(at);
+    return (int16_t)(bits < 0x8000u ? (int32_t)bits : (int32_t)bits - 0x10000);
+}
+
+static inline uint32_t st_magnitude(int16_t value)
+{
+    return (uint32_t)(value < 0 ? -(int32_t)value : (int32_t)value);
+}
+
+/* st_frame.c */
+uint32_t st_crc32(uint32_t crc, const uint8_t *data, size_t size);
+void st_say(st_board *board, uint8_t kind, uint64_t session, uint32_t number, uint32_t heard,
+            uint32_t about, const uint8_t *payload, size_t size);
+/* Take one byte; return whether it completes a packet, which then is in the stream's buffer. */
+bool st_take_byte(st_board *board, uint8_t byte, uint64_t now_us, uint32_t *size);
+/* Return whether the head of the incomplete packet is there. */
+bool st_head(st_board *board, st_message *message);
+void st_parse(const uint8_t *body, uint32_t size, st_message *message);
+
+/* st_session.c */
+void st_session_init(st_board *board);
+bool st_offers(st_board *board, const st_message *hello, uint64_t *session);
+bool st_begins(st_board *board, const st_message *begin);
+uint8_t st_judge(const st_board *board, const st_message *message, uint64_t began_us);
+uint8_t st_take(st_board *board, const st_message *message, uint64_t began_us);
+void st_note_alive(st_board *board, uint64_t now_us);
+
+/* st_kernels.c */
+void st_keep_take(st_board *board, const uint8_t *payload, uint32_t size);
+void st_add_kernel(const st_board *board, uint32_t kernel, uint32_t amplitude);
+uint16_t st_kernel_site(const st_board *board, uint32_t kernel);
+
+/* st_sequence.c */
+bool st_read_sequence(const st_board *board, const uint8_t *data, uint32_t size,
+                      st_sequence *sequence, st_refusal *refusal);
+void st_first_slot(const st_sequence *sequence, st_place *place);
+void st_next_slot(const st_sequence *sequence, st_place *place, uint16_t electrodes);
+uint16_t st_shape_width(const st_sequence *sequence, uint8_t shape);
+uint16_t st_shape_discharge(const st_sequence *sequence, uint8_t shape);
+/* Write the slot's currents or states into the board's; return its site. */
+uint16_t st_slot_currents(st_board *board, const st_sequence *sequence, const st_place *place,
+                          uint16_t *source_ua);
+
+/* st_rules.c */
+bool st_limits_take(st_board *board, const uint8_t *payload, uint32_t size);
+uint32_t st_rise_allowed(const st_board *board, uint64_t now_us);
+void st_rise_note(st_board *board, uint32_t intensity, uint64_t now_us);
+bool st_obeys(st_board *board, const st_sequence *sequence, uint64_t now_us, st_refusal *refusal);
+
+#endif

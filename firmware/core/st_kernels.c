@@ -1,0 +1,121 @@
+/* Kernels that are kept from session to session, and their sums. */
+#include <string.h>
+
+#include "st_inside.h"
+
+static void forget(st_keep *keep)
+{
+    memset(keep, 0, sizeof *keep);
+}
+
+/* Read one kernel at a place; return what follows it, 0 if it is none. */
+static uint32_t read_kernel(const st_board *board, uint32_t at)
+{
+    const uint8_t *data = board->config.kernels;
+    const uint32_t size = board->keep.size;
+    const uint32_t electrodes = board->config.electrodes;
+    if (size - at < 4u || st_u16(data + at) >= electrodes) {
+        return 0;
+    }
+    uint32_t runs = st_u16(data + at + 2);
+    uint32_t end = 0;
+    int32_t net = 0;
+    at += 4u;
+    for (; runs > 0u; runs--) {
+        if (size - at < 4u) {
+            return 0;
+        }
+        const uint32_t first = st_u16(data + at);
+        const uint32_t count = st_u16(data + at + 2);
+        at += 4u;
+        if (first < end || count == 0u || first + count > electrodes || (size - at) / 2u < count) {
+            return 0;
+        }
+        end = first + count;
+        for (uint32_t index = 0; index < count; index++) {
+            const int16_t weight = st_i16(data + at);
+            if (weight == INT16_MIN) {
+                return 0;
+            }
+            net += weight;
+            at += 2u;
+        }
+    }
+    return net == 0 ? at : 0u;
+}
+
+static bool read_all(st_board *board)
+{
+    const st_keep *keep = &board->keep;
+    const uint8_t *data = board->config.kernels;
+    if (keep->size < 4u || st_crc32(0, data, keep->size) != keep->identity
+        || st_u16(data) != board->config.electrodes) {
+        return false;
+    }
+    const uint32_t count = st_u16(data + 2);
+    if (count > board->config.most_kernels) {
+        return false;
+    }
+    uint32_t at = 4;
+    for (uint32_t index = 0; index < count; index++) {
+        board->config.kernel_at[index] = at;
+        at = read_kernel(board, at);
+        if (at == 0u) {
+            return false;
+        }
+    }
+    board->keep.count = count;
+    return at == keep->size;
+}
+
+void st_keep_take(st_board *board, const uint8_t *payload, uint32_t size)
+{
+    st_keep *keep = &board->keep;
+    const uint32_t identity = st_u32(payload);
+    const uint32_t whole = st_u32(payload + 4);
+    const uint32_t offset = st_u32(payload + 8);
+    const uint32_t count = size - 12u;
+    if (identity != keep->identity || whole != keep->size) {
+        forget(keep);
+        if (whole > board->config.kernel_bytes) {
+            return;
+        }
+        keep->identity = identity;
+        keep->size = whole;
+    }
+    if (keep->whole || offset != keep->received || count > keep->size - keep->received) {
+        return;
+    }
+    memcpy(board->config.kernels + offset, payload + 12, count);
+    keep->received += count;
+    if (keep->received == keep->size) {
+        if (read_all(board)) {
+            keep->whole = true;
+        } else {
+            forget(keep);
+        }
+    }
+}
+
+void st_add_kernel(const st_board *board, uint32_t kernel, uint32_t amplitude)
+{
+    const uint8_t *at = board->config.kernels + board->config.kernel_at[kernel];
+    uint32_t runs = st_u16(at + 2);
+    at += 4;
+    for (; runs > 0u; runs--) {
+        int32_t *sum = board->config.sums + st_u16(at);
+        uint32_t count = st_u16(at + 2);
+        at += 4;
+        for (; count > 0u; count--) {
+            /* Amplitudes of a slot add up to 65,535 at most: no sum passes 2^31. */
+            *sum += (int32_t)st_i16(at) * (int32_t)amplitude;
+            sum++;
+            at += 2;
+        }
+    }
+}
+
+uint16_t st_kernel_site(const st_board *board, uint32_t kernel)
+{
+    return st_u16(board->config.kernels + board->config.kernel_at[kernel]);
+}

@@ -1,0 +1,98 @@
+"""The contract of drivers, run over the C core behind a pseudo-terminal."""
+
+import os
+
+import numpy as np
+import pytest
+
+from smarttouch.boards.emulator.delivery_log import read_slots, read_state
+from smarttouch.boards.link_protocol import Kind
+from smarttouch.boards.open import make_board
+from smarttouch.errors import BoardError
+from smarttouch.profile.device import Output
+from smarttouch.stimulation.kernel_table import KernelLists
+from tests.boards.fresh import fresh_state, until
+from tests.boards.test_contract import Contract
+from tests.firmware.conftest import start_firmware
+from tests.firmware.scenes import random_table, sequence_of
+
+from ..raising import raises
+
+__all__ = ["start_firmware"]
+
+
+class TestFirmware(Contract):
+    @pytest.fixture
+    def url(self, start_firmware, tmp_path):
+        def url(kind):
+            self.folder = tmp_path / kind
+            self.folder.mkdir()
+            # Time is what sequences claim: they need not begin softly.
+            options = (f"--books={self.folder}", "--ramp-ms=0")
+            return "link:" + start_firmware(*options, output=kind)[1]
+
+        return url
+
+    def lists(self, table, count):
+        rng = np.random.default_rng(count)
+        kernel = rng.permutation(len(table.weights))[:count].astype(np.uint16)
+        amplitude = rng.integers(0, 6000, count).astype(np.uint16)
+        return KernelLists(table, np.arange(count + 1), kernel, amplitude)
+
+    def test_kernels_are_kept_and_lists_of_them_delivered(self, make_board):
+        table = random_table(np.random.default_rng(0), 40, self.electrodes)
+        with make_board() as board:
+            board.keep_kernels(table)
+            sizes, send = [], board._line.send
+
+            def told(kind, *rest, **more):
+                if kind == Kind.SEQUENCE:
+                    sizes.append(len(rest[1]))
+                return send(kind, *rest, **more)
+
+            board._line.send = told
+            board.send(self.sequence(0))
+            board.drain()
+            sequence = sequence_of(self.lists(table, 30), time_ns=10**9)
+            board.send(sequence)
+            board.drain()
+            assert sizes == [10, 10 + 4 + 4 + 30 * 4]
+            board.send(sequence_of(sequence.sums, time_ns=2 * 10**9, sums=None))
+            board.drain()
+        slots = read_slots(self.folder)["current_ua"]
+        np.testing.assert_array_equal(slots, np.tile(sequence.current_ua, (2, 1)))
+        state = fresh_state(self.folder)
+        assert (state["violations"], state["unsafe"], state["reason"]) == (0, 0, "stop")
+
+
+def test_a_sudden_rise_is_refused(start_firmware, tmp_path, make_limits, make_sequence):
+    """By a board with a ramp of its own: what the gate was made to overlook the board does not."""
+    port = start_firmware(f"--books={tmp_path}")[1]
+    with make_board(f"link:{port}", make_limits(), Output(kind="weighted")) as board:
+        board.send(make_sequence(0))
+        board.drain()
+        board.send(make_sequence(1))
+        until(lambda: board.refused == 1)
+        with raises(BoardError, about="board", problem="refused"):
+            board.send(make_sequence(2))
+        state = fresh_state(tmp_path)
+    assert (state["slots"], state["violations"]) == (0, 1)
+
+
+@pytest.mark.realtime
+def test_a_host_that_is_killed_leaves_zero(start_firmware, tmp_path, make_limits, make_sequence):
+    port = start_firmware(f"--books={tmp_path}")[1]
+    # A second way to the port: it stays open when the host is gone.
+    kept = os.open(port, os.O_RDWR | os.O_NOCTTY)
+    board = make_board(f"link:{port}", make_limits(), Output(kind="weighted"))
+    with board:
+        board.send(make_sequence(0))
+        board.drain()
+        board.send(make_sequence(1, intensity=0.1, level_ua=200), times=1000)
+        until(lambda: read_state(tmp_path)["slots"] > 4)
+        board._line.overtaken = True
+        until(lambda: read_state(tmp_path)["state"] == "shorted")
+        state = fresh_state(tmp_path)
+        assert state["reason"] == "silence"
+        assert 100 <= state["zero_after_ms"] <= 100 + 10
+    os.close(kept)

@@ -1,0 +1,53 @@
+"""The firmware, built once for all tests, where there is a compiler."""
+
+import fcntl
+import shutil
+import subprocess
+import tempfile
+import zlib
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+SOURCES = Path(__file__).parents[2] / "firmware"
+
+
+@cache
+def built(target, name, *programs):
+    """Return a file that ``make`` builds; skip where there is none of its programs."""
+    for program in ("make", *programs):
+        if shutil.which(program) is None:
+            pytest.skip(f"needs {program}")
+    if not SOURCES.is_dir():
+        pytest.skip("needs the folder firmware")
+    # Of these very sources: another's build may lie beside it.
+    folder = Path(tempfile.gettempdir()) / f"smarttouch-firmware-{abs(hash_of_sources()):x}"
+    folder.mkdir(exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        command = ["make", "--silent", "-C", str(SOURCES), f"BUILD={folder}", target]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return folder / name
+
+
+def hash_of_sources():
+    """Return a number of the sources' names, contents and place."""
+    found = zlib.crc32(str(SOURCES).encode())
+    for path in sorted(SOURCES.rglob("*")):
+        if path.suffix in {".c", ".h", ".ld", ""} and path.is_file() and "build" not in path.parts:
+            found = zlib.crc32(path.read_bytes(), found)
+    return found
+
+
+def library():
+    return built("library", "libst.so", "cc")
+
+
+def host():
+    return built("host", "st_host", "cc")
+
+
+def cortex_m3():
+    return built("qemu", "st_m3.elf", "arm-none-eabi-gcc", "qemu-system-arm")

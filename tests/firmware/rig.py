@@ -1,0 +1,225 @@
+"""The C core in this process, and both boards side by side on a clock that is told."""
+
+import ctypes
+import itertools
+
+import numpy as np
+
+from smarttouch.boards import link_protocol as protocol
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
+from smarttouch.boards.emulator.link import NAME
+from smarttouch.boards.emulator.link4 import Link4Firmware
+from smarttouch.boards.emulator.session import BoardSession
+from smarttouch.boards.emulator.skin import COMPLIANCE_V
+from smarttouch.boards.link_kernels import KernelImage
+from smarttouch.boards.link_lists import encode_limits, encode_lists
+from smarttouch.boards.link_protocol import OUTPUTS, Kind
+from smarttouch.boards.link_session import HostSession
+from smarttouch.wire.framing import Deframer
+
+ROOM = 1 << 22
+_RECHARGE = 4
+BOOKS = ("sequences", "slots", "pulses", "violations", "framing_errors", "old_packets",
+         "foreign_packets")  # fmt: skip
+
+
+class Core:
+    """One board of the C core; bytes and pulses are collected."""
+
+    out = np.zeros(ROOM, np.uint8)
+    columns = tuple(np.zeros(ROOM // 4, np.uint32) for _ in range(4))
+    starts, currents = np.zeros(ROOM // 4, np.uint64), np.zeros(ROOM, np.int16)
+
+    def __init__(self, library, electrodes, output="weighted", ramp_ms=500):
+        self._core = ctypes.CDLL(str(library))
+        for name in ("st_rig_new", "st_rig_reason"):
+            getattr(self._core, name).restype = ctypes.c_void_p
+        self.electrodes = electrodes
+        features = 11 + _RECHARGE * (output == "weighted")
+        self._name = ctypes.create_string_buffer(NAME.encode())
+        self._rig = ctypes.c_void_p(
+            self._core.st_rig_new(
+                electrodes, OUTPUTS.index(output), features, int(COMPLIANCE_V), ramp_ms, self._name
+            )
+        )
+
+    def close(self):
+        self._core.st_rig_free(self._rig)
+
+    def feed(self, data, now_us):
+        self._core.st_rig_feed(self._rig, data, ctypes.c_size_t(len(data)), ctypes.c_uint64(now_us))
+        return self.take()
+
+    def advance(self, now_us):
+        self._core.st_rig_advance(self._rig, ctypes.c_uint64(now_us))
+        return self.take()
+
+    def hang_up(self, now_us):
+        self._core.st_rig_hang_up(self._rig, ctypes.c_uint64(now_us))
+        self.take()
+
+    def take(self):
+        """Return the bytes said and the pulses begun since the last call."""
+        count = ctypes.c_uint32()
+        every = (self.out, *self.columns, self.starts, self.currents)
+        pointers = [each.ctypes.data_as(ctypes.c_void_p) for each in every]
+        size = self._core.st_rig_take(self._rig, *pointers, ctypes.byref(count))
+        pulses = count.value
+        rows = self.currents[: pulses * self.electrodes].reshape(pulses, self.electrodes).tolist()
+        columns = (each[:pulses].tolist() for each in (*self.columns, self.starts))
+        return self.out[:size].tobytes(), list(zip(*columns, rows, strict=True))
+
+    def books(self):
+        found = (ctypes.c_uint64 * 9)()
+        self._core.st_rig_books(self._rig, found)
+        return dict(zip((*BOOKS, "max_current_ua", "max_charge_pc"), found, strict=True))
+
+    @property
+    def reason(self):
+        return ctypes.cast(self._core.st_rig_reason(self._rig), ctypes.c_char_p).value.decode()
+
+
+class PulseBooks(DeliveryLog):
+    """Books that keep every pulse as `Core` tells it."""
+
+    def enter(self, number, slot, site, delivered, width_us, residual_uc, time_us, **more):
+        super().enter(number, slot, site, delivered, width_us, residual_uc, time_us, **more)
+        # What is left on skin: the core has none.
+        self.max_net_charge_uc = 0.0
+        current = np.rint(delivered.current_ua).astype(int).tolist()
+        self.kept.append((number, slot, site, width_us, time_us, current))
+
+    def enter_recharge(self, number, delivered, width_us, residual_uc, time_us):
+        super().enter_recharge(number, delivered, width_us, residual_uc, time_us)
+        # What is left on skin: the core has none.
+        self.max_net_charge_uc = 0.0
+        current = np.rint(delivered.current_ua).astype(int).tolist()
+        self.kept.append((number, 0xFFFF, 0xFFFF, round(width_us), time_us, current))
+
+
+class Emulated:
+    """The Python emulator, with the same numbers where chance would give others."""
+
+    def __init__(self, electrodes, output="weighted", ramp_ms=500):
+        self._books = PulseBooks(electrodes)
+        self._books.kept = []
+        session = BoardSession(itertools.count(1).__next__, protocol.NEWEST)
+        self._board = Link4Firmware(
+            electrodes, output, self._books, session=session, ramp_ms=ramp_ms
+        )
+
+    def feed(self, data, now_us):
+        return self._board.feed(data, 1000 * now_us), self._taken()
+
+    def advance(self, now_us):
+        return self._board.advance(1000 * now_us), self._taken()
+
+    def hang_up(self, now_us):
+        self._board.hang_up(1000 * now_us)
+        self._taken()
+
+    def _taken(self):
+        taken, self._books.kept = self._books.kept, []
+        return taken
+
+    def books(self):
+        return {name: getattr(self._books, name) for name in BOOKS}
+
+
+class Both:
+    """The same bytes to each board; what they answer and deliver must be the same.
+
+    The emulator tells of a recharge phase when it is over, the core when it begins: they are kept
+    apart, in `recharges`, as number, start and currents.
+    """
+
+    def __init__(self, *boards):
+        self.boards = boards
+        self.log, self.recharges = [], [[] for _ in boards]
+
+    def _same(self, found):
+        first, *others = found
+        for other in others:
+            assert other == first
+        return first
+
+    def _told(self, found):
+        told = []
+        for (answer, pulses), recharges in zip(found, self.recharges, strict=True):
+            own = [each for each in pulses if each[1] == protocol.NOTHING]
+            recharges += [(each[0], each[4], each[5]) for each in own]
+            told.append((answer, [each for each in pulses if each not in own]))
+        return self._same(told)
+
+    def feed(self, data, now_us):
+        answer, pulses = self._told([each.feed(data, now_us) for each in self.boards])
+        self.log.append(("feed", now_us, data, answer, pulses))
+        return answer, pulses
+
+    def advance(self, now_us):
+        answer, pulses = self._told([each.advance(now_us) for each in self.boards])
+        self.log.append(("advance", now_us, b"", answer, pulses))
+        return answer, pulses
+
+    def hang_up(self, now_us):
+        for each in self.boards:
+            each.hang_up(now_us)
+        self.log.append(("hang up", now_us, b"", b"", []))
+
+    def books(self):
+        return self._same([{name: each.books()[name] for name in BOOKS} for each in self.boards])
+
+
+class Talk:
+    """A host that talks to a board, packet by packet."""
+
+    def __init__(self, board, half=0x5EED, version=protocol.NEWEST):
+        self.board, self.now_us = board, 0
+        self.half, self.version = half, version
+
+    def begin(self, limits=None, image=None):
+        """Begin a session; give limits and kernels if there are any."""
+        self.half += 1
+        self.host = HostSession(lambda: self.half, self.version)
+        self.deframer = Deframer()
+        self.say(Kind.HELLO)
+        self.say(Kind.BEGIN)
+        if limits is not None:
+            self.say(Kind.LIMITS, payload=encode_limits(limits))
+        if image is not None:
+            self.give(image)
+        return self
+
+    def give(self, image: KernelImage):
+        at = 0
+        while at < len(image.data):
+            piece = image.data[at : at + 4096]
+            head = protocol.KERNELS.pack(image.identity, len(image.data), at)
+            self.say(Kind.KERNELS, payload=head + piece)
+            at += len(piece)
+
+    def say(self, kind, about=0, payload=b"", data=b""):
+        """Return the board's answers, as messages."""
+        answer, self.pulses = self.board.feed(
+            data or self.host.encode(kind, about, payload), self.now_us
+        )
+        return self._heard(answer)
+
+    def wait(self, time_us, step_us=5000):
+        """Let time pass; return what the board says meanwhile."""
+        heard, pulses, end_us = [], [], self.now_us + time_us
+        while self.now_us < end_us:
+            self.now_us = min(end_us, self.now_us + step_us)
+            answer, new = self.board.advance(self.now_us)
+            heard += self._heard(answer)
+            pulses += new
+        self.pulses = pulses
+        return heard
+
+    def send(self, sequence, number, times=1, image=None, switched=False):
+        payload = encode_lists(sequence, times, False, switched, image, 1 << 20)
+        return self.say(Kind.SEQUENCE, number, payload)
+
+    def _heard(self, data):
+        packets = [self.host.take(packet) for packet in self.deframer.feed(data)]
+        return [each for each in packets if each is not None]

@@ -1,0 +1,143 @@
+"""The C core beside the Python emulator: the same bytes in, the same bytes and pulses out."""
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smarttouch.boards import link_protocol as protocol
+from smarttouch.boards.emulator.lists import summed
+from smarttouch.boards.link_kernels import KernelImage
+from smarttouch.boards.link_protocol import Kind, Rule
+from smarttouch.stimulation.safety import SafetyLimits
+from tests.firmware.build import library
+from tests.firmware.rig import Both, Core, Emulated, Talk
+from tests.firmware.scenes import Scene, random_lists, random_table, sequence_of
+
+VECTORS = json.loads((Path(__file__).parent / "vectors.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture
+def make_core():
+    """Return a maker of boards of the C core."""
+    cores = []
+
+    def make(*given, **named):
+        cores.append(Core(library(), *given, **named))
+        return cores[-1]
+
+    yield make
+    for core in cores:
+        core.close()
+
+
+@pytest.mark.parametrize("output", ["weighted", "three-state", "one-against-all"])
+@pytest.mark.parametrize("seed", range(4))
+def test_answers_and_pulses_are_the_emulators(make_core, output, seed):
+    ramp_ms = (0, 500)[seed % 2]
+    boards = Emulated(6, output, ramp_ms), make_core(6, output, ramp_ms)
+    if output != "weighted":
+        # Impedances divide a source's current on the emulator's skin; in the core nothing does.
+        boards = [Unfelt(each) for each in boards]
+    both = Both(*boards)
+    Scene(both, seed, output=output, ramp_ms=ramp_ms).play(150)
+    books = both.books()
+    assert books["slots"] >= 10
+    ended, begun = both.recharges
+    assert [each for each in ended if each not in begun] == []
+    assert books["violations"] > 5
+    assert books["framing_errors"] > 2
+
+
+class Unfelt:
+    """A board whose pulses are told without their currents."""
+
+    def __init__(self, board):
+        self.board, self.books, self.hang_up = board, board.books, board.hang_up
+
+    def feed(self, data, now_us):
+        answer, pulses = self.board.feed(data, now_us)
+        return answer, [each[:5] for each in pulses]
+
+    def advance(self, now_us):
+        answer, pulses = self.board.advance(now_us)
+        return answer, [each[:5] for each in pulses]
+
+
+def test_every_rule_is_met():
+    """The scenes above break each rule that a payload can break."""
+    found = Counter()
+
+    class Heard(Talk):
+        def _heard(self, data):
+            messages = super()._heard(data)
+            for each in messages:
+                if each.kind == Kind.NAK:
+                    found[protocol.NAK.unpack(each.payload)[1]] += 1
+            return messages
+
+    for seed in range(6):
+        ramp_ms = 500 * (seed % 2)
+        scene = Scene(Emulated(6, ramp_ms=ramp_ms), seed, ramp_ms=ramp_ms)
+        scene.talk.__class__ = Heard
+        scene.play(150)
+    missing = set(Rule) - set(found)
+    assert missing <= {Rule.SLOTS, Rule.STATES, Rule.SUM, Rule.DUTY, Rule.TOTAL}, missing
+
+
+def test_host_board_and_core_compute_the_same_currents(make_core):
+    rng, electrodes = np.random.default_rng(5), 16
+    limits = SafetyLimits(electrodes, 5.0, 200, 0.5, 200, 0.8, 0.5, 5.0, total_ma=10.0)
+    table = random_table(rng, 60, electrodes)
+    image = KernelImage.of(table, 1 << 20, 1000)
+    talk = Talk(make_core(electrodes, ramp_ms=0)).begin(limits, image)
+    compared = 0
+    for number in range(1, 41):
+        lists = random_lists(rng, table, 50, most=6, loud=5000)
+        wanted = lists.current_ua()
+        for slot, (first, end) in enumerate(zip(lists.first, lists.first[1:], strict=False)):
+            pairs = slice(first, end)
+            own = summed(
+                table.weights, lists.kernel[pairs].astype(int), lists.amplitude[pairs].astype(int)
+            )
+            np.testing.assert_array_equal(own, wanted[slot])
+        answers = talk.send(sequence_of(lists), number, image=image)
+        pulses = talk.pulses
+        talk.wait(10_500)
+        pulses += talk.pulses
+        talk.say(Kind.HEARTBEAT)
+        assert [each.kind for each in answers if each.kind == Kind.NAK] == []
+        assert [each[5] for each in pulses] == wanted.tolist()
+        compared += len(pulses)
+    assert compared == 2000
+
+
+def test_silence_is_zero_within_100_ms(make_core):
+    core = make_core(6, ramp_ms=0)
+    scene = Scene(core, 1)
+    talk = scene.talk.begin(scene.limits)
+    lists = random_lists(scene.rng, random_table(scene.rng, 4, 6), 4)
+    sequence = sequence_of(lists, sums=None)
+    talk.send(sequence, 1, times=1000)
+    talk.wait(99_999)
+    assert core.reason == "driving"
+    talk.wait(1)
+    assert core.reason == "silence"
+    talk.wait(500_000)
+    assert core.reason == "silence"
+
+
+@pytest.mark.parametrize("name", VECTORS)
+@pytest.mark.parametrize("board", ["emulator", "core"])
+def test_vectors(make_core, board, name):
+    """Play what the page of the protocol gives to makers of firmware."""
+    vector = VECTORS[name]
+    given = vector["electrodes"], vector["output"], vector["ramp_ms"]
+    player = Both(Emulated(*given) if board == "emulator" else make_core(*given))
+    for step in vector["steps"]:
+        data, now_us = bytes.fromhex(step.get("bytes", "")), step["time_us"]
+        answer, pulses = player.feed(data, now_us) if data else player.advance(now_us)
+        assert answer.hex() == step["answer"]
+        assert [list(each) for each in pulses] == step["pulses"]
