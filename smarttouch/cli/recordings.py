@@ -1,4 +1,4 @@
-"""``smarttouch recordings``: what is in a recording, mend one, take one apart."""
+"""``smarttouch recordings``: what is in a recording, see it, mend it, take it apart."""
 
 from pathlib import Path
 from typing import Annotated
@@ -8,7 +8,7 @@ import typer
 from smarttouch.terminal import print_table
 
 recordings = typer.Typer(
-    help="Look into, repair and export what ``live --record`` kept.", no_args_is_help=True
+    help="Look into, view, repair and export what ``live --record`` kept.", no_args_is_help=True
 )
 
 _File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording, whole or cut.")]
@@ -51,3 +51,34 @@ def export(
 
     for path in write_out(file, folder):
         print(path)
+
+
+@recordings.command()
+def view(
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE [OTHER]", help="One, or two side by side.")
+    ],
+    port: Annotated[
+        int, typer.Option(metavar="N", help="Of the page; one that is free if none.")
+    ] = 0,
+    save: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write .png, .svg or .mp4, and show nothing."),
+    ] = None,
+    step: Annotated[
+        int, typer.Option(metavar="N", min=0, help="Of the picture, or the film's first.")
+    ] = 0,
+    slot: Annotated[
+        int | None, typer.Option(metavar="N", min=0, help="Of the picture; all if none.")
+    ] = None,
+) -> None:
+    """Show recordings in a browser: time line, steps, slots, events (extra window)."""
+    if save is None:
+        from smarttouch.monitor.view import show_recordings
+
+        show_recordings(files, port)
+        return
+    from smarttouch.monitor.view import save_view
+
+    save_view(files[0], save, step, slot)
+    print(save)

@@ -18,6 +18,7 @@ pytest.importorskip("uvicorn")
 from smarttouch.window.live import Window
 
 WAIT_S = 20
+CATHODIC, ANODIC, BASE = (179, 88, 6), (84, 39, 136), (236, 238, 241)
 
 
 def wait_for(holds):
@@ -107,3 +108,45 @@ def running(profile):
             made.window.close()
 
     return run
+
+
+PIXELS = """array => {
+  const canvas = document.querySelector(array.canvas);
+  const paint = canvas.getContext('2d');
+  const longest = Math.max(canvas.width, canvas.height);
+  const scale = longest / Math.max(...array.extent);
+  return {
+    number: Number(canvas.dataset.number),
+    slot: canvas.dataset.slot,
+    colors: array.places.map(([x, y]) => [...paint.getImageData(
+      Math.round(canvas.width / 2 + x * scale),
+      Math.round(canvas.height / 2 + (y - 0.7 * array.radius) * scale), 1, 1).data].slice(0, 3)),
+  };
+}"""
+
+
+def drawn(page, profile, canvas="#electrodes"):
+    """Return the color of each electrode on a canvas, and what it says it shows."""
+    electrodes = profile.electrodes
+    return page.evaluate(PIXELS, {
+        "canvas": canvas,
+        "extent": [*electrodes.extent_mm],
+        "places": electrodes.position_mm.tolist(),
+        "radius": 0.42 * electrodes.pitch_mm,
+    })  # fmt: skip
+
+
+def colors(current_ua, profile):
+    """Return the color of each electrode, (E, 3), as the page's own rule has it."""
+    part = current_ua / (1000 * float(profile.full_ma.max()))
+    target = np.where(part[:, None] < 0, ANODIC, CATHODIC)
+    share = np.minimum(1, np.abs(part))[:, None]
+    return np.floor(BASE + (target - BASE) * share + 0.5).astype(int)
+
+
+def strongest(sequence):
+    """Return the strongest current of each electrode, (E,) µA."""
+    current = sequence.current_ua.astype(int)
+    if not len(current):
+        return np.zeros(current.shape[1], int)
+    return np.take_along_axis(current, np.abs(current).argmax(axis=0)[None], axis=0)[0]

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from .browser import chromium, opened, violations
-from .conftest import wait_for
+from .conftest import colors, drawn, strongest, wait_for
 
 pytestmark = pytest.mark.realtime
-
-CATHODIC, ANODIC, BASE = (179, 88, 6), (84, 39, 136), (236, 238, 241)
 
 
 @pytest.fixture(scope="module")
@@ -34,45 +32,6 @@ def on_page(browser, running):
             yield run, page
 
     return show
-
-
-PIXELS = """array => {
-  const canvas = document.getElementById('electrodes');
-  const paint = canvas.getContext('2d');
-  const longest = Math.max(canvas.width, canvas.height);
-  const scale = longest / Math.max(...array.extent);
-  return {
-    number: Number(canvas.dataset.number),
-    slot: canvas.dataset.slot,
-    colors: array.places.map(([x, y]) => [...paint.getImageData(
-      Math.round(canvas.width / 2 + x * scale),
-      Math.round(canvas.height / 2 + (y - 0.7 * array.radius) * scale), 1, 1).data].slice(0, 3)),
-  };
-}"""
-
-
-def drawn(page, profile):
-    electrodes = profile.electrodes
-    return page.evaluate(PIXELS, {
-        "extent": [*electrodes.extent_mm],
-        "places": electrodes.position_mm.tolist(),
-        "radius": 0.42 * electrodes.pitch_mm,
-    })  # fmt: skip
-
-
-def colors(current_ua, profile):
-    """Return the color of each electrode, (E, 3), as the page's own rule has it."""
-    part = current_ua / (1000 * float(profile.full_ma.max()))
-    target = np.where(part[:, None] < 0, ANODIC, CATHODIC)
-    share = np.minimum(1, np.abs(part))[:, None]
-    return np.floor(BASE + (target - BASE) * share + 0.5).astype(int)
-
-
-def strongest(sequence):
-    current = sequence.current_ua.astype(int)
-    if not len(current):
-        return np.zeros(current.shape[1], int)
-    return np.take_along_axis(current, np.abs(current).argmax(axis=0)[None], axis=0)[0]
 
 
 def test_pixels_are_the_delivered_sequence(on_page, profile):

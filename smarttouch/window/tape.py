@@ -1,0 +1,114 @@
+"""A recording as pictures that can be had in any order, while it is still being read."""
+
+import json
+import tempfile
+import threading
+import zlib
+from array import array
+from pathlib import Path
+from typing import Any
+
+from smarttouch.closing import Closing
+from smarttouch.errors import RecordingError
+from smarttouch.recording.reader import Recording
+from smarttouch.window.pictures import array_message, picture_message
+
+_LEVEL = 1
+_STANDS_FOR = ("mode", "board", "sensor", "subject", "note")
+
+
+class Tape(Closing):
+    """Pictures of all steps of a recording, in a file of their own until this is closed.
+
+    Parameters
+    ----------
+    path : Path
+
+    Attributes
+    ----------
+    recording : Recording
+    times_s : array of float
+        Time of each step that has been read.
+
+    Raises
+    ------
+    RecordingError
+        If it is no recording.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.recording = Recording(path)
+        self.times_s = array("d")
+        self._array = array_message(self.recording.profile)
+        self._places = array("q", [0])
+        self._events: list[dict[str, Any]] = []
+        self._ended = self._closing = False
+        self._wrong = ""
+        self._file = tempfile.TemporaryFile(prefix="smarttouch-")  # noqa: SIM115
+        self._lock = threading.Lock()
+        self._thread = threading.Thread(target=self._read, name="tape", daemon=True)
+        self._thread.start()
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    def wait(self) -> None:
+        """Wait until all has been read."""
+        self._thread.join()
+
+    def picture(self, index: int) -> bytes:
+        """Return the picture of a step, JSON.
+
+        Raises
+        ------
+        IndexError
+            If there is none, or it has not been read yet.
+        """
+        if not 0 <= index < len(self.times_s):
+            raise IndexError(index)
+        with self._lock:
+            self._file.seek(self._places[index])
+            return zlib.decompress(self._file.read(self._places[index + 1] - self._places[index]))
+
+    def message(self, first: int = 0) -> dict[str, Any]:
+        """Return what a page needs of it beside pictures; times from a step on."""
+        recording = self.recording
+        told = {key: str(recording.settings.get(key) or "") for key in _STANDS_FOR}
+        return {
+            "name": recording.path.name,
+            "array": self._array,
+            "started": recording.started.isoformat(timespec="seconds"),
+            "duration_s": recording.duration_s,
+            "told": {key: each for key, each in told.items() if each},
+            "times_s": self.times_s[first:].tolist(),
+            "events": self._events,
+            "ended": self._ended,
+            "wrong": self._wrong,
+        }
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._closing = True
+        self._thread.join()
+        self._file.close()
+
+    def _read(self) -> None:
+        try:
+            for recorded in self.recording.steps():
+                if self._closing:
+                    return
+                data = zlib.compress(json.dumps(picture_message(recorded.sent)).encode(), _LEVEL)
+                with self._lock:
+                    self._file.seek(self._places[-1])
+                    self._file.write(data)
+                self._places.append(self._places[-1] + len(data))
+                self.times_s.append(recorded.step.input.time_ns / 1e9)
+            self._events = [
+                {"time_s": time_ns / 1e9, "text": words}
+                for time_ns, words in self.recording.events()
+            ]
+            if not self.recording.whole:
+                self._wrong = "it is cut or damaged: what can be read of it is shown"
+        except (RecordingError, OSError) as error:
+            self._wrong = str(error)
+        self._ended = True

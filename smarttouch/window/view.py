@@ -1,0 +1,149 @@
+"""Recordings in the window: a page with a time line, for one or two of them."""
+
+import asyncio
+import json
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from smarttouch.closing import Closing
+from smarttouch.errors import RecordingError
+from smarttouch.window.export import export_film, export_view
+from smarttouch.window.server import PageServer
+from smarttouch.window.tape import Tape
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+    from starlette.routing import BaseRoute
+
+MOST_RECORDINGS = 2
+_TYPES = {".png": "image/png", ".svg": "image/svg+xml", ".mp4": "video/mp4"}
+
+
+class RecordingsPage(Closing):
+    """Serves a page that shows recordings, until it is closed.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        One, or two that are shown side by side.
+    port : int
+        Of 127.0.0.1; 0: one that is free.
+
+    Attributes
+    ----------
+    address : str
+    tapes : list of Tape
+
+    Raises
+    ------
+    RecordingError
+        If there are more, or one is no recording.
+    SmartTouchError
+        If the extra ``window`` is missing, or the port cannot be had.
+    """
+
+    def __init__(self, paths: Sequence[Path], port: int = 0) -> None:
+        if not 0 < len(paths) <= MOST_RECORDINGS:
+            raise RecordingError(
+                f"{len(paths)} recordings cannot be shown at once: give one or {MOST_RECORDINGS}",
+                about="files",
+                problem="too many" if paths else "too few",
+                value=len(paths),
+                allowed=MOST_RECORDINGS,
+            )
+        self.tapes: list[Tape] = []
+        try:
+            for path in paths:
+                self.tapes.append(Tape(path))
+            self._server = PageServer(port, self._routes(), "view.html")
+        except BaseException:
+            self._close_tapes()
+            raise
+        self.address = self._server.address
+        self._server.start()
+
+    def close(self) -> None:
+        """Serve no more."""
+        self._server.close()
+        self._close_tapes()
+
+    def _close_tapes(self) -> None:
+        for each in self.tapes:
+            each.close()
+
+    def _routes(self) -> "list[BaseRoute]":
+        from starlette.routing import Route
+
+        return [
+            Route("/recordings", self._about),
+            Route("/step/{tape:int}/{step:int}", self._step),
+            Route("/view/{tape:int}/{step:int}.{kind}", self._view),
+            Route("/film/{tape:int}/{first:int}-{last:int}.mp4", self._film),
+        ]
+
+    async def _about(self, request: "Request") -> "Response":
+        from starlette.responses import Response
+
+        first = request.query_params.get("from", "0")
+        start = int(first) if first.isascii() and first.isdecimal() else 0
+        told = [each.message(start) for each in self.tapes]
+        return Response(json.dumps(told), media_type="application/json")
+
+    async def _step(self, request: "Request") -> "Response":
+        from starlette.responses import Response
+
+        try:
+            data = self._tape(request).picture(request.path_params["step"])
+        except IndexError:
+            return Response(status_code=404)
+        return Response(data, media_type="application/json")
+
+    async def _view(self, request: "Request") -> "Response":
+        from starlette.responses import Response
+
+        kind, step = f".{request.path_params['kind']}", request.path_params["step"]
+        text = request.query_params.get("slot", "")
+        slot = int(text) if text.isascii() and text.isdecimal() else None
+        try:
+            if kind not in (".png", ".svg"):
+                raise IndexError(kind)
+            tape = self._tape(request)
+            data = await asyncio.to_thread(export_view, tape, step, kind, slot)
+        except IndexError:
+            return Response(status_code=404)
+        return _file(data, kind, f"{tape.recording.path.stem}-{step}")
+
+    async def _film(self, request: "Request") -> "Response":
+        from starlette.responses import Response
+
+        first, last = request.path_params["first"], request.path_params["last"]
+        try:
+            tape = self._tape(request)
+            data = await asyncio.to_thread(_film_of, tape, first, last)
+        except IndexError:
+            return Response(status_code=404)
+        except RecordingError as error:
+            return Response(str(error), status_code=409, media_type="text/plain")
+        return _file(data, ".mp4", f"{tape.recording.path.stem}-{first}-{last}")
+
+    def _tape(self, request: "Request") -> Tape:
+        number: int = request.path_params["tape"]
+        return self.tapes[number]
+
+
+def _film_of(tape: Tape, first: int, last: int) -> bytes:
+    with tempfile.TemporaryDirectory(prefix="smarttouch-") as folder:
+        path = Path(folder) / "film.mp4"
+        export_film(tape, path, first, last)
+        return path.read_bytes()
+
+
+def _file(data: bytes, kind: str, stem: str) -> "Response":
+    from starlette.responses import Response
+
+    plain = "".join(each if each.isascii() and each.isalnum() else "-" for each in stem)
+    headers = {"content-disposition": f'attachment; filename="{plain}{kind}"'}
+    return Response(data, media_type=_TYPES[kind], headers=headers)
