@@ -114,7 +114,8 @@ def test_a_link_board_that_says_it_is_another_gets_no_sequence(hosted, stranger)
         session = hello.session | 1 << 32
         return encode(Kind.CAPABILITIES, session, 1, 0, hello.number, said)
 
-    assert kinds(replaced(hosted, stranger, answer)) == [Kind.HELLO]
+    # It answers in an older version, and so is asked once more, in that one.
+    assert kinds(replaced(hosted, stranger, answer)) == [Kind.HELLO] * 2
 
 
 @pytest.mark.parametrize("hosted", ["etactilekit"], indirect=True)
