@@ -27,6 +27,10 @@ _SHIFT = 0.6
 _RISE = 0.5
 """Weight of an edge at the top of letters, relative to one at the bottom."""
 _ROUNDS = 3
+_STROKE = 96
+"""Density at which a line crosses a stroke: thin ones of small print are not black."""
+_TALL = 95
+"""Per cent of letters that are no taller than the tall ones; few are accented or touch others."""
 _GAP = 0.3
 """White that separates two lines, in x-heights."""
 _CLOSE = 0.02
@@ -55,6 +59,8 @@ class Baseline:
         From row to row of the profile, in x-heights.
     strokes : float
         Strokes met halfway up an x, per x-height of the row's length.
+    reach : tuple of float
+        Heights of its tall letters above and of its deep ones below the baseline, in x-heights.
     """
 
     left: float
@@ -65,6 +71,7 @@ class Baseline:
     profile_top: float
     step: float
     strokes: float
+    reach: tuple[float, float]
 
     def at(self, x: NDArray[Any]) -> Floats:
         """Return the baseline's y at x, px; straight beyond the row's ends."""
@@ -141,7 +148,12 @@ def follow(density: NDArray[np.uint8], row: Spots, slope: float | None = None) -
     x_height = (base - top) / _STEPS * height
     strokes = _strokes(density, left, right, curve, x_height)
     step = 1 / (base - top)
-    return Baseline(left, right, curve, x_height, profile, base * step, step, strokes)
+    bottom = polynomial.polyval(center, curve)
+    tall, deep = (
+        float(np.percentile(edge, _TALL)) / x_height
+        for edge in (bottom - row.top, row.bottom - bottom)
+    )
+    return Baseline(left, right, curve, x_height, profile, base * step, step, strokes, (tall, deep))
 
 
 def _degree(support: float) -> int:
@@ -207,7 +219,7 @@ def _strokes(
     distance = np.arange(0.0, right - left)
     y = polynomial.polyval(distance, curve) - x_height / 2
     inside = (y >= 0) & (y < len(density))
-    met = density[y[inside].astype(int), (distance[inside] + left).astype(int)] > 127
+    met = density[y[inside].astype(int), (distance[inside] + left).astype(int)] > _STROKE
     return float(np.count_nonzero(np.diff(met.astype(np.int8)) == 1) / (right - left) * x_height)
 
 

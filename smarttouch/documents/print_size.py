@@ -17,6 +17,8 @@ _LOW_EDGE = 0.12
 """Ink at the end of the ascenders, relative to their middle."""
 _FEWEST = 0.03
 """Least ink of ascenders or descenders, relative to the line, by which they are measured."""
+_FARTHER = 1.2
+"""Ratio by which tall letters reach beyond the usual ascenders, and are those of other scripts."""
 _CAPITALS = 0.08
 """Ink above its letters below which a line has no ascenders: it is capitals or figures."""
 
@@ -33,7 +35,14 @@ def reach_of_print(baselines: list[Baseline]) -> tuple[float, float]:
     zone = ink[(height > 0.05) & (height < 0.95)].mean()
     ascent = _end(height, ink, (1.2, 1.35), zone)
     descent = _end(-height[::-1], ink[::-1], (0.15, 0.3), zone)
-    return ascent or ASCENT, descent or DESCENT
+    reach = np.array([each.reach for each in baselines]).T
+    tall, deep = (_weighted_median(each, length) for each in reach)
+    # Those of other scripts reach farther, and have ink at any height.
+    ascent, descent = ascent or ASCENT, descent or DESCENT
+    return (
+        tall if tall > _FARTHER * ascent else ascent,
+        deep if deep > _FARTHER * descent + _SAME else descent,
+    )
 
 
 def _end(height: Floats, ink: Floats, middle: tuple[float, float], zone: float) -> float | None:

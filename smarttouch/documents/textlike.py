@@ -43,6 +43,9 @@ _NEAR, _NEAR_PX = 0.2, 0.5
 _LEAST_ON_LEVELS, _RUN_TOGETHER_ON_LEVELS = 0.6, 0.5
 """Least part of such letters, and of words run together; print has 0.9 and more, words run
 together 0.5 and more, specks 0.3 to 0.7."""
+_FEWEST_JOINED, _SHARP, _CLEAR = 6, 3.5, 0.3
+"""Least number of letters, and fall of the ink at the baseline, and most ink between lines, both as
+above, by which a line of another script is known, whose letters end at other levels."""
 _LEAST_WHITE = 0.06
 """Least white between letters that do not touch, of the line's length; print has 0.1 and more, but
 what is left between light letters on dark has not."""
@@ -96,15 +99,20 @@ def _are_capitals(baseline: Baseline, letters: Spots) -> bool:
 def _has_profile_of_text(baseline: Baseline, covered: float) -> bool:
     """Return whether ink lies between baseline and top of an x, and little around."""
     zone = baseline.ink_between(0.05, 0.95)
-    between = max(baseline.least_ink(1.2, 2.1), baseline.least_ink(-1.1, -0.1))
     beside = max(baseline.ink_between(1.05, 1.45), baseline.ink_between(-0.45, -0.05))
-    fall = -float(np.diff(baseline.profile).min()) / baseline.step
     return (
         _ZONE[0] < zone / covered < _ZONE[1]
-        and between < _MOST_BETWEEN * zone
+        and _ends_sharply(baseline, _LEAST_EDGE, _MOST_BETWEEN)
         and beside < _MOST_BESIDE * zone
-        and fall > _LEAST_EDGE * zone
     )
+
+
+def _ends_sharply(baseline: Baseline, edge: float = _SHARP, between: float = _CLEAR) -> bool:
+    """Return whether ink falls at the baseline, and there is little to the next lines."""
+    zone = baseline.ink_between(0.05, 0.95)
+    least = max(baseline.least_ink(1.2, 2.1), baseline.least_ink(-1.1, -0.1))
+    fall = -float(np.diff(baseline.profile).min()) / baseline.step
+    return least < between * zone and fall > edge * zone
 
 
 def _are_letters(baseline: Baseline, letters: Spots, covered: float) -> bool:
@@ -127,7 +135,10 @@ def _are_letters(baseline: Baseline, letters: Spots, covered: float) -> bool:
         and float(letters.area.sum()) > _LEAST_OWN * line_px
         and baseline.strokes > (_FEWER_STROKES if run_together else _FEWEST_STROKES) * covered
         and baseline.strokes < _MOST_STROKES + _STROKE_MORE / length
-        and on_levels > (_RUN_TOGETHER_ON_LEVELS if run_together else _LEAST_ON_LEVELS)
+        and (
+            on_levels > (_RUN_TOGETHER_ON_LEVELS if run_together else _LEAST_ON_LEVELS)
+            or (len(letters.area) >= _FEWEST_JOINED and _ends_sharply(baseline))
+        )
     )
 
 
@@ -201,7 +212,8 @@ def credible(lines: list[tuple[Baseline, Spots]], ink: int) -> list[Baseline]:
         All ink of the page.
     """
     sure = [
-        len(row.area) >= _SURE and baseline.strokes > _FEWEST_STROKES for baseline, row in lines
+        len(row.area) >= _MANY or (len(row.area) >= _SURE and baseline.strokes > _FEWEST_STROKES)
+        for baseline, row in lines
     ]
     sizes = np.array(
         [baseline.x_height for (baseline, _), is_sure in zip(lines, sure, strict=True) if is_sure]
