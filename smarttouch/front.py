@@ -9,6 +9,7 @@ from typing import Any, Literal
 from smarttouch.afferent import Afferent, Mode
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.kernels.driving_problem import DrivingProblem
+from smarttouch.kernels.finger_kernels import FingerKernels
 from smarttouch.kernels.problem import Kernel, Problem
 from smarttouch.kernels.switching import designer
 from smarttouch.profile import Profile
@@ -218,7 +219,9 @@ def design_kernel(
         Electrode over the target.
     model : {"activating", "driving"}
         What fires a fiber: the activating function at a node, as in the paper, or a driving
-        function fitted to a cable model; weights are then in mA at the target's threshold.
+        function fitted to a cable model; weights are then in mA at the target's threshold. A
+        profile whose objective is the finger has its own, by driving functions: weights are then
+        parts of the full current.
 
     Raises
     ------
@@ -233,5 +236,7 @@ def design_kernel(
     True
     """
     afferent = afferent if isinstance(afferent, Afferent) else Afferent[afferent]
+    if profile.kernels.objective == "finger" and model == "activating":
+        return FingerKernels(profile).kernels(afferent, [site])[0][0]
     problem = (DrivingProblem if model == "driving" else Problem)(profile, afferent)
     return designer(profile)(problem, site)

@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,8 @@ from smarttouch.profile import Profile, list_profiles
 from smarttouch.resources import data_folder
 
 if TYPE_CHECKING:
-    from smarttouch.kernels.problem import Kernel, Kind
+    from smarttouch.kernels.batch import Timed
+    from smarttouch.kernels.problem import Kernel, Kind, Problem
 
 DESIGN_VERSION = 2
 """Version of the design, raised when the same problem would get other kernels."""
@@ -58,6 +59,10 @@ class KernelBank:
     receptor : dict of Afferent to ndarray, (E, E) float32, V/mm² per mA
         Activating function at the target under electrode r for unit cathodic
         current at electrode e.
+    absolute : bool
+        Whether weights are parts of the full current, designed on fingers. Off-target is then the
+        part of the afferents that fire which are of other classes, and spill the part of the own
+        class with receptors beyond a pitch.
     single : bool
         Whether each kernel is one electrode against all others, whose current is exact to the
         microampere, at its own place, and by height.
@@ -70,6 +75,7 @@ class KernelBank:
     gap: Column
     seconds: Column
     receptor: Column
+    absolute: bool = False
     single: bool = False
 
     def _repr_html_(self) -> str:
@@ -80,9 +86,10 @@ class KernelBank:
         return titled(title, *(cells_svg(values, (name,)) for name, values in found.items()))
 
     def kernels(self, afferent: Afferent) -> NDArray[np.float32]:
-        """Return the kernels of a mode, each with a peak magnitude of 1, (E, E).
+        """Return the kernels of a mode as parts of the full current, (E, E).
 
-        The row of a masked site is zero.
+        Each has a peak magnitude of 1, at most 1 where they are designed on fingers. The row of a
+        masked site is zero.
 
         Raises
         ------
@@ -90,6 +97,8 @@ class KernelBank:
             If the board cannot make that mode.
         """
         weights = self._made(afferent)
+        if self.absolute:
+            return np.asarray(weights, np.float32)
         peak = np.abs(weights).max(axis=1, keepdims=True)
         return np.asarray(weights / np.where(peak > 0, peak, 1.0), np.float32)
 
@@ -145,6 +154,13 @@ def problem_hash(profile: Profile) -> str:
     }
     if profile.output.masked:
         problem["masked"] = sorted(profile.output.masked)
+    if profile.kernels.objective == "finger":
+        from smarttouch.physiology.anatomy import load_anatomy
+
+        anatomy = load_anatomy(profile.kernels.anatomy).model_dump(exclude={"name", "title"})
+        problem["fingers"] = [profile.kernels.fingers, anatomy, profile.force.full_n]
+        problem["felt"] = profile.perception.model_dump(exclude={"comfort_ratio"})
+        problem["most"] = [profile.full_ma.tolist(), profile.pulse.width_us]
     if profile.design_total_ma is not None or limits.electrode_ma is not None:
         problem["limits"] = [profile.design_total_ma, limits.electrode_ma]
         problem["full_ma"] = profile.full_ma.tolist()
@@ -224,26 +240,48 @@ def design_bank(
     from smarttouch.kernels.problem import Problem
     from smarttouch.kernels.switching import designer, possible_modes
 
+    if profile.kernels.objective == "finger":
+        return _design_on_fingers(profile, progress, keep)
     modes = possible_modes(profile)
     columns: dict[str, Any] = {name: {} for name in _IN_FILE}
     for index, afferent in enumerate(modes):
         problem, advance = Problem(profile, afferent), part_of(progress, index, len(modes))
         timed = design_sites(problem, designer(profile), None, advance, keep)
-        kernels = [kernel for kernel, _ in timed]
-        found: dict[str, tuple[Any, Any]] = {
-            "weights": ([kernel.weights for kernel in kernels], np.float64),
-            "off_target": ([kernel.off_target for kernel in kernels], np.float64),
-            "worst_class": ([kernel.off_target_class for kernel in kernels], np.int8),
-            "spill": ([kernel.spill for kernel in kernels], np.float64),
-            "gap": ([kernel.gap for kernel in kernels], np.float64),
-            "seconds": ([seconds for _, seconds in timed], np.float32),
-        }
-        for name, (values, kind) in found.items():
-            made = np.array(values, kind)
-            columns[name][afferent] = np.zeros((problem.electrodes, *made.shape[1:]), kind)
-            columns[name][afferent][problem.driven] = made
-        columns["receptor"][afferent] = np.asarray(problem.target, np.float32)
+        _enter(columns, problem, timed)
     return KernelBank(**columns)
+
+
+def _design_on_fingers(
+    profile: Profile, progress: Progress | None, keep: Path | None
+) -> KernelBank:
+    from smarttouch.kernels.batch import part_of
+    from smarttouch.kernels.finger_kernels import FingerKernels
+
+    columns: dict[str, Any] = {name: {} for name in _IN_FILE}
+    design = FingerKernels(profile)
+    for index, afferent in enumerate(Afferent):
+        advance = part_of(progress, index, len(Afferent))
+        timed = design.kernels(afferent, profile.driven.tolist(), advance, keep)
+        _enter(columns, design.problem(afferent), timed)
+    return KernelBank(**columns, absolute=True)
+
+
+def _enter(columns: dict[str, Any], problem: "Problem", timed: "Sequence[Timed]") -> None:
+    """Enter the kernels of a class, with the seconds that each took."""
+    afferent, kernels = problem.afferent, [kernel for kernel, _ in timed]
+    found: dict[str, tuple[Any, Any]] = {
+        "weights": ([kernel.weights for kernel in kernels], np.float64),
+        "off_target": ([kernel.off_target for kernel in kernels], np.float64),
+        "worst_class": ([kernel.off_target_class for kernel in kernels], np.int8),
+        "spill": ([kernel.spill for kernel in kernels], np.float64),
+        "gap": ([kernel.gap for kernel in kernels], np.float64),
+        "seconds": ([seconds for _, seconds in timed], np.float32),
+    }
+    for name, (values, kind) in found.items():
+        made = np.array(values, kind)
+        columns[name][afferent] = np.zeros((problem.electrodes, *made.shape[1:]), kind)
+        columns[name][afferent][problem.driven] = made
+    columns["receptor"][afferent] = np.asarray(problem.target, np.float32)
 
 
 def write_bank(path: Path, profile: Profile, bank: KernelBank) -> None:
@@ -277,7 +315,8 @@ def _read(path: Path, profile: Profile) -> KernelBank | None:
             in_file, _, afferent = name.rpartition("_")
             if in_file in named:
                 named[in_file][Afferent[afferent]] = values
-        return _checked(KernelBank(**columns), len(profile.electrodes))
+        absolute = profile.kernels.objective == "finger"
+        return _checked(KernelBank(**columns, absolute=absolute), len(profile.electrodes))
     except (DesignError, OSError, ValueError, KeyError):
         # It is designed anew: that is slow, not wrong.
         return None

@@ -76,7 +76,7 @@ def design_sites(
         problem.check_site(site)
     ways = [problem.representative(site) for site in sites]
     distinct = sorted({first for first, _ in ways})
-    done = {first: kept for first in distinct if (kept := _kept(keep, problem, first))}
+    done = {first: kept for first in distinct if (kept := kept_kernel(keep, problem, first))}
     missing = [first for first in distinct if first not in done]
     answers = Parallel(n_jobs=-1, prefer="threads", return_as="generator_unordered")(
         delayed(_timed)(design, problem, first) for first in missing
@@ -87,7 +87,7 @@ def design_sites(
             for first, kernel, seconds in answers:
                 done[first] = kernel, seconds
                 if keep is not None:
-                    _keep(keep, problem, first, kernel, seconds)
+                    keep_kernel(keep, problem, first, kernel, seconds)
                 if progress is not None:
                     progress(len(done), len(distinct))
         except BaseException:
@@ -124,7 +124,7 @@ def _path(keep: Path, problem: Problem, site: int) -> Path:
     return keep / f"{problem.afferent.name}-{site}.json"
 
 
-def _keep(keep: Path, problem: Problem, site: int, kernel: Kernel, seconds: float) -> None:
+def keep_kernel(keep: Path, problem: Problem, site: int, kernel: Kernel, seconds: float) -> None:
     fields: dict[str, Any] = {
         "weights": kernel.weights.tolist(),
         "worst_other": kernel.off_target,
@@ -144,7 +144,7 @@ def _keep(keep: Path, problem: Problem, site: int, kernel: Kernel, seconds: floa
         Path(half.name).replace(_path(keep, problem, site))
 
 
-def _kept(keep: Path | None, problem: Problem, site: int) -> Timed | None:
+def kept_kernel(keep: Path | None, problem: Problem, site: int) -> Timed | None:
     if keep is None:
         return None
     try:

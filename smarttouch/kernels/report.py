@@ -12,6 +12,7 @@ from smarttouch.kernels.batch import design_sites, part_of
 from smarttouch.kernels.comparison import compare
 from smarttouch.kernels.design import design_any_node, design_kernel
 from smarttouch.kernels.driving_problem import DrivingProblem
+from smarttouch.kernels.finger_kernels import FingerKernels
 from smarttouch.kernels.problem import Kernel, Problem
 from smarttouch.kernels.switching import design_three_state, designer, kind_of
 from smarttouch.profile import Profile
@@ -80,6 +81,14 @@ def kernels_designed(
     design_one = DESIGNS[kind] if kind in DESIGNS else designer(profile)
     a_problem = DrivingProblem if kind == "driving" else Problem
     found = []
+    if kind is None and profile.kernels.objective == "finger":
+        on_fingers = FingerKernels(profile)
+        for index, mode in enumerate(modes):
+            timed = on_fingers.kernels(mode, sites, part_of(progress, index, len(modes)))
+            found += [
+                SiteKernel(mode, site, *each) for site, each in zip(sites, timed, strict=True)
+            ]
+        return found
     for index, mode in enumerate(modes):
         problem = a_problem(profile, mode, spread=robust)
         timed = design_sites(problem, design_one, sites, part_of(progress, index, len(modes)))
@@ -177,12 +186,20 @@ def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
             row.insert(-1, kernel.off_target_class.name)
             row += [f"{total:.2f}", _gap(kernel.gap)]
     names = " and ".join(mode.name for mode in modes)
+    note = (
+        "Worst other and own spill are activations of the target's own: above 1 another class "
+        "fires first."
+    )
+    if profile.kernels.objective == "finger":
+        note = (
+            "Worst other is the part of the afferents that fire, on the fingers of the design, "
+            "which are of other classes; own spill the part of the own class beyond a pitch."
+        )
     return WordTable(
         f"{names} kernels of {profile.name}: {profile.title}",
         heading,
         list(rows.values()),
-        "Worst other and own spill are activations of the target's own: above 1 another class "
-        "fires first.",
+        note,
     )
 
 

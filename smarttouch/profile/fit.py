@@ -57,6 +57,16 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
             allowed=("half-space",),
             remedy="array.layout",
         )
+    if profile.kernels.objective == "finger" and profile.output.kind != "weighted":
+        yield UnfitError(
+            f"kernels.objective 'finger' does not go with output.kind {profile.output.kind!r}: "
+            "the board must give every electrode its own current; 'node' is for all",
+            about="kernels.objective",
+            problem="conflict",
+            value="finger",
+            allowed=("node",),
+            remedy="output.kind",
+        )
     lowered = profile.limits.electrode_ma
     if lowered is not None and len(lowered) != count:
         yield _of_another_length("limits.electrode_ma", len(lowered), count, "leave it out")

@@ -24,6 +24,7 @@ from smarttouch.profile.device import (
     Pulse,
 )
 from smarttouch.profile.fit import misfits
+from smarttouch.profile.kernels import Kernels
 from smarttouch.profile.skin import Skin
 from smarttouch.profile.table import Table, raise_all
 
@@ -44,6 +45,7 @@ class Profile(Table):
     limits: Limits
     perception: PerceptThresholds
     frames: Frames = Frames()
+    kernels: Kernels = Kernels()
     calibrated: dict[str, Calibrated] = Field(default_factory=dict)
 
     @cached_property

@@ -1,0 +1,287 @@
+"""Kernels designed on fingers: few afferents that a point must not fire, and no silent point.
+
+For the afferents of a sample of fingers, with drives D(w) that are linear in the currents w up to
+the choice of a node::
+
+    minimize   Σ wrong·(D − 1 + margin)₊   other classes
+             + Σ elsewhere·(D − 1 + margin)₊   own class, receptor beyond a pitch
+             + Σ near·(1 + margin − D)₊   own class, receptor within a pitch
+             + Σ silent·(1 + margin − max D)₊   each finger, receptors within half a pitch
+    such that  Σw = 0,  Σ|w| and |w| within those of the kernel designed on a node
+
+All rows of the first two that are broken are added until none is. What is to fire takes the node
+that is nearest to firing, chosen anew in each round: the answer is as good as can be for these
+nodes. The start is the kernel designed on a node, and no answer is worse on the sample.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.afferent import Afferent
+from smarttouch.errors import DesignError
+from smarttouch.kernels.finger_sample import SEEN, FingerSample
+from smarttouch.profile import Profile
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Indices = NDArray[np.intp]
+Progress = Callable[[int, int], None]
+
+_MARGIN = 0.05
+_STEPS = (0.25, 0.25, 0.2, 0.2, 0.15, 0.15, 0.1, 0.1)
+"""Largest change of an electrode's current in each round, of the full current: what a round does
+not know of is not far beyond what it does."""
+_CONSIDERED = 0.8
+"""Drive from which the node of an afferent that is not to fire becomes a row."""
+
+
+class Costs(NamedTuple):
+    """Price of what is felt amiss, for each afferent and each silent point."""
+
+    wrong: float = 1.0
+    elsewhere: float = 0.3
+    near: float = 0.3
+    silent: float = 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class Aim:
+    """Afferents by what a site's kernel is to do with them.
+
+    Attributes
+    ----------
+    near : ndarray, (A, S) bool
+        Own class, receptor within a pitch of the place where the site is felt.
+    nearest : ndarray, (A, S) bool
+        The same, within half a pitch.
+    own : ndarray, (A,) bool
+    """
+
+    near: NDArray[np.bool_]
+    nearest: NDArray[np.bool_]
+    own: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, profile: Profile, afferent: Afferent, sample: FingerSample) -> "Aim":
+        felt = profile.perception
+        shift_mm = (felt.ra_shift_mm, felt.sai_shift_mm, felt.pc_shift_mm)[afferent]
+        place_mm = profile.electrodes.position_mm + shift_mm
+        away_mm = np.linalg.norm(sample.receptor_mm[:, None] - place_mm, axis=2)
+        own = sample.classes == afferent
+        pitch_mm = profile.electrodes.pitch_mm
+        return cls(
+            (away_mm <= pitch_mm) & own[:, None], (away_mm <= pitch_mm / 2) & own[:, None], own
+        )
+
+
+class FingerDesign:
+    """Design of the kernels of one class on a sample of fingers.
+
+    Parameters
+    ----------
+    profile : Profile
+    afferent : Afferent
+        Class to fire.
+    sample : FingerSample
+    start_ma : ndarray, (E, E) mA
+        Kernels at full comfort: they bound the currents, and the search starts with them.
+    mirror : ndarray, (E,), optional
+        Electrode that each electrode is mirrored onto, where mirrored fingers are as likely:
+        kernels are then designed on the mirrored sample too, and mirror one another.
+    costs : Costs
+    """
+
+    def __init__(
+        self,
+        profile: Profile,
+        afferent: Afferent,
+        sample: FingerSample,
+        start_ma: Array,
+        mirror: Indices | None = None,
+        costs: Costs | None = None,
+    ) -> None:
+        self.profile, self.afferent, self.sample = profile, afferent, sample
+        self.current_ma = np.array(start_ma, np.float64)
+        self.costs = costs or Costs()
+        self._start_ma = start_ma
+        self._aim = Aim.of(profile, afferent, sample)
+        self._mirror = np.arange(len(start_ma)) if mirror is None else mirror
+        self._pool: dict[int, dict[tuple[int, int], set[int]]] = {}
+        self.rows: dict[int, int] = {}
+        """Number of rows of each site's last programme."""
+
+    def designed(self, sites: Indices, progress: Progress | None = None) -> Array:
+        """Return the kernels of some sites at full comfort, (S, E) mA.
+
+        Raises
+        ------
+        DesignError
+            If the solver gives up.
+        """
+        from joblib import Parallel, delayed
+
+        first = np.unique(np.minimum(sites, self._mirror[sites]))
+        both = np.unique(np.concatenate([first, self._mirror[first]]))
+        best_ma, least = self.current_ma[both].copy(), np.full(len(both), np.inf)
+        steps: tuple[float | None, ...] = (*_STEPS, None)
+        for done, step in enumerate(steps):
+            highest, node = self.sample.drives(self.current_ma[both])
+            loss = self._loss(highest, both)
+            # A pair is judged together, and stays one.
+            loss += loss[np.searchsorted(both, self._mirror[both])]
+            better = loss < least - 1e-9
+            least[better], best_ma[better] = loss[better], self.current_ma[both[better]]
+            if step is not None:
+                work = Parallel(n_jobs=-1, prefer="threads")
+                programs = [self._program(site, both, highest, node, step) for site in first]
+                for site, found in zip(
+                    first, work(delayed(_solved)(*each) for each in programs), strict=True
+                ):
+                    self.current_ma[site] = found
+                    self.current_ma[self._mirror[site]] = found[self._mirror]
+            if progress is not None:
+                progress(done + 1, len(_STEPS) + 1)
+        self.current_ma[both] = best_ma
+        return np.asarray(self.current_ma[sites])
+
+    def figures(self, sites: Indices) -> tuple[Array, Array, NDArray[np.int8]]:
+        """Return what else fires at each site, (S,).
+
+        The part of the afferents that fire which are of other classes, the part of the own class
+        with receptors beyond a pitch, and the other class that fires most.
+        """
+        highest, _ = self.sample.drives(self.current_ma[sites])
+        fires = highest >= 1
+        own = fires & self._aim.own[:, None]
+        wrong = 1 - own.sum(axis=0) / np.maximum(fires.sum(axis=0), 1)
+        right = (own & self._aim.near[:, sites]).sum(axis=0)
+        others = [each for each in Afferent if each is not self.afferent]
+        counts = np.array([fires[self.sample.classes == each].sum(axis=0) for each in others])
+        worst = np.array(others, np.int8)[counts.argmax(axis=0)]
+        return wrong, 1 - right / np.maximum(own.sum(axis=0), 1), worst
+
+    def _loss(self, highest: Floats, sites: Indices) -> Array:
+        """Return what is felt amiss at each site, on the whole sample, (S,)."""
+        near, nearest = self._aim.near[:, sites], self._aim.nearest[:, sites]
+        price = np.where(self._aim.own, self.costs.elsewhere, self.costs.wrong)[:, None]
+        over = np.maximum(highest - (1 - _MARGIN), 0) * price
+        short = np.clip(1 + _MARGIN - highest, 0, 1 + _MARGIN - SEEN)
+        loss = np.where(near, self.costs.near * short, over).sum(axis=0)
+        for index in range(self.sample.fingers):
+            mine = self.sample.finger == index
+            there = nearest[mine]
+            least = np.where(there, short[mine], np.inf).min(axis=0)
+            loss += self.costs.silent * np.where(there.any(axis=0), least, 0)
+        return np.asarray(loss, np.float64)
+
+    def _program(
+        self, site: int, both: Indices, highest: Floats, node: NDArray[np.int32], step: float
+    ) -> "_Program":
+        """Return the linear programme of a site, of its own sample and of the mirrored one."""
+        rows: list[Floats] = []
+        limit: list[float] = []
+        slack: list[int] = []
+        price: list[float] = []
+        pool = self._pool.setdefault(int(site), {})
+        for turned, aimed in enumerate((int(site), int(self._mirror[site]))):
+            column = int(np.searchsorted(both, aimed))
+            order = self._mirror if turned else slice(None)
+            if turned and (self._mirror == np.arange(len(self._mirror))).all():
+                break
+            high, at = highest[:, column], node[:, column]
+            near = self._aim.near[:, aimed]
+            for each in np.flatnonzero(~near & (high >= _CONSIDERED)):
+                pool.setdefault((turned, int(each)), set()).add(int(at[each]))
+            mine = {each: nodes for (side, each), nodes in pool.items() if side == turned}
+            for which, nodes in mine.items():
+                rows.append(self.sample.rows[sorted(nodes)][:, order])
+                limit += [1 - _MARGIN] * len(nodes)
+                slack += [len(price)] * len(nodes)
+                price.append(self.costs.elsewhere if self._aim.own[which] else self.costs.wrong)
+            wanted = np.flatnonzero(near & (high >= SEEN))
+            nearest = self._nearest(high, aimed)
+            for found, cost in ((wanted, self.costs.near), (nearest, self.costs.silent)):
+                rows.append(-self.sample.rows[at[found]][:, order])
+                limit += [-1 - _MARGIN] * len(found)
+                slack += range(len(price), len(price) + len(found))
+                price += [cost] * len(found)
+        self.rows[int(site)] = len(limit)
+        full = self._start_ma[site]
+        return _Program(
+            np.concatenate(rows).astype(np.float64), np.array(limit), np.array(slack, np.intp),
+            np.array(price), self.current_ma[site].copy(), step, float(np.abs(full).max()),
+            float(np.abs(full).sum()), np.isin(np.arange(len(full)), self.profile.driven),
+        )  # fmt: skip
+
+    def _nearest(self, high: Floats, site: int) -> Indices:
+        """Return the afferent of each finger, within half a pitch, that is nearest to firing."""
+        there = np.flatnonzero(self._aim.nearest[:, site] & (high >= SEEN))
+        order = there[np.lexsort((-high[there], self.sample.finger[there]))]
+        _, first = np.unique(self.sample.finger[order], return_index=True)
+        return np.asarray(order[first])
+
+
+class _Program(NamedTuple):
+    """Linear programme of a site: prices·slacks, rows·w − slack ≤ limit."""
+
+    rows: Array
+    limit: Array
+    slack: Indices
+    price: Array
+    current_ma: Array
+    step: float
+    electrode_ma: float
+    sum_ma: float
+    driven: NDArray[np.bool_]
+
+
+def _solved(*given: object) -> Array:
+    """Return the currents of a programme, (E,) mA."""
+    from scipy import optimize
+    from scipy.sparse import csr_array, eye_array, hstack, vstack
+
+    program = _Program(*given)  # type: ignore[arg-type]
+    count, slacks = program.rows.shape[1], len(program.price)
+    picks = csr_array(
+        (-np.ones(len(program.slack)), (np.arange(len(program.slack)), program.slack)),
+        shape=(len(program.slack), slacks),
+    )
+    eye, none = eye_array(count), csr_array((count, slacks))
+    above = vstack(
+        [
+            hstack([csr_array(program.rows), csr_array((len(program.rows), count)), picks]),
+            hstack([eye, -eye, none]),
+            hstack([-eye, -eye, none]),
+            csr_array(np.r_[np.zeros(count), np.ones(count), np.zeros(slacks)][None]),
+        ],
+        format="csr",
+    )
+    limit = np.r_[program.limit, np.zeros(2 * count), program.sum_ma]
+    most = program.electrode_ma * program.driven
+    reach = program.step * program.electrode_ma
+    lower = np.clip(program.current_ma - reach, -most, most)
+    upper = np.clip(program.current_ma + reach, -most, most)
+    bounds = np.concatenate(
+        [
+            np.c_[lower, upper],
+            np.c_[np.zeros(count), most],
+            np.c_[np.zeros(slacks), np.full(slacks, np.inf)],
+        ]
+    )
+    # Of equally good patterns the one of least current.
+    cost = np.r_[np.zeros(count), np.full(count, 1e-5), program.price]
+    balance = csr_array(np.r_[np.ones(count), np.zeros(count + slacks)][None])
+    solve: Any = optimize.linprog
+    found = solve(cost, above, limit, balance, [0.0], bounds, method="highs-ds")
+    if found.x is None:
+        raise DesignError(
+            f"the solver gave up ({found.message}): check the depths and sizes of the profile",
+            about="solver",
+            problem="failed",
+            value=found.status,
+        )
+    return np.asarray(found.x[:count])

@@ -1,0 +1,116 @@
+"""Kernels of a profile whose objective is the finger."""
+
+import time
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.afferent import Afferent
+from smarttouch.kernels.bank import KernelBank, load_bank
+from smarttouch.kernels.batch import Timed, keep_kernel, kept_kernel
+from smarttouch.kernels.finger_design import FingerDesign
+from smarttouch.kernels.finger_sample import FingerSample
+from smarttouch.kernels.problem import Kernel, Problem
+from smarttouch.physiology.anatomy import load_anatomy
+from smarttouch.physiology.finger import Finger
+from smarttouch.profile import Profile
+from smarttouch.profile.kernels import Kernels
+
+FIRST_SEED = 10_001
+"""Seed of the first finger of a design: those from 1 on are left to judge it."""
+
+
+class FingerKernels:
+    """Designer of the kernels of a profile, on the fingers that its table ``kernels`` names."""
+
+    def __init__(self, profile: Profile) -> None:
+        self.profile = profile
+        self.anatomy = load_anatomy(profile.kernels.anatomy)
+        self._problems: dict[Afferent, Problem] = {}
+
+    def problem(self, afferent: Afferent) -> Problem:
+        """Return the problem of a class at nodes."""
+        if afferent not in self._problems:
+            self._problems[afferent] = Problem(self.profile, afferent)
+        return self._problems[afferent]
+
+    def kernels(
+        self,
+        afferent: Afferent,
+        sites: Sequence[int],
+        progress: Callable[[int, int], None] | None = None,
+        keep: Path | None = None,
+    ) -> list[Timed]:
+        """Return kernels with the seconds that each took; weights are parts of the full current.
+
+        Parameters
+        ----------
+        afferent : Afferent
+        sites : sequence of int
+        progress : callable, optional
+            Is given how many rounds are done, of how many.
+        keep : Path, optional
+            Folder in which finished classes are kept, and looked for first.
+
+        Raises
+        ------
+        DesignError
+            If there is no such site, or the skin is layered.
+        """
+        problem = self.problem(afferent)
+        for site in sites:
+            problem.check_site(site)
+        found = [kept_kernel(keep, problem, site) for site in sites]
+        if not all(found):
+            found = [*self._designed(problem, np.array(sites, np.intp), progress)]
+            for site, each in zip(sites, found, strict=True):
+                if keep is not None and each is not None:
+                    keep_kernel(keep, problem, site, *each)
+        return [each for each in found if each is not None]
+
+    def _designed(
+        self, problem: Problem, sites: NDArray[np.intp], progress: Callable[[int, int], None] | None
+    ) -> list[Timed]:
+        began = time.perf_counter()
+        design = FingerDesign(
+            self.profile, problem.afferent, self._sample, self._start_ma(problem.afferent),
+            self._mirror(problem),
+        )  # fmt: skip
+        current_ma = design.designed(sites, progress)
+        figures = design.figures(sites)
+        seconds = (time.perf_counter() - began) / len(sites)
+        return [
+            (Kernel(weights, float(wrong), Afferent(int(worst)), float(elsewhere)), seconds)
+            for weights, wrong, elsewhere, worst in zip(
+                current_ma / self.profile.full_ma[sites, None], *figures, strict=True
+            )
+        ]
+
+    @cached_property
+    def _sample(self) -> FingerSample:
+        fingers = [
+            Finger(self.profile, FIRST_SEED + index, self.anatomy)
+            for index in range(self.profile.kernels.fingers)
+        ]
+        most_ma = max(np.abs(self._start_ma(each)).sum(axis=1).max() for each in Afferent) / 2
+        return FingerSample.of(fingers, float(self.profile.full_ma.max()), float(most_ma))
+
+    @cached_property
+    def _at_nodes(self) -> KernelBank:
+        return load_bank(self.profile.model_copy(update={"kernels": Kernels()}))
+
+    def _start_ma(self, afferent: Afferent) -> NDArray[np.float64]:
+        return np.asarray(self._at_nodes.kernels(afferent) * self.profile.full_ma[:, None])
+
+    def _mirror(self, problem: Problem) -> NDArray[np.intp] | None:
+        """Return the permutation of left and right, if neither array nor anatomy know them."""
+        if any(self.anatomy.of(each).flat_deg % 180 != 90 for each in Afferent):
+            return None
+        place_mm = problem.profile.electrodes.position_mm
+        for move in problem.symmetries:
+            if np.allclose(place_mm[move], place_mm * [-1, 1], atol=1e-6):
+                return move
+        return None
