@@ -32,6 +32,7 @@ from smarttouch.cli.report import report
 from smarttouch.cli.run_command import RunCommand
 from smarttouch.cli.sensor import sensor
 from smarttouch.cli.stop import stop
+from smarttouch.cli.study import study
 from smarttouch.errors import SmartTouchError, TableError
 from smarttouch.named_options import named_options
 from smarttouch.posix import resource
@@ -58,6 +59,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
         "design": design,
         "figures": figures,
         "finger": finger,
+        "study": study,
         "fit-fiber": fit_fiber,
     },
 }

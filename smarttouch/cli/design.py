@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smarttouch.cli.options import ArrayOption
+from smarttouch.cli.options import ArrayOption, ClusterOption
 from smarttouch.terminal import print_table
 
 if TYPE_CHECKING:
@@ -48,9 +48,11 @@ def design(
         Path | None,
         typer.Option("--bank", metavar="NPZ", help="Design anew, and write the kernel bank."),
     ] = None,
+    cluster: ClusterOption = None,
 ) -> None:
     """Show the kernels of a profile: current patterns that reach one class of afferents."""
     from smarttouch.cli.choices import parse_afferent, require_site
+    from smarttouch.cluster import on_cluster
     from smarttouch.errors import DesignError, SmartTouchError
     from smarttouch.files import require_folder, write_json
     from smarttouch.kernels import report
@@ -91,7 +93,7 @@ def design(
             )
         modes = [afferent]
     sites = chosen.driven.tolist() if site is None else [site]
-    with bank_progress(quiet=False) as progress:
+    with on_cluster(cluster), bank_progress(quiet=False) as progress:
         if compare:
             shown = report.kernels_compared(chosen, modes, sites, progress)
         elif bank_file is not None:

@@ -9,6 +9,7 @@ from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.options import (
     AnatomyOption,
     ArrayOption,
+    ClusterOption,
     JsonOption,
     QuietOption,
     ScanOption,
@@ -41,10 +42,12 @@ def legibility(
     anatomy: AnatomyOption = "branched",
     json_file: JsonOption = None,
     scan: ScanOption = "auto",
+    cluster: ClusterOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Measure it: the whole chain to a simulated board, and Tesseract on what the skin got."""
     from smarttouch.cli.choices import parse_choice, parse_mode
+    from smarttouch.cluster import on_cluster
     from smarttouch.files import require_folder, write_json
     from smarttouch.kernels.bank import load_bank
     from smarttouch.monitor.progress import bank_progress, lines_progress
@@ -66,7 +69,7 @@ def legibility(
         bank = load_bank(chosen, progress)
     sharing = RunConfig(scan=parse_choice("scan", scan, SCANS)).sharing(chosen)
     reading = Reading(chosen, bank, presentation.tone, motion, parse_mode(mode), sharing)
-    with lines_progress(quiet) as advance:
+    with on_cluster(cluster), lines_progress(quiet) as advance:
         found = measure_legibility(text, reading, presentation, truth, advance, fingers, anatomy)
     figures = {"source": source, "profile": chosen.name, "notes": notes, **found.figures}
     if json_file is not None:

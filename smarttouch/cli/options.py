@@ -54,6 +54,10 @@ AnatomyOption = Annotated[
         help="Of simulated fingers: branched or paper.",
     ),
 ]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="Dask scheduler that does the work: tcp://HOST:8786."),
+]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Show nothing but errors.")]
 ScanOption = Annotated[
     str,

@@ -107,7 +107,11 @@ class FingerDesign:
         self.profile, self.afferent, self.sample = profile, afferent, sample
         self.current_ma = np.array(start_ma, np.float64)
         self.costs = costs or Costs()
-        self._start_ma = start_ma
+        self._start_ma = np.asarray(start_ma, np.float64)
+        self._driven = np.isin(np.arange(len(start_ma)), profile.driven)
+        # Sequences hold whole µA: every electrode keeps room to be rounded up.
+        limits = np.array(profile.limits.electrode_ma or np.full(len(start_ma), np.inf))
+        self._limit_ma = np.maximum(limits - len(start_ma) / 1000, 0)
         self._aim = Aim.of(profile, afferent, sample)
         self._mirror = np.arange(len(start_ma)) if mirror is None else mirror
         self._pool: dict[int, dict[tuple[int, int], set[int]]] = {}
@@ -210,11 +214,12 @@ class FingerDesign:
                 slack += range(len(price), len(price) + len(found))
                 price += [cost] * len(found)
         self.rows[int(site)] = len(limit)
-        full = self._start_ma[site]
+        full = np.abs(self._start_ma[site])
+        most_ma = np.where(self._driven, np.minimum(full.max(), self._limit_ma), 0.0)
         return _Program(
             np.concatenate(rows).astype(np.float64), np.array(limit), np.array(slack, np.intp),
-            np.array(price), self.current_ma[site].copy(), step, float(np.abs(full).max()),
-            float(np.abs(full).sum()), np.isin(np.arange(len(full)), self.profile.driven),
+            np.array(price), self.current_ma[site].copy(), step * full.max(),
+            np.maximum(most_ma, full), float(full.sum()),
         )  # fmt: skip
 
     def _nearest(self, high: Floats, site: int) -> Indices:
@@ -233,10 +238,9 @@ class _Program(NamedTuple):
     slack: Indices
     price: Array
     current_ma: Array
-    step: float
-    electrode_ma: float
+    step_ma: float
+    most_ma: Array
     sum_ma: float
-    driven: NDArray[np.bool_]
 
 
 def _solved(*given: object) -> Array:
@@ -261,10 +265,9 @@ def _solved(*given: object) -> Array:
         format="csr",
     )
     limit = np.r_[program.limit, np.zeros(2 * count), program.sum_ma]
-    most = program.electrode_ma * program.driven
-    reach = program.step * program.electrode_ma
-    lower = np.clip(program.current_ma - reach, -most, most)
-    upper = np.clip(program.current_ma + reach, -most, most)
+    most = program.most_ma
+    lower = np.clip(program.current_ma - program.step_ma, -most, most)
+    upper = np.clip(program.current_ma + program.step_ma, -most, most)
     bounds = np.concatenate(
         [
             np.c_[lower, upper],

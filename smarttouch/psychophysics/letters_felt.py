@@ -5,7 +5,7 @@ the answers of one receptor under each electrode, at the nerve from the spikes, 
 receptors are. No person was asked; errors at the nerve are of this reader, not of readers.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean, median
 
@@ -18,7 +18,7 @@ from smarttouch.errors import ExperimentError
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.felt import Felt, felt, felt_map, over
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.physiology.spikes import Slots, SpikeModel
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.letters import ALPHABET, draw_letter
 from smarttouch.running.config import RunConfig
@@ -60,10 +60,15 @@ def letter_sequence(
 
 
 def letter_sequences(
-    letters: str, profile: Profile, bank: KernelBank, mode: Mode
+    letters: str,
+    profile: Profile,
+    bank: KernelBank,
+    mode: Mode,
+    scan: str = "auto",
+    intensity: float = 1.0,
 ) -> dict[str, tuple[ScanSequence, NDArray[np.bool_]]]:
     """Return `letter_sequence` of each letter; what scans are made of is prepared once."""
-    pipeline = Pipeline(profile, bank, RunConfig(mode=mode))
+    pipeline = Pipeline(profile, bank, RunConfig(mode=mode, scan=scan))
     force_n = profile.force.full_n
     period_us = round(1e6 / profile.pulse.rate_hz)
     after_ramp_ns = int(1e9 * (profile.limits.ramp_s + 1))
@@ -71,10 +76,10 @@ def letter_sequences(
     for number, letter in enumerate(letters):
         drawn = draw_letter(letter, profile)
         activation = np.zeros((len(Afferent), len(drawn)), np.float32)
-        activation[mode.afferents[0]] = drawn
+        activation[list(mode.afferents)] = drawn
         pipeline.restart_softly()
         for time_ns in (2 * number * after_ramp_ns, (2 * number + 1) * after_ramp_ns):
-            step = pipeline.process(Stimulus(activation, time_ns, force_n, period_us))
+            step = pipeline.process(Stimulus(activation, time_ns, force_n, period_us), intensity)
         shown[letter] = step.sequence, drawn > 0
     return shown
 
@@ -106,22 +111,41 @@ def feel_letters(
         Is given the number of finished fingers and of all.
     """
     shown = letter_sequences(letters, profile, bank, mode)
-    places = profile.electrodes.position_mm
-    known = _templates(profile)
-    found = []
+    known = letter_templates(profile)
+    found: list[LetterFelt] = []
     for done, seed in enumerate(seeds):
         finger = Finger(profile, seed, anatomy)
-        model = SpikeModel(finger, seed)
-        for letter, (sequence, active) in shown.items():
-            model.begin_anew()
-            above = model.drive(sequence.current_ua, sequence.width_us)
-            counts = np.sum([model.fire(sequence, above).counts for _ in range(_PERIODS)], axis=0)
-            spread = felt_map(finger, counts, places).sum(axis=0)
-            read_as = _most_like(spread, known)
-            found.append(
-                LetterFelt(letter, seed, felt(finger, counts, active, mode.afferents), read_as)
-            )
+        found += letters_on_finger(finger, shown, mode.afferents, known)
         progress(done + 1, len(seeds))
+    return found
+
+
+def letters_on_finger(
+    finger: Finger,
+    shown: Mapping[str, tuple[Slots, NDArray[np.bool_]]],
+    wanted: Sequence[Afferent],
+    known: Mapping[str, Floats],
+) -> list[LetterFelt]:
+    """Return what a finger feels of letters, each for ten periods.
+
+    Parameters
+    ----------
+    finger : Finger
+        Its seed is that of the noise, too.
+    shown : mapping of str to (Slots, ndarray)
+        Slots and electrodes of each letter, see `letter_sequences`.
+    wanted : sequence of Afferent
+    known : mapping of str to ndarray
+        See `letter_templates`.
+    """
+    model, places = SpikeModel(finger, finger.seed), finger.profile.electrodes.position_mm
+    found = []
+    for letter, (slots, active) in shown.items():
+        model.begin_anew()
+        above = model.drive(slots.current_ua, slots.width_us)
+        counts = np.sum([model.fire(slots, above).counts for _ in range(_PERIODS)], axis=0)
+        read_as = _most_like(felt_map(finger, counts, places).sum(axis=0), known)
+        found.append(LetterFelt(letter, finger.seed, felt(finger, counts, active, wanted), read_as))
     return found
 
 
@@ -130,7 +154,7 @@ def read_at_board(
 ) -> dict[str, str]:
     """Return what each letter is read as from the answers under the electrodes."""
     answers = Perception(profile, bank, mode.afferents)
-    known = _templates(profile)
+    known = letter_templates(profile)
     read = {}
     for letter, (sequence, _) in letter_sequences(letters, profile, bank, mode).items():
         width = sequence.width_us.astype(np.float32)
@@ -162,11 +186,12 @@ def fired(found: Sequence[LetterFelt]) -> dict[str, float]:
     return {each.name: median(one.felt.afferents[each] for one in found) for each in Afferent}
 
 
-def _templates(profile: Profile) -> dict[str, Floats]:
+def letter_templates(profile: Profile) -> dict[str, Floats]:
+    """Return the letters of the alphabet as they are meant, with mean 0 and length 1."""
     return {each: _centered(draw_letter(each, profile)) for each in ALPHABET}
 
 
-def _most_like(values: Floats, known: dict[str, Floats]) -> str:
+def _most_like(values: Floats, known: Mapping[str, Floats]) -> str:
     if not values.any():
         return ""
     mine = _centered(values)

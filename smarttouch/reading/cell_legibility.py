@@ -2,12 +2,14 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import TypeVar
 
 from smarttouch.braille.tables import open_table
 from smarttouch.reading.braille import Braille
-from smarttouch.reading.deliver import DeliveredLine, Reading, deliver_lines
+from smarttouch.reading.deliver import Reading, deliver_lines
 from smarttouch.reading.source import Source
 
+_Item = TypeVar("_Item")
 Progress = Callable[[int, int], None]
 """Callback with the number of finished lines and of all."""
 
@@ -88,11 +90,9 @@ def legibility_of_braille(
     )
 
 
-def kept(
-    lines: Iterable[DeliveredLine], before: int, total: int, progress: Progress
-) -> list[DeliveredLine]:
-    """Return all lines, and report each as it comes."""
-    found: list[DeliveredLine] = []
+def kept(lines: Iterable[_Item], before: int, total: int, progress: Progress) -> list[_Item]:
+    """Return all lines, or fingers, and report each as it comes."""
+    found: list[_Item] = []
     for line in lines:
         found.append(line)
         progress(before + len(found), total)

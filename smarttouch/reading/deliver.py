@@ -43,6 +43,8 @@ class Reading:
     mode : Mode
     sharing : SlotPolicy
         Classes whose points share slots.
+    intensity : float, in [0, 1]
+        Of the strongest comfortable current.
     """
 
     profile: Profile
@@ -51,6 +53,7 @@ class Reading:
     motion: Motion
     mode: Mode = Mode.RA
     sharing: SlotPolicy = NO_SHARING
+    intensity: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +104,9 @@ def deliver_pulses(line: TouchLine, reading: Reading) -> DeliveredLine:
     source = ReadingSource("a line", profile, feed, cursor)
     feed.wait_for_end()
     answers = DeliveredAnswers(profile, reading.bank, reading.mode.afferents)
-    config = RunConfig(mode=reading.mode, tone=reading.tone, scan=reading.sharing)
+    config = RunConfig(
+        mode=reading.mode, tone=reading.tone, scan=reading.sharing, intensity=reading.intensity
+    )
     with Display("simulated:", profile) as display:
         Runner(
             source,

@@ -1,11 +1,12 @@
 """Legibility: the part of a text that can be recognized from the delivered pulses."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from joblib import Parallel, delayed
 
 from smarttouch.braille.files import read_text
 from smarttouch.delivered.line import LinePicture
@@ -15,7 +16,7 @@ from smarttouch.reading.braille import Braille
 from smarttouch.reading.cell_legibility import Progress, kept, legibility_of_braille, silent
 from smarttouch.reading.deliver import DeliveredLine, Reading, deliver_lines, ideal_picture
 from smarttouch.reading.error_rate import character_error_rate, word_error_rate
-from smarttouch.reading.nerve import nerve_figures, read_at_nerve
+from smarttouch.reading.nerve import NerveReading, nerve_figures, read_at_nerve
 from smarttouch.reading.ocr import Layout, recognize
 from smarttouch.reading.printed import LINE_PIXELS, recognized_lines
 from smarttouch.reading.shapes import Shapes, Style, shape_line
@@ -144,18 +145,39 @@ def legibility_at_nerve(
         ``at_board``, the error rate at the electrodes; ``at_nerve`` with ``median`` and
         ``worst_tenth``; ``wrong_class``, ``misplaced`` and ``silent_points``.
     """
-    lines = [line for page, _ in found.delivered for line in page]
-    readings, errors = [], []
-    for seed in range(1, fingers + 1):
-        finger = Finger(reading.profile, seed, anatomy)
-        readings.append(read_at_nerve(lines, finger, reading.mode.afferents))
-        pictures = iter(readings[-1].pictures)
-        texts = [
-            _read([next(pictures) for _ in page], languages) for page, languages in found.delivered
-        ]
-        errors.append(character_error_rate(found.truth, "\n".join(texts)))
-        progress(seed, fingers)
+    work = Parallel(n_jobs=-1, return_as="generator", max_nbytes=None)
+    seeds = range(1, fingers + 1)
+    each = work(delayed(legibility_on_finger)(found, reading, seed, anatomy) for seed in seeds)
+    readings, errors = zip(*kept(each, 0, fingers, progress), strict=True)
     return {"at_board": found.character_error_rate, **nerve_figures(readings, errors)}
+
+
+def legibility_on_finger(
+    found: Legibility, reading: Reading, seed: int, anatomy: str | Anatomy
+) -> tuple[NerveReading, float]:
+    """Let one finger feel delivered letter shapes; return what it felt, and the error rate.
+
+    Parameters
+    ----------
+    found, reading, anatomy
+        See `legibility_at_nerve`.
+    seed : int
+        Of the finger.
+
+    Returns
+    -------
+    NerveReading
+        Without its pictures.
+    float
+        Error rate of characters.
+    """
+    lines = [line for page, _ in found.delivered for line in page]
+    felt = read_at_nerve(lines, Finger(reading.profile, seed, anatomy), reading.mode.afferents)
+    pictures = iter(felt.pictures)
+    texts = [
+        _read([next(pictures) for _ in page], languages) for page, languages in found.delivered
+    ]
+    return replace(felt, pictures=[]), character_error_rate(found.truth, "\n".join(texts))
 
 
 def _read(pictures: Sequence[LinePicture], languages: str) -> str:

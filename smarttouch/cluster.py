@@ -1,0 +1,52 @@
+"""Work that joblib hands to the user's Dask cluster."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from smarttouch.errors import SmartTouchError
+
+_ANSWERS_WITHIN_S = 10
+
+
+@contextmanager
+def on_cluster(address: str | None) -> Iterator[None]:
+    """Let what is within run on a Dask cluster; here if there is no address.
+
+    Parameters
+    ----------
+    address : str or None
+        Of its scheduler, as ``tcp://HOST:8786``. Its workers need this version of SmartTouch.
+
+    Raises
+    ------
+    SmartTouchError
+        If Dask is not installed, or no scheduler answers there.
+    """
+    if address is None:
+        yield
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise SmartTouchError(
+            "a cluster needs Dask: install it with the extra, pip install 'smarttouch[cluster]'",
+            about="cluster",
+            problem="missing",
+            remedy="pip install 'smarttouch[cluster]'",
+        ) from None
+    from joblib import parallel_config
+
+    try:
+        connect: Any = Client
+        client = connect(address, timeout=_ANSWERS_WITHIN_S, set_as_default=False)
+    except (OSError, ValueError, ImportError) as error:
+        raise SmartTouchError(
+            f"no Dask scheduler answers at {address!r} ({error or type(error).__name__}): give its "
+            "address as tcp://HOST:8786",
+            about="cluster",
+            problem="unreachable",
+            value=address,
+        ) from None
+    with client, parallel_config("dask", client=client, wait_for_workers_timeout=60):
+        yield

@@ -1,0 +1,146 @@
+"""Rows of a study: what one finger feels of one pattern in one choice."""
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import astuple, dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.afferent import Afferent
+from smarttouch.physiology.anatomy import Anatomy
+from smarttouch.physiology.finger import Finger
+from smarttouch.profile import Profile
+from smarttouch.psychophysics.letters_felt import letter_templates, letters_on_finger
+from smarttouch.studies.grid import Shown
+
+
+@dataclass(frozen=True)
+class Row:
+    """One finger and one pattern.
+
+    Attributes
+    ----------
+    profile, anatomy, finger, kernels, mode, scan, intensity
+        What was chosen; the finger is its seed.
+    pattern : str
+        A letter, or the name of a page.
+    read_as : str
+        Letter that was read of the spikes; nothing for a page.
+    error : float
+        1 where a letter was read as another, else 0; of a page the error rate of characters.
+    silent_points, wrong_class, misplaced : float
+        See `felt.Felt`; NaN without a spike.
+    spikes : int
+        All spikes of a letter in ten periods.
+    ra, sai, pc : int
+        Afferents that fired.
+    slots : int
+        Slots of a period.
+    total_ma : float
+        Mean total current of a slot.
+    """
+
+    profile: str
+    anatomy: str
+    finger: int
+    kernels: str
+    mode: str
+    scan: str
+    intensity: float
+    pattern: str
+    read_as: str
+    error: float
+    silent_points: float
+    wrong_class: float
+    misplaced: float
+    spikes: int
+    ra: int
+    sai: int
+    pc: int
+    slots: int
+    total_ma: float
+
+
+HEADING = tuple(each.name for each in fields(Row))
+_KINDS = {"str": str, "int": int, "float": float}
+"""Kinds of the columns by their names."""
+
+
+def rows_of_finger(
+    profile: Profile, anatomy: Anatomy, name: str, seed: int, shown: Sequence[Shown]
+) -> list[Row]:
+    """Return what one finger feels of all letters in all choices.
+
+    Parameters
+    ----------
+    profile : Profile
+    anatomy : Anatomy
+    name : str
+        Of the anatomy, as the study has it.
+    seed : int
+        Of the finger.
+    shown : sequence of Shown
+        Of this profile.
+    """
+    from threadpoolctl import threadpool_limits
+
+    known, rows = letter_templates(profile), []
+    # One finger is one piece of work: the same numbers wherever it is done.
+    with threadpool_limits(limits=1, user_api="blas"):
+        finger = Finger(profile, seed, anatomy)
+        for each in shown:
+            choice = each.choice
+            for one in letters_on_finger(finger, each.letters, each.wanted, known):
+                slots = each.letters[one.letter][0]
+                felt = one.felt
+                rows.append(
+                    Row(
+                        profile=choice.profile,
+                        anatomy=name,
+                        finger=seed,
+                        kernels=choice.kernels,
+                        mode=choice.mode,
+                        scan=choice.scan,
+                        intensity=choice.intensity,
+                        pattern=one.letter,
+                        read_as=one.read_as,
+                        error=float(one.read_as != one.letter),
+                        silent_points=felt.silent_points,
+                        wrong_class=felt.wrong_class,
+                        misplaced=felt.misplaced,
+                        spikes=felt.spikes,
+                        ra=felt.afferents[Afferent.RA],
+                        sai=felt.afferents[Afferent.SAI],
+                        pc=felt.afferents[Afferent.PC],
+                        slots=len(slots.width_us),
+                        total_ma=total_ma([slots.current_ua]),
+                    )
+                )
+    return rows
+
+
+def as_csv(rows: Iterable[Row]) -> str:
+    """Return rows as CSV with a heading; numbers read back as they were."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(HEADING)
+    writer.writerows(astuple(row) for row in rows)
+    return text.getvalue()
+
+
+def from_csv(text: str) -> list[Row]:
+    """Return the rows of a CSV text; ValueError if it is none of a study."""
+    heading, *lines = csv.reader(io.StringIO(text, newline=""))
+    if tuple(heading) != HEADING:
+        raise ValueError("its columns are others")
+    kinds: list[Any] = [_KINDS[getattr(each.type, "__name__", "")] for each in fields(Row)]
+    return [Row(*(kind(cell) for kind, cell in zip(kinds, line, strict=True))) for line in lines]
+
+
+def total_ma(parts: Sequence[NDArray[np.int16]]) -> float:
+    """Return the mean total current of slots, (S, E) µA each part."""
+    slots = sum(map(len, parts))
+    return sum(int(np.abs(each.astype(np.int64)).sum()) for each in parts) / 2000 / max(1, slots)

@@ -1,0 +1,189 @@
+"""A study from its plan to its table: finger by finger, on all cores, resumable."""
+
+import hashlib
+import json
+import warnings
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from smarttouch.errors import SmartTouchError
+from smarttouch.files import read_text, write_bytes
+from smarttouch.physiology.anatomy import Anatomy, load_anatomy
+from smarttouch.profile import Profile
+from smarttouch.studies.grid import Advance, Grid, choices
+from smarttouch.studies.pages import ShownPage, row_of_page
+from smarttouch.studies.plan import Study
+from smarttouch.studies.rows import Row, as_csv, from_csv, rows_of_finger
+
+VERSION = 1
+"""Version of the rows, raised when the same study would get others."""
+ROWS_FILE = "rows.csv"
+_PARTS = "parts"
+_MOST_PART_BYTES = 100_000_000
+
+_Rows = Callable[[], list[Row]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """One finger with all of its letters, or with one page.
+
+    Attributes
+    ----------
+    file : Path
+        Where its rows are kept.
+    prepared : callable
+        Returns what makes its rows, wherever that is done.
+    """
+
+    file: Path
+    prepared: Callable[[], _Rows]
+
+
+def run_study(
+    study: Study,
+    beside: Path,
+    folder: Path,
+    designing: Advance | None = None,
+    progress: Advance | None = None,
+) -> list[Row]:
+    """Run a study, or what is left of it, and write its table.
+
+    The work goes through `joblib.Parallel`: on all cores, or wherever ``joblib.parallel_config``
+    sends it. Rows of finished fingers are kept in the folder, each finger's in a file of its own,
+    and are used again where all that they depend on is the same.
+
+    Parameters
+    ----------
+    study : Study
+    beside : Path
+        Folder from which the study names files.
+    folder : Path
+        Where to; made if missing.
+    designing, progress : callable, optional
+        Are given how many sites of a bank, and fingers, are done, of how many.
+
+    Returns
+    -------
+    list of Row
+        By profile, anatomy, finger, choice and letter, then by page; also in ``rows.csv``.
+
+    Raises
+    ------
+    SmartTouchError
+        If something is named that is not there, or the folder cannot be written.
+    """
+    parts = folder / _PARTS
+    try:
+        parts.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SmartTouchError(
+            f"cannot make the folder {folder}: {error.strerror}",
+            about="output",
+            problem="unwritable",
+            value=folder,
+        ) from None
+    grid = Grid(study, beside, designing)
+    work = [*_letters(grid, parts), *_pages(grid, parts)]
+    kept = {each.file: _kept(each.file) for each in work}
+    missing = [each for each in work if kept[each.file] is None]
+    done = len(work) - len(missing)
+    with closing(_made(missing)) as made:
+        for index, rows in made:
+            path = missing[index].file
+            half = path.with_suffix(".part")
+            write_bytes(half, as_csv(rows).encode())
+            half.replace(path)
+            kept[path] = rows
+            done += 1
+            if progress is not None:
+                progress(done, len(work))
+    found = [row for each in work for row in kept[each.file] or []]
+    write_bytes(folder / ROWS_FILE, as_csv(found).encode())
+    return found
+
+
+def _letters(grid: Grid, parts: Path) -> Iterator[_Work]:
+    if not grid.study.letters:
+        return
+    for name, profile in grid.profiles.items():
+        shown = grid.shown(name)
+        digest = " ".join(each.digest() for each in shown)
+        for course, anatomy, seed in _fingers(grid):
+            rows = partial(rows_of_finger, profile, anatomy, course, seed, shown)
+            # What is prepared here is ready.
+            yield _Work(_file(parts, digest, profile, anatomy, course, seed), partial(_same, rows))
+
+
+def _pages(grid: Grid, parts: Path) -> Iterator[_Work]:
+    for page in grid.study.pages:
+        for choice in choices(grid.study):
+            shown = ShownPage(grid, choice, page)
+            digest, profile = shown.digest(), grid.profiles[choice.profile]
+            for course, anatomy, seed in _fingers(grid):
+                yield _Work(
+                    _file(parts, digest, profile, anatomy, course, seed),
+                    partial(_page_rows, shown, anatomy, course, seed),
+                )
+
+
+def _page_rows(shown: ShownPage, anatomy: Anatomy, course: str, seed: int) -> _Rows:
+    found, reading = shown.delivered, shown.reading
+    return partial(row_of_page, found, reading, shown.choice, shown.page, anatomy, course, seed)
+
+
+def _same(rows: _Rows) -> _Rows:
+    return rows
+
+
+def _fingers(grid: Grid) -> Iterator[tuple[str, Anatomy, int]]:
+    for course in grid.study.anatomies:
+        anatomy = load_anatomy(grid.file(course))
+        for seed in range(1, grid.study.fingers + 1):
+            yield course, anatomy, seed
+
+
+def _file(
+    parts: Path, digest: str, profile: Profile, anatomy: Anatomy, course: str, seed: int
+) -> Path:
+    """Return the file of rows that depend on these, and on nothing else."""
+    told = [
+        VERSION, digest, course, seed, profile.model_dump(mode="json"),
+        anatomy.model_dump(mode="json"),
+    ]  # fmt: skip
+    key = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+    return parts / f"{key[:24]}.csv"
+
+
+def _made(work: Sequence[_Work]) -> Generator[tuple[int, list[Row]], None, None]:
+    """Yield rows as they are ready, with the index of what they are of."""
+    from joblib import Parallel, delayed
+
+    many = Parallel(n_jobs=-1, return_as="generator_unordered", max_nbytes=None)
+    made = many(delayed(_numbered)(index, each.prepared()) for index, each in enumerate(work))
+    try:
+        for each in made:  # noqa: UP028, as the other way would close it outside of this
+            yield each
+    finally:
+        with warnings.catch_warnings():
+            # That what was under way is thrown away is as it should be.
+            warnings.simplefilter("ignore", UserWarning)
+            made.close()
+
+
+def _numbered(index: int, rows: _Rows) -> tuple[int, list[Row]]:
+    return index, rows()
+
+
+def _kept(path: Path) -> list[Row] | None:
+    """Return the rows of a finished finger, if its file is whole."""
+    if not path.is_file():
+        return None
+    try:
+        return from_csv(read_text(path, SmartTouchError, _MOST_PART_BYTES))
+    except (SmartTouchError, ValueError, TypeError):
+        # It is felt anew: that is slow, not wrong.
+        return None
