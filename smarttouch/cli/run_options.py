@@ -135,6 +135,12 @@ class RunOptions(OptionGroup):
         typer.Option(metavar="[PORT]", help="Page in a browser."),
     ] = None
     quiet: QuietOption = False
+    plain: Annotated[
+        bool, typer.Option("--plain", help="A line for each event; nothing is drawn.")
+    ] = False
+    speak: Annotated[
+        bool, typer.Option("--speak", help="Say lines and events (speech-dispatcher).")
+    ] = False
 
     def __post_init__(self) -> None:
         for output in (self.felt, self.record, self.json_file):

@@ -16,8 +16,12 @@ class BlindScreen(Screen):
 
     def event(self, event: Event) -> None:
         """Show the newest event, unless it would tell the answer."""
-        if not event.reveals:
+        if not self.hides(event):
             super().event(event)
+
+    def hides(self, event: Event) -> bool:
+        """Return whether an event would tell the answer."""
+        return event.reveals
 
     def _render(self) -> Group | Text:
         sent = self._latest

@@ -1,5 +1,6 @@
 """The terminal while a finger reads: limits, keys, source, electrodes, rate."""
 
+import re
 import sys
 import textwrap
 from itertools import zip_longest
@@ -35,7 +36,8 @@ Rows = tuple[tuple[str, str], ...]
 class Screen(Listener):
     """Shows a run as it goes, from a thread of its own, and sums it up.
 
-    On anything but a terminal only notes and the summary are printed; when quiet, nothing.
+    Where nothing can be drawn, it prints a line for each event and for each new title of the
+    source instead; when quiet, nothing.
 
     Parameters
     ----------
@@ -45,12 +47,17 @@ class Screen(Listener):
         Show nothing.
     keys_help : str
         Words on keys of the source.
+    plain : bool
+        Draw nothing, on a terminal either.
     """
 
-    def __init__(self, url: str, quiet: bool, keys_help: str = "") -> None:
+    def __init__(self, url: str, quiet: bool, keys_help: str = "", plain: bool = False) -> None:
         super().__init__()
         self._url, self._quiet = url, quiet
         self._console = terminal.console()
+        drawn = self._console.is_terminal and not self._console.is_dumb_terminal
+        self._plain = not quiet and (plain or not drawn)
+        self._told = ""
         self._latest: StepResult | None = None
         self._event = ""
         self._keys = keys_help + _KEYS
@@ -62,7 +69,12 @@ class Screen(Listener):
         self._board, self._statistics = run.board, run.statistics
         self._array = ArrayPicture(run.profile)
         self._full_ma = float(run.profile.full_ma.max())
-        if self._quiet or not self._console.is_terminal:
+        if self._plain:
+            self._told = run.source.title
+            self._print(f"{self._told}, {run.profile.title}, {self._url}")
+            if sys.stdin.isatty():
+                self._print(f"keys: {', '.join(re.split(' {2,}', self._keys))}")
+        if self._quiet or self._plain:
             return
         # Drawing must not hold the loop up for a whole default interval of 5 ms.
         self._interval = sys.getswitchinterval()
@@ -78,6 +90,10 @@ class Screen(Listener):
     def step(self, result: StepResult) -> None:
         """Keep the newest; the screen's own thread draws it when it gets to it."""
         self._latest = result
+        title = self._source.title
+        if self._plain and title != self._told:
+            self._told = title
+            self._print(f"{result.step.input.time_ns / 1e9:.1f} s: {title}")
 
     def event(self, event: Event) -> None:
         """Show the newest event; advice stays."""
@@ -85,6 +101,12 @@ class Screen(Listener):
         if isinstance(event, Advice) and not self._quiet:
             console = terminal.console(stderr=True) if self._live is None else self._console
             console.print(str(event), soft_wrap=True, highlight=False, markup=False)
+        elif self._plain:
+            self._print(self._event)
+
+    def hides(self, event: Event) -> bool:
+        """Return whether an event is kept from whoever sees the screen."""
+        return False
 
     def finish(self, run: RunContext) -> None:
         """Leave the terminal to what is printed from now on."""
@@ -96,6 +118,9 @@ class Screen(Listener):
         if live is not None:
             live.stop()
             sys.setswitchinterval(self._interval)
+
+    def _print(self, line: str) -> None:
+        self._console.print(line, soft_wrap=True, highlight=False, markup=False)
 
     def _render(self) -> Group | Text:
         """Draw all of it, as high whatever it says, in the rows that there are."""
@@ -186,7 +211,7 @@ class Screen(Listener):
         lines = summary_lines(figures, acknowledges=self._board.capabilities.acknowledges)
         wrote = (f"wrote {path}" for path in files)
         for line in (lines[0], *(f"  {each}" for each in (*lines[1:], *notes, *wrote))):
-            self._console.print(line, soft_wrap=True, highlight=False)
+            self._print(line)
 
 
 def _beside(shared: tuple[float, float] | None) -> str:

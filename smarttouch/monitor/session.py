@@ -16,6 +16,7 @@ from smarttouch.monitor.driving import ending_in_order, opened, the_stop
 from smarttouch.monitor.keyboard import LOST, keyboard_listener
 from smarttouch.monitor.progress import bank_progress
 from smarttouch.monitor.screen import Screen
+from smarttouch.monitor.speech import Speech
 from smarttouch.outputs import output_listeners
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
@@ -36,7 +37,7 @@ Keys = Mapping[str, Callable[[], None]]
 
 @dataclass(frozen=True, kw_only=True)
 class Outputs:
-    """Files of a run, and whether anything is shown."""
+    """Files of a run, and what is shown and said of it."""
 
     felt: Path | None = None
     finger: int = 1
@@ -47,6 +48,8 @@ class Outputs:
     json_file: Path | None = None
     window: int | None = None
     quiet: bool = False
+    plain: bool = False
+    speak: bool = False
 
     def __post_init__(self) -> None:
         for output in (self.felt, self.record, self.json_file):
@@ -108,7 +111,7 @@ def run_in_terminal(
         Follow the run beside the outputs.
     """
     stop = the_stop()
-    shown = screen(display.url, outputs.quiet, keys_help)
+    shown = screen(display.url, outputs.quiet, keys_help, outputs.plain)
     typed = sys.stdin.isatty()
     windows: list[Listener] = []
     # What is drawn on a page needs one.
@@ -138,6 +141,7 @@ def run_in_terminal(
         listeners=[
             *windows,
             shown,
+            *([Speech(shown.hides)] if outputs.speak else []),
             _Keyboard(stop, keys or {}),
             *outputs.listeners(),
             *listeners,

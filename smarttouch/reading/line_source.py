@@ -64,8 +64,9 @@ class ReadingSource(OpticalSource):
         if spot.index != self.index:
             self.index = spot.index
             line = self._feed.line(self.index)
-            says = f": {line.text}" if line is not None and line.text else ""
-            self.title = f"{self._name}, line {self.index + 1}{says}"
+            if line is not None:
+                says = f": {line.text}" if line.text else ""
+                self.title = f"{self._name}, line {self.index + 1}{says}"
         image = np.full(self._shape, 255, np.uint8)
         if spot.line is not None:
             rows, columns = self._shape
