@@ -145,6 +145,7 @@ def output_listeners(
     frames: Path | None = None,
     record: Path | None = None,
     markers: bool = False,
+    foxglove: int | None = None,
 ) -> Iterator[Listener]:
     """Yield a listener for each output that is wanted."""
     if markers:
@@ -155,6 +156,10 @@ def output_listeners(
         yield FeltPicture(felt, finger, anatomy)
     if frames is not None:
         yield Patterns(frames)
+    if foxglove is not None:
+        from smarttouch.recording.foxglove import FoxgloveServer
+
+        yield FoxgloveServer(foxglove)
     if record is not None:
         from smarttouch.recording.recorder import Recorder
 

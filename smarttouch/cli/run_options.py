@@ -81,8 +81,7 @@ class RunOptions(OptionGroup):
         typer.Option(
             metavar="0..1",
             rich_help_panel=FINGER,
-            help="Of the strongest. Real boards begin at 0; keys raise it to this. Must be given "
-            "without keyboard.",
+            help="At most, of the strongest; real boards begin at 0.",
         ),
     ] = None
     softness: Annotated[
@@ -129,6 +128,10 @@ class RunOptions(OptionGroup):
             "--markers", rich_help_panel=KEPT, help="Events to the Lab Streaming Layer (extra lsl)."
         ),
     ] = False
+    foxglove: Annotated[
+        int | None,
+        typer.Option(metavar="PORT", rich_help_panel=KEPT, help="For Foxglove, live (extra)."),
+    ] = None
     json_file: JsonOption = None
     window: Annotated[
         int | None,

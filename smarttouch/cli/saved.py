@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 _NOT_KEPT = (
     "save", "settings", "intensity", "quiet", "plain", "speak", "json_file", "felt", "finger",
-    "anatomy", "frames", "record", "window", "plot", "output", "overwrite", "password", "tables",
+    "anatomy", "frames", "record", "foxglove", "window", "plot", "output", "overwrite", "password",
+    "tables",
 )  # fmt: skip
 """Names of options that are given anew for each run."""
 _PLACES = ("source", "texture", "profile", "motion", "force", "follow")

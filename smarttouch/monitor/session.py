@@ -45,6 +45,7 @@ class Outputs:
     frames: Path | None = None
     record: Path | None = None
     markers: bool = False
+    foxglove: int | None = None
     json_file: Path | None = None
     window: int | None = None
     quiet: bool = False
@@ -77,6 +78,7 @@ class Outputs:
                 frames=self.frames,
                 record=self.record,
                 markers=self.markers,
+                foxglove=self.foxglove,
             )
         ]
 

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.afferent import Afferent
+from smarttouch.electrodes import ElectrodeArray
+from smarttouch.recording.array_image import ArrayImage
 from smarttouch.recording.schemas import INFO, LAST
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.stimulus import Input, Stimulus
@@ -35,10 +37,14 @@ class StepEncoder:
     ----------
     started_unix_ns : int
         When the run began.
+    electrodes : ElectrodeArray, optional
+        Where tactile images are to be drawn, too, for those who look.
     """
 
-    def __init__(self, started_unix_ns: int) -> None:
+    def __init__(self, started_unix_ns: int, electrodes: ElectrodeArray | None = None) -> None:
         self._started_unix_ns = started_unix_ns
+        self._array = None if electrodes is None else ArrayImage(electrodes)
+        self._drawn: NDArray[np.float32] | None = None
         self._before: tuple[NDArray[np.uint8], int] | None = None
         self._numbers: OrderedDict[int, int | None] = OrderedDict()
 
@@ -46,9 +52,18 @@ class StepEncoder:
         """Yield topics and messages of a step; its image only if it is a new one."""
         step, given = result.step, result.step.input
         if given.image is not None and self._is_new(given.image, given.number):
-            yield "/frame", self._image(given.image, given.time_ns)
+            yield "/frame", self._image(given.image, given.time_ns, "sensor")
         yield "/finger", _finger(given)
         yield "/tactile", _tactile(step)
+        activation = step.tactile.activation
+        same = self._drawn is not None and np.array_equal(activation, self._drawn)
+        if self._array is not None and not same:
+            self._drawn = activation
+            picture = cv2.cvtColor(self._array.tactile(activation), cv2.COLOR_RGB2BGR)
+            yield (
+                "/tactile_image",
+                self._image(np.asarray(picture, np.uint8), given.time_ns, "finger"),
+            )
         if isinstance(given, Stimulus):
             asked = {"period_us": given.period_us, "level": float(given.level)}
             yield "/request", {**asked, "image": given.image is not None}
@@ -96,11 +111,11 @@ class StepEncoder:
             or not (image is before[0] or np.array_equal(image, before[0]))
         )
 
-    def _image(self, image: NDArray[np.uint8], time_ns: int) -> Message:
+    def _image(self, image: NDArray[np.uint8], time_ns: int, frame_id: str) -> Message:
         _, png = cv2.imencode(".png", image, _PNG)
         return {
             "timestamp": self._timestamp(time_ns),
-            "frame_id": "sensor",
+            "frame_id": frame_id,
             "data": _base64(png.tobytes()),
             "format": "png",
         }

@@ -45,7 +45,8 @@ class Recorder(Listener):
         """Start the file, with the description of the open board."""
         started_unix_ns = time.time_ns()
         about = about_run(run.profile, run.settings, started_unix_ns)
-        self._writer = RecordingWriter(self.path, about, started_unix_ns)
+        electrodes = run.profile.electrodes
+        self._writer = RecordingWriter(self.path, about, started_unix_ns, electrodes)
 
     def step(self, result: StepResult) -> None:
         """Queue a step for writing."""

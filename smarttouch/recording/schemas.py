@@ -1,7 +1,8 @@
 """JSON schemas of a recording's topics; images and log messages are Foxglove's own.
 
 Foxglove has no schema for a number by itself: its plots take any number of any
-message, so `/finger`, `/sequence` and `/board` are ours.
+message, so `/finger`, `/sequence` and `/board` are ours. `/tactile_image` shows `/tactile` to those
+who look; nothing is read from it.
 """
 
 from typing import Any
@@ -38,16 +39,15 @@ def _base64(description: str) -> dict[str, Any]:
     return {"type": "string", "contentEncoding": "base64", "description": description}
 
 
+_IMAGE = {
+    "timestamp": _TIME,
+    "frame_id": {"type": "string"},
+    "data": _base64("PNG"),
+    "format": {"type": "string"},
+}
+
 SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
-    "/frame": (
-        "foxglove.CompressedImage",
-        {
-            "timestamp": _TIME,
-            "frame_id": {"type": "string"},
-            "data": _base64("PNG"),
-            "format": {"type": "string"},
-        },
-    ),
+    "/frame": ("foxglove.CompressedImage", _IMAGE),
     "/finger": (
         "smarttouch.Finger",
         {
@@ -65,6 +65,7 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
         "smarttouch.TactileImage",
         {"RA": _ROW, "SAI": _ROW, "PC": _ROW},
     ),
+    "/tactile_image": ("foxglove.CompressedImage", _IMAGE),
     "/request": (
         "smarttouch.PulseRequest",
         {

@@ -14,6 +14,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import ChunkIndex
 from mcap.writer import Writer
 
+from smarttouch.electrodes import ElectrodeArray
 from smarttouch.errors import RecordingError
 from smarttouch.files import sync_folder, unwritable
 from smarttouch.recording.encoder import Message, StepEncoder
@@ -46,6 +47,8 @@ class RecordingWriter:
         Settings, profile and versions, kept as metadata; see `about_run`.
     started_unix_ns : int
         When the run began: times in the file are times of the day.
+    electrodes : ElectrodeArray, optional
+        Where tactile images are to be drawn, too.
 
     Raises
     ------
@@ -53,7 +56,13 @@ class RecordingWriter:
         If the file exists or cannot be written.
     """
 
-    def __init__(self, path: Path, about: dict[str, str], started_unix_ns: int) -> None:
+    def __init__(
+        self,
+        path: Path,
+        about: dict[str, str],
+        started_unix_ns: int,
+        electrodes: ElectrodeArray | None = None,
+    ) -> None:
         try:
             self._file: BinaryIO = path.open("xb")
         except FileExistsError:
@@ -67,7 +76,7 @@ class RecordingWriter:
         self._closed = False
         self._index = 0
         self._queue: queue.SimpleQueue[_Item | None] = queue.SimpleQueue()
-        self._encoder = StepEncoder(started_unix_ns)
+        self._encoder = StepEncoder(started_unix_ns, electrodes)
         self._writer = new_writer(self._file)
         self._thread = threading.Thread(target=self._write_all, name="recorder", daemon=True)
         self._guarded(self._begin, about)

@@ -59,8 +59,8 @@ def test_the_plain_reader_reads_it(recording, steps):
     assert len(summary.chunk_indexes) == summary.statistics.chunk_count > 2
     counts = {topic: len(messages) for topic, messages in found.items()}
     assert counts == {
-        "/frame": 20, "/finger": 40, "/tactile": 40, "/request": 0, "/sequence": 40, "/volts": 0,
-        "/board": 40, "/event": 2,
+        "/frame": 20, "/finger": 40, "/tactile": 40, "/tactile_image": 0, "/request": 0,
+        "/sequence": 40, "/volts": 0, "/board": 40, "/event": 2,
     }  # fmt: skip
     message, finger = found["/finger"][7]
     assert message.log_time == message.publish_time == STARTED_NS + 7 * 20_000_000

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from smarttouch.afferent import Afferent, Mode
+from smarttouch.profile import load_profile
 from smarttouch.recording.decoder import StepDecoder
 from smarttouch.recording.encoder import StepEncoder
 from smarttouch.recording.schemas import LAST, SCHEMAS
@@ -208,7 +209,7 @@ def test_an_endless_force_is_the_largest_there_is(steps, force):
 def test_messages_are_as_their_schemas_say(steps, with_volts):
     types = {"string": str, "integer": int, "number": (int, float), "boolean": bool, "array": list,
              "object": dict, "null": type(None)}  # fmt: skip
-    encoder = StepEncoder(123)
+    encoder = StepEncoder(123, load_profile("electric-mouse").electrodes)
     sent = with_volts(steps[30], (steps[30].step.sequence, np.ones(9)))
     stimulus = Stimulus(sent.step.tactile.activation, 0, 1.0, 20_000, image=sent.step.input.image)
     messages = dict(encoder.messages(replace(sent, step=replace(sent.step, input=stimulus))))
@@ -227,6 +228,7 @@ def test_messages_are_as_their_schemas_say(steps, with_volts):
     ("topic", "name", "required"),
     [
         ("/frame", "foxglove.CompressedImage", {"timestamp", "frame_id", "data", "format"}),
+        ("/tactile_image", "foxglove.CompressedImage", {"timestamp", "frame_id", "data", "format"}),
         ("/event", "foxglove.Log", {"timestamp", "level", "message", "name", "file", "line"}),
     ],
 )
