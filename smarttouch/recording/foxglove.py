@@ -8,6 +8,7 @@ from typing import Any
 
 from smarttouch.errors import SmartTouchError
 from smarttouch.events import Event
+from smarttouch.realtime import prioritized
 from smarttouch.recording.encoder import StepEncoder
 from smarttouch.recording.schemas import SCHEMAS, schema
 from smarttouch.running.listener import Listener, RunContext
@@ -94,6 +95,8 @@ class FoxgloveServer(Listener):
             self._server.stop()
             self._thread = None
 
+    # Whoever holds the interpreter at a lower priority would hold up the loop, which waits for it.
+    @prioritized()
     def _serve(self) -> None:
         shown: StepResult | None = None
         while True:
