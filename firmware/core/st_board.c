@@ -127,6 +127,9 @@ static void deliver(st_board *board, st_sequence *sequence)
     board->port.pulse(board->port.self, &pulse);
     note_pulse(board, pulse.width_us, pulse.source_ua);
     sequence->next_us += (uint32_t)pulse.width_us + st_shape_discharge(sequence, place->shape);
+    if (sequence->next_us > sequence->end_us) {
+        sequence->end_us = sequence->next_us;
+    }
     st_next_slot(sequence, &sequence->place, board->config.electrodes);
 }
 
@@ -144,6 +147,10 @@ static void recharge(st_board *board, st_sequence *sequence)
     pulse.width_us = sequence->recharge_us;
     pulse.current_ua = board->config.current_ua;
     board->port.pulse(board->port.self, &pulse);
+    sequence->next_us += pulse.width_us;
+    if (sequence->next_us > sequence->end_us) {
+        sequence->end_us = sequence->next_us;
+    }
     board->books.recharges++;
     sequence->recharged = true;
 }
@@ -171,13 +178,19 @@ static void execute(st_board *board, uint64_t until_us)
     while (board->running != NULL) {
         st_sequence *sequence = board->running;
         while (sequence->place.slot < sequence->slots && sequence->next_us <= until_us) {
+            if (board->config.real_time) {
+                sequence->next_us = until_us;
+            }
             deliver(board, sequence);
         }
-        if (sequence->place.slot == sequence->slots && !sequence->recharged
-            && sequence->next_us <= until_us) {
+        const bool slots_over = sequence->place.slot == sequence->slots;
+        if (slots_over && !sequence->recharged && sequence->next_us <= until_us) {
+            if (board->config.real_time) {
+                sequence->next_us = until_us;
+            }
             recharge(board, sequence);
         }
-        if (until_us < sequence->end_us) {
+        if (!slots_over || !sequence->recharged || until_us < sequence->end_us) {
             return;
         }
         end_scan(board, sequence);
@@ -406,7 +419,7 @@ void st_feed(st_board *board, const uint8_t *data, size_t size, uint64_t now_us)
     if (board->books.framing_errors > garbled && board->greeted) {
         refuse(board, 0, ST_GARBLED);
     }
-    if (st_head(board, &message) && message.kind == ST_SEQUENCE
+    if (st_head(board, &message) && (message.kind == ST_SEQUENCE || message.kind == ST_LOAD)
         && now_us - board->stream.packet_us <= ST_LONGEST_US
         && st_judge(board, &message, board->stream.packet_us) == 0u) {
         board->heard_us = now_us;

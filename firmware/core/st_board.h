@@ -52,6 +52,8 @@ typedef struct {
     uint16_t compliance_v;
     uint16_t ramp_ms;      /* least time from zero to full intensity; 0 only in tests */
     uint16_t most_kernels;
+    bool real_time;        /* a slot that is late moves all that follow it, so that no discharge is
+                              shorter than asked; false only where time is played */
     uint32_t packet_bytes; /* of each buffer */
     uint32_t kernel_bytes;
     uint8_t *buffer[ST_BUFFERS];

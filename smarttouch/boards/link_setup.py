@@ -15,8 +15,8 @@ from smarttouch.stimulation.limits import SafetyLimits
 
 OVERHEAD = 64
 """Bytes of a packet beside what it carries, at most, and some to spare."""
-_PIECE = 3584
-"""Of kernels at once: a packet is written in one piece."""
+_PIECE = 1024
+"""Bytes of kernels at once: nothing else can pass while they do."""
 _IDLE = 3
 """Times that nothing new may have been kept."""
 

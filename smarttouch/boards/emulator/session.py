@@ -8,6 +8,7 @@ from smarttouch.boards.link_protocol import (
     HALF,
     LATE_MS,
     LONGEST_PACKET_MS,
+    NEWEST,
     VERSION,
     Kind,
     Refusal,
@@ -118,10 +119,11 @@ class BoardSession:
         return refusal
 
     def promises(self, head: bytes, began_ns: int, now_ns: int) -> bool:
-        """Return whether an incomplete packet is a sign of life: a SEQUENCE is long."""
+        """Return whether an incomplete packet is a sign of life: those that are long."""
         message, early = decode_head(head), now_ns - began_ns <= LONGEST_PACKET_MS * _MS
         fresh = self._judge(message, began_ns) is None
-        return message.kind == Kind.SEQUENCE and early and fresh
+        long = {Kind.SEQUENCE, *((Kind.KERNELS,) if self._version == NEWEST else ())}
+        return message.kind in long and early and fresh
 
     def _judge(self, message: Message, began_ns: int) -> Refusal | None:
         if message.version != self._version or not self.number or message.session != self.number:

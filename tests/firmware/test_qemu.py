@@ -1,0 +1,94 @@
+"""The firmware on a Cortex-M3 that QEMU plays: what is sent is delivered, silence is zero."""
+
+import socket
+import subprocess
+import time
+
+import numpy as np
+import pytest
+
+from smarttouch.boards.open import make_board
+from smarttouch.profile.device import Output
+from smarttouch.stimulation.safety import SafetyLimits
+from tests.firmware.build import cortex_m3
+from tests.firmware.scenes import random_lists, random_table, sequence_of
+
+pytestmark = pytest.mark.realtime
+
+ELECTRODES = 64
+TRACE = np.dtype(
+    [("number", "<u4"), ("start_us", "<u4"), ("slot", "<u2"), ("site", "<u2"), ("width_us", "<u2"),
+     ("source_ua", "<u2"), ("current_ua", "<i2", ELECTRODES)]
+)  # fmt: skip
+
+
+@pytest.fixture
+def machine(tmp_path):
+    """Return the name of a port to the firmware, and its record of pulses so far."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    trace = tmp_path / "pulses.bin"
+    command = ["qemu-system-arm", "-M", "mps2-an385", "-kernel", cortex_m3(), "-display", "none",
+               "-monitor", "none", "-semihosting", "-serial",
+               f"tcp:127.0.0.1:{port},server=on,wait=off", "-serial", f"file:{trace}"]  # fmt: skip
+    process = subprocess.Popen(command, start_new_session=True)
+    for _ in range(200):
+        with socket.socket() as line:
+            if line.connect_ex(("127.0.0.1", port)) == 0:
+                break
+        time.sleep(0.05)
+    # It takes one host after another.
+    time.sleep(0.1)
+    yield f"link:socket://127.0.0.1:{port}", lambda: _pulses(trace)
+    process.kill()
+    process.wait()
+
+
+def _pulses(trace):
+    data = trace.read_bytes()
+    return np.frombuffer(data[: len(data) // TRACE.itemsize * TRACE.itemsize], TRACE)
+
+
+def test_kernels_go_there_and_their_sums_flow(machine):
+    port, pulses = machine
+    limits = SafetyLimits(ELECTRODES, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
+    rng = np.random.default_rng(0)
+    table = random_table(rng, 20, ELECTRODES)
+    wanted = []
+    with make_board(port, limits, Output(kind="weighted")) as board:
+        assert "Cortex-M3" in board.capabilities.firmware
+        board.keep_kernels(table)
+        start = board.clock.now_ns()
+        for step in range(16):
+            lists = random_lists(rng, table, 0 if step == 0 else 12, loud=300 * step)
+            intensity = min(1.0, 0.07 * step)
+            now_ns = board.clock.now_ns()
+            sequence = sequence_of(lists, time_ns=now_ns - start + 1, intensity=intensity)
+            board.send(sequence)
+            wanted += sequence.current_ua.tolist()
+            board.drain()
+            time.sleep(max(0.0, 0.05 - (board.clock.now_ns() - now_ns) / 1e9))
+        report = board.report()
+        assert (report.violations, report.slots) == (0, len(wanted))
+        # A last one goes on until the host says nothing any more.
+        now_ns = board.clock.now_ns()
+        board.send(sequence_of(lists, time_ns=now_ns - start + 1), times=1000)
+        time.sleep(0.1)
+        board._line.overtaken = True
+        time.sleep(0.5)
+        told = pulses()
+    np.testing.assert_array_equal(told["current_ua"][: len(wanted)], wanted)
+    _check_times(told)
+    last = told["number"] == told["number"][-1]
+    running_s = np.ptp(told["start_us"][last].astype(float)) / 1e6
+    # It was heard for a tenth of a second and its last heartbeat, and then for 100 ms.
+    assert 0.05 < running_s < 0.5
+    assert len(pulses()) == len(told)
+
+
+def _check_times(told):
+    """Within a sequence a slot begins no earlier than width and discharge after the one before."""
+    same = told["number"][1:] == told["number"][:-1]
+    apart_us = np.diff(told["start_us"].astype(np.int64))
+    assert (apart_us[same] >= 150).all()
+    assert (told["width_us"] == 100).all()
