@@ -86,7 +86,9 @@ void st_keep_take(st_board *board, const uint8_t *payload, uint32_t size)
     if (keep->whole || offset != keep->received || count > keep->size - keep->received) {
         return;
     }
-    memcpy(board->config.kernels + offset, payload + 12, count);
+    if (count > 0u) {
+        memcpy(board->config.kernels + offset, payload + 12, count);
+    }
     keep->received += count;
     if (keep->received == keep->size) {
         if (read_all(board)) {
