@@ -16,8 +16,9 @@ from .pages import GENERATED, PAGES, ROOT, PageError, Reader, blocks
 
 README = ROOT / "README.md"
 BLOCKS = [block for page in PAGES for block in blocks(page)]
-NOT_RUN = 18
-"""Commands of all pages that `tests.pages` leaves out: tools of a checkout, hardware, a screen."""
+NOT_RUN = 24
+"""Commands of all pages that `tests.pages` leaves out: tools of a checkout, compilers, hardware, a
+screen."""
 DRAWN = ["how-to/profiles.md"]
 """Pages that take little to run; `.ci/run` runs all, the tutorial has a test of its own."""
 
