@@ -1,0 +1,230 @@
+"""Bytes of a sequence in ``link`` of version 3 and 4, what wires make of them, and the same µA at
+both ends and in C.
+
+Run with::
+
+    pytest tests/benchmarks/test_link_wire.py --benchmark-only -n0
+
+Rates over wires are computed from bytes: 10 bit times a byte at 921,600 Bd, and 1 MB/s. A sequence
+goes over the wire while the one before is scanned, so that the slower of the two counts.
+"""
+
+import re
+import statistics
+import subprocess
+import time
+
+import numpy as np
+import pytest
+
+from smarttouch.boards import link_protocol as protocol
+from smarttouch.boards.emulator.driver import EmulatorBoard
+from smarttouch.boards.emulator.lists import summed
+from smarttouch.boards.link import LinkBoard
+from smarttouch.boards.link_kernels import KernelImage
+from smarttouch.boards.link_lists import encode_lists
+from smarttouch.boards.link_protocol import Kind
+from smarttouch.boards.link_sequence import encode_sequence
+from smarttouch.boards.link_session import encode
+from smarttouch.kernels.bank import load_bank
+from smarttouch.profile import load_profile
+from smarttouch.profile.device import Output
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.sources.stimulus import Stimulus
+from smarttouch.stimulation.kernel_table import KernelLists, KernelTable, quantized
+from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
+from tests.benchmarks.test_link_latency import Bare, acknowledged_s, limits_of, raised
+from tests.firmware.build import built, host, library
+from tests.firmware.rig import Core, Talk
+from tests.firmware.scenes import random_lists, random_table, sequence_of
+
+WIRES = {"1 MB/s": 1e6, "921,600 Bd": 92_160}
+PULSE_US, REST_US = 200, 100
+
+
+def packets(sequence, image):
+    """Return the bytes of a sequence on the wire in each version."""
+    old = encode_sequence(
+        "weighted", sequence.period_us, sequence.width_us, sequence.discharge_us,
+        sequence.site, sequence.current_ua, 1, True,
+    )  # fmt: skip
+    new = encode_lists(sequence, 1, True, False, image, 1 << 22)
+    versions = ((old, protocol.VERSION), (new, protocol.NEWEST))
+    return [
+        len(encode(Kind.SEQUENCE, 1 << 63 | 1 << 31, 1, 1, 1, payload, version))
+        for payload, version in versions
+    ]
+
+
+def tell(row, name, scan, points, sequence, image):
+    bytes3, bytes4 = packets(sequence, image)
+    # Of a scan that goes as fast as its slots allow.
+    scan_s = sequence.slots * (PULSE_US + REST_US) / 1e6
+    cells = {"electrodes": name, "scan": scan, "points": points, "slots": sequence.slots,
+             "bytes 3": bytes3, "bytes 4": bytes4, "fewer": f"{bytes3 / bytes4:.1f}"}  # fmt: skip
+    for wire, rate in WIRES.items():
+        for version, size in ((3, bytes3), (4, bytes4)):
+            cells[f"{version}: a second at {wire}"] = f"{1 / max(size / rate, scan_s):.1f}"
+    row("A sequence on the wire", cells)
+    return bytes3 / bytes4, 1 / max(bytes4 / 1e6, scan_s)
+
+
+@pytest.mark.parametrize("scan", ["points", "auto", "frame"])
+def test_frames_of_the_electric_mouse(row, quick, scan):
+    profile = load_profile("electric-mouse")
+    bank = load_bank(profile)
+    pipeline = Pipeline(profile, bank, RunConfig(scan=scan), in_sums=True)
+    image = KernelImage.of(pipeline.table, 1 << 23, 4096)
+    for count in (20, 64):
+        active = np.zeros((3, 64), np.float32)
+        active[0, np.random.default_rng(1).permutation(64)[:count]] = 0.8
+        sequence = pipeline.process(Stimulus(active, 10**9 * count, 5.0)).sequence
+        sequence = pipeline.process(Stimulus(active, 10**9 * (count + 1), 5.0)).sequence
+        fewer, _ = tell(row, 64, scan, count, sequence, image)
+        assert scan != "points" or count < 64 or fewer >= 25
+
+
+@pytest.mark.parametrize("electrodes", [64, 128, 256, 512, 1024])
+def test_larger_arrays(row, quick, electrodes):
+    """Kernels at random, every weight of which is there: designs for such arrays take hours."""
+    if quick and electrodes > 128:
+        pytest.skip("smaller ones are every path")
+    rng = np.random.default_rng(electrodes)
+    weights = rng.normal(size=(electrodes, electrodes))
+    weights -= weights.mean(axis=1, keepdims=True)
+    site = np.arange(electrodes, dtype=np.uint16)
+    table = KernelTable(quantized(weights), site, {}, {})
+    image = KernelImage.of(table, 1 << 23, 4096)
+    for points in (60, electrodes):
+        amplitude = rng.integers(400, 8000, points).astype(np.uint16)
+        kernel = rng.permutation(electrodes)[:points].astype(np.uint16)
+        for scan, share in (("points", 1), ("auto", 6)):
+            first = np.append(np.arange(0, points, share), points)
+            lists = KernelLists(table, first, kernel, amplitude // share)
+            column = np.ones(len(first) - 1, np.uint16)
+            times = {"width_us": PULSE_US * column, "discharge_us": REST_US * column,
+                     "period_us": 400_000}  # fmt: skip
+            sequence = sequence_of(lists, **times)
+            fewer, rate_hz = tell(row, electrodes, scan, points, sequence, image)
+            if scan == "points":
+                assert fewer >= (25 if electrodes < 256 else 40)
+                assert points > 60 or rate_hz >= 50
+        plain = sequence_of(lists, **times, sums=None)
+        tell(row, electrodes, "frame", points, plain, None)
+
+
+def lists_at(electrodes, step, table, rng):
+    kernel = rng.permutation(electrodes).astype(np.uint16)
+    amplitude = np.full(electrodes, 40, np.uint16)
+    lists = KernelLists(table, np.arange(electrodes + 1), kernel, amplitude)
+    column = np.ones(electrodes, np.uint16)
+    return ScanSequence(
+        lists.current_ua(), 5 * column, 20 * column, lists.site, 40 * electrodes + 6000, 1.0,
+        step * 10**9, sums=lists,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("board", ["emulator", "C"])
+@pytest.mark.parametrize("electrodes", [64, 128, 256, 512])
+def test_acknowledged_over_a_pseudo_terminal(row, quick, electrodes, board):
+    if quick and electrodes > 64:
+        pytest.skip("smaller ones are every path")
+    rng = np.random.default_rng(0)
+    table = random_table(rng, electrodes, electrodes)
+    image = KernelImage.of(table, 1 << 23, 4096)
+    limits, output = limits_of(electrodes), Output(kind="weighted")
+    length = packets(lists_at(electrodes, 1, table, rng), image)[1]
+    bare, ours, plain = Bare(length), [], []
+    process = None
+    if board == "C":
+        process = subprocess.Popen(
+            [host(), f"--electrodes={electrodes}"], stdout=subprocess.PIPE, text=True
+        )
+        driver = LinkBoard(process.stdout.readline().strip(), limits, output)
+    else:
+        driver = EmulatorBoard("", limits, output)
+    with driver:
+        driver.keep_kernels(table)
+        first = raised(driver, electrodes)
+        for step in range(first, first + (3 if quick else 60)):
+            ours.append(acknowledged_s(driver, lists_at(electrodes, step, table, rng)))
+            start = time.perf_counter()
+            bare()
+            plain.append(time.perf_counter() - start)
+        assert driver.report().violations == 0
+    bare.close()
+    if process is not None:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+    row(
+        "A list in hand to acknowledged, beside its bare bytes",
+        {
+            "board": board,
+            "electrodes": electrodes,
+            "bytes": length,
+            "acknowledged after, µs": f"{1e6 * statistics.median(ours):.0f}",
+            "bare, µs": f"{1e6 * statistics.median(plain):.0f}",
+            "ratio": f"{statistics.median(a / b for a, b in zip(ours, plain, strict=True)):.1f}",
+        },
+    )
+
+
+def test_the_same_currents_everywhere(row, quick):
+    """A million lists: the host's, the emulator's and the C core's whole numbers."""
+    count, electrodes, slots = (2_000 if quick else 1_000_000), 16, 60
+    rng = np.random.default_rng(0)
+    limits = SafetyLimits(electrodes, 5.0, 200, 0.5, 200, 0.8, 0.5, 5.0, total_ma=10.0)
+    core = Core(library(), electrodes, ramp_ms=0)
+    table = random_table(rng, 4000, electrodes)
+    image = KernelImage.of(table, 1 << 23, 4096)
+    talk = Talk(core).begin(limits, image)
+    compared = number = pairs = 0
+    while compared < count:
+        lists = random_lists(rng, table, slots, most=8, loud=8000)
+        number += 1
+        talk.send(sequence_of(lists, period_us=100_000), number, image=image)
+        pulses = talk.pulses
+        talk.wait(9_100, 9_100)
+        pulses += talk.pulses
+        talk.say(Kind.HEARTBEAT)
+        talk.wait(91_000, 91_000)
+        talk.say(Kind.HEARTBEAT)
+        wanted = lists.current_ua()
+        assert [each[5] for each in pulses] == wanted.tolist()
+        for slot in range(slots):
+            own = slice(lists.first[slot], lists.first[slot + 1])
+            kernel, amplitude = lists.kernel[own].astype(int), lists.amplitude[own].astype(int)
+            np.testing.assert_array_equal(summed(table.weights, kernel, amplitude), wanted[slot])
+        compared += slots
+        pairs += len(lists.kernel)
+    books = core.books()
+    assert (books["slots"], books["violations"]) == (compared, 0)
+    core.close()
+    row(
+        "Lists of (kernel, amplitude): host, emulator and C core",
+        {"lists": compared, "pairs": pairs, "electrodes": electrodes, "differ": 0},
+    )
+
+
+def test_instructions_on_a_cortex_m3(row):
+    image = built("measure", "st_measure.elf", "arm-none-eabi-gcc", "qemu-system-arm")
+    firmware = built("qemu", "st_m3.elf", "arm-none-eabi-gcc", "qemu-system-arm")
+    size = subprocess.run(["arm-none-eabi-size", firmware], capture_output=True, text=True)
+    code = int(size.stdout.splitlines()[1].split()[0])
+    assert code < 16_384
+    command = ["qemu-system-arm", "-M", "mps2-an385", "-kernel", image, "-display", "none",
+               "-monitor", "none", "-serial", "stdio", "-serial", "null", "-icount", "shift=0",
+               "-semihosting"]  # fmt: skip
+    said = subprocess.run(command, capture_output=True, text=True, timeout=120).stdout
+    found = re.findall(r"(deliver|check) (\d+) (\d+)", said)
+    assert len(found) == 8
+    for what, points, instructions in found:
+        row(
+            "Instructions of a slot on a Cortex-M3, -O2, 64 electrodes",
+            {"what": what, "points": points, "instructions": instructions,
+             "slots a second at 100 MHz, one a cycle": round(1e8 / int(instructions)),
+             "code of the image, bytes": code},
+        )  # fmt: skip
