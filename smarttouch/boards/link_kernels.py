@@ -23,6 +23,9 @@ class KernelImage:
     Attributes
     ----------
     table : KernelTable
+        That they are of.
+    own : KernelTable
+        The same, backed by bytes: what has been sent stays so, whatever becomes of the table.
     count : int
         Kernels that the board has room for: the first of the table.
     data : bytes
@@ -31,6 +34,7 @@ class KernelImage:
     """
 
     table: KernelTable
+    own: KernelTable
     count: int
     data: bytes
     identity: int
@@ -38,17 +42,20 @@ class KernelImage:
     @classmethod
     def of(cls, table: KernelTable, room: int, most: int) -> Self:
         """Return as many kernels as there is room for, in bytes and in number."""
+        flat = np.frombuffer(table.weights.tobytes(), np.int16)
+        site_of = np.frombuffer(table.site.tobytes(), np.uint16)
+        own = KernelTable(flat.reshape(table.weights.shape), site_of, {}, {})
         parts, size = [b""], _HEAD.size
-        for weights, site in zip(table.weights[:most], table.site, strict=False):
+        for weights, site in zip(own.weights[:most], own.site, strict=False):
             record = _record(weights, int(site))
             if size + len(record) > room:
                 break
             parts.append(record)
             size += len(record)
         count = len(parts) - 1
-        parts[0] = _HEAD.pack(table.weights.shape[1], count)
+        parts[0] = _HEAD.pack(own.weights.shape[1], count)
         data = b"".join(parts)
-        return cls(table, count, data, zlib.crc32(data))
+        return cls(table, own, count, data, zlib.crc32(data))
 
 
 def _record(weights: NDArray[np.int16], site: int) -> bytes:

@@ -150,7 +150,7 @@ def _kept(
     if len(sums.first) != sequence.slots + 1:
         return None
     # Copies: nothing may change between the look and the write.
-    own = KernelLists(image.table, sums.first.copy(), sums.kernel.copy(), sums.amplitude.copy())
+    own = KernelLists(image.own, sums.first.copy(), sums.kernel.copy(), sums.amplitude.copy())
     made_ua = own.current_ua()
     same = (made_ua == sequence.current_ua).all(axis=1) & (own.site == sequence.site)
     known = np.maximum.reduceat(own.kernel, own.first[:-1]) < image.count

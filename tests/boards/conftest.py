@@ -20,10 +20,13 @@ from smarttouch.realtime import prioritized
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from tests.boards.fresh import fresh_state
+from tests.firmware.conftest import start_firmware
 
 from ..forks import EMULATOR, Forked
 
 SECOND = 10**9
+
+__all__ = ["start_firmware"]
 
 
 @pytest.fixture(autouse=True)
@@ -272,15 +275,18 @@ def faulty_line(tmp_path):
 class Hosted:
     """A board behind a line with faults, to which anodic points can be sent."""
 
-    def __init__(self, kind, start_emulator, faulty_line, folder, monkeypatch):
+    def __init__(self, kind, start_emulator, start_firmware, faulty_line, folder, monkeypatch):
         monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
         self.electrodes = {"kajimoto61": 61}.get(kind, 8)
-        # An eTactileKit may have another firmware than the usual one.
+        # An eTactileKit may have another firmware than the usual one, a link board one in C.
         kind, _, firmware = kind.partition(" ")
-        more = [f"--firmware={firmware}"] if firmware else []
-        _, port = start_emulator(
-            f"--books={folder}", "--linger=2", *more, protocol=kind, electrodes=self.electrodes
-        )
+        if firmware == "C":
+            _, port = start_firmware(f"--books={folder}", "--ramp-ms=0")
+        else:
+            more = [f"--firmware={firmware}"] if firmware else []
+            _, port = start_emulator(
+                f"--books={folder}", "--linger=2", *more, protocol=kind, electrodes=self.electrodes
+            )
         self.line, self.folder, self.kind = faulty_line(port), folder, kind
         self.limits = SafetyLimits(self.electrodes, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.8)
         output = Output(kind="weighted" if kind == "link" else "one-against-all")
@@ -313,5 +319,6 @@ class Hosted:
 
 
 @pytest.fixture
-def hosted(request, start_emulator, faulty_line, tmp_path, monkeypatch):
-    return Hosted(request.param, start_emulator, faulty_line, tmp_path, monkeypatch)
+def hosted(request, start_emulator, start_firmware, faulty_line, tmp_path, monkeypatch):
+    given = start_emulator, start_firmware, faulty_line
+    return Hosted(request.param, *given, tmp_path, monkeypatch)

@@ -13,12 +13,9 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.kernel_table import KernelLists
 from tests.boards.fresh import fresh_state, until
 from tests.boards.test_contract import Contract
-from tests.firmware.conftest import start_firmware
 from tests.firmware.scenes import random_table, sequence_of
 
 from ..raising import raises
-
-__all__ = ["start_firmware"]
 
 
 class TestFirmware(Contract):

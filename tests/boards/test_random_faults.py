@@ -50,7 +50,7 @@ class Weather:
 
 
 @pytest.mark.parametrize(
-    "hosted", ["link", "kajimoto61", "etactilekit", "etactilekit 936c6c0"], indirect=True
+    "hosted", ["link", "link C", "kajimoto61", "etactilekit", "etactilekit 936c6c0"], indirect=True
 )
 def test_nothing_unsafe_flows(hosted):
     # USB and TCP lose bytes only by whole pieces or at their end; they never double one.

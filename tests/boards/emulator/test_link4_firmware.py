@@ -156,6 +156,17 @@ def test_more_than_there_is_room_for_is_left_out():
     assert len(payload) == 10 + 4 + (4 + 2 + 2 * E) + (4 + 4)
 
 
+def test_a_table_that_is_changed_after_it_was_sent_is_no_reference():
+    rig = Rig(ramp_ms=0)
+    rig.give(rig.image.data)
+    rig.table.weights[0] = np.roll(rig.table.weights[0], 1)
+    sequence = listed(rig.table, [[(0, 4000)]])
+    assert rig.send(sequence, image=rig.image) is None
+    rig.board.advance(9 * MS)
+    # As currents: the board's kernel would make others.
+    assert rig.books.kept == sequence.current_ua.tolist()
+
+
 def test_currents_that_are_no_sum_go_as_they_are():
     rig = Rig(ramp_ms=0)
     rig.give(rig.image.data)
