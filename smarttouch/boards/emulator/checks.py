@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards.emulator.lists import MOST_AMPLITUDE, Keep, Lists, summed
+from smarttouch.boards.emulator.lists import MOST_AMPLITUDE, Keep, Lists, rounded, summed
 from smarttouch.boards.emulator.rules import (
     MAX_CHARGE_PC,
     MAX_CURRENT_UA,
@@ -124,6 +124,8 @@ def complaint(
     if 100 * pulses_us > MAX_DUTY_PERCENT * period_us:
         allowed = period_us * MAX_DUTY_PERCENT // 100
         return Complaint(Rule.DUTY, value=_i32(pulses_us), allowed=_i32(allowed))
+    if (sums := _all_at_once(lists, limits, keep, width)) is not None and output == "weighted":
+        return _whole(lists, limits, *sums, most_intensity)
     passed_pc = np.zeros(sequence.electrodes, np.int64)
     peak_ua = peak_pc = slot = 0
     for group in lists.groups:
@@ -158,6 +160,45 @@ def complaint(
             passed_pc += each * int(width[slot])
             slot += 1
     return _whole(lists, limits, passed_pc, (peak_ua, peak_pc), most_intensity)
+
+
+def _all_at_once(
+    lists: Lists, limits: SessionLimits, keep: Keep, width_us: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], tuple[int, int]] | None:
+    """Return the charge of each electrode and the peaks; None if a slot may break a rule.
+
+    Which one, and which rule, is then found slot by slot.
+    """
+    sequence, weights, slot = lists.sequence, keep.weights, 0
+    current_ua = sequence.current_ua
+    if current_ua is None:
+        return None
+    for group in lists.groups:
+        rows = slice(slot, slot + group.slots)
+        slot += group.slots
+        if group.kind == 3:
+            return None
+        if group.kind == 2:
+            continue
+        if weights is None or int(group.kernel.max()) >= len(weights):
+            return None
+        if group.kind == 1 and int(group.amplitude.sum()) > MOST_AMPLITUDE:
+            return None
+        every = weights[group.kernel].astype(np.int64) * group.amplitude[:, None]
+        if group.kind == 1:
+            every = every.sum(axis=0, keepdims=True)
+        current_ua[rows] = rounded(every)
+        sequence.site[rows] = keep.site[group.kernel[: group.slots]]
+    each = np.abs(current_ua.astype(np.int64))
+    charge_pc = each.max(axis=1, initial=0) * width_us
+    if (
+        current_ua.sum(axis=1, dtype=np.int64).any()
+        or (each > limits.current_ua).any()
+        or int(each.sum(axis=1).max(initial=0)) // 2 > limits.total_ua
+        or int(charge_pc.max(initial=0)) > limits.charge_pc
+    ):
+        return None
+    return width_us @ each, (int(each.max(initial=0)), int(charge_pc.max(initial=0)))
 
 
 def _whole(

@@ -126,9 +126,13 @@ def summed(
     weights: NDArray[np.int16], kernel: NDArray[np.int64], amplitude: NDArray[np.int64]
 ) -> NDArray[np.int16]:
     """Return the current of every electrode in a slot, (E,) µA: see the page of ``link``."""
-    every = (weights[kernel].astype(np.int64) * amplitude[:, None]).sum(axis=0)
-    whole = (np.cumsum(every) + 65_536) // 131_072
-    return np.diff(whole, prepend=0).astype(np.int16)
+    return rounded((weights[kernel].astype(np.int64) * amplitude[:, None]).sum(axis=0))
+
+
+def rounded(every: NDArray[np.int64]) -> NDArray[np.int16]:
+    """Return weights times amplitudes, (…, E), as currents in whole µA that sum to zero."""
+    whole = (np.cumsum(every, axis=-1) + 65_536) // 131_072
+    return np.diff(whole, axis=-1, prepend=0).astype(np.int16)
 
 
 class Keep:
