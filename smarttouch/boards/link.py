@@ -14,7 +14,7 @@ from smarttouch.boards.link_kernels import KernelImage
 from smarttouch.boards.link_line import ANSWER_S, LinkLine
 from smarttouch.boards.link_lists import encode_lists
 from smarttouch.boards.link_offer import accepted
-from smarttouch.boards.link_protocol import Kind, Refusal
+from smarttouch.boards.link_protocol import Kind, Refusal, Rule
 from smarttouch.boards.link_sequence import decode_volts, encode_sequence
 from smarttouch.boards.link_session import Message
 from smarttouch.boards.link_setup import (
@@ -334,7 +334,7 @@ class LinkBoard(Board):
         return None
 
     def _refused(self, message: Message) -> None:
-        why, words = reason_of(message)
+        why, rule, words = reason_of(message)
         if why in (Refusal.GARBLED, Refusal.OLD, Refusal.FOREIGN):
             # Our own part of it is sent again; REPORT counts the rest.
             return
@@ -343,7 +343,9 @@ class LinkBoard(Board):
         self.refused += 1
         line = self._line
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
-            line.fail(line.gone(f"refused sequence {message.about} as unsafe: {words}", "refused"))
+            # Clocks differ: what rose too fast for the board's begins anew at zero.
+            fault = line.lost if rule == Rule.RISE else line.gone
+            line.fail(fault(f"refused sequence {message.about} as unsafe: {words}", "refused"))
         elif why == Refusal.STOPPED and not line.overtaken:
             line.fail(line.gone("has been stopped or started anew by someone else", "stopped"))
         elif why == Refusal.SILENCE:

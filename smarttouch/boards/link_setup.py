@@ -116,16 +116,16 @@ def account_of(answer: Message, name: str) -> tuple[Any, ...]:
     return (*told[:4], strongest_ua / 1e3, charge_pc / 1e6, net_pc / 1e6, *told[7:])
 
 
-def reason_of(refusal: Message) -> tuple[int, str]:
-    """Return the reason of a NAK of either version, and words for the rest of it."""
+def reason_of(refusal: Message) -> tuple[int, int, str]:
+    """Return reason and rule of a NAK of either version, and words for the rest of it."""
     payload = refusal.payload
     if refusal.version != protocol.NEWEST:
-        return (payload[0] if payload else 0), payload[1:].decode("utf-8", "replace")
+        return (payload[0] if payload else 0), Rule.NONE, payload[1:].decode("utf-8", "replace")
     if len(payload) != protocol.NAK.size:
-        return 0, ""
+        return 0, Rule.NONE, ""
     reason, rule, slot, electrode, value, allowed = protocol.NAK.unpack(payload)
     words = _RULES[Rule(rule)] if rule in _RULES else "malformed" if not rule else f"rule {rule}"
     words += f": {value}, allowed {allowed}" if value or allowed else ""
     words += f", slot {slot}" if slot != NOTHING else ""
     words += f", electrode {electrode}" if electrode != NOTHING else ""
-    return reason, words
+    return reason, rule, words

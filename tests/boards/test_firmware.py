@@ -8,7 +8,7 @@ import pytest
 from smarttouch.boards.emulator.delivery_log import read_slots, read_state
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.open import make_board
-from smarttouch.errors import BoardError
+from smarttouch.errors import BoardRestartedError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.kernel_table import KernelLists
 from tests.boards.fresh import fresh_state, until
@@ -70,7 +70,7 @@ def test_a_sudden_rise_is_refused(start_firmware, tmp_path, make_limits, make_se
         board.drain()
         board.send(make_sequence(1))
         until(lambda: board.refused == 1)
-        with raises(BoardError, about="board", problem="refused"):
+        with raises(BoardRestartedError, about="board", problem="refused"):
             board.send(make_sequence(2))
         state = fresh_state(tmp_path)
     assert (state["slots"], state["violations"]) == (0, 1)

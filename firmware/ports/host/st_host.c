@@ -52,8 +52,12 @@ static void step_clock(host *self)
     uint64_t step_us = real_us - self->real_us;
     self->real_us = real_us;
     if (step_us > LONGEST_STEP_US) {
-        self->stood_still_us += step_us - LONGEST_STEP_US;
+        const uint64_t away_us = step_us - LONGEST_STEP_US;
+        uint64_t *since_us = &self->board.ramp.since_us;
+        self->stood_still_us += away_us;
         step_us = LONGEST_STEP_US;
+        /* On the skin that time has passed. */
+        *since_us -= *since_us < away_us ? *since_us : away_us;
     }
     self->now_us += step_us;
 }

@@ -68,7 +68,8 @@ class Link4Firmware(LinkFirmware):
             self._say(Kind.KEPT, message.number, kept)
 
     def _judged(self, number: int, payload: bytes, now_ns: int) -> WireSequence | None:
-        now_us = now_ns // 1000
+        # Time that stood still with this process has passed on the skin.
+        now_us = now_ns // 1000 + round(1000 * self.books.stood_still_ms)
         try:
             lists = decode_lists(payload, self._electrodes, self._output != "weighted")
         except ValueError:
