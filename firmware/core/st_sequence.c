@@ -150,7 +150,8 @@ uint16_t st_slot_currents(st_board *board, const st_sequence *sequence, const st
     case ST_STATES:
         *source_ua = st_u16(at + 2);
         for (uint32_t each = 0; each < electrodes; each++) {
-            current_ua[each] = states[((unsigned)at[4u + each / 4u] >> (2u * (each % 4u))) & 3u];
+            const uint32_t four = at[4u + each / 4u];
+            current_ua[each] = states[(four >> (2u * (each % 4u))) & 3u];
         }
         return st_u16(at);
     default:
