@@ -172,6 +172,50 @@ def test_acknowledged_over_a_pseudo_terminal(row, quick, electrodes, board):
     )
 
 
+@pytest.mark.parametrize("electrodes", [64, 128, 256, 512])
+def test_processor_time(row, quick, electrodes):
+    """What a list of 60 points costs the host, from proved to framed, and the C core to check."""
+    rng = np.random.default_rng(0)
+    table = random_table(rng, electrodes, electrodes)
+    image = KernelImage.of(table, 1 << 23, 4096)
+    limits = limits_of(electrodes)
+    core = Core(library(), electrodes, ramp_ms=0)
+    talk = Talk(core).begin(limits, image)
+    encoded, plain, checked = [], [], []
+    for number in range(1, 5 if quick else 100):
+        kernel = rng.permutation(electrodes)[:60].astype(np.uint16)
+        amplitude = rng.integers(20, 120, 60).astype(np.uint16)
+        lists = KernelLists(table, np.arange(61), kernel, amplitude)
+        sequence = sequence_of(lists, period_us=40_000)
+        start = time.process_time()
+        packet = talk.host.encode(
+            Kind.SEQUENCE, number, encode_lists(sequence, 1, False, False, image, 1 << 20)
+        )
+        between = time.process_time()
+        talk.say(None, data=packet)
+        checked.append(time.process_time() - between)
+        encoded.append(between - start)
+        start = time.process_time()
+        encode(Kind.SEQUENCE, 1, 1, 1, 1, encode_sequence(
+            "weighted", sequence.period_us, sequence.width_us, sequence.discharge_us,
+            sequence.site, sequence.current_ua, 1, True,
+        ))  # fmt: skip
+        plain.append(time.process_time() - start)
+        talk.wait(41_000, 20_000)
+        talk.say(Kind.HEARTBEAT)
+    assert core.books()["violations"] == 0
+    core.close()
+    row(
+        "Processor time of a list of 60 points, µs",
+        {
+            "electrodes": electrodes,
+            "checked and encoded, version 4": f"{1e6 * statistics.median(encoded):.0f}",
+            "encoded, version 3": f"{1e6 * statistics.median(plain):.0f}",
+            "C core on this machine, with its check": f"{1e6 * statistics.median(checked):.0f}",
+        },
+    )
+
+
 def test_the_same_currents_everywhere(row, quick):
     """A million lists: the host's, the emulator's and the C core's whole numbers."""
     count, electrodes, slots = (2_000 if quick else 1_000_000), 16, 60

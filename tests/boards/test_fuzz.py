@@ -5,6 +5,7 @@
 
 import contextlib
 import os
+import zlib
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
 from smarttouch.boards.emulator.link import LinkFirmware
+from smarttouch.boards.emulator.lists import Keep, decode_lists
 from smarttouch.boards.emulator.session import BoardSession
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_sequence import decode_sequence, decode_volts, encode_sequence
@@ -28,6 +30,8 @@ CURRENT = np.array([[300, -100, -100, -100]], np.int16)
 COLUMN = np.full(1, 100, np.uint16)
 HALF, SESSION = 5, 5 << 32 | 5
 PAYLOAD = encode_sequence("weighted", 5000, COLUMN, COLUMN, COLUMN * 0, CURRENT, 3, True)
+LISTS = bytes.fromhex("88130000 0100 ffff 00 01 64003200 01 00 0200 00007800 01005a00")
+KERNELS = bytes.fromhex("04000200 00000100 00000200 ff7f0180 01000200 00000100 0100 02000100 ffff")
 SEEDS = {
     "link": [
         encode(Kind.HELLO, HALF, 1),
@@ -61,9 +65,22 @@ def pieces(seed, whole):
         yield bytes(piece)
 
 
-@pytest.mark.parametrize("parse", [decode_sequence, decode_volts, parse_answer])
+def decode_newest(payload):
+    decode_lists(payload, 4, False)
+    decode_lists(payload, 4, True)
+
+
+def keep_kernels(payload):
+    keep = Keep(4, 1000, 10)
+    keep.take(zlib.crc32(payload), len(payload), 0, payload)
+    assert keep.weights is None or not keep.weights.sum(axis=1).any()
+
+
+@pytest.mark.parametrize(
+    "parse", [decode_sequence, decode_volts, parse_answer, decode_newest, keep_kernels]
+)
 def test_payloads(parse):
-    for piece in pieces(1, [*SEEDS["link"], PAYLOAD]):
+    for piece in pieces(1, [*SEEDS["link"], PAYLOAD, LISTS, KERNELS]):
         with contextlib.suppress(ValueError):
             parse(piece)
 
