@@ -49,14 +49,20 @@ def paragraphs(
     words = {word.lower() for text in texts for word in re.findall(r"\w+-\w+", text)}
     found: list[str] = []
     before: int | None = None
+    right_mm = -np.inf
     for k in kept:
         text = _LEADERS.sub(" ", texts[k]).strip()
         if not text:
             continue
-        if before is None or _begins(lines[before], lines[k], step_mm):
+        if before is not None:
+            right_mm = max(right_mm, lines[before].right_mm)
+        if before is None or _begins(lines[before], lines[k], step_mm, right_mm):
             found.append(text)
         else:
             found[-1] = _joined(found[-1], text, words)
+        if before is not None and _middle_mm(lines[k]) < _middle_mm(lines[before]):
+            # The next column has an end of its own.
+            right_mm = -np.inf
         before = k
     return found
 
@@ -71,8 +77,8 @@ def _usual_step_mm(lines: Sequence[TextLine]) -> float:
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
 
 
-def _begins(before: TextLine, line: TextLine, step_mm: float) -> bool:
-    """Return whether a line begins a paragraph."""
+def _begins(before: TextLine, line: TextLine, step_mm: float, right_mm: float) -> bool:
+    """Return whether a line begins a paragraph; ``right_mm`` is how far lines above it reach."""
     sizes = sorted((before.x_height_mm, line.x_height_mm))
     step = _middle_mm(line) - _middle_mm(before)
     if sizes[1] > _LARGER * sizes[0] or step >= _GAP * step_mm:
@@ -81,8 +87,10 @@ def _begins(before: TextLine, line: TextLine, step_mm: float) -> bool:
         # The next column goes on.
         return False
     indent = (line.left_mm - before.left_mm) / line.x_height_mm
-    short = (before.right_mm - line.right_mm) / line.x_height_mm
-    centered = min(indent, short) > _INDENT or max(indent, short) < -_MOST_INDENT
+    short, shorter = (
+        (end_mm - line.right_mm) / line.x_height_mm for end_mm in (right_mm, before.right_mm)
+    )
+    centered = min(indent, short) > _INDENT or max(indent, shorter) < -_MOST_INDENT
     return _INDENT < indent < _MOST_INDENT or centered
 
 

@@ -20,6 +20,8 @@ BUFFERS = 1
 FAILURES = 5
 """Reads without an image in a row after which the camera is lost."""
 _PAUSE_S = 0.02
+COMPRESSED = float(cv2.VideoWriter.fourcc(*"MJPG"))
+"""Coding in which more images a second pass through USB."""
 _MANUAL_EXPOSURE = 1
 """Manual value of V4L2_CID_EXPOSURE_AUTO, as OpenCV passes it on (3 is automatic)."""
 _BELIEVED_AGE_NS = 2_000_000_000
@@ -88,6 +90,15 @@ class _Quiet:
 
 QUIET_OPENCV = _Quiet()
 """Context that keeps OpenCV's own warnings from the terminal: ours replace them."""
+
+
+def _format(capture: cv2.VideoCapture) -> tuple[int, int, float]:
+    """Return width and height of the images, and how many come in a second."""
+    width, height, rate_hz = (
+        capture.get(key)
+        for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FPS)
+    )
+    return round(width), round(height), rate_hz
 
 
 class CameraDevice(ImageDevice):
@@ -160,13 +171,12 @@ class CameraDevice(ImageDevice):
 
     def _set_up(self, capture: cv2.VideoCapture) -> None:
         capture.set(cv2.CAP_PROP_BUFFERSIZE, BUFFERS)
-        if self._size is not None:
-            self._set_size(capture, self._size)
-        if self._fps is not None:
-            capture.set(cv2.CAP_PROP_FPS, self._fps)
-            given_hz = capture.get(cv2.CAP_PROP_FPS)
-            if given_hz > 0 and abs(given_hz - self._fps) > 0.05 * self._fps:
-                self._note(f"gives {given_hz:g} images a second, not {self._fps:g}")
+        self._set_format(capture)
+        width, height, given_hz = _format(capture)
+        if self._size is not None and (width, height) != tuple(self._size):
+            self._note(f"gives {width} x {height}, not {self._size[0]} x {self._size[1]}")
+        if self._fps is not None and given_hz > 0 and abs(given_hz - self._fps) > 0.05 * self._fps:
+            self._note(f"gives {given_hz:g} images a second, not {self._fps:g}")
         if self._exposure is not None:
             manual = capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
             if not (capture.set(cv2.CAP_PROP_EXPOSURE, self._exposure) and manual):
@@ -176,13 +186,24 @@ class CameraDevice(ImageDevice):
                 if abs(given - self._exposure) > 0.1 * abs(self._exposure):
                     self._note(f"exposes by {given:g}, not {self._exposure:g}")
 
-    def _set_size(self, capture: cv2.VideoCapture, size: tuple[int, int]) -> None:
-        capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
-        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
-        width = round(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
-        height = round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
-        if (width, height) != tuple(size):
-            self._note(f"gives {width} x {height}, not {size[0]} x {size[1]}")
+    def _set_format(self, capture: cv2.VideoCapture) -> None:
+        """Set size and rate, and compression where it gives more images of that size."""
+        self._set_size(capture)
+        plain, coding = _format(capture), capture.get(cv2.CAP_PROP_FOURCC)
+        if not capture.set(cv2.CAP_PROP_FOURCC, COMPRESSED):
+            return
+        self._set_size(capture)
+        compressed = _format(capture)
+        if compressed[:2] != plain[:2] or compressed[2] <= plain[2]:
+            capture.set(cv2.CAP_PROP_FOURCC, coding)
+            self._set_size(capture)
+
+    def _set_size(self, capture: cv2.VideoCapture) -> None:
+        if self._size is not None:
+            capture.set(cv2.CAP_PROP_FRAME_WIDTH, self._size[0])
+            capture.set(cv2.CAP_PROP_FRAME_HEIGHT, self._size[1])
+        if self._fps is not None:
+            capture.set(cv2.CAP_PROP_FPS, self._fps)
 
     def _note(self, words: str) -> None:
         note = f"{self.title} {words}"

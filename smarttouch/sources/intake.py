@@ -1,5 +1,6 @@
 """Preprocessing of every incoming image: flat field and pose."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -35,16 +36,18 @@ class FramePreprocessor:
             flat_field.correct(np.zeros(flat_field.gain.shape, np.uint8))
             self._correct = flat_field.correct
         self._tracker = MotionTracker(profile)
-        self._x_mm = self._y_mm = 0.0
+        self._x_mm = self._y_mm = self._angle_rad = 0.0
 
     def take(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Pose]:
         """Return the corrected image, and its pose."""
         if self._correct is not None:
             image = self._correct(image)
         x_mm, y_mm = self._tracker.follow(image)
-        self._x_mm += x_mm
-        self._y_mm += y_mm
-        return image, Pose(self._x_mm, self._y_mm)
+        self._angle_rad += self._tracker.turn_rad
+        cos, sin = math.cos(self._angle_rad), math.sin(self._angle_rad)
+        self._x_mm += cos * x_mm - sin * y_mm
+        self._y_mm += sin * x_mm + cos * y_mm
+        return image, Pose(self._x_mm, self._y_mm, self._angle_rad)
 
     def interrupt(self) -> None:
         """Ignore the motion to the next image, as the time between is unknown."""

@@ -1,4 +1,4 @@
-"""Subpixel motion of the sensor over the page between images.
+"""Subpixel motion and turn of the sensor over the page between images.
 
 Phase correlation finds the shift; Gauss–Newton steps on the grey levels refine it
 (inverse compositional: Baker and Matthews, Lucas-Kanade 20 Years On, 2004).
@@ -37,6 +37,12 @@ _FEWEST_PIXELS = 4
 _NOISE = 4.0
 """Variance of a sensor's noise, levels²."""
 
+_SQUARE = 1.03
+"""Ratio of the sides of pixels below which they are square."""
+_NEARLY = 1.05
+"""Ratio of what trials leave unexplained below which both are as good: light adds to it."""
+_MOST_TURN_RAD = 0.1
+"""Largest turn from image to image."""
 _COARSER = 2
 
 Image = NDArray[np.float32]
@@ -55,9 +61,15 @@ class MotionTracker:
     ----------
     profile : Profile
         Scale and rotation of its optics.
+
+    Attributes
+    ----------
+    turn_rad : float
+        Turn of the patch, clockwise, between the last two images; 0 if unknown.
     """
 
     def __init__(self, profile: Profile) -> None:
+        self.turn_rad = 0.0
         self._optics = profile.optics
         self._matcher: _Matcher | None = None
         self._shape = (0, 0)
@@ -75,16 +87,19 @@ class MotionTracker:
         Returns
         -------
         tuple of float, mm
-            When the print moves left in the image, the patch has moved right.
+            Along rows and columns of the later image. When the print moves left
+            in it, the patch has moved right.
         """
         if self._matcher is None or image.shape != self._shape:
             self._shape = (image.shape[0], image.shape[1])
             self._matcher = _Matcher(self._shape)
             self._page_mm = page_per_pixel(self._optics, self._matcher.shape)
+            self._matcher.turns = _is_even(self._page_mm)
             self._first = True
-        x, y = self._matcher.match(image, self._first)
+        x, y, turn_rad = self._matcher.match(image, self._first)
         self._first = False
         (x_by_x, x_by_y), (y_by_x, y_by_y) = self._page_mm
+        self.turn_rad = -turn_rad
         return -(x_by_x * x + x_by_y * y), -(y_by_x * x + y_by_y * y)
 
     def forget(self) -> None:
@@ -119,10 +134,19 @@ def page_per_pixel(
     return (a, b), (c, d)
 
 
+def _is_even(page_mm: tuple[tuple[float, float], tuple[float, float]]) -> bool:
+    """Return whether pixels are square on the page, so that a turn of it is one of the image."""
+    across, down = np.array(page_mm).T
+    lengths = math.hypot(*across), math.hypot(*down)
+    askew = abs(float(across @ down)) / (lengths[0] * lengths[1])
+    return max(lengths) < _SQUARE * min(lengths) and askew < _SQUARE - 1
+
+
 class _Trial(NamedTuple):
-    """Overlap of the shifted image with the one before."""
+    """Overlap of the shifted and turned image with the one before."""
 
     shift: Shift
+    turn_rad: float
     common: tuple[slice, slice]
     rest: Image
     """Difference, (N,) levels, without its mean: light may change."""
@@ -146,25 +170,32 @@ class _Matcher:
             np.zeros(self.shape, np.float32) for _ in range(5)
         )
         self._to = np.eye(2, 3, dtype=np.float32)
+        self._middle = ((columns - 1) / 2, (rows - 1) / 2)
+        self._beside = np.arange(columns, dtype=np.float32) - np.float32(self._middle[0])
+        self._below = np.arange(rows, dtype=np.float32)[:, None] - np.float32(self._middle[1])
+        self.turns = True
+        """Whether turns are looked for."""
         self._usual: Shift = (0.0, 0.0)
         """The last accepted shift: fingers move steadily."""
 
-    def match(self, image: NDArray[np.uint8], first: bool) -> Shift:
-        """Return the shift of the content; (0, 0) if unknown, or for a first image."""
+    def match(self, image: NDArray[np.uint8], first: bool) -> tuple[float, float, float]:
+        """Return shift and turn of the content; zeros if unknown, or for a first image."""
         if image.shape != self.shape:
             size = self.shape[::-1]
             cv2.resize(image, size, dst=self._working, interpolation=self._method)
             image = self._working
         self._image[:] = image
-        shift = None if first else self._find()
-        self._usual = (0.0, 0.0) if first else shift or self._usual
+        found = None if first else self._find()
+        shift, turn_rad = found or ((0.0, 0.0), 0.0)
+        if first or found is not None:
+            self._usual = shift
         self._image, self._before = self._before, self._image
         cv2.Sobel(self._before, cv2.CV_32F, 1, 0, dst=self._slope_x, ksize=3, scale=1 / 8)
         cv2.Sobel(self._before, cv2.CV_32F, 0, 1, dst=self._slope_y, ksize=3, scale=1 / 8)
-        return shift or (0.0, 0.0)
+        return *shift, turn_rad
 
-    def _find(self) -> Shift | None:
-        """Return the shift that explains the image; None if there is none."""
+    def _find(self) -> tuple[Shift, float] | None:
+        """Return the shift and turn that explain the image; None if there are none."""
         best = self._begin() if self._seen else None
         if best is None:
             return None
@@ -180,7 +211,39 @@ class _Matcher:
             best = trial
             if length < _CLOSE:
                 break
-        return slopes.along(best.shift) if best.unexplained <= MOST_UNEXPLAINED else None
+        turned = self._turned(best) if self.turns and slopes.whole else None
+        if turned is not None and turned.unexplained <= MOST_UNEXPLAINED:
+            return turned.shift, turned.turn_rad
+        along = slopes.along(best.shift) if best.unexplained <= MOST_UNEXPLAINED else None
+        return None if along is None else (along, 0.0)
+
+    def _turned(self, best: _Trial) -> _Trial | None:
+        """Return a better trial that turns, too; None if there is none."""
+        rows, columns = best.common
+        slope_x, slope_y = self._slope_x[best.common], self._slope_y[best.common]
+        turning = slope_y * self._beside[columns] - slope_x * self._below[rows]
+        # Light that is fixed to the sensor moves over the print: it must not seem a turn.
+        level = self._before[best.common]
+        lights = level, level * self._beside[columns], level * self._below[rows]
+        slopes = np.stack([each.ravel() for each in (slope_x, slope_y, turning, *lights)])
+        slopes -= slopes.mean(axis=1, keepdims=True)
+        try:
+            inverse = np.linalg.inv(slopes @ slopes.T)
+        except np.linalg.LinAlgError:
+            return None
+        found = None
+        for _ in range(_STEPS):
+            x, y, turn_rad = (inverse @ (slopes @ best.rest))[:3].tolist()
+            shift = best.shift[0] + x, best.shift[1] + y
+            if math.hypot(x, y) > _LONGEST_STEP or abs(best.turn_rad + turn_rad) > _MOST_TURN_RAD:
+                break
+            trial = self._try(shift, best.common, best.turn_rad + turn_rad)
+            if trial is None or trial.unexplained > _NEARLY * best.unexplained:
+                break
+            best = found = trial
+            if math.hypot(x, y) + abs(turn_rad) * max(self._middle) < _CLOSE:
+                break
+        return found
 
     def _begin(self) -> _Trial | None:
         """Return the best of the usual shift, zero, and the peak of the correlation."""
@@ -204,12 +267,17 @@ class _Matcher:
         x, y = method(before, now)
         return x * self.shape[1] / columns, y * self.shape[0] / rows
 
-    def _try(self, shift: Shift, common: tuple[slice, slice] | None = None) -> _Trial | None:
-        """Return the overlap at a shift; None if it is too small."""
+    def _try(
+        self, shift: Shift, common: tuple[slice, slice] | None = None, turn_rad: float = 0.0
+    ) -> _Trial | None:
+        """Return the overlap at a shift and turn; None if it is too small."""
         common = common or self._common(shift)
         if common is None:
             return None
-        self._to[:, 2] = shift
+        cos, sin = math.cos(turn_rad), math.sin(turn_rad)
+        x, y = self._middle
+        self._to[0] = cos, -sin, shift[0] + x - cos * x + sin * y
+        self._to[1] = sin, cos, shift[1] + y - sin * x - cos * y
         cv2.warpAffine(
             self._image,
             self._to,
@@ -222,7 +290,9 @@ class _Matcher:
         rest = np.asarray(cv2.subtract(before, now), np.float32).ravel()
         rest -= np.float32(cv2.mean(rest)[0])
         contrast = (_deviation(before) ** 2 + _deviation(now) ** 2) / 2
-        return _Trial(shift, common, rest, float(rest @ rest) / rest.size / (contrast + _NOISE))
+        return _Trial(
+            shift, turn_rad, common, rest, float(rest @ rest) / rest.size / (contrast + _NOISE)
+        )
 
     def _common(self, shift: Shift) -> tuple[slice, slice] | None:
         """Return the rows and columns common to both images, without the outermost."""
@@ -277,6 +347,11 @@ class _Slopes:
         self._steep = [
             (direction, sum_) for direction, sum_ in steep if sum_ > least * slopes.shape[1]
         ]
+
+    @property
+    def whole(self) -> bool:
+        """Whether they show a shift in any direction."""
+        return len(self._steep) == 2
 
     def solve(self, rest: Image) -> Shift:
         """Return the step that would explain ``rest``, where the slopes are steep enough."""

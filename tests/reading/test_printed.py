@@ -185,3 +185,9 @@ def test_dots_that_lead_to_a_number_are_left_out():
     lines = [at(10, 20), at(10, 24)]
     texts = ["A chapter . . . . . . . 5", "Wait ... and see........ 9"]
     assert paragraphs(lines, texts, keep_headers=True) == ["A chapter 5 Wait ... and see 9"]
+
+
+def test_a_centered_heading_after_a_short_line_begins_a_paragraph():
+    lines = [at(10, 20), at(10, 24), at(10, 28, length_mm=25), at(38, 32, length_mm=24), at(10, 36)]
+    texts = ["one", "two", "three", "Of cakes", "four"]
+    assert paragraphs(lines, texts)[:2] == ["one two three", "Of cakes"]

@@ -16,7 +16,14 @@ import pytest
 
 from smarttouch.errors import SourceError, SourceLostError
 from smarttouch.sources import camera, capture, open_source
-from smarttouch.sources.camera import OPENCV_LOG, QUIET_OPENCV, SILENT, CameraDevice, to_grey
+from smarttouch.sources.camera import (
+    COMPRESSED,
+    OPENCV_LOG,
+    QUIET_OPENCV,
+    SILENT,
+    CameraDevice,
+    to_grey,
+)
 
 from ..raising import raises
 from ..said import numbers_in
@@ -34,6 +41,7 @@ class Device:
         self.plugged = True
         self.sizes = [(640, 480), (320, 240)]
         self.rates = [30.0]
+        self.compressed_rates = [30.0]
         self.exposures = (1, 5000)
         self.taken_ms = 0.0
         self.pictures = 0
@@ -66,7 +74,9 @@ class FakeCapture:
             axis = int(key == cv2.CAP_PROP_FRAME_HEIGHT)
             value = min((size[axis] for size in device.sizes), key=lambda side: abs(side - value))
         if key == cv2.CAP_PROP_FPS:
-            value = min(device.rates, key=lambda rate: abs(rate - value))
+            compressed = self.get(cv2.CAP_PROP_FOURCC) == COMPRESSED
+            rates = device.compressed_rates if compressed else device.rates
+            value = min(rates, key=lambda rate: abs(rate - value))
         if key == cv2.CAP_PROP_EXPOSURE:
             if device.exposures is None:
                 return False
@@ -154,6 +164,14 @@ def test_what_the_camera_does_not_take_is_said_once(profile, device):
     source = CameraDevice("0", exposure=50.0)
     source.open()
     assert [numbers_in(note) for note in source.notes] == [[0, 50]]
+
+
+@pytest.mark.parametrize(("compressed_hz", "coded"), [(30.0, False), (90.0, True)])
+def test_images_are_compressed_only_where_more_come(profile, device, compressed_hz, coded):
+    device.compressed_rates = [compressed_hz]
+    with open_source("camera:0", profile, fps=90.0) as sensor:
+        assert (device.properties[cv2.CAP_PROP_FOURCC] == COMPRESSED) == coded
+        assert [numbers_in(note) for note in sensor.notes] == ([] if coded else [[0, 30, 90]])
 
 
 @pytest.mark.parametrize("rest", ["", "-1", "1e3", "99999", "http://x/y"])

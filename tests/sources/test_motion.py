@@ -11,6 +11,7 @@ from hypothesis.extra import numpy as hnp
 
 from smarttouch.documents.page_image import load_page
 from smarttouch.resources import data_folder
+from smarttouch.sources.intake import FramePreprocessor
 from smarttouch.sources.motion import MotionTracker, page_per_pixel
 from smarttouch.sources.page import PageSource
 
@@ -189,3 +190,48 @@ def test_no_image_is_too_much(profile, images):
     tracker = MotionTracker(profile)
     for image in images:
         assert all(map(math.isfinite, follow(tracker, image, image)))
+
+
+def turned_look(blots, x, y, degrees, light=1.0):
+    """Return a patch that lies turned clockwise on the page, in uneven light."""
+    turn = math.radians(degrees)
+    cos, sin = math.cos(turn), math.sin(turn)
+    middle = 31.5
+    to_page = np.array(
+        [
+            [cos, -sin, 200 + x - cos * middle + sin * middle],
+            [sin, cos, 200 + y - sin * middle - cos * middle],
+        ]
+    )
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    patch = cv2.warpAffine(blots, to_page, (64, 64), flags=flags)
+    rows, columns = np.mgrid[-1:1:64j, -1:1:64j]
+    patch = patch * (1 - 0.1 * (1 - light) * (rows**2 + columns**2))
+    noise = np.random.default_rng(round(100 * degrees) % 1000).normal(0, 2, patch.shape)
+    return np.clip(np.rint(patch + noise), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("degrees", [-3.0, -0.5, 0.0, 0.2, 2.0])
+@pytest.mark.parametrize(("x", "y"), [(0, 0), (3, -2)])
+def test_a_turn_of_the_patch_is_known(profile, blots, degrees, x, y):
+    tracker = MotionTracker(profile)
+    follow(tracker, turned_look(blots, 0, 0, 10), turned_look(blots, x, y, 10 + degrees))
+    assert math.degrees(tracker.turn_rad) == pytest.approx(degrees, abs=0.1)
+
+
+def test_a_path_that_turns_is_summed_to_a_pose(profile, blots):
+    intake = FramePreprocessor(profile)
+    for step in range(40):
+        image = turned_look(blots, 2 * step, 0.5 * step, 0.5 * step, light=0.0)
+        _, pose = intake.take(image)
+    assert math.degrees(pose.angle_rad) == pytest.approx(19.5, abs=1)
+    # The image's rows were the page's at the start.
+    assert pose.x_mm == pytest.approx(78 * FIELD_MM / 64, abs=0.1)
+    assert pose.y_mm == pytest.approx(19.5 * FIELD_MM / 64, abs=0.1)
+
+
+def test_pixels_that_are_not_square_tell_no_turn(profile, changed, blots):
+    flat = changed(profile, {"optics.field_height_mm": 4.0})
+    tracker = MotionTracker(flat)
+    follow(tracker, turned_look(blots, 0, 0, 0), turned_look(blots, 0, 0, 2))
+    assert tracker.turn_rad == 0
