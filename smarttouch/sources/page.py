@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from smarttouch.documents.document import open_document
 from smarttouch.documents.page_image import Page, load_page
 from smarttouch.documents.printed_text import print_text
+from smarttouch.documents.text_lines import find_lines
 from smarttouch.errors import PageError
 from smarttouch.profile import Profile
 from smarttouch.sources.frame import Frame
@@ -23,6 +24,8 @@ BLUR_MM = 0.06
 NOISE_LEVELS = 2.0
 """Standard deviation of the read noise, in grey levels."""
 USUAL_MM_S = 40.0
+LEAST_MAGNIFIED, MOST_MAGNIFIED = 0.1, 10.0
+"""Range of the magnification of a page beyond the profile's."""
 _SHADE = 0.1
 """Relative loss of light at the corners of the patch."""
 _SLOPE = 0.03
@@ -42,11 +45,55 @@ def open_page(
     speed_mm_s: float = USUAL_MM_S,
     path: Path | None = None,
     light_on_dark: bool = False,
+    magnify: str = "1",
 ) -> "PageSource":
-    """Open ``page:FILE``; options are those of `PageSource`, and its scale."""
+    """Open ``page:FILE``; options are those of `PageSource`, its scale, and its magnification.
+
+    The page is felt so much larger than the profile shows it; ``auto`` lets its usual lines
+    fill the array.
+    """
     page, notice = load_or_guess(Path(rest), dpi, page_width_mm)
+    factor = _magnification(magnify, page, profile, light_on_dark)
+    if factor != 1:
+        page = Page(page.grey, page.mm_per_pixel * factor)
+        notice = f"{notice + '; ' if notice else ''}it is felt {factor:.3g} times as large"
     title = Path(rest).name
     return PageSource(page, profile, title, seed, speed_mm_s, path, light_on_dark, notice)
+
+
+def _magnification(text: str, page: Page, profile: Profile, light_on_dark: bool) -> float:
+    """Return a factor as given, or the one by which the usual lines of a page fill the array.
+
+    Raises
+    ------
+    PageError
+        If it is neither a number in its range nor ``auto``.
+    """
+    if text != "auto":
+        try:
+            factor = float(text)
+        except ValueError:
+            factor = math.nan
+        if not LEAST_MAGNIFIED <= factor <= MOST_MAGNIFIED:
+            raise PageError(
+                f"magnify {text} is no magnification: give auto, or a number from "
+                f"{LEAST_MAGNIFIED:g} to {MOST_MAGNIFIED:g}",
+                about="magnify",
+                value=text,
+                allowed=(LEAST_MAGNIFIED, MOST_MAGNIFIED),
+            )
+        return factor
+    lines = find_lines(page, light_on_dark)
+    if not lines:
+        return 1.0
+    # Long lines are the text; headings are larger.
+    length = [line.right_mm - line.left_mm for line in lines]
+    height = [line.height_mm for line in lines]
+    order = np.argsort(height)
+    total = np.cumsum(np.array(length)[order])
+    usual_mm = height[order[np.searchsorted(total, total[-1] / 2)]]
+    seen_mm = profile.electrodes.extent_mm[1] / profile.optics.magnification
+    return float(np.clip(seen_mm / usual_mm, LEAST_MAGNIFIED, MOST_MAGNIFIED))
 
 
 def load_or_guess(path: Path, dpi: float | None, width_mm: float | None) -> tuple[Page, str]:

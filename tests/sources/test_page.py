@@ -5,12 +5,13 @@ import pytest
 from PIL import Image
 
 from smarttouch.documents.page_image import Page
-from smarttouch.errors import SourceError
+from smarttouch.errors import PageError, SourceError
 from smarttouch.resources import data_folder
 from smarttouch.sources import open_source
 from smarttouch.sources.page import PageSource, open_page
 from smarttouch.sources.source import Source
 
+from ..documents.printed import print_page, some_lines
 from ..raising import raises
 from ..said import numbers_in
 
@@ -144,3 +145,27 @@ def test_a_page_without_a_scale_is_felt_at_a_guessed_one_and_said_so(tmp_path, p
     known = open_page(str(path), profile, page_width_mm=100)
     assert known.notes == []
     assert known.page.size_mm[0] == pytest.approx(100)
+
+
+@pytest.mark.parametrize("size_pt", [6, 10, 24])
+def test_usual_lines_fill_the_array_where_that_is_asked(tmp_path, profile, size_pt):
+    printed = print_page(some_lines(6, 20), size_pt=size_pt, dpi=200, heading="Of fingers")
+    file = tmp_path / "page.png"
+    Image.fromarray(printed.page.grey).save(file, dpi=(200, 200))
+    with open_source(f"page:{file}?magnify=auto", profile) as source:
+        line = source.path.lines[len(source.path.lines) // 2]
+        assert line.height_mm == pytest.approx(
+            profile.electrodes.extent_mm[1] / profile.optics.magnification, rel=0.1
+        )
+        (factor,) = numbers_in(source.notes[0])
+        assert source.page.mm_per_pixel == pytest.approx(factor * 25.4 / 200, rel=0.01)
+
+
+def test_a_page_is_magnified_as_asked(tmp_path, profile):
+    file = tmp_path / "page.png"
+    Image.fromarray(spot(10, 10)).save(file, dpi=(300, 300))
+    with open_source(f"page:{file}?magnify=2", profile) as source:
+        assert source.page.mm_per_pixel == pytest.approx(2 * 25.4 / 300, rel=1e-4)
+    for wrong in ("much", "0", "nan", "11"):
+        with raises(PageError, about="magnify", value=wrong):
+            open_source(f"page:{file}?magnify={wrong}", profile)
