@@ -12,7 +12,13 @@ import smarttouch as st
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))
-LONG = ("braille_page", "electric_mouse", "frequency_discrimination", "paper_effects")
+LONG = (
+    "array_study",
+    "braille_page",
+    "electric_mouse",
+    "frequency_discrimination",
+    "paper_effects",
+)
 """Programs that the gallery alone runs, whenever the pages are built."""
 
 

@@ -7,6 +7,7 @@ ORDER = (
     "own_kernels",
     "whole_frames",
     "one_finger",
+    "array_study",
     "natural_mode",
     "electric_mouse",
     "primary_colors",

@@ -1,0 +1,49 @@
+"""Studies: rows of 1, 2 and 4 Dask workers, and what a finger costs."""
+
+from pathlib import Path
+
+import joblib
+import pytest
+
+from smarttouch.cluster import on_cluster
+from smarttouch.physiology.anatomy import load_anatomy
+from smarttouch.studies.grid import Grid
+from smarttouch.studies.plan import Study
+from smarttouch.studies.rows import rows_of_finger
+from smarttouch.studies.run import run_study
+
+STUDY = Study(
+    title="small", profiles=("smarttouch-4x4",), anatomies=("paper",), fingers=8, letters="LT"
+)
+
+
+@pytest.mark.parametrize("workers", [1, 2, 4])
+def test_rows_are_the_same_on_any_number_of_workers(benchmark, request, tmp_path, workers):
+    distributed = pytest.importorskip("distributed")
+    if request.config.getoption("quick") and workers != 2:
+        pytest.skip("quick: two workers stand for all")
+    with joblib.parallel_config("threading", n_jobs=1):
+        here = run_study(STUDY, Path(), tmp_path / "here")
+    with (
+        distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, dashboard_address=None
+        ) as cluster,
+        on_cluster(cluster.scheduler_address),
+    ):
+        there = benchmark.pedantic(
+            run_study, (STUDY, Path(), tmp_path / "there"), rounds=1, iterations=1
+        )
+    assert there == here
+    tables = [(tmp_path / each / "rows.csv").read_bytes() for each in ("here", "there")]
+    assert tables[0] == tables[1]
+
+
+@pytest.mark.parametrize("anatomy", ["paper", "branched"])
+def test_a_finger_with_26_letters_and_three_scans(benchmark, request, anatomy):
+    letters = "LT" if request.config.getoption("quick") else Study(title="all").letters
+    study = Study(title="scans", scans=("points", "auto", "frame"), letters=letters)
+    grid = Grid(study, Path())
+    (name,) = study.profiles
+    shown = grid.shown(name)
+    rows = benchmark(rows_of_finger, grid.profiles[name], load_anatomy(anatomy), anatomy, 1, shown)
+    assert len(rows) == 3 * len(letters)
