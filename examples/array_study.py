@@ -4,8 +4,7 @@ Which array, which scan?
 
 A *study* puts letters on many simulated fingers in every combination of what is asked for, and
 reads them from the spikes. ``smarttouch study`` runs one from a file, on all cores or on a Dask
-cluster; here
-a small one is run in this process.
+cluster; here a small one is run in this process.
 """
 
 from pathlib import Path
