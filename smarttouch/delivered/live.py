@@ -145,7 +145,7 @@ def serve(number: int) -> None:
         while True:
             try:
                 slots, active, wanted = line.recv()
-            except EOFError:
+            except (EOFError, OSError):
                 return
             model.begin_anew()
             (spikes,) = fire_all(model, [slots])

@@ -55,7 +55,7 @@ class StepEncoder:
             yield "/frame", self._image(given.image, given.time_ns, "sensor")
         yield "/finger", _finger(given)
         yield "/tactile", _tactile(step)
-        activation = step.tactile.activation
+        activation = step.driven
         same = self._drawn is not None and np.array_equal(activation, self._drawn)
         if self._array is not None and not same:
             self._drawn = activation

@@ -46,6 +46,14 @@ class Step:
     asked_us: int = 0
     observed: tuple[Measured, ...] = ()
 
+    @property
+    def driven(self) -> NDArray[np.float32]:
+        """Activation of the classes that its mode drives, (3, E); zero of others."""
+        driven = np.zeros_like(self.tactile.activation)
+        classes = list(self.mode.afferents)
+        driven[classes] = self.tactile.activation[classes]
+        return driven
+
     def _repr_html_(self) -> str:
         """Return its tactile image and its currents as cells, for notebooks."""
         sequence = self.sequence

@@ -71,7 +71,7 @@ def picture_message(sent: StepResult) -> Message:
         "time_s": given.time_ns / 1e9,
         "number": sent.number,
         "mode": str(step.mode),
-        "tactile": _base64(np.rint(255 * step.tactile.activation).clip(0, 255).astype(np.uint8)),
+        "tactile": _base64(np.rint(255 * step.driven).clip(0, 255).astype(np.uint8)),
         "force_n": _number(given.force_n),
         "age_ms": given.age_ns / 1e6,
         "latency_ms": given.age_ns / 1e6 + sent.latency_us / 1e3,

@@ -23,11 +23,11 @@ MOST_MESSAGE_BYTES = 65_536
 """Longest message that a page may send; longer ones end its connection."""
 PAGE_FOLDER = Path(__file__).parent / "page"
 _JOIN_S = 1.0
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; base-uri 'none'; "
+    "form-action 'none'; frame-ancestors 'none'"
+)
 _HEADERS = {
-    "content-security-policy": (
-        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
-        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-    ),
     "cache-control": "no-store",
     "cross-origin-opener-policy": "same-origin",
     "cross-origin-resource-policy": "same-origin",
@@ -72,6 +72,10 @@ class PageServer:
         self._prefix = f"/{secrets.token_urlsafe(24)}/"
         self.address = f"http://{HOST}:{self.port}{self._prefix}{name}"
         self._hosts = {f"{each}:{self.port}" for each in (HOST, "localhost")}
+        # Not all browsers take a socket of the same host for their own.
+        sockets = " ".join(f"ws://{each}" for each in sorted(self._hosts))
+        policy = f"{_POLICY}; connect-src 'self' {sockets}"
+        self._headers = {"content-security-policy": policy, **_HEADERS}
         self._inner = Starlette(routes=[*routes, Mount("/", StaticFiles(directory=PAGE_FOLDER))])
         config = server.Config(
             self._guarded,
@@ -116,7 +120,7 @@ class PageServer:
 
         async def send_with_headers(message: Any) -> None:
             if message["type"] == "http.response.start":
-                own = [(name.encode(), value.encode()) for name, value in _HEADERS.items()]
+                own = [(name.encode(), value.encode()) for name, value in self._headers.items()]
                 message["headers"] = [*message["headers"], *own]
             await send(message)
 

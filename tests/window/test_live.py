@@ -12,6 +12,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
 from smarttouch.errors import SmartTouchError
+from smarttouch.events import Note, TrialEvent
 from smarttouch.profile import load_profile
 from smarttouch.window.live import MOST_PAGES, Window
 from smarttouch.window.server import MOST_MESSAGE_BYTES
@@ -229,10 +230,15 @@ def test_keys_of_the_source_are_pressed(running):
 def test_what_would_tell_the_answer_is_not_sent(running):
     with running(blind=True) as run, connect(run) as socket:
         assert receive(socket, "hello")["blind"]
-        for _ in range(5):
+        run.window.event(TrialEvent(0, "the answer"))
+        run.window.event(Note(1, "no answer"))
+        told = []
+        while "no answer" not in told:
             update = receive(socket, "update")
             assert {*update} == {"type", "state"}
+            told += [each["text"] for each in update["state"]["events"]]
             socket.send("seen")
+        assert "the answer" not in told
 
 
 def test_a_finger_feels_what_is_delivered(running):

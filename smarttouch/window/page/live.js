@@ -69,7 +69,12 @@ function greet(hello) {
   find("full").textContent = `full color ${array.full_ma.toFixed(2)} mA`;
   for (const id of ["electrodes-card", "sensor-card", "tactile-card"]) find(id).hidden = hello.blind;
   find("draw-card").hidden = !hello.draws;
-  if (hello.draws) drawing ??= new Drawing(find, say, array);
+  if (hello.draws) {
+    drawing ??= new Drawing(find, say, array);
+    // Beside a drawing there is room for them in other columns.
+    find("electrodes-card").after(find("tactile-card"));
+    find("events-card").after(find("felt-card"));
+  }
   find("felt-card").hidden = !hello.finger;
   views = {
     electrodes: new ElectrodesView(find("electrodes"), array),

@@ -1,0 +1,103 @@
+"""Takes the pictures of the window's page from the page itself: needs Chromium and playwright."""
+
+import tempfile
+import threading
+import time
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+
+from PIL import Image
+from playwright.sync_api import sync_playwright
+
+import smarttouch as st
+from smarttouch.running.runner import Runner
+from smarttouch.stopping import StopRequest
+from smarttouch.window.live import Window
+from smarttouch.window.view import RecordingsPage
+
+HERE = Path(__file__).parent
+ARGUMENTS = ("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-sync")
+
+
+@contextmanager
+def running(url):
+    """A run with a window on an emulator; yields its address."""
+    profile, stop = st.load_profile("electric-mouse"), StopRequest()
+    window = Window(stop, show=lambda _: None)
+    display = st.open_display("emulator:", profile)
+    runner = Runner(
+        st.open_source(url, profile), display, st.RunConfig(intensity=0.8), stop=stop,
+        listeners=[window],
+    )  # fmt: skip
+    thread = threading.Thread(target=runner.run)
+    thread.start()
+    try:
+        time.sleep(1)
+        yield window.address
+    finally:
+        stop.ask("enough")
+        thread.join()
+
+
+def take(page, name):
+    """Save what a page shows, in colors that are near enough."""
+    image = Image.open(BytesIO(page.screenshot(full_page=True))).convert("RGB")
+    few = image.quantize(method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    few.save(HERE / name, optimize=True)
+
+
+def record(folder, mode):
+    """Return a recording of a word."""
+    profile, path = st.load_profile("electric-mouse"), folder / f"{mode}.mcap"
+    with (
+        st.open_source("text:touch", profile) as source,
+        st.open_display("simulated:", profile) as display,
+    ):
+        st.run(source, display, mode=mode, listeners=[st.Recorder(path)])
+    return path
+
+
+def main():
+    """Take all pictures."""
+    with sync_playwright() as driver, tempfile.TemporaryDirectory() as folder:
+        browser = driver.chromium.launch(executable_path="/usr/bin/chromium", args=[*ARGUMENTS])
+
+        def opened(address, width, height=900):
+            page = browser.new_page(viewport={"width": width, "height": height})
+            page.goto(address)
+            return page
+
+        with running("text:touch what it sees?speed_mm_s=1") as address:
+            for width, name in ((1440, "window.png"), (360, "window-phone.png")):
+                page = opened(address, width)
+                page.wait_for_selector("#felt[data-spikes]")
+                page.wait_for_timeout(3000)
+                take(page, name)
+                page.close()
+        with running("draw:") as address:
+            page = opened(address, 1440)
+            page.wait_for_selector("#draw-card:not([hidden])")
+            page.select_option("#library", "turn")
+            page.wait_for_selector("#patterns li")
+            page.fill("#letter", "S")
+            page.wait_for_timeout(500)
+            page.click("#keep")
+            page.wait_for_selector("#felt[data-spikes]")
+            page.wait_for_timeout(4000)
+            take(page, "window-draw.png")
+            page.close()
+        both = [record(Path(folder), mode) for mode in ("RA", "SAI")]
+        with RecordingsPage(both) as recordings:
+            page = opened(recordings.address, 1440)
+            page.wait_for_selector(".electrodes[data-step='0']")
+            for _ in range(42):
+                page.click("#after")
+            page.wait_for_selector(".electrodes[data-step='42']")
+            page.wait_for_timeout(500)
+            take(page, "recordings.png")
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()
