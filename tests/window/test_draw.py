@@ -95,7 +95,8 @@ def test_lists_letters_and_keys(browser, running, profile, tmp_path, monkeypatch
         assert violations(page) == []
 
 
-def test_who_does_not_steer_does_not_draw(browser, running, profile):
+def test_who_does_not_steer_does_not_draw(browser, running, profile, monkeypatch):
+    monkeypatch.setattr("smarttouch.window.steering.LOST_S", 1000)
     source = DrawSource(profile)
     with running(source, rate_hz=20) as run, opened(browser, run.address) as page:
         page.wait_for_selector("#draw-card:not([hidden])")
