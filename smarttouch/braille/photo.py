@@ -1,83 +1,102 @@
 """Recognition of Braille on a photographed page."""
 
 import math
-from collections import Counter
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.braille.cells import BLANK
-from smarttouch.braille.lattice import cell_lines
-from smarttouch.braille.search import find_view, look_closer, octaves, shows_both_sides
-from smarttouch.braille.view import View
+from smarttouch.braille.network import FoundCells, find_cells
+from smarttouch.braille.rows import cell_pitch, lines_of, slope_of
 from smarttouch.documents.page_image import Page
 from smarttouch.errors import PageError
 
-WORKING_SIDE_PX = 2400
-"""Longer side to which finer photographs are reduced. A page is some 110 dot pitches high."""
-GLANCE_SIDE_PX = 1200
-LEAST_CERTAINTY = 0.6
-"""Least certainty of Braille; texts and photographs have less."""
-CERTAIN = 0.7
+LEAST_CERTAINTY = 0.45
+"""Least certainty of a page that is read."""
+CERTAIN = 0.6
 """Certainty of Braille on a page that was not announced as Braille."""
-_FEWEST_CELLS = 12
-_MOST_ALIKE = 0.8
-"""Share of the three commonest kinds of cells above which it is no text: texts have a third to a
-half.
-"""
-_DISTURBED = 0.85
+DISTURBED = 0.7
 """Certainty below which the reader is warned."""
+FEWEST_CELLS = 4
+LEAST_SHARE = 0.03
+"""Least part of the paper that cells cover on a page that was not announced as Braille."""
+_ENOUGH = 0.1
+"""Part that is covered above which no other scale is tried."""
+CELL_HEIGHT = 1.6
+"""Height of a line, in distances of cells."""
+_SIDES_PX = (980, 1370, 700, 1900, 500, 350, 250)
+"""Longer sides at which a page is looked at: its lines may be many or few."""
+_PITCH_PX = 25.0
+"""Distance of cells at which they are read, in the middle of what the network knows."""
+_TURNS_DEG = (-15.0, 15.0)
+_MOST_ENLARGED = 1.5
+"""Largest enlargement of a picture."""
+_TILE_PX = 224
+_TILES = ((0.5, 0.5), (0.28, 0.3), (0.72, 0.7))
+"""Middles of the parts that are looked at first."""
+_LEVEL_DEG = 1.0
+"""Slope of lines above which a page is turned."""
+_OTHER_SIDE = 0.2
+"""How much surer dots must be that are lit from below for them to be the ones that are raised."""
+_BOTH_SIDES = 0.6
 
 
 @dataclass(frozen=True, eq=False)
 class BraillePage:
-    """Cells of a page of Braille, with their places.
+    """Cells of a page of Braille.
 
     Attributes
     ----------
     lines : list of str
         Cells of each line, without blanks at its end; empty where there is
         room for a line without dots.
-    dots_px : ndarray, (N, 2) px
-        Places of the dots, column and row.
-    dot_pitch_px : float, px
-        Distance of two dots of a cell, in the middle of the page.
-    skew_deg : float, °
-        Positive when lines rise to the right.
+    cells_px : ndarray, (N, 2) px
+        Middles of the cells, column and row.
+    patterns : ndarray, (N,) int
+        Their dots: bit k is dot k + 1.
     certainty : float, in [0, 1]
-        Fit of dots to cells, beyond chance; 1 if each strong one does.
+        Mean of the cells'.
     notes : list of str
         Warnings for the reader.
     """
 
     lines: list[str]
-    dots_px: NDArray[np.float64]
-    dot_pitch_px: float
-    skew_deg: float
+    cells_px: NDArray[np.float64]
+    patterns: NDArray[np.int_]
     certainty: float
     notes: list[str]
 
 
-def read_braille(
-    page: Page, light_from_deg: float | None = None, turned: bool = False
-) -> BraillePage:
+class _View(NamedTuple):
+    """A way to look at a page, and what it showed."""
+
+    scale: float
+    turn_deg: float
+    share: float
+    """Part of the paper that is covered by cells."""
+    certainty: float
+
+    @property
+    def score(self) -> float:
+        """Certainty counts twice: at a wrong scale, much is found, and badly."""
+        return self.certainty**2 * min(1.0, self.share / _ENOUGH)
+
+
+def read_braille(page: Page, light_from_deg: float | None = None) -> BraillePage:
     """Read a photograph or scan of a page of Braille, raised or printed.
 
-    Raised dots must be lit from one side. The page's scale is not used: cells
-    show their own. A page may be turned by up to 30°.
+    The page's scale is not used: cells show their own. A page may be turned by up to 25°.
 
     Parameters
     ----------
     page : Page
         The photograph.
     light_from_deg : float, °, optional
-        Direction of the light: 0 is the right, 90 the top of the picture.
-        It separates dots of the front from those of the back; not needed for pages
-        embossed from one side.
-    turned : bool
-        The page lies upside down in the picture; cells do not tell.
+        Direction of the light: 0 is the right, 90 the top of the picture. It separates dots
+        of the front from those of the back; from above if not given, unless only dots that
+        are lit from below make cells.
 
     Raises
     ------
@@ -91,88 +110,106 @@ def read_braille(
             problem="malformed",
             value=light_from_deg,
         )
-    grey = page.grey
-    if turned:
-        grey = np.ascontiguousarray(grey[::-1, ::-1])
-        light_from_deg = None if light_from_deg is None else (light_from_deg + 180) % 360
-    images = octaves(_at_most(grey, WORKING_SIDE_PX))
-    view = find_view(images, light_from_deg)
-    if view is None:
+    below = light_from_deg is not None and light_from_deg % 360 > 180
+    grey = 255 - page.grey if below else page.grey
+    view, both = _best_view(grey, _TURNS_DEG), False
+    if light_from_deg is None:
+        sure = view.certainty > CERTAIN
+        other = _glance(255 - grey, *view[:2]) if sure else _best_view(255 - grey)
+        below = other.certainty > view.certainty + _OTHER_SIDE
+        both = not below and other.score > _BOTH_SIDES * view.score
+        if below:
+            grey, view = 255 - grey, other
+    found, back = _read(grey, view)
+    lines, kept = lines_of(found)
+    certainty = float(found.certainty[kept].mean()) if kept else 0.0
+    if len(kept) < FEWEST_CELLS or certainty < LEAST_CERTAINTY:
         raise PageError(
-            "no dots are found that make cells: is it a page of Braille, lit from one side?",
-            about="page",
-            problem="empty",
-        )
-    view = look_closer(images, view, light_from_deg)
-    if view.certainty < LEAST_CERTAINTY:
-        raise PageError(
-            f"of {view.strong.sum()} dots found, {view.proven.sum()} fit cells, too few: is it a "
-            "page of Braille, lit from one side?",
+            f"of {len(kept)} cells that may be there, {found.certainty[kept].sum():.0f} are "
+            "certain, too few: is it a page of Braille, upright, sharp and lit from one side?",
             about="page",
             problem="too few",
-            value=view.certainty,
+            value=certainty,
             allowed=LEAST_CERTAINTY,
         )
-    read = view.read()
-    lines = cell_lines(view.names[read])
-    if _is_ornament(lines):
-        raise PageError(
-            f"the {read.sum()} dots found are a pattern, no text: is it a page of Braille, lit "
-            "from one side?",
-            about="page",
-            problem="pattern",
-            value=int(read.sum()),
+    notes = []
+    if certainty < DISTURBED:
+        notes.append(f"cells are certain to {certainty:.0%} only: some of them are wrong")
+    if both:
+        notes.append(
+            "dots of both sides are seen; those read are raised if the light comes from above: "
+            "say where from if it does not"
         )
-    # The size of a pixel of the view, in those of the page.
-    pixel = grey.shape[1] / view.image.shape[1]
-    dots_px = (view.dots.px[read] + 0.5) * pixel - 0.5
-    if turned:
-        dots_px = np.array(grey.shape[::-1]) - 1 - dots_px
-    right = view.lattice.steps()[0]
-    return BraillePage(
-        lines=lines,
-        dots_px=dots_px,
-        dot_pitch_px=view.lattice.pitch_px() * pixel,
-        skew_deg=math.degrees(math.atan2(-right[1], right[0])),
-        certainty=view.certainty,
-        notes=_notes(view, light_from_deg),
-    )
+    cells_px = found.px[kept] @ back[:, :2].T + back[:, 2]
+    return BraillePage(lines, cells_px, found.patterns[kept], certainty, notes)
 
 
 def looks_like_braille(page: Page) -> bool:
-    """Return whether a page is certainly Braille, by a quick look.
-
-    Texts and photographs are not, nor is Braille that is hard to read.
-    """
-    view = find_view(octaves(_at_most(page.grey, GLANCE_SIDE_PX)), None)
-    if view is None or view.certainty < CERTAIN:
-        return False
-    return not _is_ornament(cell_lines(view.names[view.read()]))
+    """Return whether a page is certainly Braille, upright and lit from above, by a quick look."""
+    view = _best_view(page.grey)
+    return view.share > LEAST_SHARE and view.certainty > CERTAIN
 
 
-def _at_most(grey: NDArray[np.uint8], side_px: int) -> NDArray[np.uint8]:
-    shrink = side_px / max(grey.shape)
-    if shrink >= 1:
-        return grey
-    rows, columns = (max(1, round(shrink * side)) for side in grey.shape)
-    return np.asarray(cv2.resize(grey, (columns, rows), interpolation=cv2.INTER_AREA), np.uint8)
+def _best_view(grey: NDArray[np.uint8], turns_deg: tuple[float, ...] = ()) -> _View:
+    """Return the scale and turn at which parts of a page show most cells."""
+    views: list[_View] = []
+    longest = max(grey.shape)
+    for side_px in _SIDES_PX:
+        if side_px < _MOST_ENLARGED * longest:
+            views.append(_glance(grey, side_px / longest, 0.0))
+            if views[-1].share > _ENOUGH and views[-1].certainty > CERTAIN:
+                return views[-1]
+    views.sort(key=lambda each: each.score, reverse=True)
+    turned = [_glance(grey, each.scale, turn_deg) for turn_deg in turns_deg for each in views[:2]]
+    return max([*views, *turned], key=lambda each: each.score, default=_View(1.0, 0.0, 0.0, 0.0))
 
 
-def _is_ornament(lines: list[str]) -> bool:
-    """Return whether nearly all cells are of three kinds: a grid of dots, or tiles."""
-    kinds = Counter("".join(lines).replace(BLANK, ""))
-    most = sum(count for _, count in kinds.most_common(3))
-    return kinds.total() >= _FEWEST_CELLS and most > _MOST_ALIKE * kinds.total()
-
-
-def _notes(view: View, light_from_deg: float | None) -> list[str]:
-    notes = []
-    if view.certainty < _DISTURBED:
-        notes.append(f"dots make cells with a certainty of {view.certainty:.0%} only")
-    if light_from_deg is None and shows_both_sides(view):
-        light_deg = (view.dots.look.light_from_deg or 0.0) % 360
-        notes.append(
-            f"dots of both sides are seen; those read are raised if the light comes from "
-            f"{light_deg:.0f}° (0 is the right, 90 the top): say where from if it does not"
+def _glance(grey: NDArray[np.uint8], scale: float, turn_deg: float) -> _View:
+    """Return what some parts of a page show, and how to look at it closer."""
+    picture, _ = _scaled(grey, scale, turn_deg)
+    size = np.array(picture.shape)
+    pitches, slopes, covered, sure = [], [], 0.0, list[float]()
+    for middle in _TILES:
+        top, left = np.clip(size * middle - _TILE_PX / 2, 0, np.maximum(size - _TILE_PX, 0)).astype(
+            int
         )
-    return notes
+        tile = np.ascontiguousarray(picture[top : top + _TILE_PX, left : left + _TILE_PX])
+        found = find_cells(tile)
+        pitch_px = cell_pitch(found.px)
+        if pitch_px:
+            pitches.append(pitch_px)
+            slopes.append(slope_of(found.px, pitch_px))
+            covered += float(found.certainty.sum()) * CELL_HEIGHT * pitch_px**2 / tile.size
+            sure += found.certainty.tolist()
+    if not pitches:
+        return _View(scale, turn_deg, 0.0, 0.0)
+    closer = float(np.clip(_PITCH_PX / np.median(pitches), 0.5, 2))
+    level_deg = turn_deg + math.degrees(math.atan(np.median(slopes)))
+    return _View(scale * closer, level_deg, covered / len(_TILES), float(np.mean(sure)))
+
+
+def _read(grey: NDArray[np.uint8], view: _View) -> tuple[FoundCells, NDArray[np.float64]]:
+    """Return the cells of a page in a picture of it, and the map to the page's own pixels."""
+    picture, back = _scaled(grey, view.scale, view.turn_deg)
+    return find_cells(picture), back
+
+
+def _scaled(
+    grey: NDArray[np.uint8], scale: float, turn_deg: float
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Return a page smaller or larger and turned, and the map of its pixels to the page's."""
+    size = tuple(max(16, round(scale * side)) for side in grey.shape[::-1])
+    way = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    picture = np.asarray(cv2.resize(grey, size, interpolation=way), np.uint8)
+    back = np.array([[1 / scale, 0, 0.5 / scale - 0.5], [0, 1 / scale, 0.5 / scale - 0.5]])
+    if abs(turn_deg) < _LEVEL_DEG:
+        return picture, back
+    width, height = size
+    turn = cv2.getRotationMatrix2D((width / 2, height / 2), turn_deg, 1)
+    new = np.ceil(np.abs(turn[:, :2]) @ size).astype(int)
+    turn[:, 2] += (new - size) / 2
+    turned = cv2.warpAffine(picture, turn, new.tolist(), borderMode=cv2.BORDER_REPLICATE)
+    unturn = np.asarray(cv2.invertAffineTransform(turn))
+    return np.asarray(turned, np.uint8), np.column_stack(
+        [back[:, :2] @ unturn[:, :2], back[:, :2] @ unturn[:, 2] + back[:, 2]]
+    )

@@ -58,6 +58,8 @@ class Screen(Listener):
         drawn = self._console.is_terminal and not self._console.is_dumb_terminal
         self._plain = not quiet and (plain or not drawn)
         self._told = ""
+        self._early: list[str] | None = []
+        """Lines on what happened before the board was open."""
         self._latest: StepResult | None = None
         self._event = ""
         self._keys = keys_help + _KEYS
@@ -69,11 +71,6 @@ class Screen(Listener):
         self._board, self._statistics = run.board, run.statistics
         self._array = ArrayPicture(run.profile)
         self._full_ma = float(run.profile.full_ma.max())
-        if self._plain:
-            self._told = run.source.title
-            self._print(f"{self._told}, {run.profile.title}, {self._url}")
-            if sys.stdin.isatty():
-                self._print(f"keys: {', '.join(re.split(' {2,}', self._keys))}")
         if self._quiet or self._plain:
             return
         # Drawing must not hold the loop up for a whole default interval of 5 ms.
@@ -86,6 +83,17 @@ class Screen(Listener):
             transient=True,
         )
         self._live.start()
+
+    def start(self, run: RunContext) -> None:
+        """Tell what runs, and by which keys, where nothing is drawn."""
+        if self._plain:
+            self._told = run.source.title
+            self._print(f"{self._told}, {run.profile.title}, {self._url}")
+            if sys.stdin.isatty():
+                self._print(f"keys: {', '.join(re.split(' {2,}', self._keys))}")
+            early, self._early = self._early or [], None
+            for line in early:
+                self._print(line)
 
     def step(self, result: StepResult) -> None:
         """Keep the newest; the screen's own thread draws it when it gets to it."""
@@ -101,6 +109,8 @@ class Screen(Listener):
         if isinstance(event, Advice) and not self._quiet:
             console = terminal.console(stderr=True) if self._live is None else self._console
             console.print(str(event), soft_wrap=True, highlight=False, markup=False)
+        elif self._plain and self._early is not None:
+            self._early.append(self._event)
         elif self._plain:
             self._print(self._event)
 
@@ -120,6 +130,7 @@ class Screen(Listener):
             sys.setswitchinterval(self._interval)
 
     def _print(self, line: str) -> None:
+        line = line.replace("\n", " ")
         self._console.print(line, soft_wrap=True, highlight=False, markup=False)
 
     def _render(self) -> Group | Text:

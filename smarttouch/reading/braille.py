@@ -190,7 +190,7 @@ class Braille:
         found = read_braille(page, self.light_from_deg)
         for note in found.notes:
             source.note(f"page {number}: {note}")
-        return list(found.lines)
+        return found.lines
 
 
 def _note_missing(source: Source, number: int, table: Table, missing: str) -> None:

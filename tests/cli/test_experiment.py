@@ -138,7 +138,9 @@ def test_discomfort_ends_with_a_current(program_here, tmp_path):
     rows = read_rows(tmp_path / "discomfort-RA.csv")
     enough = [row.comparison for row in rows if row.success]
     assert len(rows) == 2
-    told = re.findall(r" (\d\.\d{3}) mA", result.stdout)
+    # Lines of the run itself begin with a time.
+    summary = re.sub(r"(?m)^[\d.]+ s: .*$", "", result.stdout)
+    told = re.findall(r" (\d\.\d{3}) mA", summary)
     assert list(map(float, told)) == ([pytest.approx(np.mean(enough), 1e-3)] if enough else [])
 
 

@@ -4,6 +4,7 @@ import io
 import os
 import shutil
 import subprocess
+import sys
 import time
 from types import SimpleNamespace
 
@@ -11,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from smarttouch.errors import SmartTouchError
-from smarttouch.events import Paused, TrialEvent
+from smarttouch.events import Paused, Resumed, TrialEvent
 from smarttouch.monitor import speech
 from smarttouch.monitor.blind_screen import BlindScreen
 from smarttouch.monitor.screen import Screen
@@ -94,12 +95,19 @@ def test_where_nothing_is_drawn(monkeypatch, terminal, dumb, asked, plain):
     monkeypatch.setenv("TERM", "dumb" if dumb else "xterm")
     console = Console(file=io.StringIO(), force_terminal=terminal)
     monkeypatch.setattr("smarttouch.monitor.screen.terminal.console", lambda **_: console)
+    run = SimpleNamespace(source=SimpleNamespace(title="a\nb"), profile=SimpleNamespace(title="p"))
     screen = Screen("emulator:", quiet=False, plain=asked)
     screen.event(Paused(1_500_000_000))
-    assert (console.file.getvalue() == "1.5 s: paused\n") is plain
+    # What happens before the board is open is told when it is.
+    assert console.file.getvalue() == ""
+    screen.start(run)
+    screen.event(Resumed(2_500_000_000))
+    told = [each for each in console.file.getvalue().splitlines() if not each.startswith("keys")]
+    assert told == ["a b, p, emulator:", "1.5 s: paused", "2.5 s: goes on"] * plain
     quiet = Screen("emulator:", quiet=True, plain=asked)
+    quiet.start(run)
     quiet.event(Paused(0))
-    assert console.file.getvalue().count("\n") == plain
+    assert console.file.getvalue().count("\n") == len(told) + plain * sys.stdin.isatty()
 
 
 def test_answers_are_neither_shown_nor_said():

@@ -189,7 +189,7 @@ def test_at_a_terminal_colors_stay_and_nothing_else_passes(shell, tmp_path):
 def test_names_with_newlines_bytes_and_length(program_here, tmp_path):
     names = (b"a\nb.png", b"\xff\xfe.png", "é ".encode() * 60 + b".png", b"x" * 5000)
     for name in map(os.fsdecode, names[:-1]):
-        (tmp_path / name).write_bytes(b"no picture")
+        (tmp_path / name).write_bytes(b"\0 no picture")
     for name in map(os.fsdecode, names):
         for command in (("live", "--sensor", f"page:{name}"), ("read", name), ("replay", name)):
             done = program_here(*command)

@@ -1,0 +1,125 @@
+"""Small convolutional network that finds cells of Braille in a picture, run by numpy.
+
+Its weights come from rendered pages alone; no photograph went into them.
+"""
+
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+STRIDE = 4
+"""Pixels of the picture per place of the network's map."""
+LEAST = 0.4
+"""Least certainty of a place where a cell is found."""
+_DILATIONS = (1, 1, 2, 4, 8, 2, 1)
+_NEAR_PX = 41
+_AROUND_PX = 81
+"""Sides of the squares over which brightness and contrast are made even."""
+_APART_PX = 11, 14
+"""Least distance of cells, across and down: those of the finest pages have 18 and 28."""
+
+Image = NDArray[np.float32]
+
+
+class FoundCells(NamedTuple):
+    """Cells found in a picture.
+
+    Attributes
+    ----------
+    px : ndarray, (N, 2) px
+        Their middles, column and row.
+    patterns : ndarray, (N,) int
+        Their dots: bit k is dot k + 1.
+    certainty : ndarray, (N,), in [0, 1]
+        That there is a cell, and that each of its dots is right.
+    """
+
+    px: NDArray[np.float64]
+    patterns: NDArray[np.int_]
+    certainty: NDArray[np.float64]
+
+
+def find_cells(grey: NDArray[np.uint8]) -> FoundCells:
+    """Return the cells of a picture whose dots are 8 to 13 pixels apart, lit from above."""
+    height, width = grey.shape
+    edges = 0, -height % (2 * STRIDE), 0, -width % (2 * STRIDE)
+    framed = cv2.copyMakeBorder(grey, *edges, borderType=cv2.BORDER_REFLECT)
+    maps = _run(_even(np.asarray(framed, np.uint8)))
+    there = maps[0]
+    peaks = (there >= cv2.dilate(there, np.ones((3, 3), np.uint8))) & (there > LEAST)
+    rows, columns = np.nonzero(peaks)
+    strength, dots = there[rows, columns], maps[3:, rows, columns]
+    px = np.column_stack([columns + maps[1, rows, columns], rows + maps[2, rows, columns]])
+    px = px.astype(float) * STRIDE + (STRIDE - 1) / 2
+    kept = _apart(px, strength)
+    dots = dots[:, kept]
+    return FoundCells(
+        px[kept],
+        (dots > 0.5).T @ (1 << np.arange(6)),
+        np.asarray(strength[kept] * np.maximum(dots, 1 - dots).prod(axis=0), float),
+    )
+
+
+def _even(grey: NDArray[np.uint8]) -> Image:
+    """Return a picture with an even background, and even contrast."""
+    picture = grey.astype(np.float32)
+    near = picture - cv2.blur(picture, (_NEAR_PX,) * 2, borderType=cv2.BORDER_REFLECT)
+    spread = np.maximum(cv2.blur(near * near, (_AROUND_PX,) * 2, borderType=cv2.BORDER_REFLECT), 0)
+    return np.asarray(np.clip(near / (np.sqrt(spread) + 2), -4, 4), np.float32)
+
+
+def _run(picture: Image) -> Image:
+    """Return maps, (9, H, W): of cells, of where they are beside the place, of their dots."""
+    layers = _layers()
+    image = picture[None]
+    for (weights, bias), stride in zip(layers[:3], (1, 2, 2), strict=True):
+        image = np.maximum(_convolved(image, weights, bias, stride), 0)
+    for (weights, bias), dilation in zip(layers[3:-1], _DILATIONS, strict=True):
+        image = image + np.maximum(_convolved(image, weights, bias, dilation=dilation), 0)
+    maps = _convolved(image, *layers[-1])
+    for each in (0, *range(3, 9)):
+        maps[each] = 1 / (1 + np.exp(-np.clip(maps[each], -30, 30)))
+    return maps
+
+
+def _convolved(
+    image: Image, weights: Image, bias: Image, stride: int = 1, dilation: int = 1
+) -> Image:
+    """Return an image, (C, H, W), through weights, (D, C, K, K): a matrix product for each tap."""
+    size = weights.shape[2]
+    edge = dilation * (size // 2)
+    framed = np.pad(image, ((0, 0), (edge, edge), (edge, edge)))
+    height, width = (-(-side // stride) for side in image.shape[1:])
+    made = np.tile(bias[:, None], height * width)
+    for row in range(size):
+        for column in range(size):
+            top, left = row * dilation, column * dilation
+            part = framed[:, top::stride, left::stride][:, :height, :width]
+            made += weights[:, :, row, column] @ part.reshape(len(part), -1)
+    return made.reshape(-1, height, width)
+
+
+@cache
+def _layers() -> list[tuple[Image, Image]]:
+    """Return weights and bias of each layer."""
+    with np.load(Path(__file__).with_name("network.npz")) as saved:
+        count = len(saved.files) // 2
+        return [
+            (saved[f"weights{n}"].astype(np.float32), saved[f"bias{n}"].astype(np.float32))
+            for n in range(count)
+        ]
+
+
+def _apart(px: NDArray[np.float64], strength: Image) -> NDArray[np.int_]:
+    """Return which cells, (M,), stay of those that overlap: the surest."""
+    kept: list[int] = []
+    across, down = _APART_PX
+    for each in np.argsort(-strength, kind="stable"):
+        away = np.abs(px[kept] - px[each])
+        if not ((away[:, 0] < across) & (away[:, 1] < down)).any():
+            kept.append(int(each))
+    return np.array(sorted(kept), int)
