@@ -2,10 +2,12 @@
 
 import tracemalloc
 from dataclasses import asdict, replace
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from smarttouch.recording import writer as writer_module
 from smarttouch.recording.recorder import about_run
@@ -117,3 +119,13 @@ def traced_peak():
     tracemalloc.start()
     yield Meter()
     tracemalloc.stop()
+
+
+@pytest.fixture(scope="session")
+def damaged(recording):
+    """Return a recording with one bit changed, in the middle of its middle chunk."""
+    content = bytearray(recording.read_bytes())
+    chunks = make_reader(BytesIO(content)).get_summary().chunk_indexes
+    middle = chunks[len(chunks) // 2]
+    content[middle.chunk_start_offset + middle.chunk_length // 2] ^= 1
+    return content
