@@ -1,7 +1,9 @@
 """``--window``: with and without a port, and a run that a page stops."""
 
 import re
+import signal
 import sys
+import time
 from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
 
@@ -41,12 +43,31 @@ def test_without_the_extra_it_says_which(program_here, monkeypatch):
     says(SmartTouchError, "smarttouch[window]", about="window", problem="missing")(refused(done))
 
 
-def test_a_page_stops_a_run(start_program):
+def test_recordings_are_shown_until_ctrl_c(start_program, program_here, tmp_path):
+    done = program_here(
+        "live", "--board", "simulated:", "--source", "text:a", "--record", "run.mcap", "--quiet"
+    )
+    assert done.returncode == 0
+    done = program_here("recordings", "view", "run.mcap", "--save", "a.svg", "--step", 5)
+    assert (done.returncode, done.stdout) == (0, "a.svg\n")
+    assert (tmp_path / "a.svg").read_text().count("<circle") == 64
+    view = start_program("recordings", "view", "run.mcap", "run.mcap")
+    address = re.match("window: (http://[^ ]+) ", view.stderr.readline())[1]
+    with urlopen(address, timeout=20) as answer:
+        assert answer.status == 200
+    view.send_signal(signal.SIGINT)
+    assert view.wait(20) == 0
+
+
+def test_a_page_stops_a_run(start_program, tmp_path):
     run = start_program(
         "live", "--source", "text:touch?speed_mm_s=2", "--window", "--quiet",
-        "--profile", "smarttouch-4x4", "--anatomy", "paper",
+        "--profile", "smarttouch-4x4", "--anatomy", "paper", "--record", "run.mcap",
     )  # fmt: skip
     address = re.fullmatch("window: (http://[^ ]+)\n", run.stderr.readline())[1]
+    # The recording begins when the board is open.
+    while run.poll() is None and not (tmp_path / "run.mcap").exists():
+        time.sleep(0.02)
     stop = Request(
         address.replace("live.html", "stop"),
         method="POST",
@@ -54,4 +75,5 @@ def test_a_page_stops_a_run(start_program):
     )
     with urlopen(stop, timeout=20) as answer:
         assert answer.status == 204
-    assert run.wait(20) == 0
+    _, err = run.communicate(timeout=20)
+    assert (run.returncode, err) == (0, "")

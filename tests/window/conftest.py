@@ -12,9 +12,6 @@ from smarttouch.running.runner import Runner
 from smarttouch.sources.source import StimulusSource
 from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stopping import StopRequest
-
-pytest.importorskip("starlette")
-pytest.importorskip("uvicorn")
 from smarttouch.window.live import Window
 
 WAIT_S = 20
