@@ -10,7 +10,9 @@ import pytest
 from smarttouch.boards.open import make_board
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 from tests.firmware.build import cortex_m3
+from tests.firmware.rig import Talk
 from tests.firmware.scenes import random_lists, random_table, sequence_of
 
 pytestmark = pytest.mark.realtime
@@ -84,6 +86,48 @@ def test_kernels_go_there_and_their_sums_flow(machine):
     # It was heard for a tenth of a second and its last heartbeat, and then for 100 ms.
     assert 0.05 < running_s < 0.5
     assert len(pulses()) == len(told)
+
+
+class OverSocket:
+    """A board at the other end of a socket, as `Talk` knows boards."""
+
+    def __init__(self, line):
+        self._line = line
+        line.settimeout(10)
+
+    def feed(self, data, _now_us):
+        self._line.sendall(data)
+        answer = b""
+        while not answer.endswith(b"\0"):
+            answer += self._line.recv(65536)
+        return answer, []
+
+
+def test_noise_is_nothing_and_silence_is_zero_within_100_ms(machine):
+    port, pulses = machine
+    number = int(port.rpartition(":")[2])
+    rng = np.random.default_rng(0)
+    limits = SafetyLimits(ELECTRODES, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
+    with socket.create_connection(("127.0.0.1", number)) as line:
+        line.sendall(rng.bytes(5000) + b"\0")
+        talk = Talk(OverSocket(line))
+        current = np.zeros((4, ELECTRODES), np.int16)
+        current[:, :2] = 300, -300
+        column = np.ones(4, np.uint16)
+        sequence = ScanSequence(current, 100 * column, 50 * column, 0 * column, 10_000, 0.25, 0)
+        # A busy machine may be silent for 100 ms before the sequence, too: then once more.
+        for _ in range(20):
+            talk.begin(limits)
+            # The last that this host says.
+            talk.send(sequence, 1, times=1000)
+            time.sleep(1.0)
+            if len(told := pulses()):
+                break
+    assert len(told) >= 4
+    np.testing.assert_array_equal(told["current_ua"], np.tile(current[0], (len(told), 1)))
+    _check_times(told)
+    # The first slot begins when the sequence has come, which is the last sign of life.
+    assert np.ptp(told["start_us"].astype(np.int64)) <= 100_000
 
 
 def _check_times(told):
