@@ -23,6 +23,12 @@ _FILLED = 0.15
 """Part of its box that a picture fills at least."""
 _RULE = 12.0
 """Ratio of length to height above which a spot is a rule."""
+_UNDERLINE, _THIN = 3.0, 0.3
+"""Least length and most thickness of a line under a word, in letter heights."""
+_BELOW, _HANGING = 0.4, 0.2
+"""Height below it, in the same, and the part of it that is ink at most: of descenders."""
+_STANDING = 0.5
+"""Part of its length over which letters stand on it, at least; bars of large letters have less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +210,19 @@ def find_rules(ink: NDArray[np.bool_], height: float) -> NDArray[np.bool_]:
     height : float, px
         Usual height of a letter.
     """
-    run = np.ones((1, round(_RULE * height)), np.uint8)
-    rules = cv2.morphologyEx(ink.view(np.uint8), cv2.MORPH_OPEN, run)
+    page = ink.view(np.uint8)
+    rules = cv2.morphologyEx(page, cv2.MORPH_OPEN, np.ones((1, round(_RULE * height)), np.uint8))
+    run = np.ones((1, round(_UNDERLINE * height)), np.uint8)
+    short = cv2.subtract(cv2.morphologyEx(page, cv2.MORPH_OPEN, run), rules)
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats(short, connectivity=8)
+    thick, deep = max(3, round(_THIN * height)), max(2, round(_BELOW * height))
+    for label in np.flatnonzero(boxes[:, 3] <= thick):
+        left, top, width, high, _ = boxes[label].tolist()
+        columns = slice(left, left + width)
+        above = ink[max(0, top - round(height)) : max(0, top - 1), columns].any(axis=0)
+        # Letters hang from the line above them in some scripts.
+        below = ink[top + high + 1 : top + high + 1 + deep, columns]
+        if below.size and below.mean() < _HANGING and above.mean() > _STANDING:
+            rules[top : top + high, columns][labels[top : top + high, columns] == label] = 1
     # A rule that is not quite level, or frayed, steps up and down by a pixel.
     return np.asarray(cv2.dilate(rules, np.ones((3, 1), np.uint8)), np.uint8).view(np.bool_)

@@ -271,3 +271,15 @@ def test_a_line_ends_at_a_picture():
     beside = [line for line in lines if line.right_mm > left * page.page.mm_per_pixel + 20]
     assert len(beside) >= 7
     assert all(line.left_mm > (left - 12) * page.page.mm_per_pixel for line in beside)
+
+
+@pytest.mark.parametrize("below_px", [1, 2, 4])
+def test_underlined_words_stay_in_their_line(below_px):
+    page = print_page(some_lines(10, 40), size_pt=11, dpi=150)
+    grey, per_mm = page.page.grey.copy(), 1 / page.page.mm_per_pixel
+    for index, line in enumerate(page.lines):
+        first, last = line.baseline_mm[[0, -1], 0] * per_mm
+        start = first + (last - first) * (index % 3) / 3
+        y = round(line.baseline_mm[0, 1] * per_mm) + below_px
+        grey[y, round(start) : round(start + 0.25 * (last - first))] = 30
+    assert_found(page, find_lines(Page(grey, page.page.mm_per_pixel)))
