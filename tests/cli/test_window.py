@@ -1,5 +1,6 @@
 """``--window``: with and without a port, and a run that a page stops."""
 
+import json
 import re
 import signal
 import sys
@@ -8,9 +9,11 @@ from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
 
 import pytest
+from websockets.sync.client import connect
 
 from smarttouch.cli.run_command import with_ports
 from smarttouch.errors import SmartTouchError
+from smarttouch.recording.reader import Recording
 
 from .conftest import refused, says
 
@@ -77,3 +80,50 @@ def test_a_page_stops_a_run(start_program, tmp_path):
         assert answer.status == 204
     _, err = run.communicate(timeout=20)
     assert (run.returncode, err) == (0, "")
+
+
+def page_of(address):
+    """Return the socket of a page."""
+    place = urlsplit(address)
+    secret = place.path.split("/")[1]
+    return connect(
+        f"ws://{place.netloc}/{secret}/socket", origin=f"http://{place.netloc}", proxy=None
+    )
+
+
+def state(page):
+    """Return the next state that a page is told of, and its picture."""
+    while True:
+        message = json.loads(page.recv(timeout=20))
+        if message["type"] == "update":
+            page.send("seen")
+            return message["state"], message.get("picture")
+
+
+def test_on_a_finger_a_page_turns_it_up_from_nothing(start_program, start_emulator, tmp_path):
+    _, port, _ = start_emulator()
+    run = start_program(
+        "live", "--board", f"link:{port}", "--force", "fixed:1", "--window", "--quiet",
+        "--source", "text:touch touch?speed_mm_s=2", "--anatomy", "paper", "--record", "run.mcap",
+    )  # fmt: skip
+    address = re.match("window: (http://[^ ]+)\n", run.stderr.readline())[1]
+    with page_of(address) as page:
+        while (now := state(page))[1] is None:
+            assert now[0]["level"] == 0
+        assert now[1]["intensity"] == 0
+        page.send("do more")
+        while not (state(page)[1] or {}).get("intensity"):
+            pass
+    # Gone, and there is no keyboard.
+    with page_of(address) as page:
+        while not (now := state(page))[0]["paused"]:
+            pass
+        assert now[0]["level"] > 0
+        page.send("stop")
+        assert run.wait(20) == 0
+    recording = Recording(tmp_path / "run.mcap")
+    words = [words for _, words in recording.events()]
+    assert [each for each in words if each in ("intensity 0.00", "intensity 0.05", "paused")] == [
+        "intensity 0.00", "intensity 0.05", "paused",
+    ]  # fmt: skip
+    assert not [*recording.steps()][-1].step.sequence.current_ua.any()
