@@ -37,6 +37,7 @@ def test_today_s_user_lowers_and_pauses(recording):
     assert controls.state(step.input.time_ns).current_level == 0
     controls.toggle_pause()
     controls.next_mode()
+    controls.choose_mode(Mode.SAI)
     assert controls.state(step.input.time_ns).mode is step.mode
 
 

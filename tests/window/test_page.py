@@ -96,6 +96,20 @@ def test_a_keyboard_is_enough(on_page):
         assert {*buttons} <= reached
 
 
+def test_a_second_page_takes_over_when_the_first_is_closed(on_page, browser):
+    with on_page() as (run, page):
+        with opened(browser, run.address) as first:
+            first.wait_for_selector("#status.runs")
+            first.keyboard.press("-")
+            wait_for(lambda: run.state().level < 1)
+            page.wait_for_selector("#more:disabled")
+        wait_for(lambda: run.state().paused)
+        page.wait_for_selector("#pause[aria-pressed=true]:enabled")
+        page.click("#pause")
+        wait_for(lambda: not run.state().paused)
+        page.wait_for_selector("#steer[aria-pressed=true]")
+
+
 def test_axe_finds_nothing(on_page):
     with on_page() as (_, page):
         page.click("summary")
