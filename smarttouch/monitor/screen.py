@@ -1,6 +1,5 @@
 """The terminal while a finger reads: limits, keys, source, electrodes, rate."""
 
-import re
 import sys
 import textwrap
 from itertools import zip_longest
@@ -90,7 +89,8 @@ class Screen(Listener):
             self._told = run.source.title
             self._print(f"{self._told}, {run.profile.title}, {self._url}")
             if sys.stdin.isatty():
-                self._print(f"keys: {', '.join(re.split(' {2,}', self._keys))}")
+                keys = (" ".join(each.split()) for each in self._keys.split("    "))
+                self._print(f"keys: {', '.join(keys)}")
             early, self._early = self._early or [], None
             for line in early:
                 self._print(line)

@@ -70,10 +70,12 @@ class Brltty:
         As behind its option ``-d``.
     folder : Path
         For its process number.
+    screen : str
+        Driver of the screen that it reads.
     """
 
-    def __init__(self, device: str, folder: Path) -> None:
-        self._device, self._folder = device, folder
+    def __init__(self, device: str, folder: Path, screen: str = "no") -> None:
+        self._device, self._folder, self._screen = device, folder, screen
         # BrlAPI's host ":4" is port 4101 + 4.
         self.host = f":{free_port() - 4101}"
         self.process: subprocess.Popen | None = None
@@ -81,7 +83,7 @@ class Brltty:
     def start(self) -> None:
         """Start it, without the greeting, which a writing program can crash (BRLTTY 6.5)."""
         self.process = subprocess.Popen(
-            ["brltty", "-q", "-n", "-E", "-e", "-b", "vr", "-d", self._device, "-x", "no",
+            ["brltty", "-q", "-n", "-E", "-e", "-b", "vr", "-d", self._device, "-x", self._screen,
              "-t", "en-nabcc", "-A", f"auth=none,host={self.host}", "-f", "/dev/null",
              "-P", str(self._folder / "brltty.pid")],
             stderr=subprocess.DEVNULL,
