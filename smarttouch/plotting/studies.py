@@ -57,7 +57,8 @@ def study_figure(found: Sequence[Drawn], names: Mapping[str, str], title: str) -
             axes.scatter(values, place + aside, s=6, color=color, alpha=0.45, linewidths=0)
             axes.plot([np.median(values)] * 2, [place - 0.42, place + 0.42], color="black", lw=1.6)
         plain(axes, "", name)
-        axes.set_xlim(-0.02, max(0.1, axes.get_xlim()[1]))
+        most = max(0.1, axes.get_xlim()[1])
+        axes.set_xlim(-0.03 * most, most)
         axes.grid(axis="x", color="#e6e6e6", linewidth=0.6)
         axes.set_axisbelow(True)
     middle = (len(anatomies) - 1) / 2
