@@ -101,8 +101,8 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
         return Paper(blank, np.zeros(grey.shape, np.bool_), light_on_dark)
     _leave_out_faint_spots(flat, levels)
     _, ink = cv2.threshold(flat, levels.threshold, 1, cv2.THRESH_BINARY_INV)
-    above = np.maximum(flat, levels.black) - levels.black
-    cleaned = cv2.convertScaleAbs(above, alpha=255 / (levels.white - int(levels.black)))
+    stretch = (np.arange(256) - levels.black) * (255 / (levels.white - levels.black))
+    cleaned = cv2.LUT(flat, np.rint(np.clip(stretch, 0, 255)).astype(np.uint8))
     return Paper(np.asarray(cleaned, np.uint8), ink.view(np.bool_), light_on_dark)
 
 
@@ -187,7 +187,7 @@ def _closed(small: Grey, side_px: float) -> Grey:
 class _Levels:
     """Levels of a divided page: full ink, least seen of a spot, last of ink, least of paper."""
 
-    black: np.uint8
+    black: float
     seen: float
     threshold: float
     white: float
@@ -213,7 +213,7 @@ def _levels(flat: Grey) -> _Levels | None:
         return None
     black, darker = np.searchsorted(np.cumsum(ink), np.array([0.2, _DARKER_QUARTER]) * ink.sum())
     white = middle - max(2.5 * grain, 0.03 * _PAPER)
-    return _Levels(np.uint8(black), middle - _THROUGH * (middle - darker), threshold, white)
+    return _Levels(float(black), middle - _THROUGH * (middle - darker), threshold, white)
 
 
 def _otsu(counts: NDArray[np.float64]) -> int:
