@@ -47,7 +47,7 @@ class Speech(Listener):
         super().__init__()
         if shutil.which("spd-say") is None:
             raise SmartTouchError(
-                f"speech-dispatcher is not here: {INSTALL}, or leave out --speak",
+                f"speech-dispatcher is not here: {INSTALL}, or run without speech",
                 about="speech",
                 problem="missing",
                 remedy=INSTALL,
@@ -88,7 +88,7 @@ class Speech(Listener):
         with contextlib.ExitStack() as stack:
             tones = _tones(Path(stack.enter_context(tempfile.TemporaryDirectory())))
             speaker = subprocess.Popen(
-                ["spd-say", "--application-name", "smarttouch", "--pipe-mode"],
+                ["spd-say", "-N", "smarttouch", "-e"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -126,7 +126,7 @@ def _left(speaker: "subprocess.Popen[str]") -> None:
 
 def _play(tone: Path) -> None:
     if shutil.which("aplay") is not None:
-        subprocess.run(["aplay", "--quiet", str(tone)], check=False, stderr=subprocess.DEVNULL)
+        subprocess.run(["aplay", "-q", str(tone)], check=False, stderr=subprocess.DEVNULL)
 
 
 def _tones(folder: Path) -> dict[str, Path]:
