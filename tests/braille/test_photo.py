@@ -116,7 +116,7 @@ def grey_picture(name):
 
 
 def typed_page():
-    page = np.full((400, 900), 225, np.uint8)
+    page = np.full((400, 500), 225, np.uint8)
     for row in range(40, 380, 32):
         text = "The quick brown fox jumps over ... iii : 1001 the lazy dog"
         cv2.putText(page, text, (30, row), cv2.FONT_HERSHEY_SIMPLEX, 0.8, 30, 2, cv2.LINE_AA)
@@ -124,15 +124,15 @@ def typed_page():
 
 
 def dotted_paper():
-    page = np.full((500, 500), 225, np.uint8)
-    for x, y in np.argwhere(np.ones((25, 25))) * 18 + 30:
+    page = np.full((320, 320), 225, np.uint8)
+    for x, y in np.argwhere(np.ones((15, 15))) * 18 + 30:
         cv2.circle(page, (int(x), int(y)), 3, 60, -1, cv2.LINE_AA)
     return page
 
 
 OTHER = {
-    "blank": lambda: emboss(["\u2800" * 8] * 3).page.grey,
-    "rough": lambda: emboss(["\u2800" * 8] * 3, texture=6, shading=0.5).page.grey,
+    "blank": lambda: emboss(["\u2800" * 8] * 3, px_per_mm=4).page.grey,
+    "rough": lambda: emboss(["\u2800" * 8] * 3, px_per_mm=4, texture=6, shading=0.5).page.grey,
     "typed": typed_page,
     "dotted paper": dotted_paper,
     "white": lambda: np.full((300, 400), 255, np.uint8),
