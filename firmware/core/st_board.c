@@ -200,7 +200,12 @@ static void execute(st_board *board, uint64_t until_us)
 void st_advance(st_board *board, uint64_t now_us)
 {
     const uint64_t deadline_us = board->heard_us + ST_SILENCE_US;
-    execute(board, now_us < deadline_us ? now_us : deadline_us);
+    if (now_us < deadline_us) {
+        execute(board, now_us);
+    } else if (!board->config.real_time) {
+        /* Where time is played, what was due before the deadline has been. */
+        execute(board, deadline_us);
+    }
     if (now_us >= deadline_us && board->refusing == 0u) {
         const st_sequence *dropped = board->waiting;
         st_zero(board, "silence");

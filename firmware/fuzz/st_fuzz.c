@@ -59,7 +59,8 @@ static void pulse(void *self, const st_pulse *pulse)
     }
     if (pulse->width_us == 0u || pulse->width_us > (recharges ? 20000u : 200u)
         || board.refusing != 0u || pulse->start_us > board.heard_us + ST_SILENCE_US
-        || pulse->start_us < free_us || pulse->start_us > now_us) {
+        || pulse->start_us < free_us || pulse->start_us > now_us
+        || (board.config.real_time && pulse->start_us != now_us)) {
         abort();
     }
     free_us = pulse->start_us + pulse->width_us + (recharges ? 0u : ST_MIN_DISCHARGE_US);
