@@ -188,7 +188,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
             st_feed(&board, body, count, now_us);
             break;
         case 2:
-            say(act, sequence_number, body, count);
+            /* Of any type: the first byte says which. */
+            say(count > 0u ? body[0] : (uint8_t)ST_STATUS, sequence_number, body, count);
             break;
         case 3:
             begin();
