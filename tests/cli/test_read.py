@@ -208,7 +208,7 @@ def test_a_finger_that_moves_by_itself(program_here, tmp_path, page_file):
     [
         (
             ["nofile.png"],
-            says(PageError, about="file", problem="missing", value=Path("nofile.png")),
+            says(BrailleError, about="file", problem="missing", value=Path("nofile.png")),
         ),
         (["text: "], says(PageError, "text:")),
         (
