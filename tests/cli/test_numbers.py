@@ -40,6 +40,7 @@ BASES = {
     "mouse": f"mouse --texture text:I {PAGE}",
     "color": f"color tone:40Hz,8um {PAGE}",
     "replay": f"replay {{golden}} {PAGE}",
+    "recordings view": "recordings view {golden} --save view.png",
     "design": "design --profile line-7",
     "figures": "figures pictures --profile line-7",
     "finger": "finger T --profile smarttouch-4x4 --anatomy paper",
