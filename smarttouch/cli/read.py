@@ -28,7 +28,7 @@ def read(
             callback=or_standard_input,
             metavar="FILE",
             help="Page (image, PDF), .txt, Braille (.brf, .pef, photo), text:WORDS, - "
-            "(standard input); options: ?dpi=300, page_width_mm, languages, light_on_dark.",
+            "(standard input); ?dpi=300 and more.",
         ),
     ],
     lines: Annotated[int, typer.Option(help="Lines of Braille at once.")] = 1,

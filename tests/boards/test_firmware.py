@@ -52,10 +52,10 @@ class TestFirmware(Contract):
             board.drain()
             sequence = sequence_of(self.lists(table, 30), time_ns=10**9)
             board.send(sequence)
-            board.drain()
+            board.drain(30)
             assert sizes == [10, 10 + 4 + 4 + 30 * 4]
             board.send(sequence_of(sequence.sums, time_ns=2 * 10**9, sums=None))
-            board.drain()
+            board.drain(30)
         slots = read_slots(self.folder)["current_ua"]
         np.testing.assert_array_equal(slots, np.tile(sequence.current_ua, (2, 1)))
         state = fresh_state(self.folder)

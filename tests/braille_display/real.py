@@ -14,10 +14,12 @@ import pytest
 _PYTHON = "/usr/bin/python3"
 _TABLE = Path("/etc/brltty/Text/en-nabcc.ttb")
 _WRITER = """
-import json, sys, brlapi
+import json, sys, time, brlapi
 api = brlapi.Connection(host=sys.argv[1].encode())
+# BrlAPI answers before the display has been found.
+while not (width := api.displaySize[0]):
+    time.sleep(0.02)
 api.enterTtyModeWithPath([1])
-width = api.displaySize[0]
 print(json.dumps(width), flush=True)
 for line in sys.stdin:
     asked, value, *cursor = json.loads(line)
