@@ -40,7 +40,7 @@ def color(
         bool, typer.Option("--split-only", help="Say what each class answers; no board.")
     ] = False,
     seed: Annotated[
-        int, typer.Option(min=0, help="Of noise, and of phases a spectrum has not.")
+        int, typer.Option(metavar="N", min=0, help="Of noise, and of phases a spectrum has not.")
     ] = 0,
     plot: Annotated[
         Path | None,

@@ -142,7 +142,7 @@ class RunOptions(OptionGroup):
         bool, typer.Option("--plain", help="A line for each event; nothing is drawn.")
     ] = False
     speak: Annotated[
-        bool, typer.Option("--speak", help="Say lines and events (speech-dispatcher).")
+        bool, typer.Option("--speak", help="Say events (speech-dispatcher).")
     ] = False
 
     def __post_init__(self) -> None:
