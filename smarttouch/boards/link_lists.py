@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.link_kernels import KernelImage
-from smarttouch.boards.link_sequence import pack_states
+from smarttouch.boards.link_sequence import pack_states, source_of
 from smarttouch.errors import BoardError
 from smarttouch.stimulation.kernel_table import KernelLists
 from smarttouch.stimulation.limits import PPB, SafetyLimits, parts_per_billion
@@ -164,18 +164,7 @@ def _rows(sequence: ScanSequence, switched: bool) -> NDArray[np.uint8]:
     slots, current_ua = sequence.slots, sequence.current_ua
     columns = [sequence.site[:, None].astype("<u2").view(np.uint8)]
     if switched:
-        source = np.maximum(current_ua, 0).sum(axis=1, dtype=np.int64)
-        if (strongest := int(source.max(initial=0))) > _U16_MAX:
-            raise BoardError(
-                f"a slot asks {strongest / 1000:.1f} mA of one source, the wire carries at most "
-                f"{_U16_MAX / 1000:.1f} mA: lower the currents",
-                about="source_ua",
-                problem="too large",
-                value=strongest,
-                allowed=_U16_MAX,
-                slot=int(source.argmax()),
-            )
-        columns.append(source[:, None].astype("<u2").view(np.uint8))
+        columns.append(source_of(current_ua)[:, None].view(np.uint8))
         states = np.frombuffer(pack_states(np.sign(current_ua)), np.uint8)
         columns.append(states.reshape(slots, -(-current_ua.shape[1] // 4)))
     else:

@@ -86,19 +86,7 @@ def encode_sequence(
         site.astype("<u2", copy=False).tobytes(),
     ]
     if switched:
-        source = np.maximum(current_ua, 0).sum(axis=1, dtype=np.int64)
-        strongest = int(source.max(initial=0))
-        if strongest > _U16_MAX:
-            raise BoardError(
-                f"a slot asks {strongest / 1000:.1f} mA of one source, the wire carries at most "
-                f"{_U16_MAX / 1000:.1f} mA: lower the currents",
-                about="source_ua",
-                problem="too large",
-                value=strongest,
-                allowed=_U16_MAX,
-                slot=int(source.argmax()),
-            )
-        parts += [_u16(source.astype(np.uint16)), pack_states(np.sign(current_ua))]
+        parts += [source_of(current_ua).tobytes(), pack_states(np.sign(current_ua))]
     else:
         parts.append(current_ua.astype("<i2", copy=False).tobytes())
     if recharge_ua is not None:
@@ -169,6 +157,30 @@ def decode_volts(payload: bytes) -> NDArray[np.float32]:
 
 def _u16(values: NDArray[Any]) -> bytes:
     return values.astype("<u2", copy=False).tobytes()
+
+
+def source_of(current_ua: NDArray[np.int16]) -> NDArray[np.uint16]:
+    """Return the current of a switched board's one source in each slot, (S,) µA.
+
+    Raises
+    ------
+    BoardError
+        If it is more than the wire can say.
+    """
+    source = np.maximum(current_ua, 0).sum(axis=1, dtype=np.int64)
+    strongest = int(source.max(initial=0))
+    if strongest > _U16_MAX:
+        raise BoardError(
+            f"a slot asks {strongest / 1000:.1f} mA of one source, the wire carries at most "
+            f"{_U16_MAX / 1000:.1f} mA: lower the currents",
+            about="source_ua",
+            problem="too large",
+            value=strongest,
+            allowed=_U16_MAX,
+            slot=int(source.argmax()),
+        )
+    found: NDArray[np.uint16] = source.astype("<u2")
+    return found
 
 
 def pack_states(signs: NDArray[np.int16]) -> bytes:

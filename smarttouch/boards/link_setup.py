@@ -1,4 +1,4 @@
-"""What a ``link`` board of version 4 is given before sequences, and how its numbers are read."""
+"""Limits and kernels for a ``link`` board of version 4, and its numbers read."""
 
 from collections.abc import Callable
 from typing import Any

@@ -20,7 +20,7 @@ _CURSOR = 0b1100_0000
 
 @dataclass(frozen=True)
 class Shown:
-    """What is on the display.
+    """Cells, text and cursor on the display.
 
     Attributes
     ----------

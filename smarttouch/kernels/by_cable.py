@@ -20,7 +20,7 @@ _EARLY = 0.6
 
 @dataclass(frozen=True)
 class CableJudgement:
-    """What the cable model says of one kernel.
+    """Judgement of one kernel by the cable model.
 
     Attributes
     ----------

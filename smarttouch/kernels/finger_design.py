@@ -143,7 +143,7 @@ class FingerDesign:
                 work = Parallel(n_jobs=-1, prefer="threads")
                 programs = [self._program(site, both, highest, node, step) for site in first]
                 for site, found in zip(
-                    first, work(delayed(_solved)(*each) for each in programs), strict=True
+                    first, work(delayed(_solved)(each) for each in programs), strict=True
                 ):
                     self.current_ma[site] = found
                     self.current_ma[self._mirror[site]] = found[self._mirror]
@@ -243,12 +243,11 @@ class _Program(NamedTuple):
     sum_ma: float
 
 
-def _solved(*given: object) -> Array:
+def _solved(program: _Program) -> Array:
     """Return the currents of a programme, (E,) mA."""
     from scipy import optimize
     from scipy.sparse import csr_array, eye_array, hstack, vstack
 
-    program = _Program(*given)  # type: ignore[arg-type]
     count, slacks = program.rows.shape[1], len(program.price)
     picks = csr_array(
         (-np.ones(len(program.slack)), (np.arange(len(program.slack)), program.slack)),

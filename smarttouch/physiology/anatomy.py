@@ -96,7 +96,7 @@ class BystanderAnatomy(ClassAnatomy):
 
 
 class Anatomy(Table):
-    """What the afferents of a finger are like."""
+    """Densities, courses and thresholds of a finger's afferents."""
 
     name: str = ""
     """Name of the file."""

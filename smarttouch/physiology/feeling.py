@@ -21,7 +21,7 @@ _PX_PER_MM = 16
 
 @dataclass(frozen=True, eq=False)
 class Feeling:
-    """What a finger feels of scan sequences that follow each other.
+    """Spikes of a finger under scan sequences that follow each other.
 
     Attributes
     ----------

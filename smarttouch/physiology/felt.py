@@ -14,7 +14,7 @@ from smarttouch.physiology.finger import Finger
 
 @dataclass(frozen=True)
 class Felt:
-    """What a finger felt of a pattern.
+    """Spikes and places that a finger felt of a pattern.
 
     Attributes
     ----------

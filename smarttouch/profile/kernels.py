@@ -1,4 +1,4 @@
-"""What the kernels of a profile are designed for."""
+"""Table ``kernels`` of a profile: the aim of their design."""
 
 from typing import Literal
 

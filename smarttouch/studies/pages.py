@@ -47,7 +47,7 @@ class ShownPage:
 
     @cached_property
     def delivered(self) -> Legibility:
-        """What the skin gets of it; what Tesseract reads of the page itself is the truth.
+        """Delivered lines, and the truth: the text that Tesseract reads of the page itself.
 
         Raises
         ------

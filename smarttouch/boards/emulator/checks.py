@@ -45,7 +45,7 @@ class Complaint(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SessionLimits:
-    """What the host asked for, or the board's own limits where these are stricter."""
+    """Limits of a session: the host's, or the board's own where these are stricter."""
 
     period_us: int
     total_ua: int

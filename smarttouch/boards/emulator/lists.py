@@ -136,7 +136,7 @@ def rounded(every: NDArray[np.int64]) -> NDArray[np.int16]:
 
 
 class Keep:
-    """What a board keeps of kernels, from one session to the next.
+    """Kernels that a board keeps from one session to the next.
 
     Attributes
     ----------
