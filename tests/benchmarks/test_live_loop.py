@@ -82,7 +82,7 @@ def figures(sensor, folder, seconds):
 
 @pytest.mark.timeout(0)
 def test_live(row, quick, hog, tmp_path):
-    seconds = 2.0 if quick else float(os.environ.get("SMARTTOUCH_LIVE_SECONDS", "60"))
+    seconds = 1.2 if quick else float(os.environ.get("SMARTTOUCH_LIVE_SECONDS", "60"))
     video = tmp_path / "finger.avi"
     make_video(video, seconds)
     rows = []

@@ -38,7 +38,7 @@ def live(folder, seconds, *more):
 @pytest.mark.parametrize("pages", [None, 0, 1])
 def test_periods(pages, tmp_path, quick, row):
     """None is a run without a window."""
-    seconds = 60 if not quick else 6 if pages else 2
+    seconds = 60 if not quick else 4 if pages else 1
     with ExitStack() as stack:
         browser = stack.enter_context(chromium()) if pages else None
         window = () if pages is None else ("--window",)
