@@ -130,3 +130,16 @@ def test_a_homography_that_is_none(profile, matrix):
     key, value = "optics.homography", optics.homography
     with raises(ProfileError, about=key, problem="impossible", value=value):
         Registration(profile.electrodes, optics, (64, 64))
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns"), [(480, 640), (128, 64), (64, 128), (192, 64), (320, 192), (1024, 1536)]
+)
+def test_each_working_pixel_is_the_mean_of_its_part(profile, rows, columns):
+    """However it is reached, to the rounding of each average on the way."""
+    image = np.random.default_rng(0).integers(0, 256, (rows, columns), np.uint8)
+    registration = Registration(profile.electrodes, profile.optics, (rows, columns))
+    down, across = np.array(image.shape) // registration.working_shape
+    parts = image.reshape(rows // down, down, columns // across, across).astype(float)
+    assert down * across > 1
+    assert np.abs(registration.reduce(image) - parts.mean(axis=(1, 3))).max() <= 2
