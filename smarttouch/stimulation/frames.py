@@ -144,6 +144,8 @@ class FrameSlots:
         felt = [felt_at(profile, each) for each in afferents]
         self._felt_at = felt if any(each is not None for each in felt) else None
         self._faintest = profile.threshold_ma / profile.full_ma
+        self._range = 1 - self._faintest
+        self._none = np.empty(0, np.intp)
         self._widths_us = constant_us(len(self._points_ma), profile.pulse.width_us)
         self._plans: OrderedDict[bytes, SlotAllocation] = OrderedDict()
         self._sums = None
@@ -263,15 +265,19 @@ class FrameSlots:
                     for row, felt in zip(activation, self._felt_at, strict=True)
                 ]
             )
-        active = (asked > 0) & self._driven
-        level = np.where(active, self._faintest + (1 - self._faintest) * asked, 0.0).ravel()
+        level = self._range * asked
+        level += self._faintest
+        level *= (asked > 0) & self._driven
         # Slots aim a little low, which saves current; the faintest would not be felt then.
-        level = np.minimum(level / (1 - AIM * self._bounds.uneven), 1.0)
+        level /= 1 - AIM * self._bounds.uneven
+        level = np.minimum(level, 1.0, out=level).ravel()
         if self._sums is not None:
             found = self._sums.add_up(level)
         else:
             with self._blas.limit(limits=1, user_api="blas"):
                 found = self._found(level)
+        if found.points.sum() == np.count_nonzero(level):
+            return self._completed(found, self._none, level[:0])
         alone = np.flatnonzero(np.where(found.level.any(axis=0), 0.0, level))
         return self._completed(found, alone, level[alone])
 

@@ -136,32 +136,30 @@ class KernelSums:
 
     def add_up(self, level: Array) -> Found:
         """Return the slots that several points share, at levels (P,)."""
-        wanted = level[self._points]
-        aimed = self._aim * wanted
-        totals_ma = aimed * self._totals_ma
-        active = np.flatnonzero(totals_ma)
+        wanted = level.take(self._points)
+        active = wanted.nonzero()[0]
+        aimed, owner = self._aim * wanted.take(active), self._owner.take(active)
+        totals_ma = aimed * self._totals_ma.take(active)
         # Set after set, the strongest of each first.
-        order = np.lexsort((-totals_ma[active], self._owner[active]))
-        active = active[order]
-        owner = self._owner[active]
-        parts, most_ma = _parts(totals_ma[active].tolist(), owner.tolist(), self._most_ma)
+        order = np.lexsort((-totals_ma, owner))
+        parts, most_ma = _parts(
+            totals_ma.take(order).tolist(), owner.take(order).tolist(), self._most_ma
+        )
         count = len(parts)
         size = np.fromiter(map(len, parts), np.intp, count)
-        slot = np.arange(count).repeat(size)
-        index = np.fromiter(chain.from_iterable(parts), np.intp)
-        chosen = active[index]
+        index = order.take(np.fromiter(chain.from_iterable(parts), np.intp))
+        chosen, owner = active.take(index), owner.take(index)
         levels = np.zeros((count, self._points_n))
-        levels[slot, self._points[chosen]] = wanted[chosen]
-        aimed, kernels_ma = aimed[chosen], self._scratch_ma[: len(chosen)]
+        slot = np.arange(count).repeat(size)
+        levels[slot, self._points.take(chosen)] = wanted.take(chosen)
+        aimed, kernels_ma = aimed.take(index), self._scratch_ma[: len(chosen)]
         # With "raise", numpy would fill a copy first.
         self.kernels_ma.take(chosen, axis=0, out=kernels_ma, mode="clip")
-        current_ma = np.empty((count, self._electrodes))
+        kernels_ma *= aimed[:, None]
         ends = size.cumsum()
-        begin = 0
-        for row, end in zip(current_ma, ends.tolist(), strict=True):
-            aimed[begin:end].dot(kernels_ma[begin:end], out=row)
-            begin = end
-        first = owner[index[ends - size]]
+        starts = ends - size
+        current_ma = np.add.reduceat(kernels_ma, starts, axis=0) if count else kernels_ma
+        first = owner.take(starts)
         do = np.zeros((2, count), np.float32)
         lists = np.concatenate([[0], ends]), chosen, aimed
         return Found(levels, current_ma, size, do, first, most_ma, *lists)
