@@ -181,7 +181,10 @@ def potential_mv(
         half_spaces = 2 if skin.medium == "infinite" else 1
         scale = 1 / (2 * np.pi * skin.conductivity * half_spaces)
         found = np.sqrt(r2, out=r2)
-        for (shape, (outer, inner)), which in electrodes.kinds.items():
+        alone = len(electrodes.kinds) == 1
+        for (shape, (outer, inner)), those in electrodes.kinds.items():
+            # All of them without a copy.
+            which = slice(None) if alone else those
             if shape == "disc":
                 found[:, which] = -potential.disc_potential(found[:, which], depth, outer / 2)
             else:

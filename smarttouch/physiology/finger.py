@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-_AT_ONCE = 256
+_AT_ONCE = 48
+"""Branches whose potentials are held together: they fit a processor's cache."""
 _SHALLOWEST_MM = 0.2
 
 
