@@ -1,6 +1,6 @@
 """Delivery of lines through the whole chain to an emulated board, for tests of legibility."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -126,9 +126,10 @@ def deliver_pulses(line: TouchLine, reading: Reading) -> DeliveredLine:
     return DeliveredLine(picture, length_mm, answers.poses, answers.answer, *pulses)
 
 
-def deliver_lines(lines: Iterable[TouchLine], reading: Reading) -> Iterator[DeliveredLine]:
+def deliver_lines(lines: Sequence[TouchLine], reading: Reading) -> Iterator[DeliveredLine]:
     """Read many lines, on all cores; yield what was delivered of each as it is ready."""
-    work = Parallel(n_jobs=-1, return_as="generator", max_nbytes=None)
+    # Starting a process takes longer than one line does.
+    work = Parallel(n_jobs=-1 if len(lines) > 1 else 1, return_as="generator", max_nbytes=None)
     yield from work(delayed(deliver_pulses)(line, reading) for line in lines)
 
 

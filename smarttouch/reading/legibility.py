@@ -95,7 +95,7 @@ def legibility_of_shapes(
     for page in source.prepared():
         indices = range(len(page.lines))
         page_texts += [text for _, text in recognized_lines(page, options, source.note)]
-        lines = (shape_line(page, index, profile, shapes.style) for index in indices)
+        lines = [shape_line(page, index, profile, shapes.style) for index in indices]
         felt = kept(deliver_lines(lines, reading), total, total + len(indices), progress)
         graded = (shape_line(page, index, profile, Style.GRADED) for index in indices)
         ideal = [ideal_picture(line, profile, step_mm) for line in graded]
@@ -145,7 +145,7 @@ def legibility_at_nerve(
         ``at_board``, the error rate at the electrodes; ``at_nerve`` with ``median`` and
         ``worst_tenth``; ``wrong_class``, ``misplaced`` and ``silent_points``.
     """
-    work = Parallel(n_jobs=-1, return_as="generator", max_nbytes=None)
+    work = Parallel(n_jobs=-1 if fingers > 1 else 1, return_as="generator", max_nbytes=None)
     seeds = range(1, fingers + 1)
     each = work(delayed(legibility_on_finger)(found, reading, seed, anatomy) for seed in seeds)
     readings, errors = zip(*kept(each, 0, fingers, progress), strict=True)
