@@ -11,6 +11,7 @@ import gc
 import inspect
 import json
 import os
+import runpy
 import signal
 import socket
 import subprocess
@@ -100,7 +101,7 @@ def _adopt(wanted):
 
 
 class Forked(subprocess.Popen):
-    """The installed program, or the emulator, as a fork: started, used and ended like any other.
+    """The program, the emulator or a script as a fork: started, used and ended like any other.
 
     Other commands are started as ever.
     """
@@ -114,6 +115,8 @@ class Forked(subprocess.Popen):
             module, arguments = "smarttouch.cli", command
         elif command[:3] == EMULATOR:
             module, arguments = "smarttouch.emulator.__main__", command[2:]
+        elif command[0] == sys.executable and command[1].endswith(".py"):
+            module, arguments = None, command[1:]
         else:
             super()._execute_child(*given)
             return
@@ -163,11 +166,20 @@ def _serve(channel):
             _become(request, streams)
             channel.send(b"%d" % os.getpid())
             channel.close()
-            return import_module(request["module"]).main
+            return _main_of(request)
         os.waitpid(between, 0)
         channel.send(b"0")
         for each in streams:
             os.close(each)
+
+
+def _main_of(request):
+    """Return what a request is to run: a module's main, or a script as the interpreter would."""
+    if request["module"] is not None:
+        return import_module(request["module"]).main
+    path = Path(request["arguments"][0]).resolve()
+    sys.path.insert(0, str(path.parent))
+    return lambda: runpy.run_path(str(path), run_name="__main__")
 
 
 def _become(request, streams):

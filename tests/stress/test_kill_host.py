@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from ..forks import Forked
+
 KILLS = int(os.environ.get("SMARTTOUCH_KILLS", "2"))
 LONG = "SMARTTOUCH_KILLS" in os.environ
 WITHIN_MS = 100
@@ -36,12 +38,13 @@ STEP_MS = 10
 )
 def test_a_board_whose_host_is_gone_is_at_zero(kind, how, option):
     script = Path(__file__).with_name("kill_host.py")
-    done = subprocess.run(
+    with Forked(
         [sys.executable, script, kind, str(KILLS), f"--how={how}", f"--option={option}"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        said, wrong = process.communicate()
+    assert process.returncode == 0, wrong
+    found = json.loads(said)
     print(f"\n{found}")
     assert found["runs"] == KILLS
     assert (found["unsafe"], found["ports_kept"], found["processes_left"]) == (0, 0, 0)

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from ..forks import Forked
+
 COUNT = int(os.environ.get("SMARTTOUCH_STRESS", "1"))
 WORKERS = int(os.environ.get("SMARTTOUCH_STRESS_WORKERS", "2"))
 WITHIN_S = float(os.environ.get("SMARTTOUCH_STRESS_WITHIN_S", "inf"))
@@ -23,12 +25,11 @@ pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240 + 60 * COUNT)]
 
 def stress(script, *numbers):
     """Run one of the scripts beside this one; return what it found."""
-    done = subprocess.run(
-        [sys.executable, Path(__file__).with_name(script), *map(str, numbers)],
-        stdout=subprocess.PIPE,
-        check=True,
-    )
-    return json.loads(done.stdout)
+    command = [sys.executable, Path(__file__).with_name(script), *map(str, numbers)]
+    with Forked(command, stdout=subprocess.PIPE) as process:
+        said, _ = process.communicate()
+    assert process.returncode == 0
+    return json.loads(said)
 
 
 def test_signals_end_runs_with_the_board_at_zero():
