@@ -149,7 +149,7 @@ def test_the_ceiling_of_every_profile_is_one_that_its_board_sends(name, tmp_path
     profile = load_profile(name)
     display, site = display_of(profile), len(profile.electrodes) - 1
     progress = begun(tmp_path / "p.json", {})
-    run(display, profile, silent(profile), [site], progress)
+    run(display, profile, silent(profile), [site], progress, repeats=1)
     strongest_ma = max(level_of(each) for each in display.board.sequences)
     assert strongest_ma == pytest.approx(ceiling_ma(profile, site, display.board), abs=1.1e-3)
     assert strongest_ma <= profile.limits.current_ma

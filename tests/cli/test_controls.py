@@ -5,7 +5,6 @@ import math
 import os
 import re
 import signal
-import time
 
 import pytest
 from PIL import Image
@@ -20,10 +19,14 @@ pytestmark = pytest.mark.realtime
 RUN = ("live", "--seconds", "60", "--json", "run.json", "--record", "run.mcap")
 
 
-def wait_for_the_run(process, folder):
-    """The recording begins when the board is open."""
-    while process.poll() is None and not (folder / "run.mcap").exists():
-        time.sleep(0.02)
+def wait_for(process, words):
+    """Read what a run prints, up to the line that ends in these words."""
+    assert any(line.rstrip().endswith(words) for line in iter(process.stdout.readline, ""))
+
+
+def wait_for_the_run(process):
+    """Its mode is told once it has begun."""
+    wait_for(process, ": mode RA")
 
 
 def ended(process, folder):
@@ -36,11 +39,13 @@ def ended(process, folder):
 
 def test_keys_turn_intensity_and_end_the_run(start_at_a_terminal, tmp_path):
     process, keys = start_at_a_terminal(*RUN, "--intensity", "0.1")
-    wait_for_the_run(process, tmp_path)
-    for key in (b"+", b"\x1b[A", b"-", b" ", b" ", b"m", b"0"):
-        time.sleep(0.1)
+    wait_for_the_run(process)
+    for key, words in (
+        (b"+", "intensity 0.15"), (b"\x1b[A", "intensity 0.20"), (b"-", "intensity 0.15"),
+        (b" ", "paused"), (b" ", "goes on"), (b"m", "mode SAI"), (b"0", "intensity 0.00"),
+    ):  # fmt: skip
         os.write(keys, key)
-    time.sleep(0.3)
+        wait_for(process, words)
     os.write(keys, b"q")
     assert ended(process, tmp_path)["ended"] == "key q"
     words = [words for _, words in Recording(tmp_path / "run.mcap").events()]
@@ -63,7 +68,7 @@ def test_keys_turn_intensity_and_end_the_run(start_at_a_terminal, tmp_path):
 @pytest.mark.parametrize("end", ["Esc", "terminal", "SIGHUP"])
 def test_a_run_ends_in_order(start_at_a_terminal, tmp_path, end):
     process, keys = start_at_a_terminal(*RUN)
-    wait_for_the_run(process, tmp_path)
+    wait_for_the_run(process)
     if end == "SIGHUP":
         process.send_signal(signal.SIGHUP)
     elif end == "Esc":
@@ -76,7 +81,7 @@ def test_a_run_ends_in_order(start_at_a_terminal, tmp_path, end):
 
 def test_another_process_stops_all_runs(start_at_a_terminal, program_here, tmp_path):
     first, _ = start_at_a_terminal(*RUN)
-    wait_for_the_run(first, tmp_path)
+    wait_for_the_run(first)
     (tmp_path / "state" / "left behind").mkdir()
     stopped = program_here("stop")
     assert stopped.returncode == 0, stopped.stderr

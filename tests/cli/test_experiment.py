@@ -26,7 +26,7 @@ from smarttouch.running.statistics import RunStatistics
 from .conftest import refused, says
 
 SMALL = ("experiment", "run", "frequency", "--standards", "30", "--train-s", "0.15")
-SIMULATED = (*SMALL, "--simulate", "model")
+SIMULATED = (*SMALL, "--simulate", "model", "--gap-s", "0.1")
 
 
 def wrong(*names, **attributes):
@@ -70,7 +70,8 @@ def test_a_simulated_session_is_kept_and_gone_on_with(program_here, tmp_path):
 
 def test_a_killed_session_goes_on_and_has_each_trial_once(start_program, program_here, tmp_path):
     killed, whole = tmp_path / "killed.csv", tmp_path / "whole.csv"
-    many = (*SIMULATED, "--repetitions", "4")
+    # With the usual gaps: it is killed long before its end.
+    many = (*SMALL, "--simulate", "model", "--repetitions", "4")
     process = start_program(*many, "--output", killed)
     while process.poll() is None and not (killed.exists() and killed.read_bytes().count(b"\n") > 3):
         time.sleep(0.01)
@@ -112,10 +113,10 @@ def test_recordings_of_a_session_are_numbered(program_here, tmp_path):
 
 
 def test_useless_subjects_are_simulated_too(program_here, tmp_path):
-    one = ("--repetitions", "1")
+    one = ("--repetitions", "1", "--gap-s", "0.1")
     program_here(*SMALL, *one, "--simulate", "first", "--output", "first.csv")
     assert {row.response for row in read_rows(tmp_path / "first.csv")} == {"1"}
-    quick = (*SMALL, *one, "--answer-s", "0.5")
+    quick = (*SMALL, *one, "--answer-s", "0.1")
     silent = program_here(*quick, "--simulate", "silent", "--output", "silent.csv")
     assert "20 of 20 trials, 20 of them" in silent.stdout
     assert "experiment fit" not in silent.stdout

@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 from PIL import Image
 from skimage import data
 
-from smarttouch.profile import list_profiles
+from smarttouch.profile import list_profiles, load_profile
 from smarttouch.resources import data_folder
 
 from .conftest import panels
@@ -66,7 +66,7 @@ def ink_agreement(page, touch):
 
 def test_the_sample_page(program, tmp_path):
     done = program(
-        "live", "--speed", 160, "--felt", "felt.png", "--json", "run.json", "--record", "run.mcap",
+        "live", "--speed", 300, "--felt", "felt.png", "--json", "run.json", "--record", "run.mcap",
         real=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -91,7 +91,8 @@ def test_the_sample_page(program, tmp_path):
 def test_a_photographed_page(program_here, tmp_path):
     Image.fromarray(data.page()).save(tmp_path / "page.png")
     options = ("--page-width-mm", 110, "--speed", 300, "--seconds", 3, "--quiet")
-    done = program_here("live", "--sensor", "page:page.png", *options, "--json", "run.json")
+    there = ("--board", "simulated:", "--sensor", "page:page.png")
+    done = program_here("live", *there, *options, "--json", "run.json")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     figures = figures_of(tmp_path / "run.json")
     assert_safe(figures)
@@ -119,6 +120,8 @@ def test_blank_pages_are_silent(program_here, tmp_path, name):
 
 @pytest.mark.parametrize("name", list_profiles())
 def test_every_profile_runs(program_here, tmp_path, name):
+    # Axons that branch take seconds beneath a large array.
+    anatomy = "branched" if len(load_profile(name).electrodes) <= 32 else "paper"
     done = program_here(
         "live",
         "--board=simulated:",
@@ -126,6 +129,7 @@ def test_every_profile_runs(program_here, tmp_path, name):
         f"--profile={name}",
         "--speed=120",
         "--felt=felt.png",
+        f"--anatomy={anatomy}",
         "--json=run.json",
     )
     assert done.returncode == 0, done.stderr
@@ -135,8 +139,8 @@ def test_every_profile_runs(program_here, tmp_path, name):
 
 def test_sai_and_light_on_dark(program_here, tmp_path):
     page = data_folder("sample_images") / "light_on_dark.png"
-    options = ("--mode=sai", "--light-on-dark", "--speed=500", "--seconds=2", "--json=run.json")
-    done = program_here("live", f"--sensor=page:{page}", *options)
+    options = ("--board=simulated:", "--mode=sai", "--light-on-dark", "--speed=500", "--seconds=2")
+    done = program_here("live", f"--sensor=page:{page}", *options, "--json=run.json")
     assert done.returncode == 0, done.stderr
     assert_safe(figures_of(tmp_path / "run.json"))
 
@@ -159,12 +163,13 @@ def test_same_seed_same_sequences(program_here, tmp_path):
 
 
 def test_seconds(program_here, tmp_path):
-    done = program_here("live", "--seconds", 1, "--json", "run.json")
+    timed = ("--board", "simulated:", "--seconds", 1)
+    done = program_here("live", *timed, "--json", "run.json")
     assert done.returncode == 0, done.stderr
     figures = figures_of(tmp_path / "run.json")
     assert f"({figures['ended']})" in done.stdout
     assert figures["ended"].startswith("1 s ")
-    assert 20 <= figures["frames"] <= 51
+    assert figures["frames"] in (50, 51)
 
 
 def test_recorded_path(program_here, tmp_path):
@@ -219,7 +224,7 @@ def test_many_points_in_a_slot(program_here, tmp_path):
 
 
 def test_points_one_by_one_where_each_is_measured(program_here, tmp_path):
-    options = ("--seconds", 1.5, "--speed", 100, "--quiet", "--json", "run.json")
+    options = ("--seconds", 0.5, "--speed", 100, "--quiet", "--json", "run.json")
     done = program_here("live", "--sensor", "text:on", "--hold", "energy", *options)
     assert done.returncode == 0, done.stderr
     figures = figures_of(tmp_path / "run.json")

@@ -7,6 +7,7 @@ import shutil
 import time
 from pathlib import Path
 
+import joblib
 import numpy as np
 import pytest
 from PIL import Image
@@ -47,8 +48,8 @@ def test_shapes_to_the_emulator(program_here, tmp_path):
 
 
 def test_an_image_without_a_board(program_here, tmp_path):
-    Image.fromarray(print_text("a thin\nbeam").grey).save(tmp_path / "small.png")
-    kept = ("--frames", "f.gif", "--felt", "felt.png", "--json", "f.json")
+    Image.fromarray(print_text("a\nbeam").grey).save(tmp_path / "small.png")
+    kept = ("--frames", "f.gif", "--felt", "felt.png", "--anatomy", "paper", "--json", "f.json")
     done = program_here("read", "small.png", *kept)
     assert (done.returncode, done.stderr.strip()) == (0, "")
     assert figures_of(tmp_path / "f.json")["ended"] == "end of the text"
@@ -113,7 +114,15 @@ def test_files_of_cells_and_texts(program_here, tmp_path):
     says(ReadingError, "note.brf", about="kind", allowed=("braille",))(refused(done))
 
 
+@pytest.fixture
+def in_this_process():
+    """Lines are delivered one after another: starting processes would take longer."""
+    with joblib.parallel_config("sequential"):
+        yield
+
+
 @needs_tesseract
+@pytest.mark.usefixtures("in_this_process")
 def test_an_image_becomes_braille(program_here, tmp_path, page_file):
     done = program_here("legibility", page_file, "--as", "braille", "--json", "f.json", "--quiet")
     assert done.returncode == 0, done.stderr
@@ -123,6 +132,7 @@ def test_an_image_becomes_braille(program_here, tmp_path, page_file):
 
 
 @needs_tesseract
+@pytest.mark.usefixtures("in_this_process")
 def test_legibility_of_a_page(program_here, tmp_path, page_file):
     (tmp_path / "truth.txt").write_text("Touch what a thin light beam sees")
     done = program_here("legibility", page_file, "--truth", "truth.txt", "--json", "f.json")
@@ -164,6 +174,7 @@ def test_legibility_of_no_anatomy_is_refused_before_anything_is_read(program_her
 
 
 @needs_tesseract
+@pytest.mark.usefixtures("in_this_process")
 def test_legibility_knows_what_cannot_be_read(program_here, tmp_path, page_file):
     """The measure can fail: compared with another text, all of it is wrong."""
     (tmp_path / "truth.txt").write_text("0123456789 0123456789 00")
@@ -265,6 +276,7 @@ def test_an_image_of_print_as_a_file_of_cells(program_here, tmp_path, page_file)
     assert back.stdout == "Touch what a thin light beam sees\n"
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_photograph_of_braille(program_here, tmp_path):
     lines = (
         open_table("en-1")
