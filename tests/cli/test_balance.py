@@ -1,14 +1,14 @@
 """``live --balance``: by recharge phases where a board makes them, else by reversing scans."""
 
 import json
-import time
 
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.delivery_log import read_recharges, read_state
+from smarttouch.boards.emulator.delivery_log import read_recharges
 from smarttouch.errors import BoardError
 
+from ..boards.fresh import fresh_state
 from .conftest import refused, says
 
 
@@ -58,8 +58,7 @@ def test_a_board_on_a_line_makes_them(live, start_emulator):
     done, figures = live("--board", f"link:{port}", "--force", "fixed:1", "--balance")
     assert done.returncode == 0, done.stderr
     assert figures["emulator_violations"] == 0
-    time.sleep(0.3)
-    state = read_state(books)
+    state = fresh_state(books)
     assert state["recharges"] == len(read_recharges(books)) > 0
     assert (state["unsafe"], state["violations"]) == (0, 0)
     assert np.abs(state["passed_uc"]).max() < 0.02
@@ -80,8 +79,7 @@ def test_so_does_an_etactilekit(live, start_emulator):
     done, _ = live("--board", f"etactilekit:{port}", "--force", "fixed:1", "--balance")
     assert done.returncode == 0, done.stderr
     assert "SAI where RA is meant" in done.stderr
-    time.sleep(0.3)
-    assert read_state(books)["recharges"] == 0
+    assert fresh_state(books)["recharges"] == 0
 
 
 def test_a_board_of_one_polarity_refuses(live, start_emulator):
@@ -100,8 +98,9 @@ def test_it_is_recorded_and_checked(live, program_here):
 
 def test_what_is_felt_shows_no_recharge(live, tmp_path):
     pictures = []
+    felt = ("--board", "simulated:", "--felt", "felt.png", "--anatomy", "paper", "--quiet")
     for balance in ((), ("--balance",)):
-        done, _ = live("--board", "simulated:", "--felt", "felt.png", "--quiet", *balance)
+        done, _ = live(*felt, *balance)
         assert done.returncode == 0, done.stderr
         pictures.append((tmp_path / "felt.png").read_bytes())
     assert pictures[0] == pictures[1]

@@ -50,7 +50,7 @@ def test_vibrators_shake_what_the_recording_says(program_here, tmp_path, changed
 
 def test_the_picture_of_a_mouse_has_its_few_pulses_in_full(program_here, tmp_path):
     stroke = ("mouse", "--texture", "text:I", "--speed", "120", *SIMULATED)
-    assert program_here(*stroke, "--felt", "felt.png").returncode == 0
+    assert program_here(*stroke, "--felt", "felt.png", "--anatomy", "paper").returncode == 0
     picture = np.asarray(Image.open(tmp_path / "felt.png").convert("L"))
     touched = picture[picture.shape[0] // 2 + 40 :]
     assert np.percentile(touched, 0.5) < 60

@@ -21,7 +21,8 @@ def figures_of(path):
 
 
 def test_without_options_a_virtual_hand_strokes_a_grating(program_here, tmp_path):
-    done = program_here("mouse", *SIMULATED, "--json", "f.json", "--felt", "felt.png")
+    felt = ("--felt", "felt.png", "--anatomy", "paper")
+    done = program_here("mouse", *SIMULATED, "--json", "f.json", *felt)
     assert (done.returncode, done.stderr) == (0, "")
     figures = figures_of(tmp_path / "f.json")
     # 60 mm there and back over 4 mm: 15 ridges each, at all of 64 electrodes.

@@ -208,7 +208,7 @@ def test_a_finger_that_moves_by_itself(program_here, tmp_path, page_file):
     Image.fromarray(np.full((300, 600), 255, np.uint8)).save(tmp_path / "pad.png", dpi=(150, 150))
     done = program_here(
         "read", page_file, "--follow", f"page:{tmp_path / 'pad.png'}", "--board", "simulated:",
-        "--json", "f.json",
+        "--seconds", 4, "--json", "f.json",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert figures_of(tmp_path / "f.json")["slots"] > 0
@@ -311,11 +311,11 @@ def test_at_a_terminal_keys_go_from_line_to_line(start_at_a_terminal, tmp_path):
     )  # fmt: skip
     for key, line in ((b"", 0), (b"\x1b[C", 1), (b"\x1b[C", 2), (b"\x1b[D", 1)):
         os.write(keys, key)
-        until = time.monotonic() + 20
+        until = time.monotonic() + 60
         while lines_of(tmp_path / "run.mcap")[-1:] != [line] and time.monotonic() < until:
             time.sleep(0.05)
     os.write(keys, b" q")
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")
     assert figures_of(tmp_path / "f.json")["ended"] == "key q"
     lines = lines_of(tmp_path / "run.mcap")
@@ -326,6 +326,6 @@ def test_what_waits_for_nothing_is_felt_at_once_also_from_a_terminal(start_at_a_
     process, _ = start_at_a_terminal(
         "read", "text:i", "--frames", "f.json", "--json", "figures.json"
     )
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")
     assert figures_of(tmp_path / "figures.json")["slots"] > 0

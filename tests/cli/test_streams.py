@@ -56,6 +56,10 @@ def test_closed_streams_lead_nowhere(shell, tmp_path, closed):
     assert (done.returncode, done.stderr) == (0, b"")
     assert Recording(tmp_path / "r.mcap").whole
     assert check_recording(tmp_path / "r.mcap").exact
+
+
+@pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
+def test_errors_are_told_where_that_stream_is_open(shell, closed):
     done = shell(f"smarttouch {SHORT} --intensity 1 --board link:/dev/nothing {closed}")
     assert done.returncode == 2
     assert (b"/dev/nothing" in done.stderr) == ("2>&-" not in closed)
@@ -152,8 +156,8 @@ def shown(done):
 def test_no_name_title_or_note_is_obeyed(program_here, tmp_path):
     evil_profile(tmp_path, EVIL + ".toml")
     names = ("--profile", f"{EVIL}.toml", "--note", EVIL, "--subject", EVIL)
-    files = ("--record", f"{EVIL}.mcap", "--felt", f"{EVIL}.png", "--json", "f.json")
-    assert f" {SHOWN}.mcap" in shown(program_here(*SHORT.split(), *names, *files))
+    files = ("--record", f"{EVIL}.mcap", "--felt", f"{EVIL}.png", "--anatomy", "paper")
+    assert f" {SHOWN}.mcap" in shown(program_here(*SHORT.split(), *names, *files, "--json=f.json"))
     assert json.loads((tmp_path / "f.json").read_text())["ended"]
     told = shown(program_here("recordings", "info", f"{EVIL}.mcap"))
     assert told.count("␛]0;owned") >= 3

@@ -219,7 +219,7 @@ def test_broken_electrodes_are_planned_around(profile, source, display, monkeypa
 
 def test_outputs_are_listeners(profile, source, display, tmp_path):
     paths = [tmp_path / name for name in ("felt.png", "run.gif", "run.mcap")]
-    listeners = [FeltPicture(paths[0]), Patterns(paths[1]), Recorder(paths[2])]
+    listeners = [FeltPicture(paths[0], anatomy="paper"), Patterns(paths[1]), Recorder(paths[2])]
     Runner(source, display, RunConfig(mode=Mode.RA), listeners=listeners).run()
     assert all(path.stat().st_size > 1000 for path in paths)
     with raises(SmartTouchError, about="file", problem="exists", value=paths[2]):
@@ -245,7 +245,8 @@ def test_where_no_finger_can_be_made_what_was_delivered_is_drawn(profile, tmp_pa
     )
     shapes = []
     for each in (profile, layered):
-        display, picture = open_display("simulated:", profile), FeltPicture(tmp_path / "a.png")
+        display = open_display("simulated:", profile)
+        picture = FeltPicture(tmp_path / "a.png", anatomy="paper")
         display.profile = each
         source = open_source("text:a", profile)
         statistics = Runner(
