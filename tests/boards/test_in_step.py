@@ -202,7 +202,7 @@ def test_over_a_line_too_none_is_left_out(start_emulator, tmp_path, monkeypatch,
         report = board.report()
         assert (board.acknowledged, board.refused, board.replaced) == (60, 0, 0)
     # The process writes its books a while after the event.
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 60
     while (shown := scanned(tmp_path)) != [set(each.site.tolist()) for each in sequences[1:]]:
         assert time.monotonic() < deadline, shown
         time.sleep(0.05)

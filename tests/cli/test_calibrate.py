@@ -1,9 +1,12 @@
 """All five calibrations, walked through: what they show, write, and refuse to write."""
 
+import fcntl
 import math
 import os
 import re
+import struct
 import subprocess
+import termios
 import time
 from pathlib import Path
 
@@ -22,6 +25,7 @@ from smarttouch.errors import BoardError, CalibrationError, ProfileError, Source
 from smarttouch.profile import load_profile
 from smarttouch.sources.flat_field import FlatField
 
+from ..boards.fresh import fresh_state, until
 from ..forks import EMULATOR, Forked
 from .conftest import says
 
@@ -139,6 +143,11 @@ def test_a_target_alone(run, tmp_path):
     assert (tmp_path / "target.png").exists()
 
 
+def unread(pipe):
+    """Return how many bytes whoever reads a pipe has not taken yet."""
+    return struct.unpack("i", fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)))[0]
+
+
 @pytest.fixture
 def load_cell(monkeypatch):
     """An emulated cell on a serial line; who is asked for a weight lays it on."""
@@ -151,6 +160,8 @@ def load_cell(monkeypatch):
         def lay_on(text, **_options):
             process.stdin.write(f"weight {text.split()[0]}\n")
             process.stdin.flush()
+            until(lambda: unread(process.stdin) == 0)
+            # What was sampled before is on its way.
             time.sleep(0.1)
 
         monkeypatch.setattr("typer.prompt", lay_on)
@@ -220,18 +231,14 @@ def test_thresholds_stop_at_once(start_at_a_terminal, start_emulator, tmp_path):
     _, port, books = start_emulator()
     arguments = ("calibrate", "thresholds", "--board", f"link:{port}", "--output", "mine.toml")
     process, keys = start_at_a_terminal(*arguments, "--electrodes", "5")
-    deadline = time.monotonic() + 20
-    while not read_state(books)["slots"]:
-        assert time.monotonic() < deadline, "it never pulsed"
-        time.sleep(0.05)
+    until(lambda: read_state(books)["slots"])
     os.write(keys, b"q")
-    out, err = process.communicate(timeout=20)
+    out, err = process.communicate(timeout=60)
     assert process.returncode == 2
     assert "electrode 5" in out
     assert "1 of 1 electrodes" in err
     assert err.count("\n") == 1
-    time.sleep(0.15)
-    state = read_state(books)
+    state = fresh_state(books)
     assert (state["state"], state["unsafe"], state["violations"]) == ("shorted", 0, 0)
     assert not (tmp_path / "mine.toml").exists()
 
@@ -257,8 +264,9 @@ def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkey
 
 @pytest.mark.realtime
 def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
-    _, port, _ = start_emulator(64, "link", "--event=0 lift")
-    lifted = run("contact", "--board", f"link:{port}", "--repeats", 1, "--output", "mine.toml")
+    _, port, _ = start_emulator(16, "link", "--output=three-state", "--event=0 lift")
+    small = ("--board", f"link:{port}", "--profile", "smarttouch-4x4")
+    lifted = run("contact", *small, "--repeats", 1, "--output", "mine.toml")
     wrong("electrode")(lifted.exception)
     assert not (tmp_path / "mine.toml").exists()
 

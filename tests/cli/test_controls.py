@@ -30,7 +30,7 @@ def wait_for_the_run(process):
 
 
 def ended(process, folder):
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")
     figures = json.loads((folder / "run.json").read_text())
     assert figures["emulator_violations"] == 0

@@ -185,7 +185,7 @@ def test_free_stimulation_by_hand(start_at_a_terminal, tmp_path):
         while process.poll() is None and row not in path.read_text(encoding="utf-8-sig"):
             time.sleep(0.02)
     os.write(keys, b"q")
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")
     assert "free.csv" in out
     figures = json.loads((tmp_path / "run.json").read_text())

@@ -12,6 +12,8 @@ from smarttouch import cli
 from smarttouch.boards.emulator.delivery_log import read_state
 from smarttouch.running.pipeline import Pipeline
 
+from ..boards.fresh import fresh_state
+
 pytestmark = pytest.mark.realtime
 
 PATIENCE_S = 60
@@ -73,12 +75,9 @@ def test_the_host_hangs(running):
     """Stopped in its tracks, with the port still open: the board's watchdog ends it."""
     host, _, books = running
     host.send_signal(signal.SIGSTOP)
-    time.sleep(0.5)
-    state = read_state(books)
-    assert state["state"] == "shorted"
-    slots = state["slots"]
-    time.sleep(0.3)
-    assert read_state(books)["slots"] == slots
+    wait_for(lambda: fresh_state(books)["state"] == "shorted")
+    slots = read_state(books)["slots"]
+    assert fresh_state(books)["slots"] == slots
 
 
 def test_the_board_dies_and_its_port_with_it(start_program, start_emulator, tmp_path):

@@ -132,5 +132,5 @@ def test_an_array_is_played_and_shown(run, tmp_path):
             frames = int(rows["frames"].partition(",")[0])
         finally:
             process.send_signal(signal.SIGTERM)
-        assert process.wait(10) == 0
+        assert process.wait(60) == 0
     assert json.loads(books.read_text())["sent"] >= frames > 0

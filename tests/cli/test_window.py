@@ -78,7 +78,7 @@ def test_a_page_stops_a_run(start_program, tmp_path):
     )
     with urlopen(stop, timeout=20) as answer:
         assert answer.status == 204
-    _, err = run.communicate(timeout=20)
+    _, err = run.communicate(timeout=60)
     assert (run.returncode, err) == (0, "")
 
 
