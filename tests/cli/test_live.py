@@ -224,7 +224,7 @@ def test_many_points_in_a_slot(program_here, tmp_path):
 
 
 def test_points_one_by_one_where_each_is_measured(program_here, tmp_path):
-    options = ("--seconds", 0.5, "--speed", 100, "--quiet", "--json", "run.json")
+    options = ("--seconds", 1.5, "--speed", 100, "--quiet", "--json", "run.json")
     done = program_here("live", "--sensor", "text:on", "--hold", "energy", *options)
     assert done.returncode == 0, done.stderr
     figures = figures_of(tmp_path / "run.json")
