@@ -21,6 +21,8 @@ _AROUND_PX = 81
 """Sides of the squares over which brightness and contrast are made even."""
 _APART_PX = 11, 14
 """Least distance of cells, across and down: those of the finest pages have 18 and 28."""
+_TOGETHER = 1024
+"""Places of a map that are made at once: what goes into them fits into a processor's cache."""
 
 Image = NDArray[np.float32]
 
@@ -89,18 +91,23 @@ def _run(picture: Image) -> Image:
 def _convolved(
     image: Image, weights: Image, bias: Image, stride: int = 1, dilation: int = 1
 ) -> Image:
-    """Return an image, (C, H, W), through weights, (D, C, K, K): a matrix product for each tap."""
-    size = weights.shape[2]
+    """Return an image, (C, H, W), through weights, (D, C, K, K): a matrix product a band of rows."""
+    count, channels, size, _ = weights.shape
     edge = dilation * (size // 2)
     framed = np.pad(image, ((0, 0), (edge, edge), (edge, edge)))
     height, width = (-(-side // stride) for side in image.shape[1:])
-    made = np.tile(bias[:, None], height * width)
-    for row in range(size):
-        for column in range(size):
-            top, left = row * dilation, column * dilation
-            part = framed[:, top::stride, left::stride][:, :height, :width]
-            made += weights[:, :, row, column] @ part.reshape(len(part), -1)
-    return made.reshape(-1, height, width)
+    matrix = weights.transpose(0, 2, 3, 1).reshape(count, -1)
+    made = np.empty((count, height, width), np.float32)
+    band = max(1, _TOGETHER // width)
+    for first in range(0, height, band):
+        rows = min(band, height - first)
+        taps = np.empty((size, size, channels, rows, width), np.float32)
+        for row, column in np.ndindex(size, size):
+            top, left = first * stride + row * dilation, column * dilation
+            taps[row, column] = framed[:, top::stride, left::stride][:, :rows, :width]
+        product = matrix @ taps.reshape(-1, rows * width) + bias[:, None]
+        made[:, first : first + rows] = product.reshape(count, rows, width)
+    return made
 
 
 @cache

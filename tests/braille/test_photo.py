@@ -6,6 +6,7 @@ import pytest
 import skimage.data
 from rapidfuzz.distance import Levenshtein
 
+from smarttouch.braille import network
 from smarttouch.braille.photo import LEAST_CERTAINTY, looks_like_braille, read_braille
 from smarttouch.documents.page_image import Page
 from smarttouch.errors import PageError
@@ -26,6 +27,22 @@ POOR = {
     "texture": 2,
     "perspective": 0.08,
 }
+
+
+@pytest.fixture(scope="module", autouse=True)
+def each_part_looked_at_once():
+    """Remember what the network found: a page is looked at again and again, white paper most."""
+    remembered = {}
+
+    def find(grey):
+        key = grey.shape, grey.tobytes()
+        if key not in remembered:
+            remembered[key] = network.find_cells(grey)
+        return remembered[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("smarttouch.braille.photo.find_cells", find)
+        yield
 
 
 def characters_right(lines, expected):

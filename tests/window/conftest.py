@@ -14,6 +14,8 @@ from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stopping import StopRequest
 from smarttouch.window.live import Window
 
+from .browser import chromium
+
 WAIT_S = 20
 CATHODIC, ANODIC, BASE = (179, 88, 6), (84, 39, 136), (236, 238, 241)
 
@@ -85,6 +87,13 @@ class Run:
         """Wait for the end; return how it came."""
         self.thread.join(WAIT_S)
         return self.runner.statistics.ended
+
+
+@pytest.fixture(scope="package")
+def browser():
+    """One browser for all tests here: starting one takes longer than most of them."""
+    with chromium() as found:
+        yield found
 
 
 @pytest.fixture

@@ -8,16 +8,10 @@ import pytest
 from smarttouch.boards.emulator.delivery_log import read_delivered
 from smarttouch.drawing.source import DrawSource
 
-from .browser import chromium, opened, violations
+from .browser import opened, violations
 from .conftest import wait_for
 
 pytestmark = pytest.mark.realtime
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as found:
-        yield found
 
 
 def stroke(page, *places):
@@ -89,7 +83,8 @@ def test_lists_letters_and_keys(browser, running, profile, tmp_path, monkeypatch
         page.click("#loop")
         wait_for(lambda: source.message()["playing"] is None)
         page.click("#save-json")
-        wait_for(lambda: [*tmp_path.iterdir()])
+        # The file is there before it is whole; the page says when it is.
+        wait_for(lambda: "drawing-1.json" in page.text_content("#draw-said"))
         assert len(json.loads((tmp_path / "drawing-1.json").read_text())["steps"]) == 9
         assert not run.stop.event.is_set()
         assert violations(page) == []

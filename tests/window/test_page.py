@@ -5,16 +5,10 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from .browser import chromium, opened, violations
+from .browser import opened, violations
 from .conftest import colors, drawn, strongest, wait_for
 
 pytestmark = pytest.mark.realtime
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as found:
-        yield found
 
 
 @pytest.fixture

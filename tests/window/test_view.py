@@ -19,7 +19,7 @@ from smarttouch.window.tape import Tape
 from smarttouch.window.view import RecordingsPage
 
 from ..raising import raises
-from .browser import chromium, opened, violations
+from .browser import opened, violations
 from .conftest import Spots, colors, drawn, strongest
 
 STEPS = 120
@@ -84,9 +84,9 @@ def test_what_is_cut_is_shown_as_far_as_it_goes(recorded, tmp_path):
 
 
 @pytest.mark.realtime
-def test_frame_100_is_as_it_was(recorded, profile, address):
+def test_frame_100_is_as_it_was(recorded, profile, address, browser):
     step = recorded[1][100].step
-    with chromium() as browser, opened(browser, address) as page:
+    with opened(browser, address) as page:
         page.wait_for_selector(".electrodes[data-step='0']")
         page.evaluate(
             "time => { const line = document.getElementById('time');"
