@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-_AT_ONCE = 48
-"""Branches whose potentials are held together: they fit a processor's cache."""
+_AT_ONCE = 64
+"""Branches whose fields are computed together: those of more fit into no processor's cache."""
 _SHALLOWEST_MM = 0.2
 
 
@@ -207,36 +207,39 @@ class Finger:
         driving = is_like.driving(self.profile.pulse.width_us)
         first = np.r_[True, np.diff(one.owner) > 0] if len(one.owner) else np.zeros(0, np.bool_)
         found = [np.zeros((0, len(self.profile.electrodes)), np.float32)]
-        owners = [np.zeros(0, np.intp)]
+        branches = [np.zeros(0, np.intp)]
         # The first branch goes on along the axon, the others end where they join it.
         for which, corners in ((first, one.course_mm.shape[1] - 1), (~first, 2)):
-            indices = np.flatnonzero(which)
+            # As many nodes are computed of each branch as of the longest beside it.
+            order = np.argsort(course_length_mm(one.course_mm, corners), kind="stable")
+            indices = order[which[order]]
             for part in np.array_split(indices, max(1, len(indices) // _AT_ONCE)):
                 if len(part):
-                    rows, owner = self._part(one, driving, part, corners)
+                    rows, branch = self._part(one, driving, part, corners)
                     found.append(rows)
-                    owners.append(owner)
-        return np.concatenate(found), np.concatenate(owners)
+                    branches.append(branch)
+        branch = np.concatenate(branches)
+        order = np.argsort(branch, kind="stable")
+        return np.concatenate(found)[order], one.owner[branch[order]]
 
     def _part(
         self, one: Population, driving: DrivingFunction, part: NDArray[np.intp], corners: int
     ) -> tuple[Floats, NDArray[np.intp]]:
-        """Return the drive at nodes of some branches, up to a corner of each."""
+        """Return the drive at nodes of some branches, up to a corner of each, and whose it is."""
         spacing = driving.internode_mm
         length_mm = course_length_mm(one.course_mm[part], corners)
         nodes = int(np.ceil(length_mm.max() / spacing)) + len(driving.along) + 1
         points = course_points(one, part, max(nodes, len(driving.near_end.T) + 4), spacing)
         drive = driving.drive(potential_mv(self.profile, points))
-        owner = one.owner[part]
-        drive /= one.factor[owner][:, None, None]
+        drive /= one.factor[one.owner[part]][:, None, None]
         longest = strength(self.profile.limits.pulse_us, one.anatomy.chronaxie_us)
         longest /= strength(self.profile.pulse.width_us, one.anatomy.chronaxie_us)
         # Nodes beyond the end are there for their neighbors.
         node = np.arange(drive.shape[1]) + (driving.end != "active")
         there = node * spacing <= length_mm[:, None] + spacing
-        rows, owner = drive[there], np.repeat(owner, there.sum(axis=1))
+        rows, branch = drive[there], np.repeat(part, there.sum(axis=1))
         can = self._most(rows) * max(longest, 1.0) >= 1 - 5 * one.anatomy.noise
-        return rows[can].astype(np.float32), owner[can]
+        return rows[can].astype(np.float32), branch[can]
 
     def _most(self, rows: Array) -> Array:
         """Return the largest drive that currents within the profile's limits may have, (N,).
