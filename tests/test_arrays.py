@@ -86,9 +86,9 @@ def test_claims_are_not_believed(shape, traced):
 
 def test_a_small_archive_of_much_is_not_unpacked(traced):
     file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         archive.writestr("a.npy", bytes(300_000_000))
-    assert len(file.getvalue()) < 400_000
+    assert len(file.getvalue()) < 2_000_000
     tracemalloc.reset_peak()
     with pytest.raises(ValueError):
         read_arrays(file)

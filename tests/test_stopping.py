@@ -142,17 +142,17 @@ def test_a_thread_that_works_and_one_that_waits_are_told_apart():
     for thread in threads:
         thread.start()
     wait_for(lambda: len(numbers) == 2)
-    seen = {"work": set(), "wait": set()}
-    for _ in range(300):
-        time.sleep(0.001)
+    seen = set()
+
+    def told_apart():
         states = dict(thread_states())
-        for name, number in numbers.items():
-            seen[name].add(states[number])
+        seen.update((name, states[number]) for name, number in numbers.items())
+        return {("work", "R"), ("wait", "S")} <= seen
+
+    wait_for(told_apart)
     over.set()
     for thread in threads:
         thread.join(PATIENCE_S)
-    assert "R" in seen["work"]
-    assert "S" in seen["wait"]
 
 
 def test_who_is_slow_is_waited_for_and_who_waits_is_not(monkeypatch, forced):

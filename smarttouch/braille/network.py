@@ -91,7 +91,7 @@ def _run(picture: Image) -> Image:
 def _convolved(
     image: Image, weights: Image, bias: Image, stride: int = 1, dilation: int = 1
 ) -> Image:
-    """Return an image, (C, H, W), through weights, (D, C, K, K): a matrix product a band of rows."""
+    """Return an image, (C, H, W), through weights, (D, C, K, K), by products of bands of rows."""
     count, channels, size, _ = weights.shape
     edge = dilation * (size // 2)
     framed = np.pad(image, ((0, 0), (edge, edge), (edge, edge)))

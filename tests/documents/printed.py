@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -185,8 +186,14 @@ def degrade(
     return Printed(Page(np.asarray(grey), scale), tuple(lines))
 
 
+PAPERS = ("white", "grey", "gradient", "grain", "lined", "squared", "stained", "table", "shadow",
+          "show-through")  # fmt: skip
+"""Kinds of paper without print."""
+
+
+@cache
 def blank_papers():
-    """Return papers without print, by their kind."""
+    """Return paper without print of each of `PAPERS`."""
     random = np.random.default_rng(5)
     y, x = np.mgrid[:600, :800].astype(np.float32)
     white = np.full((600, 800), 250, np.float32)

@@ -170,13 +170,11 @@ def test_blank_pages_have_no_lines(grey):
 
 
 @pytest.mark.parametrize("part", [0.02, 0.2, 0.5])
-def test_noise_has_hardly_a_line(part):
-    found = 0
-    for seed in range(15):
+def test_noise_has_no_line(part):
+    for seed in range(5):
         specks = np.random.default_rng(seed).random((40, 60)) < part
         grey = np.where(np.kron(specks, np.ones((4, 4), bool)), 20, 230).astype(np.uint8)
-        found += bool(find_lines(Page(grey, 0.2)))
-    assert found <= 2
+        assert find_lines(Page(grey, 0.2)) == []
 
 
 @settings(max_examples=40)

@@ -21,6 +21,13 @@ def problem(request):
     return DrivingProblem(load_profile("smarttouch-4x4"), request.param)
 
 
+@pytest.fixture(scope="module")
+def designed(problem):
+    """A kernel of the problem, and what the cable model says of it."""
+    kernel = design_kernel(problem, 5)
+    return kernel, judge_by_cable(problem, kernel.weights, 5)
+
+
 def test_rows_are_drives_of_straight_fibers(problem):
     """The target's row, made again from the potential along one fiber."""
     aim, site = targets(problem.profile, problem.afferent), 5
@@ -46,21 +53,18 @@ def test_places_lie_closer_than_in_the_profile(problem):
     assert problem.profile.skin.node_spacing_mm == 0.1
 
 
-def test_a_kernel_is_what_the_cable_says(problem):
-    kernel = design_kernel(problem, 5)
+def test_a_kernel_is_what_the_cable_says(problem, designed):
+    kernel, found = designed
     assert problem.target[5] @ kernel.weights == pytest.approx(1)
     assert kernel.weights.sum() == pytest.approx(0, abs=1e-9)
     assert (problem.axon(5) @ kernel.weights).max() < 1 + 1e-6
-    found = judge_by_cable(problem, kernel.weights, 5)
     assert found.target == pytest.approx(1, abs=0.03)
     assert found.off_target == pytest.approx(kernel.off_target, rel=0.1)
 
 
-def test_it_is_more_selective_than_one_designed_on_the_activating_function(problem):
+def test_it_is_more_selective_than_one_designed_on_the_activating_function(problem, designed):
     old = design_kernel(Problem(load_profile("smarttouch-4x4"), problem.afferent), 5)
-    new = design_kernel(problem, 5)
-    by_cable = [judge_by_cable(problem, each.weights, 5).off_target for each in (old, new)]
-    assert by_cable[1] < by_cable[0]
+    assert designed[1].off_target < judge_by_cable(problem, old.weights, 5).off_target
 
 
 def test_electrodes_anywhere_have_the_rows_of_a_grid_that_they_make_up(problem):

@@ -217,9 +217,7 @@ class TestTheThresholdsOfThePaper:
         assert 0 < ratio < 0.4
         assert weber_fraction(subject.frequency, 90, ratio) == math.inf
 
-    @pytest.mark.parametrize(
-        ("afferent", "standard_hz"), [(RA, 30), (RA, 60), (RA, 75), (PC, 75), (PC, 100)]
-    )
+    @pytest.mark.parametrize(("afferent", "standard_hz"), [(RA, 30), (RA, 75), (PC, 75), (PC, 100)])
     def test_trials_find_what_the_closed_form_says(self, observer, train, afferent, standard_hz):
         subject = observer(seed=7, lapse=0.0)
         ratio = subject.ratio(afferent, MIDDLE)
