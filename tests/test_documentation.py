@@ -92,12 +92,18 @@ def test_python_runs(code, tmp_path, monkeypatch):
         assert found["step"].sequence.current_ua.shape[1] == 64
 
 
+@pytest.fixture(scope="module")
+def program():
+    """The command line, put together once."""
+    return get_command(app)
+
+
 @pytest.mark.parametrize("words", [*commands()])
-def test_the_program_takes_it(words, tmp_path, monkeypatch):
+def test_the_program_takes_it(words, program, tmp_path, monkeypatch):
     """The command and its options exist; a board that they name may not."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     save_run("desk", SavedRun(source="camera:0", board="emulator:", config=RunConfig()))
-    command, rest = get_command(app), list(words)
+    command, rest = program, list(words)
     while rest and isinstance(command, TyperGroup) and rest[0] in command.commands:
         command = command.commands[rest.pop(0)]
     if rest or not isinstance(command, TyperGroup):

@@ -238,20 +238,20 @@ def test_everything_arrives_over_the_real_layer(profile, felt):
         if not found:
             pytest.skip("this network carries no streams")
         inlets[name] = pylsl.StreamInlet(found[0])
-        inlets[name].open_stream(timeout=5)
-    described = inlets["pulses"].info(timeout=5)
+        inlets[name].open_stream(timeout=60)
+    described = inlets["pulses"].info(timeout=60)
     assert described.get_channel_labels() == [label for label, _ in PULSES]
     assert described.get_channel_units() == [unit for _, unit in PULSES]
     assert described.desc().child_value("profile") == profile.name
     began_s = pylsl.local_clock()
     steps = felt(markers)
     markers.event(Note(1_000_000_000, "trial 1: “A”, 30 Hz"))
-    got = [inlets["pulses"].pull_sample(timeout=5) for _ in steps]
+    got = [inlets["pulses"].pull_sample(timeout=60) for _ in steps]
     for step, (pulse, at_s) in zip(steps, got, strict=True):
         assert pulse[:2] == [step.number, step.step.sequence.slots]
         assert at_s - got[0][1] == pytest.approx(step.step.sequence.time_ns / 1e9)
-    assert 0 <= got[0][1] - began_s < 5
-    events = [inlets["events"].pull_sample(timeout=5) for _ in range(4)]
+    assert began_s <= got[0][1] <= pylsl.local_clock()
+    events = [inlets["events"].pull_sample(timeout=60) for _ in range(4)]
     assert [each[0] for each, _ in events][0::3] == ["intensity 1.00", "trial 1: “A”, 30 Hz"]
     assert events[3][1] - events[0][1] == pytest.approx(1)
     for inlet in inlets.values():

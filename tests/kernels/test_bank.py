@@ -318,9 +318,9 @@ def test_processes_that_design_one_bank_at_once(tmp_path, mine, round_):
     command = [sys.executable, "-c", code, mine.model_dump_json()]
     running = [
         subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
-        for _ in range(3)
+        for _ in range(2)
     ]
     told = [each.communicate()[0] for each in running]
-    assert [each.returncode for each in running] == [0, 0, 0]
+    assert [each.returncode for each in running] == [0, 0]
     assert len({round(float(each), 6) for each in told}) == 1
     assert [each.suffix for each in (tmp_path / "smarttouch").iterdir()] == [".npz"]

@@ -16,7 +16,7 @@ from smarttouch.window.live import Window
 
 from .browser import chromium
 
-WAIT_S = 20
+WAIT_S = 60
 CATHODIC, ANODIC, BASE = (179, 88, 6), (84, 39, 136), (236, 238, 241)
 
 
@@ -65,7 +65,8 @@ class Run:
             self.board.keep_books(books)
         self.runner = Runner(
             source, self.display, st.RunConfig(intensity=1.0, rate_hz=rate_hz), stop=self.stop,
-            listeners=[self.window, self.keep],
+            # Kept before a page can show it.
+            listeners=[self.keep, self.window],
         )  # fmt: skip
         self.thread = threading.Thread(target=self.runner.run)
 
@@ -97,8 +98,12 @@ def browser():
 
 
 @pytest.fixture
-def running(profile):
-    """Return a context of a run with a window, which is stopped at its end."""
+def running(profile, monkeypatch):
+    """Return a context of a run with a window, which is stopped at its end.
+
+    A page that waits for a processor does not hang.
+    """
+    monkeypatch.setattr("smarttouch.window.steering.LOST_S", WAIT_S)
 
     @contextmanager
     def run(source=None, board="memory:", **options):

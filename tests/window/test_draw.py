@@ -90,8 +90,7 @@ def test_lists_letters_and_keys(browser, running, profile, tmp_path, monkeypatch
         assert violations(page) == []
 
 
-def test_who_does_not_steer_does_not_draw(browser, running, profile, monkeypatch):
-    monkeypatch.setattr("smarttouch.window.steering.LOST_S", 1000)
+def test_who_does_not_steer_does_not_draw(browser, running, profile):
     source = DrawSource(profile)
     with running(source, rate_hz=20) as run, opened(browser, run.address) as page:
         page.wait_for_selector("#draw-card:not([hidden])")

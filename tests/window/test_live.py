@@ -16,6 +16,7 @@ from smarttouch.events import Note, TrialEvent
 from smarttouch.profile import load_profile
 from smarttouch.window.live import MOST_PAGES, Window
 from smarttouch.window.server import MOST_MESSAGE_BYTES
+from smarttouch.window.steering import LOST_S
 
 from ..raising import raises
 from .conftest import Spots, wait_for
@@ -172,7 +173,8 @@ def test_a_second_page_steers_when_the_first_is_gone(running):
         assert run.window.steering.page is not None
 
 
-def test_current_is_zero_when_the_page_that_steers_hangs(running):
+def test_current_is_zero_when_the_page_that_steers_hangs(running, monkeypatch):
+    monkeypatch.setattr("smarttouch.window.steering.LOST_S", LOST_S)
     with running() as run, connect(run) as socket:
         receive(socket, "hello")
         socket.send("steer")
