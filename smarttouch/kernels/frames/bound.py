@@ -138,11 +138,8 @@ class Certainty:
         own = np.diag(each)
         # What is fainter than another point gets so much more of what that one's kernel does.
         least = own + np.minimum(each - np.diag(own), 0).sum(axis=1) / faintest
-        count = rows.shape[1]
-        steps = np.eye(count - 1, count) - np.eye(count - 1, count, 1)
-        other = max(float(np.abs(field(steps)).sum(axis=0).max()) for field in judge.others)
-        spill = float(np.abs(judge.own(steps)).sum(axis=0).max())
-        lost = float(np.abs(rows @ steps.T).sum(axis=1).max()) / faintest
+        lost = float(np.abs(np.diff(rows, axis=1)).sum(axis=1).max()) / faintest
+        other, spill = judge.uneven_af
         smallest = kernels.smallest
         return cls(
             (

@@ -84,6 +84,14 @@ class FrameJudge:
         most = np.floor(1000 * most + 1e-6) / 1000
         return np.where(np.isin(np.arange(len(most)), self.profile.driven), most, 0.0)
 
+    @cached_property
+    def uneven_af(self) -> tuple[float, float]:
+        """Most that a row differs from electrode to electrode, added up: of others, of the own."""
+        count = len(self.wish_af)
+        steps = np.eye(count - 1, count) - np.eye(count - 1, count, 1)
+        other = max(float(np.abs(field(steps)).sum(axis=0).max()) for field in self.others)
+        return other, float(np.abs(self.own(steps)).sum(axis=0).max())
+
     def far(self, active: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Return which own nodes are more than a pitch from every active target, (D·N,)."""
         mask = np.ones(self.own.places_n + 1, np.bool_)
