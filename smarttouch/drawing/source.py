@@ -1,7 +1,6 @@
 """``draw:``: what a page of the window draws, alone or from a list that is played."""
 
 import base64
-import binascii
 import json
 import threading
 from pathlib import Path
@@ -73,7 +72,8 @@ class DrawSource(StimulusSource):
         self._at = 0
         self._shown: Levels | None = None
         self._said = ""
-        self._lock = threading.Lock()
+        # Letters and files take long: the loop waits only for the lock of what is shown.
+        self._turn, self._lock = threading.Lock(), threading.Lock()
 
     def read(self, time_ns: int) -> Stimulus:
         """Return what is drawn at a time."""
@@ -129,34 +129,31 @@ class DrawSource(StimulusSource):
         does = getattr(self, f"_do_{verb}", None) if verb.isidentifier() else None
         if does is None:
             raise ValueError(words)
-        with self._lock:
+        with self._turn:
             self._said = ""
             try:
                 does(rest)
             except SmartTouchError as error:
                 self._said = str(error)
-            self.changes += 1
+            with self._lock:
+                self.changes += 1
 
     def _do_level(self, text: str) -> None:
         """Replace the drawing by the activation of all electrodes, bytes in base64."""
-        level = _levels(text, len(self._level))
-        self._halt()
-        self._level = level
+        self._show(_levels(text, len(self._level)))
 
     def _do_letter(self, letter: str) -> None:
         """Draw a letter."""
         if len(letter) != 1 or not letter.isprintable() or letter == " ":
             raise ValueError(letter)
-        self._halt()
-        self._level = np.rint(255 * draw_letter(letter, self._profile)).astype(np.uint8)
+        self._show(np.rint(255 * draw_letter(letter, self._profile)).astype(np.uint8))
 
     def _do_library(self, name: str) -> None:
         """Draw a pattern of the library; what moves goes to the list."""
         if name not in self._library:
             raise ValueError(name)
-        self._halt()
         chosen = self._library[name]
-        self._level = chosen[0].level
+        self._show(chosen[0].level)
         if len(chosen) > 1:
             self._add(*chosen)
 
@@ -166,27 +163,29 @@ class DrawSource(StimulusSource):
 
     def _do_show(self, text: str) -> None:
         """Draw a pattern of the list."""
-        self._halt()
-        self._level = self.patterns[self._index(text)].level
+        self._show(self.patterns[self._index(text)].level)
 
     def _do_drop(self, text: str) -> None:
         """Remove a pattern from the list."""
         index = self._index(text)
-        self._halt()
-        del self.patterns[index]
+        with self._lock:
+            self._halt()
+            del self.patterns[index]
 
     def _do_play(self, how: str) -> None:
         """Play the list, once or in a loop."""
         if how not in ("once", "loop"):
             raise ValueError(how)
-        self._halt()
-        self._playing, self._loops = bool(self.patterns), how == "loop"
+        with self._lock:
+            self._halt()
+            self._playing, self._loops = bool(self.patterns), how == "loop"
 
     def _do_halt(self, rest: str) -> None:
         """Play no more, and show nothing."""
         if rest:
             raise ValueError(rest)
-        self._halt()
+        with self._lock:
+            self._halt()
 
     def _do_save(self, kind: str) -> None:
         """Write the list to a new file or folder where the program was started."""
@@ -203,8 +202,14 @@ class DrawSource(StimulusSource):
         if len(self.patterns) + len(patterns) > MOST_PATTERNS:
             self._said = f"the list is full: it has {MOST_PATTERNS} patterns"
             return
-        self._halt()
-        self.patterns += patterns
+        with self._lock:
+            self._halt()
+            self.patterns += patterns
+
+    def _show(self, level: Levels) -> None:
+        with self._lock:
+            self._halt()
+            self._level = level
 
     def _halt(self) -> None:
         if self._playing:
@@ -239,21 +244,32 @@ def read_patterns(path: Path, profile: Profile) -> list[Pattern]:
         begin_ms = np.array([each["time_ms"] for each in steps], np.float64)
         place = np.array([(each["x_mm"], each["y_mm"]) for each in electrodes], np.float64)
         sound = (
-            0 < len(levels) <= MOST_PATTERNS
+            len(levels) > 0
+            and begin_ms.shape == (len(levels),)
+            and bool(np.isfinite(begin_ms).all())
+            and all(0 < each <= LONGEST_MS for each in np.diff(begin_ms))
             and all(each.shape == (len(electrodes),) for each in levels)
             and all((each >= 0).all() and (each <= 1).all() for each in levels)
         )
     except OSError as error:
         raise unreadable(SourceError, path, error) from None
-    except (ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         sound = False
     if not sound:
         raise SourceError(
-            f"{path} has no patterns of electrodes, 1 to {MOST_PATTERNS}: give a file that "
-            "the frames of a run were written to",
+            f"{path} has no patterns of electrodes, each of at most {LONGEST_MS} ms: give a file "
+            "that the frames of a run were written to",
             about="file",
             problem="malformed",
             value=path,
+        )
+    if len(levels) > MOST_PATTERNS:
+        raise SourceError(
+            f"{path} has {len(levels)} patterns, and a list at most {MOST_PATTERNS}: write the "
+            "frames of a shorter run",
+            about="file",
+            problem="too many",
+            value=len(levels),
             allowed=MOST_PATTERNS,
         )
     own = profile.electrodes.position_mm
@@ -270,10 +286,7 @@ def read_patterns(path: Path, profile: Profile) -> list[Pattern]:
     lasts_ms = np.diff(begin_ms).tolist()
     lasts_ms.append(lasts_ms[-1] if lasts_ms else USUAL_MS)
     return [
-        Pattern(
-            np.rint(255 * level).astype(np.uint8),
-            int(np.clip(round(ms), SHORTEST_MS, LONGEST_MS)),
-        )
+        Pattern(np.rint(255 * level).astype(np.uint8), max(1, round(ms)))
         for level, ms in zip(levels, lasts_ms, strict=True)
     ]
 
@@ -285,10 +298,7 @@ def _duration_ms(text: str) -> int:
 
 
 def _levels(text: str, electrodes: int) -> Levels:
-    try:
-        level = np.frombuffer(base64.b64decode(text, validate=True), np.uint8)
-    except binascii.Error:
-        raise ValueError(text) from None
+    level = np.frombuffer(base64.b64decode(text, validate=True), np.uint8)
     if len(level) != electrodes:
         raise ValueError(text)
     return level

@@ -2,6 +2,7 @@
 
 import base64
 import json
+import math
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import smarttouch as st
 from smarttouch.drawing.library import LONGEST_MS, Pattern, library
 from smarttouch.drawing.source import DrawSource, open_draw, read_patterns
 from smarttouch.errors import SourceError
+from smarttouch.patterns import PatternFile
 from smarttouch.psychophysics.letters import draw_letter
 
 from ..raising import raises
@@ -117,12 +119,40 @@ def test_what_cannot_be_saved_is_said(source, tmp_path, monkeypatch):
     "", "[]", "{}", '{"steps": [], "electrodes": []}', "[" * 100_000,
     '{"steps": [{"time_ms": 0, "activation": [2]}], "electrodes": [{"x_mm": 0, "y_mm": 0}]}',
     '{"steps": [{"time_ms": 0, "activation": ["a"]}], "electrodes": [{"x_mm": 0, "y_mm": 0}]}',
+    *(json.dumps({
+        "steps": [{"time_ms": each, "activation": [1]} for each in times_ms],
+        "electrodes": [{"x_mm": 0, "y_mm": 0}],
+    }) for times_ms in ([0, math.nan], [0, math.inf], [0, 0], [0, -20], [[0], [1]], [0, 10**400],
+                        [0, 1e9])),
 ])  # fmt: skip
 def test_a_file_of_something_else_is_refused(profile, tmp_path, text):
     path = tmp_path / "a.json"
     path.write_text(text)
     with raises(SourceError, about="file", problem="malformed", value=path):
         read_patterns(path, profile)
+
+
+def test_what_is_written_lasts_as_long_as_it_did(profile, tmp_path):
+    path = tmp_path / "a.json"
+    file = PatternFile(path, profile)
+    for _ in range(500):
+        file.add(np.zeros(64, np.uint8), 5000)
+    file.save()
+    assert {each.duration_ms for each in read_patterns(path, profile)} == {5}
+    file.add(np.zeros(64, np.uint8), 5000)
+    file.save()
+    with raises(SourceError, about="file", problem="too many", value=501, allowed=500):
+        read_patterns(path, profile)
+
+
+def test_the_loop_does_not_wait_for_a_letter(source, monkeypatch):
+    def letter(*_):
+        assert not source._lock.locked()
+        return np.ones(64)
+
+    monkeypatch.setattr("smarttouch.drawing.source.draw_letter", letter)
+    source.draw("letter H")
+    assert len(felt(source)) == 64
 
 
 def test_a_file_that_is_missing_or_of_another_array_is_refused(
