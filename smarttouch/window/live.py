@@ -21,7 +21,7 @@ from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
 from smarttouch.stopping import StopRequest
 from smarttouch.window.pictures import array_message, felt_message, finger_message, picture_message
-from smarttouch.window.server import PageServer, open_browser
+from smarttouch.window.server import PageServer, import_server, open_browser
 from smarttouch.window.steering import Steering
 
 if TYPE_CHECKING:
@@ -98,6 +98,7 @@ class Window(Listener):
         show: Callable[[str], object] | None = None,
     ) -> None:
         super().__init__()
+        import_server()
         from starlette.routing import Route, WebSocketRoute
 
         self._run_stop, self._keys, self._keys_help = stop, keys or {}, keys_help
@@ -115,13 +116,14 @@ class Window(Listener):
         self._encoded: tuple[StepResult | None, str] = (None, "null")
         self._events: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_EVENTS)
         self._event_count = 0
+        self._event_lock = threading.Lock()
         self._pages: dict[int, _Page] = {}
         self._numbers = itertools.count(1)
         self._over, self._all_told = threading.Event(), threading.Event()
         self._live: LiveFinger | None = None
         self._felt = ""
         self._switch_s: float | None = None
-        self._ended = ""
+        self._ended: dict[str, Any] = {"type": "ended", "reason": "", "failed": False}
 
     @property
     def address(self) -> str:
@@ -169,12 +171,14 @@ class Window(Listener):
     def event(self, event: Event) -> None:
         """Keep an event for the pages, unless it would tell an answer."""
         if isinstance(event, RunEnded | RunFailed):
-            self._ended = str(event)
+            failed = isinstance(event, RunFailed)
+            self._ended |= {"reason": str(event), "failed": failed}
         if self._blind and event.reveals:
             return
-        self._event_count += 1
         told = {"time_s": event.time_ns / 1e9, "text": str(event), "kind": type(event).__name__}
-        self._events.append((self._event_count, told))
+        with self._event_lock:
+            self._event_count += 1
+            self._events.append((self._event_count, told))
 
     def close(self) -> None:
         """Tell pages that the run is over, and serve no more."""
@@ -211,9 +215,10 @@ class Window(Listener):
                 if live.newest is not None and live.newest is not feeling:
                     feeling = live.newest
                     self._felt = json.dumps(felt_message(feeling))
-        except SmartTouchError:
-            # The finger's process has ended: what is delivered does not depend on it.
-            pass
+        except SmartTouchError as error:
+            # What is delivered does not depend on it.
+            if not self._over.is_set():
+                self.notes.append(f"the window shows no finger any more: {error}")
         finally:
             live.close()
 
@@ -257,6 +262,8 @@ class Window(Listener):
             self.steering.leave(page.number)
             if not self._pages and self._over.is_set():
                 self._all_told.set()
+            # It may have failed on the lost connection.
+            await asyncio.gather(feeding, return_exceptions=True)
 
     async def _take(self, page: _Page, text: str) -> bool:
         """Do what a page says; return False if that is no message."""
@@ -307,15 +314,16 @@ class Window(Listener):
                 sent_s, page.waits = time.monotonic(), False
                 await socket.send_text(self._update(page))
             if over:
-                ended = {"type": "ended", "reason": self._ended}
-                await socket.send_text(json.dumps(ended))
+                await socket.send_text(json.dumps(self._ended))
                 await socket.close(1000)
                 return
 
     def _update(self, page: _Page) -> str:
         """Return a message with all that a page has not seen yet."""
-        latest, count = self._latest, self._event_count
-        events = [told for number, told in self._events.copy() if number > page.events]
+        latest = self._latest
+        with self._event_lock:
+            count, kept = self._event_count, [*self._events]
+        events = [told for number, told in kept if number > page.events]
         state = {**self._state(page, latest), "events": events}
         parts = [f'"type":"update","state":{json.dumps(state)}']
         if latest is not None and latest is not page.shown and not self._blind:
@@ -339,7 +347,7 @@ class Window(Listener):
         time_ns = 0 if latest is None else latest.input.time_ns
         now, dose, statistics = run.controls.state(time_ns), run.board.dose, run.statistics
         force_n = 0.0 if latest is None else latest.input.force_n
-        return {
+        state = {
             "title": run.source.title,
             "time_s": time_ns / 1e9,
             "level": now.level,
@@ -348,6 +356,11 @@ class Window(Listener):
             "paused": now.paused,
             "steers": "nobody" if steers is None else "you" if steers == page.number else "another",
             "force_n": force_n if force_n == force_n else None,
+        }
+        if self._blind:
+            # Whether anything flows, and how often, may be what is asked about.
+            return state
+        return state | {
             "dose_s": dose.seconds,
             "dose_mc": dose.most_mc,
             "sequences": statistics.frames,

@@ -61,7 +61,7 @@ class Steering:
         """Return whether a page steers; it begins to if no other does."""
         with self._lock:
             if self._page is None:
-                self._page, self._heard_s = page, time.monotonic()
+                self._heard_s, self._page = time.monotonic(), page
             return self._page == page
 
     def leave(self, page: int) -> None:

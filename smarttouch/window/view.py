@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from smarttouch.closing import Closing
 from smarttouch.errors import RecordingError
 from smarttouch.window.export import export_film, export_view
-from smarttouch.window.server import PageServer
+from smarttouch.window.server import PageServer, import_server
 from smarttouch.window.tape import Tape
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ class RecordingsPage(Closing):
                 value=len(paths),
                 allowed=MOST_RECORDINGS,
             )
+        import_server()
         self.tapes: list[Tape] = []
         try:
             for path in paths:

@@ -40,8 +40,10 @@ def test_an_impossible_port_is_refused(program_here, port):
     says(SmartTouchError, **said)(refused(done))
 
 
-def test_without_the_extra_it_says_which(program_here, monkeypatch):
-    monkeypatch.setitem(sys.modules, "uvicorn", None)
+@pytest.mark.parametrize("library", ["uvicorn", "starlette"])
+def test_without_the_extra_it_says_which(program_here, monkeypatch, library):
+    for name in [library, *(each for each in sys.modules if each.startswith(f"{library}."))]:
+        monkeypatch.setitem(sys.modules, name, None)
     done = program_here("live", "--window", "--board", "simulated:")
     says(SmartTouchError, "smarttouch[window]", about="window", problem="missing")(refused(done))
 

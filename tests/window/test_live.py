@@ -12,7 +12,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
 from smarttouch.errors import SmartTouchError
-from smarttouch.events import Note, TrialEvent
+from smarttouch.events import Note, RunFailed, TrialEvent
 from smarttouch.profile import load_profile
 from smarttouch.window.live import MOST_PAGES, Window
 from smarttouch.window.server import MOST_MESSAGE_BYTES
@@ -142,8 +142,19 @@ def test_stop_from_a_page_ends_the_run(running):
         receive(first, "hello")
         first.send("steer")
         second.send("stop")
-        assert receive(second, "ended")["reason"] == "the window"
+        assert receive(second, "ended") == {
+            "type": "ended", "reason": "the window", "failed": False
+        }  # fmt: skip
         assert run.ended() == "the window"
+
+
+def test_a_page_does_not_say_that_a_run_that_failed_is_at_zero(running):
+    with running() as run, connect(run) as socket:
+        run.window.event(RunFailed(0, "lift the finger"))
+        run.window.close()
+        assert receive(socket, "ended") == {
+            "type": "ended", "reason": "lift the finger", "failed": True
+        }  # fmt: skip
 
 
 def test_a_page_that_has_lost_its_connection_can_stop(running):
@@ -240,6 +251,8 @@ def test_what_would_tell_the_answer_is_not_sent(running):
         while "no answer" not in told:
             update = receive(socket, "update")
             assert {*update} == {"type", "state"}
+            # What counts pulses would tell, too.
+            assert not {"dose_s", "dose_mc", "sequences", "work_share"} & {*update["state"]}
             told += [each["text"] for each in update["state"]["events"]]
             socket.send("seen")
         assert "the answer" not in told

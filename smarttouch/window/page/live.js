@@ -50,7 +50,7 @@ function connect() {
     const message = JSON.parse(data);
     if (message.type === "hello") greet(message);
     else if (message.type === "update") update(message);
-    else end(message.reason);
+    else end(message);
   });
   socket.addEventListener("close", () => {
     if (over) return;
@@ -65,7 +65,9 @@ function greet(hello) {
   alertUser("");
   array = hello.array;
   keys = hello.keys;
-  find("keys").textContent = `${hello.keys_help}+ − intensity   0 none   p pause   Esc, space stop`;
+  // Keys of the source go first.
+  const pause = keys.includes("p") ? "" : "p pause   ";
+  find("keys").textContent = `${hello.keys_help}+ − intensity   0 none   ${pause}Esc, space stop`;
   find("full").textContent = `full color ${array.full_ma.toFixed(2)} mA`;
   for (const id of ["electrodes-card", "sensor-card", "tactile-card"]) find(id).hidden = hello.blind;
   find("draw-card").hidden = !hello.draws;
@@ -107,6 +109,7 @@ function greet(hello) {
 function disable(off) {
   for (const id of ["less", "more", "none", "pause", "steer"]) find(id).disabled = off;
   for (const each of find("modes").children) each.disabled = off;
+  find("draw-card").inert = off;
 }
 
 function update(message) {
@@ -124,6 +127,7 @@ function update(message) {
 
 function draw(now) {
   asked = false;
+  if (over || socket.readyState !== WebSocket.OPEN) return;
   if (calm() && now - drawnAt < CALM_MS) return;
   drawnAt = now;
   showState();
@@ -172,14 +176,14 @@ function describe() {
 function showState() {
   find("title").textContent = `${state.title}  →  ${array.profile}  →  ${views.board}`;
   find("level").textContent = Math.round(100 * state.level);
-  find("more").disabled = state.level >= state.most;
   find("pause").textContent = state.paused ? "Go on" : "Pause";
   find("pause").setAttribute("aria-pressed", String(state.paused));
   const mine = state.steers === "you";
   find("steer").setAttribute("aria-pressed", String(mine));
   find("steer").textContent = mine ? "Leave" : "Steer";
   find("steers").textContent = `${state.steers === "you" ? "this page" : state.steers === "nobody" ? "nobody" : "another page"} steers`;
-  disableWhere(state.steers === "another");
+  disable(state.steers === "another");
+  if (state.level >= state.most) find("more").disabled = true;
   for (const each of find("modes").children) each.setAttribute("aria-pressed", String(each.dataset.mode === state.mode));
   setStatus(state.paused ? "paused" : state.level ? "running" : "running, no intensity", state.paused ? "waits" : "runs");
   const { limits } = array;
@@ -189,7 +193,7 @@ function showState() {
     ["force", state.force_n ?? 0, array.full_n, state.force_n === null ? "unknown" : `${state.force_n.toFixed(2)} N`],
     picture && ["current", picture.peak_ma, limits.current_ma, `${picture.peak_ma.toFixed(2)} of ${limits.current_ma} mA`],
     picture && ["charge", picture.charge_uc, limits.charge_uc, `${picture.charge_uc.toFixed(3)} of ${limits.charge_uc} µC`],
-    ["session", state.dose_s, limits.session_s, `${state.dose_s.toFixed(0)} of ${limits.session_s} s`],
+    !views.blind && ["session", state.dose_s, limits.session_s, `${state.dose_s.toFixed(0)} of ${limits.session_s} s`],
     !views.blind && ["dose", state.dose_mc, limits.session_mc, `${state.dose_mc.toFixed(1)} of ${limits.session_mc} mC`],
   ].filter(Boolean));
   table([
@@ -198,16 +202,12 @@ function showState() {
     picture && ["rate", `${(1e6 / picture.period_us).toFixed(1)} Hz`],
     picture && ["scan", `${picture.points} points, ${picture.slots} slots`],
     picture && ["latency", `${picture.latency_ms.toFixed(1)} ms`],
-    ["sequences", `${state.sequences}, ${state.acknowledged} acknowledged`],
-    ["late", String(state.late)],
-    ["own work", `${(100 * state.work_share).toFixed(1)} % of the scans`],
+    ...(views.blind ? [] : [
+      ["sequences", `${state.sequences}, ${state.acknowledged} acknowledged`],
+      ["late", String(state.late)],
+      ["own work", `${(100 * state.work_share).toFixed(1)} % of the scans`],
+    ]),
   ].filter(Boolean));
-}
-
-function disableWhere(another) {
-  for (const id of ["less", "none", "pause", "steer"]) find(id).disabled = another;
-  if (another) find("more").disabled = true;
-  for (const each of find("modes").children) each.disabled = another;
 }
 
 // Rows of a list of terms, made once and then changed in place.
@@ -269,11 +269,11 @@ function note({ time_s, text }) {
   while (find("events").children.length > MOST_EVENTS) find("events").lastChild.remove();
 }
 
-function end(reason) {
-  over = true;
+function end({ reason, failed }) {
   if (state) draw(Infinity);
+  over = true;
   setStatus("ended", "waits");
-  alertUser(`The run is over: ${reason || "it was ended"}. All electrodes are off.`);
+  alertUser(failed ? `The run has failed: ${reason}` : `The run is over: ${reason || "it was ended"}. All electrodes are off.`);
   disable(true);
   find("stop").disabled = true;
 }
