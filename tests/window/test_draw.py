@@ -95,6 +95,26 @@ def test_who_does_not_steer_does_not_draw(browser, running, profile):
     with running(source, rate_hz=20) as run, opened(browser, run.address) as page:
         page.wait_for_selector("#draw-card:not([hidden])")
         assert run.window.steering.steer(0)
+        page.wait_for_selector("#draw-card[inert]")
+        before = page.get_attribute("#sketch", "data-level")
         stroke(page, (1, 2), (6, 2))
         page.wait_for_timeout(300)
         assert not source.read(0).activation.any()
+        assert page.get_attribute("#sketch", "data-level") == before
+
+
+def test_what_is_felt_while_pressed_ends_with_the_stroke(browser, running, profile):
+    source = DrawSource(profile)
+    with running(source, rate_hz=20) as run, opened(browser, run.address) as page:
+        page.wait_for_selector("#draw-card:not([hidden])")
+        page.click("#draw-fleeting")
+        box = page.locator("#sketch").bounding_box()
+        page.mouse.move(box["x"] + 3.5 * box["width"] / 8, box["y"] + 3.5 * box["height"] / 8)
+        page.mouse.down(button="right")
+        page.mouse.up(button="right")
+        page.mouse.down()
+        wait_for(lambda: source.read(0).activation.any())
+        page.mouse.up()
+        wait_for(lambda: not source.read(0).activation.any())
+        # One stroke, and its end: the other button drew nothing.
+        assert source.message()["changes"] == 3

@@ -62,6 +62,9 @@ def test_stop_is_always_there(on_page, how):
         assert run.ended() == "the window"
         assert run.state().level == 1
         page.wait_for_selector("#stop:disabled")
+        # What was to be drawn when it ended is not drawn any more.
+        page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        assert page.is_disabled("#less")
 
 
 def test_a_keyboard_is_enough(on_page):

@@ -107,7 +107,7 @@ def test_frame_100_is_as_it_was(recorded, profile, address, browser):
         page.click("#slot-after")
         found = drawn(page, profile, ".electrodes")
         assert np.array_equal(found["colors"], colors(step.sequence.current_ua[0], profile))
-        page.click("h1")
+        # Also where a button has the focus.
         page.keyboard.press("ArrowRight")
         page.wait_for_selector(".electrodes[data-step='101']")
         page.click(".jumps button")

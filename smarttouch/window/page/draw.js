@@ -57,7 +57,7 @@ export class Drawing {
     find("save-png").addEventListener("click", () => this.say("draw save png"));
     sketch.addEventListener("pointerdown", (event) => this.begin(event));
     sketch.addEventListener("pointermove", (event) => this.move(event));
-    for (const kind of ["pointerup", "pointercancel"]) sketch.addEventListener(kind, () => this.end());
+    for (const kind of ["pointerup", "pointercancel", "lostpointercapture"]) sketch.addEventListener(kind, () => this.end());
     sketch.addEventListener("keydown", (event) => this.key(event));
     sketch.addEventListener("blur", () => {
       this.cursor = null;
@@ -110,6 +110,7 @@ export class Drawing {
 
   begin(event) {
     event.preventDefault();
+    if (event.button || this.from) return;
     this.field.canvas.focus();
     this.field.canvas.setPointerCapture(event.pointerId);
     this.before = this.level.slice();

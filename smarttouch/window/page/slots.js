@@ -42,7 +42,7 @@ export class SlotPlayer {
     clearInterval(this.timer);
     this.timer = undefined;
     this.slot = slot;
-    if (slot === null) this.newest();
+    if (slot === null || !this.view.slots) this.newest();
     this.pressed();
     this.draw();
   }

@@ -33,7 +33,7 @@ class Side {
 
   // Takes what has been read since.
   take(about) {
-    this.times.push(...about.times_s.slice(Math.max(0, this.times.length - about.from)));
+    this.times = this.times.concat(about.times_s.slice(Math.max(0, this.times.length - about.from)));
     if (this.events !== about.events.length) {
       this.events = about.events.length;
       this.get("jumps").replaceChildren(...about.events.map(({ time_s, text }) => {
@@ -209,7 +209,8 @@ find("slot-before").addEventListener("click", () => goToSlot(slot === null ? 0 :
 find("slot-after").addEventListener("click", () => goToSlot(slot === null ? 0 : slot + 1));
 
 document.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.("select, input, button, a")) return;
+  if (event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.("select, input")) return;
+  if (event.key === " " && event.target.matches?.("button")) return;
   const does = { ArrowLeft: "before", ArrowRight: "after", " ": "play", "[": "slot-before", "]": "slot-after" };
   if (!does[event.key]) return;
   event.preventDefault();
