@@ -114,7 +114,7 @@ class BrlttyConnection:
                 self._listener = socket.create_server(where, backlog=1)
             else:
                 self._line = socket.create_connection(where, timeout=AGAIN_S)
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
             remedy = (
                 "give another port, as in listen:4101"
                 if self.address.listens
@@ -122,7 +122,7 @@ class BrlttyConnection:
             )
             raise SourceError(
                 f"cannot {'listen' if self.address.listens else 'connect'} at {self.address}: "
-                f"{error.strerror or error}: {remedy}",
+                f"{getattr(error, 'strerror', None) or error}: {remedy}",
                 about="address",
                 problem="unavailable",
                 value=str(self.address),

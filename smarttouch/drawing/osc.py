@@ -70,7 +70,7 @@ class OscSource(StimulusSource):
     Attributes
     ----------
     wrong : int
-        Messages that were not understood.
+        Packets that were not understood.
     """
 
     knows_force = True
@@ -113,7 +113,7 @@ class OscSource(StimulusSource):
         self._thread.join(_JOIN_S)
         self._line.close()
         if self.wrong:
-            self.notes.append(f"{self.wrong} OSC messages were not understood")
+            self.notes.append(f"{self.wrong} OSC packets were not understood")
             self.wrong = 0
 
     def _listen(self) -> None:
@@ -205,10 +205,10 @@ def _bound(host: str, port: int) -> socket.socket:
         except OSError:
             line.close()
             raise
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
         raise SourceError(
-            f"cannot listen at {host}:{port}: {error.strerror or error}; give another port, as in "
-            "osc:9001",
+            f"cannot listen at {host}:{port}: {getattr(error, 'strerror', None) or error}; give "
+            "another port, as in osc:9001",
             about="address",
             problem="unavailable",
             value=f"{host}:{port}",

@@ -41,9 +41,10 @@ def test_impossible_widths(cells):
     assert caught.value.about == "cells"
 
 
-def test_nobody_there():
+@pytest.mark.parametrize("host", ["127.0.0.1", "a..b"])
+def test_nobody_there(host):
     with pytest.raises(SourceError) as caught:
-        BrlttyConnection(Address("127.0.0.1", free_port(), False), 20).open()
+        BrlttyConnection(Address(host, free_port(), False), 20).open()
     assert caught.value.problem == "unavailable"
 
 

@@ -129,13 +129,20 @@ def test_a_port_that_is_taken_is_refused(source, profile):
         st.open_source(f"osc:{port}", profile)
 
 
+def test_what_is_no_host_is_refused(profile):
+    with raises(SourceError, about="address", problem="unavailable", value="a..b:9000"):
+        st.open_source("osc:a..b:9000", profile)
+
+
 def test_without_the_extra_it_says_which(profile, monkeypatch):
     monkeypatch.setitem(sys.modules, "pythonosc.osc_packet", None)
     with raises(SourceError, about="osc", problem="missing"):
         st.open_source("osc:9000", profile)
 
 
-def test_a_point_comes_out_of_the_board(source, send, profile):
+def test_a_point_comes_out_of_the_board(source, send, profile, monkeypatch):
+    # However long the board takes to begin.
+    monkeypatch.setattr(osc, "SILENT_S", 1000)
     send(built("point", 0.4, 0.4).dgram)
     results = []
     display = st.open_display("simulated:", profile)
