@@ -103,11 +103,13 @@ class Speech(Listener):
             assert speaker.stdin is not None
             while (words := self._waiting.get()) is not None:
                 tone = tones.get(words.rpartition(": ")[2])
-                if tone is not None:
-                    _play(tone)
+                if tone is not None and _play(tone):
                     continue
+                line = " ".join(words.split())
+                if line.startswith(_COMMAND):
+                    line = line.lstrip(_COMMAND)
                 try:
-                    speaker.stdin.write(f"{' '.join(words.split()).removeprefix(_COMMAND)}\n")
+                    speaker.stdin.write(f"{line}\n")
                     speaker.stdin.flush()
                 except OSError:
                     # Without speech the run goes on.
@@ -124,9 +126,12 @@ def _left(speaker: "subprocess.Popen[str]") -> None:
         speaker.wait()
 
 
-def _play(tone: Path) -> None:
-    if shutil.which("aplay") is not None:
-        subprocess.run(["aplay", "-q", str(tone)], check=False, stderr=subprocess.DEVNULL)
+def _play(tone: Path) -> bool:
+    """Play a tone; return whether there is a program that does."""
+    if shutil.which("aplay") is None:
+        return False
+    subprocess.run(["aplay", "-q", str(tone)], check=False, stderr=subprocess.DEVNULL)
+    return True
 
 
 def _tones(folder: Path) -> dict[str, Path]:

@@ -133,17 +133,27 @@ def test_lines_and_events_are_said(program_here, said):
 @needs_speech
 def test_intervals_are_marked_by_tones(monkeypatch, said):
     played = []
-    monkeypatch.setattr(speech, "_play", lambda tone: played.append(tone.stat().st_size))
+
+    def play(tone):
+        played.append(tone.stat().st_size)
+        return len(played) == 1
+
+    monkeypatch.setattr(speech, "_play", play)
     source = SimpleNamespace(title="gap")
     listener = Speech()
     listener.prepare(SimpleNamespace(source=source))
     for words in ("first", "second", "which was it? 1 or 2"):
         source.title = f"gap, trial 1 of 2: {words}"
         listener.step(None)
-    found = said(lambda lines: len(lines) > 1)
+    source.title = "!-!!-!PRIORITY"
+    listener.step(None)
+    found = said(lambda lines: len(lines) > 3)
     listener.close()
     listener.close()
-    assert found == ["gap", "trial 1 of 2: which was it? 1 or 2"]
+    # What cannot be played is said; and nothing that is said is a command.
+    assert found == [
+        "gap", "trial 1 of 2: second", "trial 1 of 2: which was it? 1 or 2", "PRIORITY",
+    ]  # fmt: skip
     assert len(played) == 2
 
 
