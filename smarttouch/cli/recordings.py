@@ -78,7 +78,16 @@ def view(
 
         show_recordings(files, port)
         return
+    from smarttouch.errors import RecordingError
     from smarttouch.monitor.view import save_view
 
+    if len(files) > 1:
+        raise RecordingError(
+            f"a view is saved of one recording, not of {len(files)}: give one",
+            about="files",
+            problem="too many",
+            value=len(files),
+            allowed=1,
+        )
     save_view(files[0], save, step, slot)
     print(save)

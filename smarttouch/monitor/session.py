@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from smarttouch.boards.board import Board
-from smarttouch.files import require_folder, write_json
+from smarttouch.files import write_json
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.monitor.blind_screen import BlindScreen
 from smarttouch.monitor.driving import ending_in_order, opened, the_stop
@@ -52,10 +52,6 @@ class Outputs:
     plain: bool = False
     speak: bool = False
 
-    def __post_init__(self) -> None:
-        for output in (self.felt, self.record, self.json_file):
-            require_folder(output)
-
     @property
     def files(self) -> list[Path]:
         """Files that are written at the end."""
@@ -70,8 +66,8 @@ class Outputs:
 
     def listeners(self) -> list[Listener]:
         """Return a listener for each of them."""
-        return [
-            *output_listeners(
+        return list(
+            output_listeners(
                 felt=self.felt,
                 finger=self.finger,
                 anatomy=self.anatomy,
@@ -80,7 +76,7 @@ class Outputs:
                 markers=self.markers,
                 foxglove=self.foxglove,
             )
-        ]
+        )
 
 
 def run_in_terminal(
@@ -115,6 +111,8 @@ def run_in_terminal(
     stop = the_stop()
     shown = screen(display.url, outputs.quiet, keys_help, outputs.plain)
     typed = sys.stdin.isatty()
+    # Before the window, which takes a port: an output may be impossible.
+    followers = [*([Speech(shown.hides)] if outputs.speak else []), *outputs.listeners()]
     windows: list[Listener] = []
     # What is drawn on a page needs one.
     port = 0 if outputs.window is None and getattr(source, "on_page", False) else outputs.window
@@ -143,9 +141,8 @@ def run_in_terminal(
         listeners=[
             *windows,
             shown,
-            *([Speech(shown.hides)] if outputs.speak else []),
             _Keyboard(stop, keys or {}),
-            *outputs.listeners(),
+            *followers,
             *listeners,
             _Orderly(outputs.patience_s),
         ],

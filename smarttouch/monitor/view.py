@@ -52,8 +52,8 @@ def save_view(path: Path, output: Path, step: int = 0, slot: int | None = None) 
                 write_bytes(output, export_view(tape, step, output.suffix, slot))
         except IndexError:
             raise RecordingError(
-                f"{path} has {len(tape)} steps, and no step {step} with slot {slot or 0}: choose "
-                "another",
+                f"{path} has {len(tape)} steps, and no step {step} with slot {slot or 0}"
+                f"{tape.wrong and f' ({tape.wrong})'}: choose another",
                 about="step",
                 problem="unknown",
                 value=step,

@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from smarttouch.electrodes import ElectrodeArray
 from smarttouch.physiology.felt import in_color
@@ -28,9 +29,9 @@ class ArrayImage:
         x = (np.arange(columns) - (columns - 1) / 2) * pixel_mm
         y = (np.arange(rows) - (rows - 1) / 2) * pixel_mm
         there = np.stack(np.meshgrid(x, y), axis=-1)
-        away = np.linalg.norm(there[:, :, None] - electrodes.position_mm, axis=3)
-        self._nearest = away.argmin(axis=2)
-        self._on = away.min(axis=2) <= _RADIUS * min(cell.min(), electrodes.pitch_mm)
+        away, nearest = cKDTree(electrodes.position_mm).query(there)
+        self._nearest = np.asarray(nearest)
+        self._on = away <= _RADIUS * min(cell.min(), electrodes.pitch_mm)
 
     def tactile(self, activation: NDArray[np.float32]) -> NDArray[np.uint8]:
         """Return a tactile image, (H, W, 3) in RGB: each class is an ink of its color."""

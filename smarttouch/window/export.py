@@ -107,7 +107,7 @@ def export_view(tape: Tape, index: int, kind: str, slot: int | None = None) -> b
     IndexError
         If there is no such step or slot.
     """
-    about = tape.message(len(tape))["array"]
+    about = tape.array
     current = shown_current(json.loads(tape.picture(index)), len(about["place_mm"]), slot)
     if kind == ".svg":
         return svg(about, current).encode()
@@ -140,7 +140,8 @@ def export_film(
     RecordingError
         If the film is too long, or cannot be written.
     """
-    times = np.array(tape.times_s)[first : None if last is None else last + 1]
+    # A copy: the recording may still be being read, and it grows.
+    times = np.array(tape.times_s[first : None if last is None else last + 1])
     if not len(times):
         raise IndexError(first)
     seconds = float(times[-1] - times[0])
@@ -159,7 +160,7 @@ def export_film(
 
 
 def _pictures(tape: Tape, indices: Iterable[int]) -> Iterable[NDArray[np.uint8]]:
-    about = tape.message(len(tape))["array"]
+    about = tape.array
     for index in indices:
         picture = json.loads(tape.picture(index))
         yield raster(about, shown_current(picture, len(about["place_mm"]), None))

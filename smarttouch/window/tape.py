@@ -27,8 +27,12 @@ class Tape(Closing):
     Attributes
     ----------
     recording : Recording
+    array : dict
+        Its electrodes and limits; see `array_message`.
     times_s : array of float
         Time of each step that has been read.
+    wrong : str
+        Words on what could not be read; empty if nothing.
 
     Raises
     ------
@@ -39,11 +43,11 @@ class Tape(Closing):
     def __init__(self, path: Path) -> None:
         self.recording = Recording(path)
         self.times_s = array("d")
-        self._array = array_message(self.recording.profile)
+        self.array = array_message(self.recording.profile)
         self._places = array("q", [0])
         self._events: list[dict[str, Any]] = []
         self._ended = self._closing = False
-        self._wrong = ""
+        self.wrong = ""
         self._file = tempfile.TemporaryFile(prefix="smarttouch-")  # noqa: SIM115
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._read, name="tape", daemon=True)
@@ -76,14 +80,14 @@ class Tape(Closing):
         told = {key: str(recording.settings.get(key) or "") for key in _STANDS_FOR}
         return {
             "name": recording.path.name,
-            "array": self._array,
+            "array": self.array,
             "started": recording.started.isoformat(timespec="seconds"),
             "duration_s": recording.duration_s,
             "told": {key: each for key, each in told.items() if each},
             "times_s": self.times_s[first:].tolist(),
             "events": self._events,
             "ended": self._ended,
-            "wrong": self._wrong,
+            "wrong": self.wrong,
         }
 
     def close(self) -> None:
@@ -108,7 +112,7 @@ class Tape(Closing):
                 for time_ns, words in self.recording.events()
             ]
             if not self.recording.whole:
-                self._wrong = "it is cut or damaged: what can be read of it is shown"
+                self.wrong = "it is cut or damaged: what can be read of it is shown"
         except (RecordingError, OSError) as error:
-            self._wrong = str(error)
+            self.wrong = str(error)
         self._ended = True

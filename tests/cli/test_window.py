@@ -12,7 +12,7 @@ import pytest
 from websockets.sync.client import connect
 
 from smarttouch.cli.run_command import with_ports
-from smarttouch.errors import SmartTouchError
+from smarttouch.errors import RecordingError, SmartTouchError
 from smarttouch.recording.reader import Recording
 
 from .conftest import refused, says
@@ -56,6 +56,8 @@ def test_recordings_are_shown_until_ctrl_c(start_program, program_here, tmp_path
     done = program_here("recordings", "view", "run.mcap", "--save", "a.svg", "--step", 5)
     assert (done.returncode, done.stdout) == (0, "a.svg\n")
     assert (tmp_path / "a.svg").read_text().count("<circle") == 64
+    done = program_here("recordings", "view", "run.mcap", "run.mcap", "--save", "b.svg")
+    says(RecordingError, about="files", problem="too many", value=2, allowed=1)(refused(done))
     view = start_program("recordings", "view", "run.mcap", "run.mcap")
     address = re.match("window: (http://[^ ]+) ", view.stderr.readline())[1]
     with urlopen(address, timeout=20) as answer:

@@ -63,7 +63,9 @@ def test_stop_is_always_there(on_page, how):
         assert run.state().level == 1
         page.wait_for_selector("#stop:disabled")
         # What was to be drawn when it ended is not drawn any more.
-        page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        page.evaluate(
+            "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+        )
         assert page.is_disabled("#less")
 
 
