@@ -137,16 +137,19 @@ class HandControls(Controls):
         self, state: ControlState, modes: tuple[Mode, ...] = (), *, knob: Knob | None = None
     ) -> None:
         super().__init__(state, modes)
-        self._knob, self._y_mm = knob, 0.0
+        self._knob, self._y_mm, self._read_ns = knob, 0.0, -1
 
     def state(self, time_ns: int) -> ControlState:
         """Return the state of the controls, with the knob's part added."""
-        moved = None if self._knob is None else self._knob.read(time_ns)
-        # The y axis of a page comes towards you.
-        if moved is not None and moved[1] != self._y_mm:
-            self.change_level((self._y_mm - moved[1]) / _STEP_MM)
-            self._y_mm = moved[1]
-        return super().state(time_ns)
+        # Screens ask too, from other threads: no movement may count twice.
+        with self._lock:
+            if self._knob is not None and time_ns > self._read_ns:
+                self._read_ns, moved = time_ns, self._knob.read(time_ns)
+                # The y axis of a page comes towards you.
+                if moved is not None and moved[1] != self._y_mm:
+                    self.change_level((self._y_mm - moved[1]) / _STEP_MM)
+                    self._y_mm = moved[1]
+            return super().state(time_ns)
 
 
 class FreeSource(StimulusSource, Listener):

@@ -189,3 +189,20 @@ def test_rows_are_on_disk_at_once(line, tmp_path):
 def test_what_cannot_be_asked_for(line, tmp_path, options, attributes):
     with FreeLog(tmp_path / "free.csv") as log, raises(ExperimentError, **attributes):
         FreeSource(line, (Afferent.RA,), log, **options)
+
+
+def test_a_movement_of_the_knob_counts_once():
+    class Knob:
+        reads = 0
+
+        def read(self, time_ns):
+            self.reads += 1
+            return 0.0, -1.0 * self.reads
+
+    knob = Knob()
+    controls = HandControls(ControlState(Mode.COLOR, 0.0), knob=knob)
+    level = controls.state(10**9).level
+    assert level > 0
+    # By whoever shows the run.
+    assert [controls.state(time_ns).level for time_ns in (10**9, 0)] == [level, level]
+    assert knob.reads == 1
