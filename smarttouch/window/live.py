@@ -295,7 +295,10 @@ class Window(Listener):
     async def _act(self, page: _Page, verb: str, rest: str) -> None:
         assert self.steering is not None
         source = self._context.source
-        if verb == "do":
+        if verb == "do" and rest.startswith("key:"):
+            # It may wait for the source's line: a stop must not wait for that.
+            await asyncio.to_thread(self.steering.act, page.number, rest)
+        elif verb == "do":
             self.steering.act(page.number, rest)
         elif not isinstance(source, DrawSource):
             raise ValueError(rest)
