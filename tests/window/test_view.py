@@ -84,6 +84,21 @@ def test_what_is_cut_is_shown_as_far_as_it_goes(recorded, tmp_path):
 
 
 @pytest.mark.realtime
+def test_an_hour_is_loaded(address, browser):
+    def long(route):
+        told = route.fetch().json()
+        for each in told:
+            each["times_s"] = [number / 50 for number in range(180_000)]
+        route.fulfill(json=told)
+
+    page = browser.new_page()
+    page.route("**/recordings?from=0", long)
+    page.goto(address)
+    page.wait_for_selector("#time[max='179999']")
+    page.close()
+
+
+@pytest.mark.realtime
 def test_frame_100_is_as_it_was(recorded, profile, address, browser):
     step = recorded[1][100].step
     with opened(browser, address) as page:
