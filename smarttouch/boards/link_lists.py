@@ -147,16 +147,29 @@ def _kept(
     sums = sequence.sums
     if image is None or sums is None or sums.table is not image.table:
         return None
-    if len(sums.first) != sequence.slots + 1:
-        return None
     # Copies: nothing may change between the look and the write.
-    own = KernelLists(image.own, sums.first.copy(), sums.kernel.copy(), sums.amplitude.copy())
+    own = KernelLists(image.own, *map(np.array, (sums.first, sums.kernel, sums.amplitude)))
+    if not _is_sound(own, sequence.slots):
+        return None
     made_ua = own.current_ua()
     same = (made_ua == sequence.current_ua).all(axis=1) & (own.site == sequence.site)
     known = np.maximum.reduceat(own.kernel, own.first[:-1]) < image.count
     # At most what the board adds up in 32 bits.
     within = np.add.reduceat(own.amplitude, own.first[:-1], dtype=np.int64) <= _U16_MAX
     return own, same & known & within
+
+
+def _is_sound(lists: KernelLists, slots: int) -> bool:
+    """Return whether lists go on the wire as they are: of other types they would wrap around."""
+    first, kernel, amplitude = lists.first, lists.kernel, lists.amplitude
+    return bool(
+        first.dtype == np.intp
+        and kernel.dtype == amplitude.dtype == np.uint16
+        and len(first) == slots + 1
+        and (first[0], first[-1], len(amplitude)) == (0, len(kernel), len(kernel))
+        and (np.diff(first) > 0).all()
+        and kernel.max() < len(lists.table.weights)
+    )
 
 
 def _rows(sequence: ScanSequence, switched: bool) -> NDArray[np.uint8]:

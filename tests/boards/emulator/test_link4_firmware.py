@@ -167,6 +167,29 @@ def test_a_table_that_is_changed_after_it_was_sent_is_no_reference():
     assert rig.books.kept == sequence.current_ua.tolist()
 
 
+@pytest.mark.parametrize(
+    ("first", "kernel", "amplitude"),
+    [
+        ([0, 1], np.array([0], np.uint16), np.array([-4000])),
+        ([0, 1], np.array([0], np.uint16), np.array([4000 + 65_536])),
+        ([0, 1], np.array([-5]), np.array([4000], np.uint16)),
+        ([0, 1], np.array([99], np.uint16), np.array([4000], np.uint16)),
+        ([0, 1], np.array([0, 0], np.uint16), np.array([3000, 1000], np.uint16)),
+        ([1, 2], np.array([1, 0], np.uint16), np.array([9, 4000], np.uint16)),
+    ],
+)
+def test_lists_that_the_wire_would_change_go_as_currents(first, kernel, amplitude):
+    rig = Rig(ramp_ms=0)
+    rig.give(rig.image.data)
+    sequence = listed(rig.table, [[(0, 4000)]])
+    sums = KernelLists(rig.table, np.array(first), kernel, amplitude)
+    current_ua = sums.current_ua() if amplitude[0] < 0 else sequence.current_ua
+    sequence = listed(rig.table, [[(0, 4000)]], current_ua=current_ua, sums=sums)
+    assert rig.send(sequence, image=rig.image) is None
+    rig.board.advance(9 * MS)
+    assert rig.books.kept == sequence.current_ua.tolist()
+
+
 def test_currents_that_are_no_sum_go_as_they_are():
     rig = Rig(ramp_ms=0)
     rig.give(rig.image.data)
