@@ -100,7 +100,9 @@ class PointSlots:
             self._base = table.points[afferent]
             own = table.weights[self._base : self._base + len(weights)]
             self._largest = largest_amplitude(own, np.floor(1000 * most_ma + 1e-6))
-            self._full = np.asarray(PER_UA * 1000 * profile.full_ma, np.float32)
+            # The table's rows all have the same peak; kernels designed on fingers have less than 1.
+            peak_ua = np.abs(self._kernels_ua).max(axis=1)
+            self._full = np.asarray(PER_UA * peak_ua, np.float32)
         self._prove_totals(profile)
         rounding_ua = len(weights) / 2
         self._tight = bool((1000 * profile.full_ma + rounding_ua > self._most_ua).any())
