@@ -13,7 +13,13 @@ from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.stimulus import Stimulus
-from smarttouch.stimulation.kernel_table import PEAK, KernelLists, KernelTable, largest_amplitude
+from smarttouch.stimulation.kernel_table import (
+    PEAK,
+    KernelLists,
+    KernelTable,
+    largest_amplitude,
+    quantized,
+)
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 
 
@@ -51,6 +57,17 @@ def test_kernels_sum_to_zero_and_have_one_peak():
     assert (table.weights.sum(axis=1, dtype=np.int64) == 0).all()
     assert (np.abs(table.weights.astype(int)).max(axis=1) == PEAK).all()
     assert not KernelTable.of({Afferent.RA: np.zeros((3, 3))}, {}).weights.any()
+
+
+@given(st.lists(st.sampled_from([-1, -0.5, -0.3, -0.25, 0, 0.25, 0.3, 0.5, 1]), min_size=2))
+def test_no_weight_is_above_the_peak_by_rounding(weights):
+    whole = quantized(np.array([[*weights, -sum(weights)]])).astype(int)
+    assert whole.sum() == 0
+    assert np.abs(whole).max() in (0, PEAK)
+
+
+def test_a_peak_between_two_halves_is_no_more_than_the_peak():
+    assert quantized(np.array([[-0.5, 1, -0.5]])).tolist() == [[-16383, 32767, -16384]]
 
 
 @given(st.integers(0, 50), st.integers(100, 5000))
