@@ -49,6 +49,9 @@ void st_init(st_board *board, const st_config *config, const st_port *port)
 {
     memset(board, 0, sizeof *board);
     board->config = *config;
+    if (config->most_slots > ST_MAX_SLOTS) {
+        board->config.most_slots = ST_MAX_SLOTS;
+    }
     board->port = *port;
     board->last_number = -1;
     board->refusing = ST_NOT_BEGUN;
@@ -56,16 +59,17 @@ void st_init(st_board *board, const st_config *config, const st_port *port)
     board->port.shorted(board->port.self, "start");
 }
 
-void st_zero(st_board *board, const char *reason)
+static void end_session(st_board *board, uint8_t refusing, const char *reason)
 {
     board->port.shorted(board->port.self, reason);
     board->running = board->waiting = NULL;
+    board->refusing = refusing;
+    board->session.live = false;
 }
 
-static void end_session(st_board *board, uint8_t reason)
+void st_zero(st_board *board, const char *reason)
 {
-    board->refusing = reason;
-    board->session.live = false;
+    end_session(board, ST_NOT_BEGUN, reason);
 }
 
 /* -- execution ----------------------------------------------------------------------------- */
@@ -173,13 +177,23 @@ static void end_scan(st_board *board, st_sequence *sequence)
     }
 }
 
+/* Begin a slot now. What was missed is not made up for: a scan that begins late ends late, but for
+ * the little that keeps the rate. */
+static void put_off(st_sequence *sequence, uint64_t now_us)
+{
+    sequence->next_us = now_us;
+    if (sequence->place.slot == 0u && now_us > sequence->start_us + sequence->period_us / 4u) {
+        sequence->end_us = now_us + sequence->period_us;
+    }
+}
+
 static void execute(st_board *board, uint64_t until_us)
 {
     while (board->running != NULL) {
         st_sequence *sequence = board->running;
         while (sequence->place.slot < sequence->slots && sequence->next_us <= until_us) {
             if (board->config.real_time) {
-                sequence->next_us = until_us;
+                put_off(sequence, until_us);
             }
             deliver(board, sequence);
         }
@@ -194,6 +208,10 @@ static void execute(st_board *board, uint64_t until_us)
             return;
         }
         end_scan(board, sequence);
+        if (board->config.real_time) {
+            /* Answers take time: the next pulse begins by a clock that is read anew. */
+            return;
+        }
     }
 }
 
@@ -208,8 +226,7 @@ void st_advance(st_board *board, uint64_t now_us)
     }
     if (now_us >= deadline_us && board->refusing == 0u) {
         const st_sequence *dropped = board->waiting;
-        st_zero(board, "silence");
-        end_session(board, ST_SILENCE);
+        end_session(board, ST_SILENCE, "silence");
         if (dropped != NULL) {
             refuse(board, dropped->number, ST_SILENCE);
         }
@@ -345,15 +362,13 @@ static void accept(st_board *board, const st_message *message, uint64_t now_us)
     }
     /* The sequence stays where it came in; the next packet comes into another buffer. */
     board->stream.packet = free_buffer(board);
-    execute(board, now_us);
+    if (!board->config.real_time) {
+        execute(board, now_us);
+    }
 }
 
 static void begin(st_board *board)
 {
-    /* A new host starts from zero, whatever the one before left. */
-    if (board->running != NULL) {
-        st_zero(board, "begin");
-    }
     board->refusing = 0;
     board->last_number = -1;
     board->last_begun = false;
@@ -388,7 +403,6 @@ static void answer(st_board *board, const st_message *message, uint64_t began_us
         accept(board, message, now_us);
         break;
     case ST_STOP:
-        end_session(board, ST_NOT_BEGUN);
         st_zero(board, "stop");
         say(board, ST_STOPPED, message->number, NULL, 0);
         break;
@@ -437,6 +451,5 @@ void st_hang_up(st_board *board, uint64_t now_us)
     if (board->refusing != ST_NOT_BEGUN) {
         st_zero(board, "host closed");
     }
-    end_session(board, ST_NOT_BEGUN);
     board->greeted = false;
 }

@@ -166,13 +166,14 @@ typedef struct {
 void st_init(st_board *board, const st_config *config, const st_port *port);
 /* Take bytes of the host. */
 void st_feed(st_board *board, const uint8_t *data, size_t size, uint64_t now_us);
-/* Do all that is due; put all at zero if the host is silent. */
+/* Do all that is due; put all at zero if the host is silent. In real time pulses begin here, and at
+ * the start of st_feed: read the clock just before. */
 void st_advance(st_board *board, uint64_t now_us);
 /* When there is something to do at the latest, if no byte comes. */
 uint64_t st_next_us(const st_board *board);
 /* The host has closed the line. */
 void st_hang_up(st_board *board, uint64_t now_us);
-/* Drop everything and short all electrodes, for example where the port finds a fault. */
+/* Short all electrodes and end the session, for example where the port finds a fault. */
 void st_zero(st_board *board, const char *reason);
 
 #endif

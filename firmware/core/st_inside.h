@@ -35,6 +35,7 @@ enum { ST_POINTS = 0, ST_SUM = 1, ST_CURRENTS = 2, ST_STATES = 3 };
 #define ST_MAX_WIDTH_US 200u
 #define ST_MAX_CHARGE_PC 500000u
 #define ST_MIN_PERIOD_US 5000u
+#define ST_MAX_SLOTS 8000u /* their charge adds up in 32 bits */
 #define ST_MIN_DISCHARGE_US 20u
 #define ST_MAX_DUTY_PERCENT 80u
 #define ST_MAX_MEAN_UA 500u

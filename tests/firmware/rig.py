@@ -30,7 +30,7 @@ class Core:
     columns = tuple(np.zeros(ROOM // 4, np.uint32) for _ in range(4))
     starts, currents = np.zeros(ROOM // 4, np.uint64), np.zeros(ROOM, np.int16)
 
-    def __init__(self, library, electrodes, output="weighted", ramp_ms=500):
+    def __init__(self, library, electrodes, output="weighted", ramp_ms=500, real_time=False):
         self._core = ctypes.CDLL(str(library))
         for name in ("st_rig_new", "st_rig_reason"):
             getattr(self._core, name).restype = ctypes.c_void_p
@@ -39,7 +39,13 @@ class Core:
         self._name = ctypes.create_string_buffer(NAME.encode())
         self._rig = ctypes.c_void_p(
             self._core.st_rig_new(
-                electrodes, OUTPUTS.index(output), features, int(COMPLIANCE_V), ramp_ms, self._name
+                electrodes,
+                OUTPUTS.index(output),
+                features,
+                int(COMPLIANCE_V),
+                ramp_ms,
+                real_time,
+                self._name,
             )
         )
 
@@ -56,6 +62,10 @@ class Core:
 
     def hang_up(self, now_us):
         self._core.st_rig_hang_up(self._rig, ctypes.c_uint64(now_us))
+        self.take()
+
+    def zero(self):
+        self._core.st_rig_zero(self._rig)
         self.take()
 
     def take(self):

@@ -10,7 +10,7 @@ import pytest
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.emulator.lists import summed
 from smarttouch.boards.link_kernels import KernelImage
-from smarttouch.boards.link_protocol import Kind, Rule
+from smarttouch.boards.link_protocol import Kind, Refusal, Rule
 from smarttouch.stimulation.safety import SafetyLimits
 from tests.firmware.build import library
 from tests.firmware.rig import Both, Core, Emulated, Talk
@@ -127,6 +127,52 @@ def test_silence_is_zero_within_100_ms(make_core):
     assert core.reason == "silence"
     talk.wait(500_000)
     assert core.reason == "silence"
+
+
+@pytest.fixture
+def driving(make_core):
+    """Return a core in real time, a host that talks to it, and a sequence of four slots."""
+    core = make_core(6, ramp_ms=0, real_time=True)
+    scene = Scene(core, 1)
+    lists = random_lists(scene.rng, random_table(scene.rng, 4, 6), 4)
+    return core, scene.talk.begin(scene.limits), sequence_of(lists, sums=None)
+
+
+def test_in_real_time_a_pulse_begins_by_the_clock_of_its_own_call(driving):
+    core, talk, sequence = driving
+    talk.send(sequence, 1, times=2)
+    # Taking the packet and checking it took time: the clock has gone on.
+    assert talk.pulses == []
+    starts = []
+    for now_us in range(3000, 30_000, 10):
+        starts += [(each[1], each[4]) for each in core.advance(now_us)[1]]
+    # 100 us of a pulse and 50 of discharge; the second scan begins a period after the first.
+    assert starts[:4] == [(slot, 3000 + 150 * slot) for slot in range(4)]
+    assert [slot for slot, _ in starts[4:]] == [0, 1, 2, 3]
+    assert starts[4][1] - starts[0][1] >= sequence.period_us
+
+
+def test_in_real_time_scans_that_were_missed_are_not_made_up_for(driving):
+    core, talk, sequence = driving
+    talk.send(sequence, 1, times=1000)
+    starts = [each[4] for now_us in range(0, 20_000, 50) for each in core.advance(now_us)[1]]
+    # The loop stands still for six periods; the next scans keep their period all the same.
+    starts += [each[4] for now_us in range(80_000, 98_000, 50) for each in core.advance(now_us)[1]]
+    missed = [each for each in starts if each >= 80_000]
+    assert len(missed) == 8
+    assert missed[4] - missed[0] >= 3 * sequence.period_us / 4
+    assert len(starts) == 16
+
+
+def test_a_fault_of_the_port_ends_the_session(driving):
+    core, talk, sequence = driving
+    talk.send(sequence, 1, times=1000)
+    assert core.advance(100)[1] != []
+    core.zero()
+    assert core.reason == "fault"
+    (refused,) = talk.send(sequence, 2)
+    assert protocol.NAK.unpack(refused.payload)[0] == Refusal.STOPPED
+    assert core.advance(10_000)[1] == []
 
 
 @pytest.mark.parametrize("name", VECTORS)

@@ -19,11 +19,12 @@ typedef struct {
 
 /* What the tests call. */
 st_rig *st_rig_new(uint16_t electrodes, uint8_t output, uint8_t features, uint16_t compliance_v,
-                   uint16_t ramp_ms, const char *name);
+                   uint16_t ramp_ms, bool real_time, const char *name);
 void st_rig_free(st_rig *rig);
 void st_rig_feed(st_rig *rig, const uint8_t *data, size_t size, uint64_t now_us);
 void st_rig_advance(st_rig *rig, uint64_t now_us);
 void st_rig_hang_up(st_rig *rig, uint64_t now_us);
+void st_rig_zero(st_rig *rig);
 uint32_t st_rig_take(st_rig *rig, uint8_t *out, uint32_t *numbers, uint32_t *slots,
                      uint32_t *sites, uint32_t *widths, uint64_t *starts, int16_t *currents,
                      uint32_t *pulses);
@@ -77,7 +78,7 @@ static int16_t force_mn(void *self)
 }
 
 st_rig *st_rig_new(uint16_t electrodes, uint8_t output, uint8_t features, uint16_t compliance_v,
-                   uint16_t ramp_ms, const char *name)
+                   uint16_t ramp_ms, bool real_time, const char *name)
 {
     st_rig *rig = calloc(1, sizeof *rig);
     st_config config;
@@ -86,6 +87,7 @@ st_rig *st_rig_new(uint16_t electrodes, uint8_t output, uint8_t features, uint16
         st_configure(&config, &rig->memory, electrodes, output, ramp_ms);
         config.features = features;
         config.compliance_v = compliance_v;
+        config.real_time = real_time;
         config.name = name;
         st_init(&rig->board, &config, &port);
     }
@@ -110,6 +112,11 @@ void st_rig_advance(st_rig *rig, uint64_t now_us)
 void st_rig_hang_up(st_rig *rig, uint64_t now_us)
 {
     st_hang_up(&rig->board, now_us);
+}
+
+void st_rig_zero(st_rig *rig)
+{
+    st_zero(&rig->board, "fault");
 }
 
 uint32_t st_rig_take(st_rig *rig, uint8_t *out, uint32_t *numbers, uint32_t *slots,
