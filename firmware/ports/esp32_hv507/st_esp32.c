@@ -55,10 +55,12 @@ static void pulse(void *self, const st_pulse *pulse)
         const uint32_t code = state > 0 ? 1u : state < 0 ? 2u : 0u;
         bits[each / 4u] |= (uint8_t)(code << (2u * (each % 4u)));
     }
-    /* The timer first: whatever comes between, the pulse ends. */
-    one_shot_us(pulse->width_us, short_all);
     latch(bits);
+    /* Nothing may come between: a timer that fires before the current is there would not end it. */
+    noInterrupts();
+    one_shot_us(pulse->width_us, short_all);
     dac_write((uint16_t)((pulse->source_ua * 256u) / UA_PER_COUNT_Q8));
+    interrupts();
 }
 
 static uint32_t draw(void *self)

@@ -11,6 +11,8 @@
 
 void pinMode(uint8_t pin, uint8_t mode);
 void digitalWrite(uint8_t pin, uint8_t value);
+void noInterrupts(void);
+void interrupts(void);
 int64_t esp_timer_get_time(void);
 uint32_t esp_random(void);
 void spi_write_bytes(const uint8_t *data, size_t size);
