@@ -79,6 +79,7 @@ def _magnification(text: str, page: Page, profile: Profile, light_on_dark: bool)
                 f"magnify {text} is no magnification: give auto, or a number from "
                 f"{LEAST_MAGNIFIED:g} to {MOST_MAGNIFIED:g}",
                 about="magnify",
+                problem="out of range",
                 value=text,
                 allowed=(LEAST_MAGNIFIED, MOST_MAGNIFIED),
             )

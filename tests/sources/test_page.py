@@ -167,5 +167,5 @@ def test_a_page_is_magnified_as_asked(tmp_path, profile):
     with open_source(f"page:{file}?magnify=2", profile) as source:
         assert source.page.mm_per_pixel == pytest.approx(2 * 25.4 / 300, rel=1e-4)
     for wrong in ("much", "0", "nan", "11"):
-        with raises(PageError, about="magnify", value=wrong):
+        with raises(PageError, about="magnify", problem="out of range", value=wrong):
             open_source(f"page:{file}?magnify={wrong}", profile)
