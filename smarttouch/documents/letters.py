@@ -114,10 +114,10 @@ def like_letters(spots: Spots, height: float) -> NDArray[np.bool_]:
     return np.asarray(right_size & (spots.width < _LONGEST * spots.height))
 
 
-def find_pictures(ink: NDArray[np.bool_], height: float) -> tuple[NDArray[np.bool_], int]:
-    """Return the ink of pictures, (H, W) bool, and their number.
+def find_pictures(ink: NDArray[np.bool_], height: float) -> tuple[Spots, NDArray[np.bool_], int]:
+    """Return all spots of ink, the ink of pictures, (H, W) bool, and the number of these.
 
-    They are spots large both ways; those that overlap are one.
+    Pictures are spots large both ways; those that overlap are one.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def find_pictures(ink: NDArray[np.bool_], height: float) -> tuple[NDArray[np.boo
         down = (boxes.top[apart] < boxes.bottom[k]) & (boxes.bottom[apart] > boxes.top[k])
         if not (across & down).any():
             apart.append(int(k))
-    return np.isin(labels, label[large]), len(apart)
+    return spots, np.isin(labels, label[large]), len(apart)
 
 
 def letters_alone(ink: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Spots, float] | None:
