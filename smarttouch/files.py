@@ -123,6 +123,22 @@ def decoded(data: bytes, path: Path, error: type[SmartTouchError]) -> str:
         raise _wrong(error, "not UTF-8", path, message) from None
 
 
+def read_toml(path: Path, error: type[SmartTouchError]) -> dict[str, Any]:
+    """Return the tables of a TOML file, of which nothing is believed yet.
+
+    Raises
+    ------
+    SmartTouchError
+        Of the type given, if it cannot be read, or is no TOML.
+    """
+    text = read_text(path, error, MOST_TOML_BYTES)
+    try:
+        return parse_toml(text)
+    except ValueError as failure:
+        message = f"{path} is not a readable TOML file: {failure}"
+        raise _wrong(error, "malformed", path, message) from None
+
+
 def parse_toml(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text.
 

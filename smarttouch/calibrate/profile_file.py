@@ -13,12 +13,13 @@ from smarttouch.errors import CalibrationError, ProfileError
 from smarttouch.files import (
     MOST_TOML_BYTES,
     read_text,
+    read_toml,
     require_replaceable,
     unwritable,
     write_through,
 )
 from smarttouch.profile import Profile, load_profile
-from smarttouch.profile.load import profile_of, profile_path, read_table
+from smarttouch.profile.load import profile_of, profile_path
 from smarttouch.profile.migrate import Change, migrate
 from smarttouch.profile.written import difference, in_rows
 from smarttouch.version import __version__
@@ -266,7 +267,7 @@ def file_to_calibrate(
 def _begin(path: Path) -> tuple[str, tomlkit.TOMLDocument, list[Change], Profile]:
     """Return the text of a profile, and its document, changes and profile of this version."""
     # Refuses what no parser should be given.
-    read_table(path)
+    read_toml(path, ProfileError)
     text = read_text(path, ProfileError, MOST_TOML_BYTES)
     try:
         document = tomlkit.parse(text)

@@ -5,14 +5,13 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from smarttouch.afferent import Afferent
 from smarttouch.errors import ProfileError
-from smarttouch.files import MOST_TOML_BYTES, parse_toml, read_text
 from smarttouch.physiology.driving import DrivingFunction, load_driving
 from smarttouch.physiology.free_endings import THRESHOLD_MV, free_ending
-from smarttouch.profile.complaints import table_error
+from smarttouch.profile.complaints import load_model
 from smarttouch.profile.table import Positive, Table
 
 _SHIPPED = Path(__file__).with_name("anatomies")
@@ -163,15 +162,4 @@ def load_anatomy(name: str | Path) -> Anatomy:
             value=str(name),
             allowed=tuple(known),
         )
-    try:
-        table = parse_toml(read_text(path, ProfileError, MOST_TOML_BYTES))
-        return Anatomy.model_validate({**table, "name": path.stem})
-    except ValidationError as error:
-        raise table_error(ProfileError, path, error, set()) from None
-    except ValueError as error:
-        raise ProfileError(
-            f"{path} is not a readable TOML file: {error}",
-            about="file",
-            problem="malformed",
-            value=path,
-        ) from None
+    return load_model(path, Anatomy, name=path.stem)

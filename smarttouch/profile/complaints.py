@@ -1,11 +1,13 @@
 """All that pydantic finds wrong in a file, each thing in words and once."""
 
 from collections.abc import Container, Iterator, Mapping
+from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
-from smarttouch.errors import Complaint, TableError
+from smarttouch.errors import Complaint, ProfileError, TableError
+from smarttouch.files import read_toml
 from smarttouch.profile.table import AllUnfitError, UnfitError
 
 _LAYOUTS = ("grid", "hexagon-61", "lines", "free")
@@ -33,8 +35,24 @@ _BOUNDS = ("gt", "ge", "lt", "le", "min_length", "max_length")
 _MOST_IN_A_SENTENCE = 8
 
 _Error = TypeVar("_Error", bound=TableError)
+_Table = TypeVar("_Table", bound=BaseModel)
 Found = tuple[str, dict[str, Any]]
 """Words on a fault, and the attributes of the error that carries them."""
+
+
+def load_model(path: Path, kind: type[_Table], **more: object) -> _Table:
+    """Load a TOML file as a model, with further values of ours.
+
+    Raises
+    ------
+    ProfileError
+        If there is none, or it has unknown keys or impossible values: all that is wrong.
+    """
+    table = read_toml(path, ProfileError)
+    try:
+        return kind.model_validate(table | more)
+    except ValidationError as error:
+        raise table_error(ProfileError, path, error) from None
 
 
 def table_error(

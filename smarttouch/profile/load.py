@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from smarttouch.errors import ProfileError
-from smarttouch.files import MOST_TOML_BYTES, parse_toml, read_text
+from smarttouch.files import read_toml
 from smarttouch.profile.complaints import table_error
 from smarttouch.profile.migrate import migrate
 from smarttouch.profile.profile import Profile
@@ -44,7 +44,7 @@ def load_profile(name: str | Path) -> Profile:
     64
     """
     path = profile_path(name)
-    return profile_of(read_table(path), path)
+    return profile_of(read_toml(path, ProfileError), path)
 
 
 def profile_path(name: str | Path) -> Path:
@@ -93,26 +93,6 @@ def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
     beside = str(path.parent / profile.optics.flat_field)
     optics = profile.optics.model_copy(update={"flat_field": beside})
     return profile.model_copy(update={"optics": optics})
-
-
-def read_table(path: Path) -> dict[str, Any]:
-    """Return the tables of a profile's file, of which nothing is believed yet.
-
-    Raises
-    ------
-    ProfileError
-        If it cannot be read, or is no TOML.
-    """
-    text = read_text(path, ProfileError, MOST_TOML_BYTES)
-    try:
-        return parse_toml(text)
-    except ValueError as error:
-        raise ProfileError(
-            f"{path} is not a readable TOML file: {error}",
-            about="file",
-            problem="malformed",
-            value=path,
-        ) from None
 
 
 def _is_there(path: Path) -> bool:

@@ -10,7 +10,7 @@ import tomlkit
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from smarttouch.errors import SavedRunError, SmartTouchError
-from smarttouch.files import MOST_TOML_BYTES, parse_toml, read_text, unwritable, write_bytes
+from smarttouch.files import read_toml, unwritable, write_bytes
 from smarttouch.profile import list_profiles
 from smarttouch.profile.complaints import table_error
 from smarttouch.running.config import RunConfig
@@ -190,9 +190,8 @@ def _read(name: str | Path, kind: type[_S], command: str | None = None) -> tuple
             value=name,
             allowed=tuple(known),
         )
-    text = read_text(path, SavedRunError, MOST_TOML_BYTES)
+    table = read_toml(path, SavedRunError)
     try:
-        table = parse_toml(text)
         if (found := table.get("command")) != command:
             raise SavedRunError(
                 f"{path} holds settings of {found or 'live'}, not of {command or 'live'}: choose "
@@ -207,9 +206,6 @@ def _read(name: str | Path, kind: type[_S], command: str | None = None) -> tuple
         raise
     except ValidationError as error:
         raise table_error(SavedRunError, path, error) from None
-    except ValueError as error:
-        message = f"{path} is not a readable TOML file: {error}"
-        raise SavedRunError(message, about="file", problem="malformed", value=path) from None
     except SmartTouchError as error:
         raise _in_file(path, error) from None
 

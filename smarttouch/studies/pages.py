@@ -14,7 +14,7 @@ from smarttouch.reading.source import Source
 from smarttouch.reading.window import profile_for_reading
 from smarttouch.running.config import RunConfig
 from smarttouch.studies.grid import Choice, Grid
-from smarttouch.studies.rows import Row, total_ma
+from smarttouch.studies.rows import Row
 
 _SHAPES = Shapes(Style.GRADED)
 
@@ -80,26 +80,4 @@ def row_of_page(
     with threadpool_limits(limits=1, user_api="blas"):
         felt, error = legibility_on_finger(found, reading, seed, anatomy)
     slots = [line.current_ua for lines, _ in found.delivered for line in lines]
-    return [
-        Row(
-            profile=choice.profile,
-            anatomy=name,
-            finger=seed,
-            kernels=choice.kernels,
-            mode=choice.mode,
-            scan=choice.scan,
-            intensity=choice.intensity,
-            pattern=page,
-            read_as="",
-            error=error,
-            silent_points=felt.silent_points,
-            wrong_class=felt.wrong_class,
-            misplaced=felt.misplaced,
-            spikes=0,
-            ra=0,
-            sai=0,
-            pc=0,
-            slots=sum(map(len, slots)),
-            total_ma=total_ma(slots),
-        )
-    ]
+    return [Row.of(choice, name, seed, page, felt, slots, error)]

@@ -3,11 +3,9 @@
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, field_validator
 
-from smarttouch.errors import ProfileError
-from smarttouch.files import MOST_TOML_BYTES, parse_toml, read_text
-from smarttouch.profile.complaints import table_error
+from smarttouch.profile.complaints import load_model
 from smarttouch.profile.table import Table, UnfitError
 from smarttouch.psychophysics.letters import ALPHABET
 
@@ -79,14 +77,4 @@ def load_study(path: Path) -> Study:
     ProfileError
         If there is none, or it has unknown keys or impossible values.
     """
-    try:
-        return Study.model_validate(parse_toml(read_text(path, ProfileError, MOST_TOML_BYTES)))
-    except ValidationError as error:
-        raise table_error(ProfileError, path, error, set()) from None
-    except ValueError as error:
-        raise ProfileError(
-            f"{path} is not a readable TOML file: {error}",
-            about="file",
-            problem="malformed",
-            value=path,
-        ) from None
+    return load_model(path, Study)

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from smarttouch.afferent import Afferent
 from smarttouch.physiology.anatomy import Anatomy
+from smarttouch.physiology.felt import Felt
 from smarttouch.physiology.finger import Finger
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.letters_felt import letter_templates, letters_on_finger
-from smarttouch.studies.grid import Shown
+from smarttouch.reading.nerve import NerveReading
+from smarttouch.studies.grid import Choice, Shown
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,33 @@ class Row:
     slots: int
     total_ma: float
 
+    @classmethod
+    def of(
+        cls, choice: Choice, anatomy: str, finger: int, pattern: str, felt: Felt | NerveReading,
+        current_ua: Sequence[NDArray[np.int16]], error: float, read_as: str = "",
+    ) -> "Row":  # fmt: skip
+        """Return the row of what was felt; of a page nothing is counted.
+
+        Parameters
+        ----------
+        choice : Choice
+        anatomy, finger, pattern, error, read_as
+            As in the row.
+        felt : Felt or NerveReading
+        current_ua : sequence of ndarray, (S, E), µA
+            Currents of all slots.
+        """
+        letter = felt if isinstance(felt, Felt) else None
+        ra, sai, pc = (letter.afferents[each] if letter else 0 for each in Afferent)
+        slots = sum(map(len, current_ua))
+        total_ua = sum(int(np.abs(each.astype(np.int64)).sum()) for each in current_ua)
+        return cls(
+            choice.profile, anatomy, finger, choice.kernels, choice.mode, choice.scan,
+            choice.intensity, pattern, read_as, error, felt.silent_points, felt.wrong_class,
+            felt.misplaced, letter.spikes if letter else 0, ra, sai, pc, slots,
+            total_ua / 2000 / max(1, slots),
+        )  # fmt: skip
+
 
 HEADING = tuple(each.name for each in fields(Row))
 _KINDS = {"str": str, "int": int, "float": float}
@@ -92,31 +121,12 @@ def rows_of_finger(
     with threadpool_limits(limits=1, user_api="blas"):
         finger = Finger(profile, seed, anatomy)
         for each in shown:
-            choice = each.choice
             for one in letters_on_finger(finger, each.letters, each.wanted, known):
-                slots = each.letters[one.letter][0]
-                felt = one.felt
+                current_ua, letter = each.letters[one.letter][0].current_ua, one.letter
+                error = float(one.read_as != letter)
                 rows.append(
-                    Row(
-                        profile=choice.profile,
-                        anatomy=name,
-                        finger=seed,
-                        kernels=choice.kernels,
-                        mode=choice.mode,
-                        scan=choice.scan,
-                        intensity=choice.intensity,
-                        pattern=one.letter,
-                        read_as=one.read_as,
-                        error=float(one.read_as != one.letter),
-                        silent_points=felt.silent_points,
-                        wrong_class=felt.wrong_class,
-                        misplaced=felt.misplaced,
-                        spikes=felt.spikes,
-                        ra=felt.afferents[Afferent.RA],
-                        sai=felt.afferents[Afferent.SAI],
-                        pc=felt.afferents[Afferent.PC],
-                        slots=len(slots.width_us),
-                        total_ma=total_ma([slots.current_ua]),
+                    Row.of(
+                        each.choice, name, seed, letter, one.felt, [current_ua], error, one.read_as
                     )
                 )
     return rows
@@ -138,9 +148,3 @@ def from_csv(text: str) -> list[Row]:
         raise ValueError("its columns are others")
     kinds: list[Any] = [_KINDS[getattr(each.type, "__name__", "")] for each in fields(Row)]
     return [Row(*(kind(cell) for kind, cell in zip(kinds, line, strict=True))) for line in lines]
-
-
-def total_ma(parts: Sequence[NDArray[np.int16]]) -> float:
-    """Return the mean total current of slots, (S, E) µA each part."""
-    slots = sum(map(len, parts))
-    return sum(int(np.abs(each.astype(np.int64)).sum()) for each in parts) / 2000 / max(1, slots)

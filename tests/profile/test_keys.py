@@ -4,9 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from smarttouch.errors import ProfileError
+from smarttouch.files import read_toml
 from smarttouch.profile import list_profiles
 from smarttouch.profile.keys import _tables, key_reference, key_rows
-from smarttouch.profile.load import profile_path, read_table
+from smarttouch.profile.load import profile_path
 
 REFERENCE = Path(__file__).parents[2] / "docs" / "reference" / "profile-keys.md"
 TABLES = dict(_tables())
@@ -38,4 +40,4 @@ def test_every_key_of_the_shipped_profiles_is_in_it(name):
         for key, value in table.items():
             yield from keys(value) if isinstance(value, dict) else [key]
 
-    assert set(keys(read_table(profile_path(name)))) <= known
+    assert set(keys(read_toml(profile_path(name), ProfileError))) <= known

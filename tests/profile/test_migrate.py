@@ -5,8 +5,9 @@ import tomllib
 import pytest
 
 from smarttouch.errors import ProfileError
+from smarttouch.files import read_toml
 from smarttouch.profile import list_profiles, load_profile
-from smarttouch.profile.load import profile_path, read_table
+from smarttouch.profile.load import profile_path
 from smarttouch.profile.migrate import migrate
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sharing import unsupported_reason
@@ -23,9 +24,9 @@ LIMITS = {
 
 @pytest.mark.parametrize("name", list_profiles())
 def test_shipped_ones_are_up_to_date(name):
-    table = read_table(profile_path(name))
+    table = read_toml(profile_path(name), ProfileError)
     assert migrate(table) == []
-    assert table == read_table(profile_path(name))
+    assert table == read_toml(profile_path(name), ProfileError)
 
 
 @pytest.mark.parametrize("name", list_profiles())
@@ -34,7 +35,7 @@ def test_the_first_version_s_come_to_what_is_shipped(name):
     changes = {each.key: each.after for each in migrate(table)}
     total = {} if name in TOTAL_GIVEN else {"limits.total_ma": 10.0}
     assert changes == LIMITS | total | {"frames.share": name in TOTAL_GIVEN}
-    assert table == read_table(profile_path(name))
+    assert table == read_toml(profile_path(name), ProfileError)
 
 
 @pytest.mark.parametrize("name", list_profiles())
