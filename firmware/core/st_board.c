@@ -1,21 +1,9 @@
-/* The state machine: packets in, pulses and answers out. */
+/* The state machine: packets in, answers out. */
 #include <string.h>
 
 #include "st_inside.h"
 
-static uint8_t *put_u16(uint8_t *at, uint32_t value)
-{
-    at[0] = (uint8_t)value;
-    at[1] = (uint8_t)(value >> 8);
-    return at + 2;
-}
-
-static uint8_t *put_u32(uint8_t *at, uint32_t value)
-{
-    return put_u16(put_u16(at, value), value >> 16);
-}
-
-static void say(st_board *board, uint8_t kind, uint32_t about, const uint8_t *payload, size_t size)
+void st_tell(st_board *board, uint8_t kind, uint32_t about, const uint8_t *payload, size_t size)
 {
     st_session *session = &board->session;
     session->said++;
@@ -27,9 +15,9 @@ static void say_refusal(st_board *board, uint32_t about, const st_refusal *refus
     uint8_t payload[14];
     payload[0] = refusal->reason;
     payload[1] = refusal->rule;
-    uint8_t *at = put_u16(put_u16(payload + 2, refusal->slot), refusal->electrode);
-    (void)put_u32(put_u32(at, (uint32_t)refusal->value), (uint32_t)refusal->allowed);
-    say(board, ST_NAK, about, payload, sizeof payload);
+    uint8_t *at = st_put_u16(st_put_u16(payload + 2, refusal->slot), refusal->electrode);
+    (void)st_put_u32(st_put_u32(at, (uint32_t)refusal->value), (uint32_t)refusal->allowed);
+    st_tell(board, ST_NAK, about, payload, sizeof payload);
 }
 
 static void refuse(st_board *board, uint32_t about, uint8_t reason)
@@ -55,178 +43,25 @@ void st_init(st_board *board, const st_config *config, const st_port *port)
     board->port = *port;
     board->last_number = -1;
     board->refusing = ST_NOT_BEGUN;
+    memset(config->driven_pc, 0, config->electrodes * sizeof *config->driven_pc);
     st_session_init(board);
     board->port.shorted(board->port.self, "start");
-}
-
-static void end_session(st_board *board, uint8_t refusing, const char *reason)
-{
-    board->port.shorted(board->port.self, reason);
-    board->running = board->waiting = NULL;
-    board->refusing = refusing;
-    board->session.live = false;
-}
-
-void st_zero(st_board *board, const char *reason)
-{
-    end_session(board, ST_NOT_BEGUN, reason);
-}
-
-/* -- execution ----------------------------------------------------------------------------- */
-
-static void start_scan(st_sequence *sequence, uint64_t start_us)
-{
-    sequence->start_us = sequence->next_us = start_us;
-    sequence->end_us = start_us + sequence->period_us;
-    sequence->recharged = (sequence->flags & 2u) == 0u;
-    st_first_slot(sequence, &sequence->place);
-}
-
-static void begin_sequence(st_board *board, st_sequence *sequence, uint64_t start_us)
-{
-    board->running = sequence;
-    start_scan(sequence, start_us);
-    board->last_number = sequence->number;
-    board->last_begun = true;
-    say(board, ST_ACK, sequence->number, NULL, 0);
-}
-
-static void note_pulse(st_board *board, uint32_t width_us, uint32_t source_ua)
-{
-    uint32_t strongest_ua = 0;
-    uint32_t flowing = 0;
-    uint32_t poles[2] = { 0, 0 };
-    for (uint32_t each = 0; each < board->config.electrodes; each++) {
-        const int16_t ua = board->config.current_ua[each];
-        const uint32_t magnitude = st_magnitude(ua);
-        flowing += magnitude > 0u ? 1u : 0u;
-        poles[0] += ua > 0 ? 1u : 0u;
-        poles[1] += ua < 0 ? 1u : 0u;
-        strongest_ua = magnitude > strongest_ua ? magnitude : strongest_ua;
-    }
-    if (board->config.output != ST_WEIGHTED) {
-        const uint32_t fewest = poles[0] < poles[1] ? poles[0] : poles[1];
-        strongest_ua = (source_ua + fewest - 1u) / (fewest > 0u ? fewest : 1u);
-        flowing = source_ua > 0u ? flowing : 0u;
-    }
-    st_books *books = &board->books;
-    const uint32_t charge_pc = strongest_ua * width_us;
-    books->slots++;
-    books->pulses += flowing;
-    books->max_current_ua =
-        strongest_ua > books->max_current_ua ? strongest_ua : books->max_current_ua;
-    books->max_charge_pc = charge_pc > books->max_charge_pc ? charge_pc : books->max_charge_pc;
-}
-
-static void deliver(st_board *board, st_sequence *sequence)
-{
-    const st_place *place = &sequence->place;
-    st_pulse pulse = { 0 };
-    pulse.start_us = sequence->next_us;
-    pulse.number = sequence->number;
-    pulse.slot = (uint16_t)place->slot;
-    pulse.width_us = st_shape_width(sequence, place->shape);
-    pulse.current_ua = board->config.current_ua;
-    pulse.site = st_slot_currents(board, sequence, place, &pulse.source_ua);
-    board->port.pulse(board->port.self, &pulse);
-    note_pulse(board, pulse.width_us, pulse.source_ua);
-    sequence->next_us += (uint32_t)pulse.width_us + st_shape_discharge(sequence, place->shape);
-    if (sequence->next_us > sequence->end_us) {
-        sequence->end_us = sequence->next_us;
-    }
-    st_next_slot(sequence, &sequence->place, board->config.electrodes);
-}
-
-static void recharge(st_board *board, st_sequence *sequence)
-{
-    const uint32_t electrodes = board->config.electrodes;
-    const uint8_t *current = sequence->data + sequence->body_at - 2u * electrodes;
-    for (uint32_t each = 0; each < electrodes; each++) {
-        board->config.current_ua[each] = st_i16(current + 2u * each);
-    }
-    st_pulse pulse = { 0 };
-    pulse.start_us = sequence->next_us;
-    pulse.number = sequence->number;
-    pulse.slot = pulse.site = ST_NOTHING;
-    pulse.width_us = sequence->recharge_us;
-    pulse.current_ua = board->config.current_ua;
-    board->port.pulse(board->port.self, &pulse);
-    sequence->next_us += pulse.width_us;
-    if (sequence->next_us > sequence->end_us) {
-        sequence->end_us = sequence->next_us;
-    }
-    board->books.recharges++;
-    sequence->recharged = true;
-}
-
-static void end_scan(st_board *board, st_sequence *sequence)
-{
-    const uint64_t end_us = sequence->end_us;
-    sequence->left--;
-    if (sequence->left > 0u && board->waiting == NULL) {
-        start_scan(sequence, end_us);
-        return;
-    }
-    board->books.sequences++;
-    st_sequence *next = board->waiting;
-    board->running = board->waiting = NULL;
-    if (next != NULL) {
-        begin_sequence(board, next, end_us);
-    } else {
-        board->port.shorted(board->port.self, "end");
-    }
-}
-
-/* Begin a slot now. What was missed is not made up for: a scan that begins late ends late, but for
- * the little that keeps the rate. */
-static void put_off(st_sequence *sequence, uint64_t now_us)
-{
-    sequence->next_us = now_us;
-    if (sequence->place.slot == 0u && now_us > sequence->start_us + sequence->period_us / 4u) {
-        sequence->end_us = now_us + sequence->period_us;
-    }
-}
-
-static void execute(st_board *board, uint64_t until_us)
-{
-    while (board->running != NULL) {
-        st_sequence *sequence = board->running;
-        while (sequence->place.slot < sequence->slots && sequence->next_us <= until_us) {
-            if (board->config.real_time) {
-                put_off(sequence, until_us);
-            }
-            deliver(board, sequence);
-        }
-        const bool slots_over = sequence->place.slot == sequence->slots;
-        if (slots_over && !sequence->recharged && sequence->next_us <= until_us) {
-            if (board->config.real_time) {
-                sequence->next_us = until_us;
-            }
-            recharge(board, sequence);
-        }
-        if (!slots_over || !sequence->recharged || until_us < sequence->end_us) {
-            return;
-        }
-        end_scan(board, sequence);
-        if (board->config.real_time) {
-            /* Answers take time: the next pulse begins by a clock that is read anew. */
-            return;
-        }
-    }
 }
 
 void st_advance(st_board *board, uint64_t now_us)
 {
     const uint64_t deadline_us = board->heard_us + ST_SILENCE_US;
     if (now_us < deadline_us) {
-        execute(board, now_us);
+        st_execute(board, now_us);
     } else if (!board->config.real_time) {
         /* Where time is played, what was due before the deadline has been. */
-        execute(board, deadline_us);
+        st_execute(board, deadline_us);
+    } else {
+        board->executed_us = now_us;
     }
     if (now_us >= deadline_us && board->refusing == 0u) {
         const st_sequence *dropped = board->waiting;
-        end_session(board, ST_SILENCE, "silence");
+        st_end_session(board, ST_SILENCE, "silence");
         if (dropped != NULL) {
             refuse(board, dropped->number, ST_SILENCE);
         }
@@ -234,8 +69,8 @@ void st_advance(st_board *board, uint64_t now_us)
     if (board->greeted && now_us - board->alive_us >= ST_ALIVE_US) {
         uint8_t force[2];
         board->alive_us = now_us;
-        (void)put_u16(force, (uint16_t)board->port.force_mn(board->port.self));
-        say(board, ST_ALIVE, 0, force, sizeof force);
+        (void)st_put_u16(force, (uint16_t)board->port.force_mn(board->port.self));
+        st_tell(board, ST_ALIVE, 0, force, sizeof force);
         st_note_alive(board, now_us);
     }
 }
@@ -260,19 +95,19 @@ uint64_t st_next_us(const st_board *board)
 static void offer(st_board *board, const st_message *hello)
 {
     const st_config *config = &board->config;
-    uint8_t payload[ST_OUT_BYTES - 32u];
+    uint8_t payload[128];
     uint64_t session = 0;
     if (!st_offers(board, hello, &session)) {
         turn_away(board, ST_FOREIGN);
         return;
     }
-    uint8_t *at = put_u16(payload, config->electrodes);
+    uint8_t *at = st_put_u16(payload, config->electrodes);
     *at++ = config->output;
     *at++ = config->features;
-    at = put_u16(put_u16(at, ST_MAX_CURRENT_UA), config->most_slots);
-    at = put_u16(put_u16(at, ST_SILENCE_US / 1000u), config->compliance_v);
-    at = put_u32(put_u32(at, config->kernel_bytes), config->packet_bytes);
-    at = put_u16(at, config->most_kernels);
+    at = st_put_u16(st_put_u16(at, ST_MAX_CURRENT_UA), config->most_slots);
+    at = st_put_u16(st_put_u16(at, ST_SILENCE_US / 1000u), config->compliance_v);
+    at = st_put_u32(st_put_u32(at, config->kernel_bytes), config->packet_bytes);
+    at = st_put_u16(at, config->most_kernels);
     const size_t head = (size_t)(at - payload);
     size_t name = strlen(config->name);
     if (name > sizeof payload - head) {
@@ -286,14 +121,14 @@ static void report(st_board *board, uint32_t about)
 {
     const st_books *books = &board->books;
     uint8_t payload[41];
-    uint8_t *at = put_u32(put_u32(payload, books->sequences), books->slots);
-    at = put_u32(put_u32(at, (uint32_t)books->pulses), (uint32_t)(books->pulses >> 32));
-    at = put_u32(at, books->violations);
-    at = put_u32(put_u32(at, books->max_current_ua), books->max_charge_pc);
-    at = put_u32(at, 0);
+    uint8_t *at = st_put_u32(st_put_u32(payload, books->sequences), books->slots);
+    at = st_put_u32(st_put_u32(at, (uint32_t)books->pulses), (uint32_t)(books->pulses >> 32));
+    at = st_put_u32(at, books->violations);
+    at = st_put_u32(st_put_u32(at, books->max_current_ua), books->max_charge_pc);
+    at = st_put_u32(at, board->port.left_pc != NULL ? board->port.left_pc(board->port.self) : 0u);
     *at++ = (uint8_t)((board->running != NULL ? 1 : 0) + (board->waiting != NULL ? 1 : 0));
-    at = put_u32(put_u32(at, books->old_packets), books->foreign_packets);
-    say(board, ST_REPORT, about, payload, (size_t)(at - payload));
+    at = st_put_u32(st_put_u32(at, books->old_packets), books->foreign_packets);
+    st_tell(board, ST_REPORT, about, payload, (size_t)(at - payload));
 }
 
 static void keep(st_board *board, const st_message *message)
@@ -303,9 +138,9 @@ static void keep(st_board *board, const st_message *message)
     if (message->size >= 12u && board->running == NULL && board->refusing == 0u) {
         st_keep_take(board, message->payload, message->size);
     }
-    uint8_t *at = put_u32(put_u32(payload, board->keep.identity), board->keep.received);
+    uint8_t *at = st_put_u32(st_put_u32(payload, board->keep.identity), board->keep.received);
     *at = board->keep.whole ? 1u : 0u;
-    say(board, ST_KEPT, message->number, payload, sizeof payload);
+    st_tell(board, ST_KEPT, message->number, payload, sizeof payload);
 }
 
 /* Return a buffer that neither a packet nor a sequence is in. */
@@ -330,7 +165,7 @@ static void accept(st_board *board, const st_message *message, uint64_t now_us)
     }
     if ((int64_t)number == board->last_number) {
         if (board->last_begun) {
-            say(board, ST_ACK, number, NULL, 0);
+            st_tell(board, ST_ACK, number, NULL, 0);
         }
         return;
     }
@@ -356,14 +191,14 @@ static void accept(st_board *board, const st_message *message, uint64_t now_us)
     board->last_number = number;
     board->last_begun = false;
     if (board->running == NULL) {
-        begin_sequence(board, sequence, now_us);
+        st_begin_sequence(board, sequence, now_us);
     } else {
         board->waiting = sequence;
     }
     /* The sequence stays where it came in; the next packet comes into another buffer. */
     board->stream.packet = free_buffer(board);
     if (!board->config.real_time) {
-        execute(board, now_us);
+        st_execute(board, now_us);
     }
 }
 
@@ -396,7 +231,7 @@ static void answer(st_board *board, const st_message *message, uint64_t began_us
     switch (message->kind) {
     case ST_BEGIN:
         if (board->refusing == 0u) {
-            say(board, ST_BEGUN, message->number, NULL, 0);
+            st_tell(board, ST_BEGUN, message->number, NULL, 0);
         }
         break;
     case ST_SEQUENCE:
@@ -404,14 +239,14 @@ static void answer(st_board *board, const st_message *message, uint64_t began_us
         break;
     case ST_STOP:
         st_zero(board, "stop");
-        say(board, ST_STOPPED, message->number, NULL, 0);
+        st_tell(board, ST_STOPPED, message->number, NULL, 0);
         break;
     case ST_STATUS:
         report(board, message->number);
         break;
     case ST_LIMITS: {
         const uint8_t taken = st_limits_take(board, message->payload, message->size) ? 1u : 0u;
-        say(board, ST_LIMITED, message->number, &taken, 1);
+        st_tell(board, ST_LIMITED, message->number, &taken, 1);
         break;
     }
     case ST_LOAD:

@@ -16,7 +16,6 @@
 #define ST_BUFFERS 3u         /* a packet that comes in, a sequence that executes, one that waits */
 #define ST_HOSTS 8u           /* hosts whose HELLOs are told apart */
 #define ST_ALIVES 14u         /* packets ALIVE whose age is known */
-#define ST_OUT_BYTES 160u     /* largest packet of the board */
 
 enum { ST_WEIGHTED = 0, ST_THREE_STATE = 1, ST_ONE_AGAINST_ALL = 2 };
 enum { ST_VOLTAGE = 1, ST_FORCE = 2, ST_RECHARGE = 4, ST_KERNELS = 8 };
@@ -30,6 +29,7 @@ typedef struct {
     uint16_t site;
     uint16_t width_us;
     uint16_t source_ua;        /* of a switched board */
+    uint32_t rest_us;          /* at least so long all electrodes stay shorted after it */
     const int16_t *current_ua; /* (E,) of a weighted board; of a switched one states 1, -1, 0 */
 } st_pulse;
 
@@ -41,13 +41,18 @@ typedef struct {
     void (*pulse)(void *self, const st_pulse *pulse);
     void (*shorted)(void *self, const char *reason); /* all electrodes shorted, now */
     int16_t (*force_mn)(void *self);
+    /* With ST_VOLTAGE: the source's voltage at the end of the last pulse, in 10 mV. Asked for when
+     * that pulse is over. */
+    uint16_t (*volts)(void *self);
+    /* The largest charge that was left on an electrode after a discharge; NULL if nobody knows. */
+    uint32_t (*left_pc)(void *self);
 } st_port;
 
 /* What a board is, and the memory it has; all of it is the port's. */
 typedef struct {
     uint16_t electrodes;
     uint8_t output;
-    uint8_t features;      /* ST_FORCE, ST_RECHARGE, ST_KERNELS */
+    uint8_t features;      /* ST_VOLTAGE, ST_FORCE, ST_RECHARGE, ST_KERNELS */
     uint16_t most_slots;
     uint16_t compliance_v;
     uint16_t ramp_ms;      /* least time from zero to full intensity; 0 only in tests */
@@ -63,6 +68,8 @@ typedef struct {
     int16_t *current_ua;   /* (E,) */
     uint32_t *passed_pc;   /* (E,) */
     uint16_t *limit_ua;    /* (E,) */
+    int64_t *driven_pc;    /* (E,): books of each electrode, net; what flows back is not counted */
+    uint8_t *volts;        /* (2 most_slots,), with ST_VOLTAGE */
     const char *name;
 } st_config;
 
@@ -104,6 +111,7 @@ typedef struct {
     uint32_t left;       /* scans, with the one at hand */
     uint16_t times, intensity, recharge_us;
     uint8_t shapes, flags, buffer;
+    uint32_t measured;   /* slots of the scan whose voltage is known */
     uint64_t start_us, next_us, end_us;
     st_place place;
     bool recharged;
@@ -156,7 +164,7 @@ typedef struct {
     st_ramp ramp;
     st_sequence sequence[2];
     st_sequence *running, *waiting;
-    uint64_t heard_us, alive_us;
+    uint64_t heard_us, alive_us, executed_us;
     int64_t last_number;
     bool last_begun, greeted;
     uint8_t refusing; /* a reason, 0 if sequences are taken */

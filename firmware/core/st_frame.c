@@ -3,6 +3,8 @@
 
 #include "st_inside.h"
 
+#define BLOCK 256u /* a block of COBS, and the zero at the end of a packet */
+
 uint32_t st_crc32(uint32_t crc, const uint8_t *data, size_t size)
 {
     static const uint32_t nibble[16] = {
@@ -18,50 +20,63 @@ uint32_t st_crc32(uint32_t crc, const uint8_t *data, size_t size)
     return ~crc;
 }
 
-static void put_u32(uint8_t *at, uint32_t value)
+/* A packet on its way out: most go at once, the others by pieces. */
+typedef struct {
+    const st_port *port;
+    uint8_t coded[2u * BLOCK];
+    size_t code_at, out; /* of the block at hand, and its end */
+    bool owed;           /* a block, even if nothing more comes */
+} writer;
+
+static void end_block(writer *to, bool owed)
 {
-    for (unsigned byte = 0; byte < 4u; byte++) {
-        at[byte] = (uint8_t)(value >> (8u * byte));
+    to->coded[to->code_at] = (uint8_t)(to->out - to->code_at);
+    if (to->out > BLOCK) {
+        to->port->send(to->port->self, to->coded, to->out);
+        to->out = 0;
+    }
+    to->code_at = to->out;
+    to->out++;
+    to->owed = owed;
+}
+
+static void encode(writer *to, const uint8_t *data, size_t size)
+{
+    for (size_t at = 0; at < size; at++) {
+        if (data[at] == 0u) {
+            end_block(to, true);
+        } else {
+            to->coded[to->out] = data[at];
+            to->out++;
+            if (to->out - to->code_at == 0xFFu) {
+                end_block(to, false);
+            }
+        }
     }
 }
 
 void st_say(st_board *board, uint8_t kind, uint64_t session, uint32_t number, uint32_t heard,
             uint32_t about, const uint8_t *payload, size_t size)
 {
-    uint8_t body[ST_OUT_BYTES];
-    uint8_t coded[ST_OUT_BYTES + 4u];
-    size_t end = ST_HEAD_BYTES + size;
-    if (end + 4u > sizeof body) {
-        return;
+    writer to = { &board->port, { 0 }, 0, 1, true };
+    uint8_t head[ST_HEAD_BYTES] = { ST_VERSION, kind };
+    uint8_t crc[4];
+    (void)st_put_u32(head + 2, number);
+    (void)st_put_u32(head + 6, (uint32_t)session);
+    (void)st_put_u32(head + 10, (uint32_t)(session >> 32));
+    (void)st_put_u32(head + 14, heard);
+    (void)st_put_u32(head + 18, about);
+    (void)st_put_u32(crc, st_crc32(st_crc32(0, head, sizeof head), payload, size));
+    encode(&to, head, sizeof head);
+    encode(&to, payload, size);
+    encode(&to, crc, sizeof crc);
+    if (to.owed || to.out - to.code_at > 1u) {
+        to.coded[to.code_at] = (uint8_t)(to.out - to.code_at);
+    } else {
+        to.out--;
     }
-    body[0] = ST_VERSION;
-    body[1] = kind;
-    put_u32(body + 2, number);
-    put_u32(body + 6, (uint32_t)session);
-    put_u32(body + 10, (uint32_t)(session >> 32));
-    put_u32(body + 14, heard);
-    put_u32(body + 18, about);
-    if (size > 0u) {
-        memcpy(body + ST_HEAD_BYTES, payload, size);
-    }
-    put_u32(body + end, st_crc32(0, body, end));
-    end += 4u;
-    size_t code_at = 0;
-    size_t out = 1;
-    /* Shorter than 254 bytes: no block is full. */
-    for (size_t at = 0; at < end; at++) {
-        if (body[at] == 0u) {
-            coded[code_at] = (uint8_t)(out - code_at);
-            code_at = out;
-            out++;
-        } else {
-            coded[out] = body[at];
-            out++;
-        }
-    }
-    coded[code_at] = (uint8_t)(out - code_at);
-    coded[out] = 0;
-    board->port.send(board->port.self, coded, out + 1u);
+    to.coded[to.out] = 0;
+    to.port->send(to.port->self, to.coded, to.out + 1u);
 }
 
 static void put(st_board *board, uint8_t byte)

@@ -7,8 +7,8 @@
 enum {
     ST_HELLO = 0x01, ST_SEQUENCE = 0x02, ST_HEARTBEAT = 0x03, ST_STOP = 0x04, ST_STATUS = 0x05,
     ST_BEGIN = 0x06, ST_LIMITS = 0x07, ST_LOAD = 0x08, ST_CAPABILITIES = 0x81, ST_ACK = 0x82,
-    ST_NAK = 0x83, ST_ALIVE = 0x84, ST_REPORT = 0x85, ST_STOPPED = 0x86, ST_BEGUN = 0x88,
-    ST_LIMITED = 0x89, ST_KEPT = 0x8A
+    ST_NAK = 0x83, ST_ALIVE = 0x84, ST_REPORT = 0x85, ST_STOPPED = 0x86, ST_VOLTAGES = 0x87,
+    ST_BEGUN = 0x88, ST_LIMITED = 0x89, ST_KEPT = 0x8A
 };
 enum {
     ST_BUSY = 1, ST_MALFORMED = 2, ST_UNSAFE = 3, ST_NOT_BEGUN = 4, ST_SILENCE = 5,
@@ -62,6 +62,18 @@ static inline int16_t st_i16(const uint8_t *at)
     return (int16_t)(bits < 0x8000u ? (int32_t)bits : (int32_t)bits - 0x10000);
 }
 
+static inline uint8_t *st_put_u16(uint8_t *at, uint32_t value)
+{
+    at[0] = (uint8_t)value;
+    at[1] = (uint8_t)(value >> 8);
+    return at + 2;
+}
+
+static inline uint8_t *st_put_u32(uint8_t *at, uint32_t value)
+{
+    return st_put_u16(st_put_u16(at, value), value >> 16);
+}
+
 static inline uint32_t st_magnitude(int16_t value)
 {
     return (uint32_t)(value < 0 ? -(int32_t)value : (int32_t)value);
@@ -76,6 +88,17 @@ bool st_take_byte(st_board *board, uint8_t byte, uint64_t now_us, uint32_t *size
 /* Return whether the head of the incomplete packet is there. */
 bool st_head(st_board *board, st_message *message);
 void st_parse(const uint8_t *body, uint32_t size, st_message *message);
+
+/* st_board.c */
+/* Send the next packet of the session. */
+void st_tell(st_board *board, uint8_t kind, uint32_t about, const uint8_t *payload, size_t size);
+
+/* st_engine.c */
+void st_begin_sequence(st_board *board, st_sequence *sequence, uint64_t start_us);
+/* Do all that is due until then. */
+void st_execute(st_board *board, uint64_t until_us);
+/* Short all electrodes and end the session; what comes after is refused so. */
+void st_end_session(st_board *board, uint8_t refusing, const char *reason);
 
 /* st_session.c */
 void st_session_init(st_board *board);

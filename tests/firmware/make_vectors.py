@@ -19,8 +19,8 @@ from tests.firmware.scenes import Scene, random_lists, random_table, sequence_of
 LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 200, 0.8, 0.5, 2.4)
 
 
-def _talk(ramp_ms=0, output="weighted"):
-    return Talk(Both(Emulated(4, output, ramp_ms)))
+def _talk(ramp_ms=0, output="weighted", worn=False):
+    return Talk(Both(Emulated(4, output, ramp_ms, worn)))
 
 
 def _handshake():
@@ -62,6 +62,18 @@ def _silence():
     return talk
 
 
+def _voltages():
+    rng = np.random.default_rng(4)
+    talk = _talk(worn=True).begin(LIMITS)
+    for number, slots in enumerate((3, 0, 130), 1):
+        lists = random_lists(rng, _table(), slots, loud=4000 if slots < 10 else 400)
+        sequence = sequence_of(lists, sums=None, period_us=30_000)
+        talk.send(sequence, number, times=2 if slots < 10 else 1, measure=True)
+        talk.wait(61_000, 20_000)
+        talk.say(Kind.STATUS)
+    return talk
+
+
 def _scene(output):
     talk = _talk(500 if output == "weighted" else 0, output)
     scene = Scene(talk.board, 7, 4, output, 500 if output == "weighted" else 0)
@@ -76,16 +88,20 @@ def made():
         "kernels": (_kernels(), "weighted", 0),
         "rise": (_rise(), "weighted", 500),
         "silence": (_silence(), "weighted", 0),
+        "voltages": (_voltages(), "weighted", 0),
         "everything": (_scene("weighted"), "weighted", 500),
     }
     vectors = {}
     for name, (talk, output, ramp_ms) in lives.items():
         steps = []
+        measured = iter(talk.board.boards[0].measured())
         for what, now_us, data, answer, pulses in talk.board.log:
             step = {"time_us": now_us}
             if what == "feed":
                 step["bytes"] = data.hex()
             steps.append(step | {"answer": answer.hex(), "pulses": pulses})
+            if name == "voltages":
+                steps[-1]["measured"] = [next(measured) for _ in pulses]
         vectors[name] = {
             "electrodes": 4, "output": output, "ramp_ms": ramp_ms, "steps": steps
         }  # fmt: skip

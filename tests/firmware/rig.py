@@ -10,10 +10,11 @@ from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.link import NAME
 from smarttouch.boards.emulator.link4 import Link4Firmware
 from smarttouch.boards.emulator.session import BoardSession
-from smarttouch.boards.emulator.skin import COMPLIANCE_V
+from smarttouch.boards.emulator.skin import COMPLIANCE_V, Skin
 from smarttouch.boards.link_kernels import KernelImage
 from smarttouch.boards.link_lists import encode_limits, encode_lists
 from smarttouch.boards.link_protocol import OUTPUTS, Kind
+from smarttouch.boards.link_sequence import encode_volts
 from smarttouch.boards.link_session import HostSession
 from smarttouch.wire.framing import Deframer
 
@@ -21,6 +22,12 @@ ROOM = 1 << 22
 _RECHARGE = 4
 BOOKS = ("sequences", "slots", "pulses", "violations", "framing_errors", "old_packets",
          "foreign_packets")  # fmt: skip
+
+
+WEAR = ctypes.CFUNCTYPE(
+    None, ctypes.POINTER(ctypes.c_uint32), ctypes.c_uint64, ctypes.POINTER(ctypes.c_int16),
+    ctypes.POINTER(ctypes.c_uint32),
+)  # fmt: skip
 
 
 class Core:
@@ -51,6 +58,25 @@ class Core:
 
     def close(self):
         self._core.st_rig_free(self._rig)
+
+    def wear(self, skin):
+        """Let a skin tell of each pulse the source's voltage, 10 mV, and the most left, pC.
+
+        It is called with width, rest, source, start and currents.
+        """
+
+        def pulse(times, start_us, current_ua, found):
+            found[0], found[1] = skin(*times[:3], start_us, current_ua[: self.electrodes])
+
+        self._pulse = WEAR(pulse)
+        self._core.st_rig_wear(self._rig, self._pulse)
+        return self
+
+    def driven_pc(self):
+        """Return the net charge that has been driven through each electrode."""
+        found = (ctypes.c_int64 * self.electrodes)()
+        self._core.st_rig_driven(self._rig, found)
+        return list(found)
 
     def feed(self, data, now_us):
         self._core.st_rig_feed(self._rig, data, ctypes.c_size_t(len(data)), ctypes.c_uint64(now_us))
@@ -89,20 +115,47 @@ class Core:
         return ctypes.cast(self._core.st_rig_reason(self._rig), ctypes.c_char_p).value.decode()
 
 
+class Worn:
+    """The emulator's skin, under a board of the C core that switches or weights."""
+
+    def __init__(self, electrodes, switched=False):
+        self.skin, self.switched = Skin(electrodes), switched
+        self.shorted_us = self.left_uc = 0
+
+    def __call__(self, width_us, rest_us, source_ua, start_us, current_ua):
+        self.skin.short(max(0, start_us - self.shorted_us))
+        if self.switched:
+            state = np.array(current_ua, np.int8)
+            delivered = self.skin.switched_pulse(state, float(source_ua), width_us)
+        else:
+            delivered = self.skin.pulse(np.array(current_ua, float), width_us)
+        self.skin.short(rest_us)
+        self.shorted_us = start_us + width_us + rest_us
+        self.left_uc = max(self.left_uc, float(np.abs(self.skin.residual_uc).max()))
+        return in_10_mv(delivered.source_v), round(1e6 * self.left_uc)
+
+
+def in_10_mv(volts):
+    return int.from_bytes(encode_volts(np.array([volts])), "little")
+
+
 class PulseBooks(DeliveryLog):
-    """Books that keep every pulse as `Core` tells it."""
+    """Books that keep every pulse as `Core` tells it, and what it left where there is a skin."""
+
+    worn = False
 
     def enter(self, number, slot, site, delivered, width_us, residual_uc, time_us, **more):
         super().enter(number, slot, site, delivered, width_us, residual_uc, time_us, **more)
-        # What is left on skin: the core has none.
-        self.max_net_charge_uc = 0.0
+        if not self.worn:
+            self.max_net_charge_uc = 0.0
+        self.measured.append((in_10_mv(delivered.source_v), round(1e6 * self.max_net_charge_uc)))
         current = np.rint(delivered.current_ua).astype(int).tolist()
         self.kept.append((number, slot, site, width_us, time_us, current))
 
     def enter_recharge(self, number, delivered, width_us, residual_uc, time_us):
         super().enter_recharge(number, delivered, width_us, residual_uc, time_us)
-        # What is left on skin: the core has none.
-        self.max_net_charge_uc = 0.0
+        if not self.worn:
+            self.max_net_charge_uc = 0.0
         current = np.rint(delivered.current_ua).astype(int).tolist()
         self.kept.append((number, 0xFFFF, 0xFFFF, round(width_us), time_us, current))
 
@@ -110,9 +163,9 @@ class PulseBooks(DeliveryLog):
 class Emulated:
     """The Python emulator, with the same numbers where chance would give others."""
 
-    def __init__(self, electrodes, output="weighted", ramp_ms=500):
+    def __init__(self, electrodes, output="weighted", ramp_ms=500, worn=False):
         self._books = PulseBooks(electrodes)
-        self._books.kept = []
+        self._books.worn, self._books.kept, self._books.measured = worn, [], []
         session = BoardSession(itertools.count(1).__next__, protocol.NEWEST)
         self._board = Link4Firmware(
             electrodes, output, self._books, session=session, ramp_ms=ramp_ms
@@ -134,6 +187,15 @@ class Emulated:
 
     def books(self):
         return {name: getattr(self._books, name) for name in BOOKS}
+
+    def driven_pc(self):
+        """Return the net charge that has been driven through each electrode."""
+        return (1e6 * self._books.passed_uc).tolist()
+
+    def measured(self):
+        """Return voltage, 10 mV, and most charge left, pC, of each pulse since the last call."""
+        taken, self._books.measured = self._books.measured, []
+        return taken
 
 
 class Both:
@@ -226,8 +288,8 @@ class Talk:
         self.pulses = pulses
         return heard
 
-    def send(self, sequence, number, times=1, image=None, switched=False):
-        payload = encode_lists(sequence, times, False, switched, image, 1 << 20)
+    def send(self, sequence, number, times=1, image=None, switched=False, measure=False):
+        payload = encode_lists(sequence, times, measure, switched, image, 1 << 20)
         return self.say(Kind.SEQUENCE, number, payload)
 
     def _heard(self, data):

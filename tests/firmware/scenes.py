@@ -40,10 +40,14 @@ def sequence_of(lists, **other):
 
 
 class Scene:
-    """One board's life with hosts that come and go, and break every rule now and then."""
+    """One board's life with hosts that come and go, and break every rule now and then.
 
-    def __init__(self, board, seed, electrodes=6, output="weighted", ramp_ms=0):
-        self.ramp_ms = ramp_ms
+    Where boards have the same skin, ``worn``, voltages are asked for; then nothing is recharged, as
+    the boards tell of that at different times.
+    """
+
+    def __init__(self, board, seed, electrodes=6, output="weighted", ramp_ms=0, worn=False):
+        self.ramp_ms, self.worn = ramp_ms, worn
         self.rng = np.random.default_rng(seed)
         self.electrodes, self.switched = electrodes, output != "weighted"
         self.limits = SafetyLimits(electrodes, 3.0, 200, 0.5, 200, 0.8, 0.5, 2.4, total_ma=6.0)
@@ -98,8 +102,7 @@ class Scene:
             payload[int(self.rng.integers(len(payload)))] ^= 1 << int(self.rng.integers(8))
         if self.chance(0.05):
             del payload[int(self.rng.integers(len(payload))) :]
-        # Voltages are of the emulator's skin, which the core has not.
-        if len(payload) > 8:
+        if len(payload) > 8 and not self.worn:
             payload[8] &= 0xFE
         packet = self.talk.host.encode(Kind.SEQUENCE, self.number, bytes(payload))
         cut = int(self.rng.integers(1, len(packet)))
@@ -119,7 +122,7 @@ class Scene:
             every = np.arange(self.electrodes) == cathode[:, None]
             current = np.where(every, level * (self.electrodes - 1), -level)
             other["current_ua"] = current.astype(np.int16)
-        elif self.chance(0.3):
+        elif not self.worn and self.chance(0.3):
             back = rng.integers(-80, 81, self.electrodes // 2)
             other["recharge_ua"] = np.repeat(back, 2).astype(np.int16)
             other["recharge_ua"][1::2] *= -1
@@ -141,4 +144,5 @@ class Scene:
         sequence = sequence_of(lists, **other)
         wrong = sequence.recharge_ua is None and self.chance(0.03)
         times, switched = int(rng.integers(1, 4)), self.switched != wrong
-        return encode_lists(sequence, times, False, switched, image, 1 << 20)
+        measure = self.worn and self.chance(0.7)
+        return encode_lists(sequence, times, measure, switched, image, 1 << 20)

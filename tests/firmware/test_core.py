@@ -1,5 +1,6 @@
 """The C core beside the Python emulator: the same bytes in, the same bytes and pulses out."""
 
+import itertools
 import json
 from collections import Counter
 from pathlib import Path
@@ -12,8 +13,9 @@ from smarttouch.boards.emulator.lists import summed
 from smarttouch.boards.link_kernels import KernelImage
 from smarttouch.boards.link_protocol import Kind, Refusal, Rule
 from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.wire.framing import Deframer
 from tests.firmware.build import library
-from tests.firmware.rig import Both, Core, Emulated, Talk
+from tests.firmware.rig import Both, Core, Emulated, Talk, Worn
 from tests.firmware.scenes import Scene, random_lists, random_table, sequence_of
 
 VECTORS = json.loads((Path(__file__).parent / "vectors.json").read_text(encoding="utf-8"))
@@ -37,7 +39,7 @@ def make_core():
 @pytest.mark.parametrize("seed", range(4))
 def test_answers_and_pulses_are_the_emulators(make_core, output, seed):
     ramp_ms = (0, 500)[seed % 2]
-    boards = Emulated(6, output, ramp_ms), make_core(6, output, ramp_ms)
+    boards = emulated, core = Emulated(6, output, ramp_ms), make_core(6, output, ramp_ms)
     if output != "weighted":
         # Impedances divide a source's current on the emulator's skin; in the core nothing does.
         boards = [Unfelt(each) for each in boards]
@@ -49,6 +51,44 @@ def test_answers_and_pulses_are_the_emulators(make_core, output, seed):
     assert [each for each in ended if each not in begun] == []
     assert books["violations"] > 5
     assert books["framing_errors"] > 2
+    driven_pc = core.driven_pc()
+    assert max(map(abs, driven_pc)) > 1000
+    if output == "weighted":
+        # Recharge phases that were cut off included.
+        np.testing.assert_allclose(driven_pc, emulated.driven_pc(), atol=0.5)
+
+
+@pytest.mark.parametrize("output", ["weighted", "three-state", "one-against-all"])
+def test_voltages_and_charge_are_the_emulators(make_core, output):
+    """On the same skin: what each scan answers, what REPORT tells of what was left."""
+    core = make_core(6, output, 0).wear(Worn(6, output != "weighted"))
+    boards = Emulated(6, output, 0, worn=True), core
+    # What a switched board splits equally in its books, impedances divide on the skin.
+    both = Both(*(boards if output == "weighted" else [Unfelt(each) for each in boards]))
+    scene = Scene(both, 3, output=output, worn=True)
+    scene.play(60)
+    scene.talk.say(Kind.STATUS)
+    answers = b"".join(each[3] for each in both.log)
+    found = Counter(packet.kind for packet in Deframer().feed(answers))
+    assert found[Kind.VOLTAGES] > 10
+    assert found[Kind.REPORT] > 0
+
+
+def test_a_long_packet_of_the_board(make_core):
+    """More bytes than go at once, with and without zeros."""
+    told = itertools.cycle([0x0101] * 400 + [0, 1, 255, 256])
+    core = make_core(6, ramp_ms=0).wear(lambda *_: (next(told), 0))
+    scene = Scene(core, 1)
+    talk = scene.talk.begin(scene.limits)
+    table = random_table(scene.rng, 4, 6)
+    for number, slots in enumerate((0, 1, *range(110, 130), 250), 1):
+        lists = random_lists(scene.rng, table, slots, loud=40)
+        talk.send(sequence_of(lists, sums=None, period_us=50_000), number, measure=True)
+        heard = talk.wait(60_000)
+        talk.say(Kind.HEARTBEAT)
+        volts = [each.payload for each in heard if each.kind == Kind.VOLTAGES]
+        assert [len(each) for each in volts] == [2 * slots]
+    assert talk.deframer.errors == 0
 
 
 class Unfelt:
@@ -181,7 +221,11 @@ def test_vectors(make_core, board, name):
     """Play what the page of the protocol gives to makers of firmware."""
     vector = VECTORS[name]
     given = vector["electrodes"], vector["output"], vector["ramp_ms"]
-    player = Both(Emulated(*given) if board == "emulator" else make_core(*given))
+    if board == "emulator":
+        player = Both(Emulated(*given, worn=name == "voltages"))
+    else:
+        told = iter([pair for step in vector["steps"] for pair in step.get("measured", [])])
+        player = Both(make_core(*given).wear(lambda *_: next(told, (0, 0))))
     for step in vector["steps"]:
         data, now_us = bytes.fromhex(step.get("bytes", "")), step["time_us"]
         answer, pulses = player.feed(data, now_us) if data else player.advance(now_us)

@@ -22,6 +22,7 @@ static int32_t sums[ELECTRODES];
 static int16_t states[ELECTRODES];
 static uint32_t passed_pc[ELECTRODES];
 static uint16_t limit_ua[ELECTRODES];
+static int64_t driven_pc[ELECTRODES];
 
 static void latch(const uint8_t *bits)
 {
@@ -87,7 +88,7 @@ static int16_t force_mn(void *self)
 
 void setup(void)
 {
-    static const st_port port = { NULL, draw, send, pulse, shorted, force_mn };
+    static const st_port port = { NULL, draw, send, pulse, shorted, force_mn, NULL, NULL };
     st_config config;
     pinMode(PIN_LATCH, OUTPUT);
     memset(&config, 0, sizeof config);
@@ -104,6 +105,7 @@ void setup(void)
     config.current_ua = states;
     config.passed_pc = passed_pc;
     config.limit_ua = limit_ua;
+    config.driven_pc = driven_pc;
     config.name = "SmartTouch firmware 1, ESP32, untested";
     st_init(&board, &config, &port);
 }

@@ -14,6 +14,7 @@
 #include <unistd.h>
 
 #include "st_memory.h"
+#include "st_skin.h"
 
 #define LONGEST_STEP_US 10000u /* how long the process may be away before its time stands still */
 #define WRITE_EVERY_US 50000u
@@ -27,7 +28,8 @@ typedef struct {
     FILE *delivered;
     uint64_t now_us, real_us, stood_still_us, written_us;
     uint32_t unsafe;
-    double zero_after_ms, passed_uc[ST_MOST_ELECTRODES];
+    double zero_after_ms;
+    st_skin skin;
 } host;
 
 static volatile sig_atomic_t ended;
@@ -91,6 +93,7 @@ static void record(host *own, const st_pulse *pulse)
     static int32_t current_ua[ST_MOST_ELECTRODES];
     static float charge_uc[ST_MOST_ELECTRODES];
     static const uint8_t nothing[4u * ST_MOST_ELECTRODES];
+    static double amps[ST_MOST_ELECTRODES];
     uint32_t poles[2] = { 0, 0 };
     double peak_ua = 0;
     for (uint32_t each = 0; each < electrodes; each++) {
@@ -102,11 +105,12 @@ static void record(host *own, const st_pulse *pulse)
         if (switched && ua != 0) {
             ua = ua > 0 ? (double)pulse->source_ua / poles[0] : -(double)pulse->source_ua / poles[1];
         }
+        amps[each] = ua * 1e-6;
         current_ua[each] = (int32_t)lrint(ua);
         charge_uc[each] = (float)(ua * pulse->width_us * 1e-6);
-        own->passed_uc[each] += ua * pulse->width_us * 1e-6;
         peak_ua = fmax(peak_ua, fabs(ua));
     }
+    st_skin_pulse(&own->skin, amps, electrodes, pulse);
     if (pulse->slot != ST_NOTHING) {
         own->unsafe += peak_ua > 5000 || peak_ua * pulse->width_us > 500000 || pulse->width_us > 200;
     } else {
@@ -120,7 +124,7 @@ static void record(host *own, const st_pulse *pulse)
         (void)fwrite(&time_us, 8, 1, own->delivered);
         (void)fwrite(current_ua, 4, electrodes, own->delivered);
         (void)fwrite(charge_uc, 4, electrodes, own->delivered);
-        /* Volts and residual charge: there is no skin here. */
+        /* Volts and residual charge of each electrode are not kept. */
         (void)fwrite(nothing, 4, electrodes, own->delivered);
     }
 }
@@ -140,6 +144,18 @@ static void shorted(void *self, const char *reason)
     if (strcmp(reason, "end") != 0) {
         own->zero_after_ms = (double)(own->now_us - own->board.heard_us) / 1000.0;
     }
+}
+
+static uint16_t volts(void *self)
+{
+    const host *own = self;
+    return (uint16_t)lrint(100.0 * own->skin.source_v);
+}
+
+static uint32_t left_pc(void *self)
+{
+    const host *own = self;
+    return (uint32_t)lrint(1e12 * own->skin.left_c);
 }
 
 static int16_t force_mn(void *self)
@@ -167,17 +183,18 @@ static void write_state(host *own)
                   "{\"electrodes\": %u, \"sequences\": %u, \"slots\": %u, \"pulses\": %llu, "
                   "\"violations\": %u, \"unsafe\": %u, \"framing_errors\": %u, "
                   "\"old_packets\": %u, \"foreign_packets\": %u, \"max_current_ma\": %.3f, "
-                  "\"max_charge_uc\": %.6f, \"max_net_charge_uc\": 0.0, \"max_volts\": 0.0, "
+                  "\"max_charge_uc\": %.6f, \"max_net_charge_uc\": %.6f, \"max_volts\": %.2f, "
                   "\"recharges\": %u, \"state\": \"%s\", \"reason\": \"%s\", "
                   "\"zero_after_ms\": %.3f, \"stood_still_ms\": %.3f, \"passed_uc\": [",
                   own->board.config.electrodes, books->sequences, books->slots,
                   (unsigned long long)books->pulses, books->violations, own->unsafe,
                   books->framing_errors, books->old_packets, books->foreign_packets,
-                  books->max_current_ua / 1e3, books->max_charge_pc / 1e6, books->recharges,
-                  own->state, own->reason, own->zero_after_ms,
+                  books->max_current_ua / 1e3, books->max_charge_pc / 1e6, 1e6 * own->skin.left_c,
+                  own->skin.most_v, books->recharges, own->state, own->reason, own->zero_after_ms,
                   (double)own->stood_still_us / 1000.0);
     for (uint32_t each = 0; each < own->board.config.electrodes; each++) {
-        (void)fprintf(file, each == 0u ? "%.9g" : ", %.9g", own->passed_uc[each]);
+        (void)fprintf(file, each == 0u ? "%.9g" : ", %.9g",
+                      (double)own->board.config.driven_pc[each] * 1e-6);
     }
     (void)fprintf(file, "]}\n");
     (void)fclose(file);
@@ -255,7 +272,7 @@ int main(int count, char **words)
 {
     static host own;
     st_config config;
-    const st_port port = { &own, draw, send, pulse, shorted, force_mn };
+    const st_port port = { &own, draw, send, pulse, shorted, force_mn, volts, left_pc };
     const char *kind = option(count, words, "--output", "weighted");
     const long electrodes = strtol(option(count, words, "--electrodes", "64"), NULL, 10);
     const long ramp_ms = strtol(option(count, words, "--ramp-ms", "500"), NULL, 10);
@@ -297,6 +314,8 @@ int main(int count, char **words)
     (void)signal(SIGPIPE, SIG_IGN);
     own.real_us = monotonic_us();
     st_configure(&config, &own.memory, (uint16_t)electrodes, output, (uint16_t)ramp_ms);
+    config.features |= ST_VOLTAGE;
+    config.compliance_v = (uint16_t)ST_COMPLIANCE_V;
     st_init(&own.board, &config, &port);
     write_state(&own);
     (void)puts(ptsname(own.line));

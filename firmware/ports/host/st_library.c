@@ -15,12 +15,18 @@ typedef struct {
     uint32_t numbers[ROOM / 4], slots[ROOM / 4], sites[ROOM / 4], widths[ROOM / 4];
     uint64_t starts[ROOM / 4];
     const char *reason;
+    void (*skin)(const uint32_t *times, uint64_t start_us, const int16_t *current_ua,
+                 uint32_t *found);
+    uint32_t found[2]; /* the source's voltage in 10 mV, and the largest charge left in pC */
 } st_rig;
 
 /* What the tests call. */
 st_rig *st_rig_new(uint16_t electrodes, uint8_t output, uint8_t features, uint16_t compliance_v,
                    uint16_t ramp_ms, bool real_time, const char *name);
 void st_rig_free(st_rig *rig);
+void st_rig_wear(st_rig *rig, void (*skin)(const uint32_t *times, uint64_t start_us,
+                                           const int16_t *current_ua, uint32_t *found));
+void st_rig_driven(const st_rig *rig, int64_t *driven_pc);
 void st_rig_feed(st_rig *rig, const uint8_t *data, size_t size, uint64_t now_us);
 void st_rig_advance(st_rig *rig, uint64_t now_us);
 void st_rig_hang_up(st_rig *rig, uint64_t now_us);
@@ -53,6 +59,10 @@ static void pulse(void *self, const st_pulse *pulse)
     const uint32_t electrodes = rig->board.config.electrodes;
     const uint32_t at = rig->pulses;
     rig->reason = "driving";
+    if (rig->skin != NULL) {
+        const uint32_t times[3] = { pulse->width_us, pulse->rest_us, pulse->source_ua };
+        rig->skin(times, pulse->start_us, pulse->current_ua, rig->found);
+    }
     if (at >= ROOM / 4 || (at + 1u) * electrodes > ROOM) {
         return;
     }
@@ -63,6 +73,18 @@ static void pulse(void *self, const st_pulse *pulse)
     rig->starts[at] = pulse->start_us;
     memcpy(rig->currents + at * electrodes, pulse->current_ua, 2u * electrodes);
     rig->pulses++;
+}
+
+static uint16_t volts(void *self)
+{
+    const st_rig *rig = self;
+    return (uint16_t)rig->found[0];
+}
+
+static uint32_t left_pc(void *self)
+{
+    const st_rig *rig = self;
+    return rig->found[1];
 }
 
 static void shorted(void *self, const char *reason)
@@ -82,7 +104,7 @@ st_rig *st_rig_new(uint16_t electrodes, uint8_t output, uint8_t features, uint16
 {
     st_rig *rig = calloc(1, sizeof *rig);
     st_config config;
-    const st_port port = { rig, draw, send, pulse, shorted, force_mn };
+    const st_port port = { rig, draw, send, pulse, shorted, force_mn, volts, left_pc };
     if (rig != NULL) {
         st_configure(&config, &rig->memory, electrodes, output, ramp_ms);
         config.features = features;
@@ -97,6 +119,18 @@ st_rig *st_rig_new(uint16_t electrodes, uint8_t output, uint8_t features, uint16
 void st_rig_free(st_rig *rig)
 {
     free(rig);
+}
+
+/* What finds out what each pulse does to a skin, before the pulse is told. */
+void st_rig_wear(st_rig *rig, void (*skin)(const uint32_t *times, uint64_t start_us,
+                                           const int16_t *current_ua, uint32_t *found))
+{
+    rig->skin = skin;
+}
+
+void st_rig_driven(const st_rig *rig, int64_t *driven_pc)
+{
+    memcpy(driven_pc, rig->memory.driven_pc, 8u * rig->board.config.electrodes);
 }
 
 void st_rig_feed(st_rig *rig, const uint8_t *data, size_t size, uint64_t now_us)

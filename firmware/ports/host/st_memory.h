@@ -10,6 +10,7 @@
 #define ST_PACKET_BYTES (1u << 20)
 #define ST_KERNEL_BYTES (1u << 23)
 #define ST_MOST_KERNELS 4096u
+#define ST_MOST_SLOTS 4096u
 
 typedef struct {
     uint8_t buffer[ST_BUFFERS][ST_PACKET_BYTES];
@@ -19,6 +20,8 @@ typedef struct {
     int16_t current_ua[ST_MOST_ELECTRODES];
     uint32_t passed_pc[ST_MOST_ELECTRODES];
     uint16_t limit_ua[ST_MOST_ELECTRODES];
+    int64_t driven_pc[ST_MOST_ELECTRODES];
+    uint8_t volts[2u * ST_MOST_SLOTS];
 } st_memory;
 
 static inline void st_configure(st_config *config, st_memory *memory, uint16_t electrodes,
@@ -28,7 +31,7 @@ static inline void st_configure(st_config *config, st_memory *memory, uint16_t e
     config->electrodes = electrodes;
     config->output = output;
     config->features = ST_KERNELS | (output == ST_WEIGHTED ? ST_RECHARGE : 0);
-    config->most_slots = 4096;
+    config->most_slots = ST_MOST_SLOTS;
     config->ramp_ms = ramp_ms;
     config->most_kernels = ST_MOST_KERNELS;
     config->packet_bytes = ST_PACKET_BYTES;
@@ -42,6 +45,8 @@ static inline void st_configure(st_config *config, st_memory *memory, uint16_t e
     config->current_ua = memory->current_ua;
     config->passed_pc = memory->passed_pc;
     config->limit_ua = memory->limit_ua;
+    config->driven_pc = memory->driven_pc;
+    config->volts = memory->volts;
     config->name = "SmartTouch firmware 1";
 }
 

@@ -44,6 +44,7 @@ static int32_t sums[ST_ELECTRODES];
 static int16_t current_ua[ST_ELECTRODES];
 static uint32_t passed_pc[ST_ELECTRODES];
 static uint16_t limit_ua[ST_ELECTRODES];
+static int64_t driven_pc[ST_ELECTRODES];
 static uint8_t ring[RING];
 static volatile uint32_t ring_in, ring_out, milliseconds;
 static uint32_t random_state;
@@ -152,7 +153,7 @@ static int16_t force_mn(void *self)
 
 static void start(void)
 {
-    static const st_port port = { NULL, draw, send, pulse, shorted, force_mn };
+    static const st_port port = { NULL, draw, send, pulse, shorted, force_mn, NULL, NULL };
     st_config config;
     memset(&config, 0, sizeof config);
     config.electrodes = ST_ELECTRODES;
@@ -173,6 +174,7 @@ static void start(void)
     config.current_ua = current_ua;
     config.passed_pc = passed_pc;
     config.limit_ua = limit_ua;
+    config.driven_pc = driven_pc;
     config.name = "SmartTouch firmware 1, Cortex-M3";
     st_init(&board, &config, &port);
 }
