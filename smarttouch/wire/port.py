@@ -64,7 +64,7 @@ def open_port(
         port.timeout, port.write_timeout, port.exclusive = timeout_s, 0.5, True
         port.dtr = port.rts = False
         port.open()
-        if tcp:
+        if url.startswith("socket://"):
             # Short commands must not wait for the answer to those before them.
             port._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     except (*LINE_ERRORS, ValueError, AttributeError) as failure:

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import select
+import socket
 import subprocess
 import threading
 import time
@@ -20,13 +21,16 @@ from smarttouch.realtime import prioritized
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from tests.boards.fresh import fresh_state
-from tests.firmware.conftest import start_firmware
+from tests.firmware.build import WHOLE
+from tests.firmware.conftest import start_cortex_m3, start_firmware
 
 from ..forks import EMULATOR, Forked
 
 SECOND = 10**9
 
-__all__ = ["start_firmware"]
+__all__ = ["start_cortex_m3", "start_firmware"]
+FIRMWARES = [pytest.param(kind, marks=WHOLE) for kind in ("link C", "link M3")]
+"""Kinds of `hosted`."""
 
 
 @pytest.fixture(autouse=True)
@@ -193,7 +197,7 @@ def pour(ends, data):
 
 
 class FaultyLine:
-    """A serial line between host and board on which bytes get lost, and which can be pulled out.
+    """A line between host and board on which bytes get lost, and which can be pulled out.
 
     It has real-time priority, where that is allowed: bytes are not held up on it.
 
@@ -206,8 +210,14 @@ class FaultyLine:
     def __init__(self, behind, path):
         self.path = path
         self.to_board = self.to_host = bytes
-        self._behind = os.open(behind, os.O_RDWR | os.O_NOCTTY)
-        tty.setraw(self._behind)
+        if behind.startswith("socket:"):
+            host, _, number = behind.removeprefix("socket://").partition(":")
+            line = socket.create_connection((host, int(number)))
+            line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._behind = line.detach()
+        else:
+            self._behind = os.open(behind, os.O_RDWR | os.O_NOCTTY)
+            tty.setraw(self._behind)
         os.set_blocking(self._behind, False)
         self._lock = threading.Lock()
         self._ends = None
@@ -275,13 +285,17 @@ def faulty_line(tmp_path):
 class Hosted:
     """A board behind a line with faults, to which anodic points can be sent."""
 
-    def __init__(self, kind, start_emulator, start_firmware, faulty_line, folder, monkeypatch):
+    def __init__(self, kind, starters, faulty_line, folder, monkeypatch):
+        start_emulator, start_firmware, start_cortex_m3 = starters
         monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
         self.electrodes = {"kajimoto61": 61}.get(kind, 8)
-        # An eTactileKit may have another firmware than the usual one, a link board one in C.
+        # An eTactileKit may have another firmware than the usual one, a link board one in C, on
+        # this machine or a Cortex-M3.
         kind, _, firmware = kind.partition(" ")
         if firmware == "C":
             _, port = start_firmware(f"--books={folder}", "--ramp-ms=0")
+        elif firmware == "M3":
+            port = start_cortex_m3(electrodes=8, ramp_ms=0).name
         else:
             more = [f"--firmware={firmware}"] if firmware else []
             _, port = start_emulator(
@@ -319,6 +333,8 @@ class Hosted:
 
 
 @pytest.fixture
-def hosted(request, start_emulator, start_firmware, faulty_line, tmp_path, monkeypatch):
-    given = start_emulator, start_firmware, faulty_line
-    return Hosted(request.param, *given, tmp_path, monkeypatch)
+def hosted(
+    request, start_emulator, start_firmware, start_cortex_m3, faulty_line, tmp_path, monkeypatch
+):
+    starters = start_emulator, start_firmware, start_cortex_m3
+    return Hosted(request.param, starters, faulty_line, tmp_path, monkeypatch)

@@ -1,4 +1,4 @@
-"""The contract of drivers, run over the C core behind a pseudo-terminal."""
+"""The contract of drivers, run over the C core behind a pseudo-terminal and on a Cortex-M3."""
 
 import os
 
@@ -13,6 +13,7 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.kernel_table import KernelLists
 from tests.boards.fresh import fresh_state, until
 from tests.boards.test_contract import Contract
+from tests.firmware.build import WHOLE
 from tests.firmware.scenes import random_table, sequence_of
 
 from ..raising import raises
@@ -60,6 +61,20 @@ class TestFirmware(Contract):
         np.testing.assert_array_equal(slots, np.tile(sequence.current_ua, (2, 1)))
         state = fresh_state(self.folder)
         assert (state["violations"], state["unsafe"], state["reason"]) == (0, 0, "stop")
+
+
+@WHOLE
+@pytest.mark.realtime
+class TestCortexM3(TestFirmware):
+    @pytest.fixture
+    def url(self, start_cortex_m3, tmp_path):
+        def url(kind):
+            self.folder = tmp_path / kind
+            self.folder.mkdir()
+            given = {"electrodes": self.electrodes, "output": kind, "ramp_ms": 0}
+            return "link:" + start_cortex_m3(self.folder, **given).name
+
+        return url
 
 
 def test_a_sudden_rise_is_refused(start_firmware, tmp_path, make_limits, make_sequence):

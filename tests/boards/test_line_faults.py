@@ -9,6 +9,7 @@ import pytest
 from smarttouch.errors import BoardError, BoardRestartedError
 
 from ..raising import raises
+from .conftest import FIRMWARES
 
 
 def once(change):
@@ -68,7 +69,9 @@ def known_by_usb(monkeypatch):
 
 AWAY = ("gone", "unwritable", "mute").__contains__
 UNANSWERED = ("malformed", "mute").__contains__
-ALL = pytest.mark.parametrize("hosted", ["link", "kajimoto61", "etactilekit"], indirect=True)
+ALL = pytest.mark.parametrize(
+    "hosted", ["link", "kajimoto61", "etactilekit", *FIRMWARES], indirect=True
+)
 
 
 def pulled_out_after(count, hosted):
@@ -84,7 +87,9 @@ MISHAPS = [
     ),
     ("link", double_one),
     ("kajimoto61", double_one),
-]
+    *(pytest.param(*kind.values, change, marks=kind.marks)
+      for kind in FIRMWARES for change in (drop_one, cut_short, double_one)),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("hosted", "change"), MISHAPS, indirect=["hosted"])
@@ -103,7 +108,7 @@ def test_bytes_lost_or_doubled_on_the_way_to_the_board(hosted, change):
 
 @pytest.mark.parametrize(
     "hosted",
-    ["link", "link C", "etactilekit", "etactilekit 936c6c0", "etactilekit newest"],
+    ["link", "link C", "etactilekit", "etactilekit 936c6c0", "etactilekit newest", FIRMWARES[1]],
     indirect=True,
 )
 @pytest.mark.parametrize("change", [double_one, cut_short])
@@ -116,7 +121,12 @@ def test_a_reply_that_is_not_whole(hosted, change):
     hosted.assert_zero()
 
 
-@ALL
+@pytest.mark.parametrize(
+    # The Cortex-M3 has no skin to measure.
+    "hosted",
+    ["link", "kajimoto61", "etactilekit", FIRMWARES[0]],
+    indirect=True,
+)
 def test_a_measurement_that_is_cut_short_ends_in_zero_and_the_next_is_whole(hosted, monkeypatch):
     # Only answers are lost here: its parser needs no long silence.
     monkeypatch.setattr("smarttouch.boards.etactilekit_line.FORGETS_S", 0.1)

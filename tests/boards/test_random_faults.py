@@ -14,6 +14,7 @@ import pytest
 
 from smarttouch.boards.emulator.delivery_log import read_state
 from smarttouch.errors import BoardError, BoardRestartedError
+from tests.boards.conftest import FIRMWARES
 from tests.boards.fresh import HANGS_S
 
 SECONDS = float(os.environ.get("SMARTTOUCH_FAULT_SECONDS", "3"))
@@ -50,7 +51,9 @@ class Weather:
 
 
 @pytest.mark.parametrize(
-    "hosted", ["link", "link C", "kajimoto61", "etactilekit", "etactilekit 936c6c0"], indirect=True
+    "hosted",
+    ["link", "link C", "kajimoto61", "etactilekit", "etactilekit 936c6c0", FIRMWARES[1]],
+    indirect=True,
 )
 def test_nothing_unsafe_flows(hosted):
     # USB and TCP lose bytes only by whole pieces or at their end; they never double one.

@@ -1,6 +1,7 @@
 """The firmware, built once for all tests, where there is a compiler."""
 
 import fcntl
+import os
 import shutil
 import subprocess
 import tempfile
@@ -39,6 +40,13 @@ def hash_of_sources():
         if path.suffix in {".c", ".h", ".ld", ""} and path.is_file() and "build" not in path.parts:
             found = zlib.crc32(path.read_bytes(), found)
     return found
+
+
+WHOLE = pytest.mark.skipif(
+    "SMARTTOUCH_WHOLE_FIRMWARE" not in os.environ,
+    reason="with SMARTTOUCH_WHOLE_FIRMWARE=1, as in .ci/run",
+)
+"""What is too much for each run of all tests."""
 
 
 def library():

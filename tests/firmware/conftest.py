@@ -1,4 +1,4 @@
-"""Boards of the firmware: processes of their own, behind a port whose name they print."""
+"""Boards of the firmware: processes of their own, behind a port."""
 
 import select
 import subprocess
@@ -6,6 +6,7 @@ import subprocess
 import pytest
 
 from tests.firmware import build
+from tests.firmware.cortex_m3 import CortexM3
 
 
 @pytest.fixture
@@ -27,3 +28,17 @@ def start_firmware():
         process.kill()
         process.wait()
         process.stdout.close()
+
+
+@pytest.fixture
+def start_cortex_m3(tmp_path):
+    """Return a starter of the firmware on a Cortex-M3, as `CortexM3`."""
+    started = []
+
+    def start(folder=tmp_path, **what):
+        started.append(CortexM3(folder, **what))
+        return started[-1]
+
+    yield start
+    for machine in started:
+        machine.close()

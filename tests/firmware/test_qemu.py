@@ -1,7 +1,6 @@
 """The firmware on a Cortex-M3 that QEMU plays: what is sent is delivered, silence is zero."""
 
 import socket
-import subprocess
 import time
 
 import numpy as np
@@ -11,44 +10,18 @@ from smarttouch.boards.open import make_board
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
-from tests.firmware.build import cortex_m3
+from tests.firmware.cortex_m3 import ELECTRODES
 from tests.firmware.rig import Talk
 from tests.firmware.scenes import random_lists, random_table, sequence_of
 
 pytestmark = pytest.mark.realtime
 
-ELECTRODES = 64
-TRACE = np.dtype(
-    [("number", "<u4"), ("start_us", "<u4"), ("slot", "<u2"), ("site", "<u2"), ("width_us", "<u2"),
-     ("source_ua", "<u2"), ("current_ua", "<i2", ELECTRODES)]
-)  # fmt: skip
-
 
 @pytest.fixture
-def machine(tmp_path):
+def machine(start_cortex_m3):
     """Return the name of a port to the firmware, and its record of pulses so far."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    trace = tmp_path / "pulses.bin"
-    command = ["qemu-system-arm", "-M", "mps2-an385", "-kernel", cortex_m3(), "-display", "none",
-               "-monitor", "none", "-semihosting", "-serial",
-               f"tcp:127.0.0.1:{port},server=on,wait=off", "-serial", f"file:{trace}"]  # fmt: skip
-    process = subprocess.Popen(command, start_new_session=True)
-    for _ in range(200):
-        with socket.socket() as line:
-            if line.connect_ex(("127.0.0.1", port)) == 0:
-                break
-        time.sleep(0.05)
-    # It takes one host after another.
-    time.sleep(0.1)
-    yield f"link:socket://127.0.0.1:{port}", lambda: _pulses(trace)
-    process.kill()
-    process.wait()
-
-
-def _pulses(trace):
-    data = trace.read_bytes()
-    return np.frombuffer(data[: len(data) // TRACE.itemsize * TRACE.itemsize], TRACE)
+    machine = start_cortex_m3()
+    return f"link:{machine.name}", machine.pulses
 
 
 def test_kernels_go_there_and_their_sums_flow(machine):

@@ -44,9 +44,10 @@ def test_an_address_where_nobody_listens():
         open_port(name)
 
 
-def test_short_writes_over_tcp_do_not_wait():
+@pytest.mark.parametrize("scheme", ["tcp", "socket"])
+def test_short_writes_over_tcp_do_not_wait(scheme):
     with socket.create_server(("127.0.0.1", 0)) as server:
-        port = open_port(f"tcp://127.0.0.1:{server.getsockname()[1]}")
+        port = open_port(f"{scheme}://127.0.0.1:{server.getsockname()[1]}")
         board, _ = server.accept()
         with board:
             assert port._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)

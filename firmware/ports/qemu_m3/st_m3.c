@@ -3,6 +3,11 @@
  *
  *     u32 number, u32 start in us, u16 slot, u16 site, u16 width in us, u16 source in uA, i16 [E]
  *
+ * and every time all electrodes are shorted, but for a pulse's end, as a record of the same length
+ * without a width: the reason's first four letters, u32 time in us, u32 us since the host's last
+ * sign of life, u16 0, u16 refused sequences. It may be told what to be by words after its name:
+ * electrodes (64 at most), output (0, 1, 2), least time from zero to full in ms.
+ *
  * With ST_MEASURE it counts instructions instead, where QEMU runs with -icount shift=0.
  */
 #include <string.h>
@@ -12,9 +17,6 @@
 
 #ifndef ST_ELECTRODES
 #define ST_ELECTRODES 64u
-#endif
-#ifndef ST_RAMP_MS
-#define ST_RAMP_MS 500u
 #endif
 #define PACKET_BYTES 65536u
 #define KERNEL_BYTES 524288u
@@ -136,13 +138,20 @@ static void pulse(void *self, const st_pulse *pulse)
     (void)self;
     put(UART1, times, sizeof times);
     put(UART1, others, sizeof others);
-    put(UART1, pulse->current_ua, 2u * ST_ELECTRODES);
+    put(UART1, pulse->current_ua, 2u * (size_t)board.config.electrodes);
 }
 
 static void shorted(void *self, const char *reason)
 {
+    static const int16_t nothing[ST_ELECTRODES];
+    const uint32_t now = (uint32_t)now_us();
+    const uint32_t times[2] = { now, now - (uint32_t)board.heard_us };
+    const uint16_t others[2] = { 0, (uint16_t)board.books.violations };
     (void)self;
-    (void)reason;
+    put(UART1, reason, 4);
+    put(UART1, times, sizeof times);
+    put(UART1, others, sizeof others);
+    put(UART1, nothing, 2u * (size_t)board.config.electrodes);
 }
 
 static int16_t force_mn(void *self)
@@ -151,16 +160,47 @@ static int16_t force_mn(void *self)
     return 1000;
 }
 
+/* Read the numbers that follow the name in a command line. */
+static void read_words(const char *text, uint16_t *numbers, size_t most)
+{
+    size_t count = 0;
+    while (*text != '\0' && count < most) {
+        const bool begins = *text == ' ' && text[1] >= '0' && text[1] <= '9';
+        text++;
+        if (begins) {
+            numbers[count] = 0;
+            for (; *text >= '0' && *text <= '9'; text++) {
+                numbers[count] = (uint16_t)(10u * numbers[count] + (uint32_t)(*text - '0'));
+            }
+            count++;
+        }
+    }
+}
+
 static void start(void)
 {
     static const st_port port = { NULL, draw, send, pulse, shorted, force_mn, NULL, NULL };
+    uint16_t numbers[3] = { ST_ELECTRODES, ST_WEIGHTED, 500 };
     st_config config;
+#ifndef ST_MEASURE
+    static char words[80];
+    struct {
+        char *text;
+        size_t size;
+    } line = { words, sizeof words };
+    if (semihosting(0x15, &line) == 0u) {
+        read_words(words, numbers, 3);
+    }
+#else
+    (void)read_words;
+#endif
     memset(&config, 0, sizeof config);
-    config.electrodes = ST_ELECTRODES;
-    config.output = ST_WEIGHTED;
-    config.features = ST_RECHARGE | ST_KERNELS | ST_FORCE;
+    config.electrodes = numbers[0] <= ST_ELECTRODES ? numbers[0] : ST_ELECTRODES;
+    config.output = (uint8_t)numbers[1];
+    config.features = ST_KERNELS | ST_FORCE;
+    config.features |= config.output == ST_WEIGHTED ? ST_RECHARGE : 0;
     config.most_slots = 4096;
-    config.ramp_ms = ST_RAMP_MS;
+    config.ramp_ms = numbers[2];
     config.most_kernels = MOST_KERNELS;
     config.real_time = true;
     config.packet_bytes = PACKET_BYTES;

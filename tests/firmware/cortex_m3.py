@@ -1,0 +1,117 @@
+"""The firmware on a Cortex-M3 that QEMU plays, with books as the Python emulator keeps them."""
+
+import socket
+import subprocess
+import threading
+import time
+
+import numpy as np
+
+from smarttouch.boards.emulator.delivery_log import DeliveryLog
+from smarttouch.boards.emulator.skin import Delivered
+from smarttouch.boards.link_protocol import NOTHING, OUTPUTS
+from tests.firmware.build import cortex_m3
+
+ELECTRODES = 64
+_REASONS = {word[:4]: word for word in ("start", "end", "silence", "stop", "begin")}
+
+
+def trace_of(electrodes):
+    """Return the type of a record of a pulse, or of all electrodes shorted."""
+    return np.dtype(
+        [("number", "<u4"), ("start_us", "<u4"), ("slot", "<u2"), ("site", "<u2"),
+         ("width_us", "<u2"), ("source_ua", "<u2"), ("current_ua", "<i2", electrodes)]
+    )  # fmt: skip
+
+
+class CortexM3:
+    """One machine, whose line is a socket.
+
+    Attributes
+    ----------
+    name : str
+        Of the port.
+    """
+
+    def __init__(self, folder, electrodes=ELECTRODES, output="weighted", ramp_ms=500):
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            port = free.getsockname()[1]
+        self.name = f"socket://127.0.0.1:{port}"
+        self._trace, self._type = folder / "trace.bin", trace_of(electrodes)
+        words = ",".join(f"arg={each}" for each in (electrodes, OUTPUTS.index(output), ramp_ms))
+        command = ["qemu-system-arm", "-M", "mps2-an385", "-kernel", cortex_m3(), "-display",
+                   "none", "-monitor", "none", "-semihosting-config",
+                   f"enable=on,arg=board,{words}", "-serial",
+                   f"tcp:127.0.0.1:{port},server=on,wait=off,nodelay=on", "-serial",
+                   f"file:{self._trace}"]  # fmt: skip
+        self.process = subprocess.Popen(command, start_new_session=True)
+        # The first that it does is to short all electrodes.
+        for _ in range(6000):
+            if self._trace.exists() and self._trace.stat().st_size >= self._type.itemsize:
+                break
+            time.sleep(0.01)
+        self._books = Books(folder, electrodes, output, self.records)
+
+    def close(self):
+        self.process.kill()
+        self.process.wait()
+        self._books.close()
+
+    def records(self, start=0):
+        """Return all records from one on."""
+        with self._trace.open("rb") as file:
+            file.seek(start * self._type.itemsize)
+            data = file.read()
+        return np.frombuffer(data[: len(data) // self._type.itemsize * self._type.itemsize],
+                             self._type)  # fmt: skip
+
+    def pulses(self):
+        """Return the pulses so far."""
+        records = self.records()
+        return records[records["width_us"] > 0]
+
+
+class Books:
+    """Delivery log of what a machine's record says, kept up to date by a thread."""
+
+    def __init__(self, folder, electrodes, output, records):
+        self._log, self._records = DeliveryLog(electrodes, folder), records
+        self._switched = output != "weighted"
+        self._read, self._ended = 0, threading.Event()
+        self._log.write()
+        self._thread = threading.Thread(target=self._follow, daemon=True)
+        self._thread.start()
+
+    def close(self):
+        self._ended.set()
+        self._thread.join()
+
+    def _follow(self):
+        while not self._ended.wait(0.02):
+            new = self._records(self._read)
+            self._read += len(new)
+            for record in new:
+                self._enter(record)
+            self._log.write()
+
+    def _enter(self, record):
+        log, width_us = self._log, int(record["width_us"])
+        if not width_us:
+            word = record["number"].tobytes().rstrip(b"\0").decode()
+            log.state, log.reason = "shorted", _REASONS[word]
+            log.zero_after_ms = (int(record["slot"]) + 65536 * int(record["site"])) / 1000
+            log.violations = int(record["source_ua"])
+            return
+        current_ua = record["current_ua"].astype(float)
+        if self._switched:
+            for pole in (current_ua > 0, current_ua < 0):
+                current_ua[pole] *= int(record["source_ua"]) / max(1, pole.sum())
+        nothing = np.zeros(len(current_ua))
+        delivered = Delivered(current_ua, current_ua * width_us, nothing, 0.0)
+        number, slot, start_us = (int(record[name]) for name in ("number", "slot", "start_us"))
+        log.state = "driving"
+        if slot == NOTHING:
+            log.enter_recharge(number, delivered, width_us, nothing, start_us)
+        else:
+            site = int(record["site"])
+            log.enter(number, slot, site, delivered, width_us, nothing, start_us)
