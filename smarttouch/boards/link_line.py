@@ -11,7 +11,7 @@ from smarttouch.boards.link_session import ANSWERS, HostSession, Message, draw_h
 from smarttouch.errors import BoardError, BoardStoppedError, LineLostError
 from smarttouch.realtime import prioritized
 from smarttouch.wire.framing import Deframer
-from smarttouch.wire.port import LINE_ERRORS, Port, reason, write_before
+from smarttouch.wire.port import LINE_ERRORS, Port, read_some, reason, write_before
 
 HEARTBEAT_S = 0.03
 """Longest silence of the host: the board gives up after 0.1 s."""
@@ -314,7 +314,7 @@ class LinkLine:
         while not self._closing.is_set():
             try:
                 assert self._port is not None
-                data = self._port.read(self._port.in_waiting or 1)
+                data = read_some(self._port)
             except LINE_ERRORS as error:
                 if not self._closing.is_set():
                     self.fail(self.lost(f"has vanished ({reason(error)})", "gone"))

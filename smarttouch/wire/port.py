@@ -24,6 +24,7 @@ __all__ = [
     "UsbIdentity",
     "identity_of",
     "open_port",
+    "read_some",
     "reason",
     "reopen_port",
     "write_before",
@@ -33,6 +34,8 @@ _write = ctypes.PyDLL(None, use_errno=True).write
 """The system's own `write`, without a switch to another thread, which could take long."""
 _write.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
 _write.restype = ctypes.c_ssize_t
+
+_MOST_AT_ONCE = 65_536
 
 LINE_ERRORS = (
     OSError, serial.SerialException, termios.error if termios else OSError, TypeError
@@ -141,6 +144,26 @@ def reopen_port(
             if time.monotonic() > deadline:
                 raise
             pause(0.05)
+
+
+def read_some(port: Port) -> bytes:
+    """Return what has come; wait for the first byte as long as the port does.
+
+    Raises
+    ------
+    OSError
+        As the port does, also if the line is gone.
+    """
+    try:
+        number = port.fileno()
+    except (AttributeError, OSError):
+        # No line of the system's own, but one of pyserial's.
+        return bytes(port.read(port.in_waiting or 1))
+    if not select.select([number], [], [], port.timeout)[0]:
+        return b""
+    if not (data := os.read(number, _MOST_AT_ONCE)):
+        raise serial.SerialException("it is gone")
+    return data
 
 
 def write_before(

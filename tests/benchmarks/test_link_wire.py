@@ -168,6 +168,9 @@ def test_acknowledged_over_a_pseudo_terminal(row, quick, electrodes, board):
             "acknowledged after, µs": f"{1e6 * statistics.median(ours):.0f}",
             "bare, µs": f"{1e6 * statistics.median(plain):.0f}",
             "ratio": f"{statistics.median(a / b for a, b in zip(ours, plain, strict=True)):.1f}",
+            # What a busy machine adds comes on top of these.
+            "least of each, µs": f"{1e6 * min(ours):.0f}, {1e6 * min(plain):.0f}",
+            "their ratio": f"{min(ours) / min(plain):.1f}",
         },
     )
 
