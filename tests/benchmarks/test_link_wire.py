@@ -13,6 +13,7 @@ import re
 import statistics
 import subprocess
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -126,6 +127,11 @@ def lists_at(electrodes, step, table, rng):
     )  # fmt: skip
 
 
+def sent_at(times, write, *given):
+    times.append(time.perf_counter())
+    return write(*given)
+
+
 @pytest.mark.parametrize("board", ["emulator", "C"])
 @pytest.mark.parametrize("electrodes", [64, 128, 256, 512])
 def test_acknowledged_over_a_pseudo_terminal(row, quick, electrodes, board):
@@ -148,8 +154,11 @@ def test_acknowledged_over_a_pseudo_terminal(row, quick, electrodes, board):
     with driver:
         driver.keep_kernels(table)
         first = raised(driver, electrodes)
+        at, wire = [], []
+        driver._write_in_time = partial(sent_at, at, driver._write_in_time)
         for step in range(first, first + (3 if quick else 60)):
             ours.append(acknowledged_s(driver, lists_at(electrodes, step, table, rng)))
+            wire.append(time.perf_counter() - at[-1])
             start = time.perf_counter()
             bare()
             plain.append(time.perf_counter() - start)
@@ -169,8 +178,10 @@ def test_acknowledged_over_a_pseudo_terminal(row, quick, electrodes, board):
             "bare, µs": f"{1e6 * statistics.median(plain):.0f}",
             "ratio": f"{statistics.median(a / b for a, b in zip(ours, plain, strict=True)):.1f}",
             # What a busy machine adds comes on top of these.
-            "least of each, µs": f"{1e6 * min(ours):.0f}, {1e6 * min(plain):.0f}",
-            "their ratio": f"{min(ours) / min(plain):.1f}",
+            "least": f"{1e6 * min(ours):.0f}",
+            "least from the payload on": f"{1e6 * min(wire):.0f}",
+            "least bare": f"{1e6 * min(plain):.0f}",
+            "ratio of the last two": f"{min(wire) / min(plain):.1f}",
         },
     )
 
