@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from smarttouch.afferent import Afferent
+from smarttouch.boards import impedance
+from smarttouch.boards.emulator.skin import Skin
 from smarttouch.kernels.assignment import pole_shares
 from smarttouch.kernels.bank import load_bank
 from smarttouch.kernels.frames.figures import FrameBounds
@@ -221,3 +223,36 @@ def test_slots_per_frame(row, quick, request, changed, case):
                 )
         known = {"board": request.node.callspec.id, "frames": kind}
         row("Slots with one source", known | {"within": f"{total_ma:g} mA ± {uneven:.0%}"} | says)
+
+
+@pytest.mark.parametrize("spread", [0.15, 0.3])
+def test_split_by_measured_impedances(row, quick, spread):
+    """By how much cathodes of one source get more than impedances, measured at 100 µs, say.
+
+    On the emulator's skin; one of them that comes off leaves its part to the others.
+    """
+    electrodes, rng = 64, np.random.default_rng(1)
+    skin, volts = Skin(electrodes, spread=spread, seed=3), []
+    for cathode in range(electrodes):
+        state = np.where(np.arange(electrodes) == cathode, 1, -1).astype(np.int8)
+        volts.append(skin.switched_pulse(state, 200.0, 100.0).source_v)
+        skin.short(5000)
+    kohm = impedance.judge(np.array(volts), 0.2, skin.compliance_v).kohm
+    for width_us in (20.0, 50.0, 100.0, 200.0):
+        told, equal, off = [], [], []
+        for _ in range(20 if quick else 300):
+            cathodes = rng.permutation(electrodes)[: rng.integers(2, 5)]
+            state = np.full(electrodes, -1, np.int8)
+            state[cathodes] = 1
+            source_ua = 1000.0 * len(cathodes)
+            own_ua = skin.switched_pulse(state, source_ua, width_us).current_ua[cathodes]
+            skin.short(50)
+            share_ua = source_ua / kohm[cathodes] / (1 / kohm[cathodes]).sum()
+            told.append((own_ua / share_ua).max() - 1)
+            equal.append(own_ua.max() / 1000 - 1)
+            off.append(len(cathodes) / (len(cathodes) - 1) - 1)
+        cells = {"spread": f"± {spread:.0%}", "width, µs": f"{width_us:g}"}
+        cells |= {"above the measured share": f"{max(told):.0%}", "above the equal one":
+                  f"{max(equal):.0%}", "if one comes off": f"{max(off):.0%}"}  # fmt: skip
+        row("What a cathode gets at most of one source that several share", cells)
+        assert width_us < 100 or max(told) < max(equal)
