@@ -1,0 +1,44 @@
+"""Makes inputs for the fuzzer to begin with: ``python -m tests.firmware.make_seeds FOLDER``.
+
+Each is a board's life in the acts of ``firmware/fuzz/st_fuzz.c``: sequences that are mostly right,
+so that pulses flow from the start.
+"""
+
+import sys
+from pathlib import Path
+
+from smarttouch.boards.link_kernels import KernelImage
+from smarttouch.boards.link_protocol import OUTPUTS
+from tests.firmware.scenes import Scene, random_table
+
+TIME, BEGIN, LIMITS, KERNELS, SEQUENCE = 0, 3, 4, 5, 6
+RAMP, REAL_TIME, VOLTAGES = 0x80, 0x40, 0x20
+
+
+def _act(kind, count, body=b""):
+    return bytes([kind]) + count.to_bytes(2, "little") + body
+
+
+def life(seed):
+    """Return one input."""
+    number = seed % 3
+    scene = Scene(None, seed, output=OUTPUTS[number], worn=bool(seed & 1))
+    flags = RAMP * (seed % 7 == 0) | REAL_TIME * (seed % 5 == 0) | VOLTAGES * (seed & 1)
+    # Its own number is the remainder by three.
+    first = next(each for each in range(flags, flags + 3) if each % 3 == number)
+    scene.image = KernelImage.of(random_table(scene.rng, 9, 6), 2048, 16)
+    acts = [bytes([first]), _act(BEGIN, 0), _act(LIMITS, 0)]
+    acts.append(_act(KERNELS, len(scene.image.data), scene.image.data))
+    for _ in range(6):
+        payload = scene._payload()
+        acts.append(_act(SEQUENCE, len(payload), payload))
+        acts += [_act(TIME, int(scene.rng.integers(1, 20_000))) for _ in range(3)]
+    return b"".join(acts)
+
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1])
+    folder.mkdir(parents=True, exist_ok=True)
+    for seed in range(120):
+        (folder / f"life-{seed:03}").write_bytes(life(seed))
+    print(f"120 lives in {folder}")
