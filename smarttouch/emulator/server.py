@@ -124,16 +124,17 @@ class Server:
 
         With ``describe`` it prints what that makes of the name.
 
-        Ctrl-C belongs to the host, which ends with a stop and a closed port; it ends the
-        device only if that would go on for ever by itself.
+        While there is a host, Ctrl-C is the host's, which ends with a stop and a closed port; it
+        ends the device then only if that would go on for ever by itself.
         """
         ended: list[str] = []
 
-        def end(_number: int, _frame: FrameType | None) -> None:
-            ended.append("signal")
+        def end(number: int, _frame: FrameType | None) -> None:
+            if number == signal.SIGTERM or math.isinf(linger_s) or not self._hosted:
+                ended.append("signal")
 
         signal.signal(signal.SIGTERM, end)
-        signal.signal(signal.SIGINT, end if math.isinf(linger_s) else signal.SIG_IGN)
+        signal.signal(signal.SIGINT, end)
         self._write_books()
         # Who reads the name may signal at once.
         print(describe(self._line.name), flush=True)

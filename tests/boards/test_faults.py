@@ -116,13 +116,14 @@ def test_a_board_that_hangs_is_told_of(make_limits, make_sequence):
             os.kill(board.process_id, signal.SIGCONT)
 
 
-def test_sigterm_and_no_ctrl_c_ends_the_board(tmp_path, start_emulator):
-    process, _ = start_emulator(f"--books={tmp_path}")
-    process.send_signal(signal.SIGINT)
-    time.sleep(0.2)
-    assert process.poll() is None
-    process.send_signal(signal.SIGTERM)
-    assert process.wait(60) == 0
+def test_sigterm_and_no_ctrl_c_ends_a_board_that_has_a_host(tmp_path, make_limits, start_emulator):
+    process, port = start_emulator(f"--books={tmp_path}")
+    with LinkBoard(port, make_limits()):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.2)
+        assert process.poll() is None
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(60) == 0
     assert (read_state(tmp_path)["state"], read_state(tmp_path)["reason"]) == ("shorted", "signal")
 
 

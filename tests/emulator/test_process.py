@@ -136,8 +136,9 @@ def test_one_host_after_another_and_discovery(start_board):
             wait_for(lambda: ask() == wanted % 0)
 
 
-def test_what_stays_for_ever_ends_on_ctrl_c(start_board, tmp_path):
-    process, _ = start_board("kajimoto61", "--linger=inf")
+@pytest.mark.parametrize("linger", ["inf", "1e30"])
+def test_ctrl_c_ends_a_board_without_a_host(start_board, tmp_path, linger):
+    process, _ = start_board("kajimoto61", f"--linger={linger}")
     time.sleep(0.3)
     process.send_signal(signal.SIGINT)
     assert process.wait(60) == 0
