@@ -121,18 +121,6 @@ def forked_emulators(one_thread):
 
 
 @pytest.fixture(scope="session", autouse=True)
-def kept_frozen():
-    """Let no run in this process thaw, at its end, what `pytest_collection_finish` has frozen.
-
-    Each run's first act is to collect garbage; it would pass over all tests and modules.
-    """
-    with pytest.MonkeyPatch.context() as patch:
-        kept = SimpleNamespace(collect=gc.collect, freeze=int, unfreeze=int)
-        patch.setattr("smarttouch.running.environment.gc", kept)
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
 def safety_watch():
     """The oracle beside every gate of this process, and its judge of books."""
     watch = Watch()

@@ -1,6 +1,7 @@
 """Registration of sensor to electrodes: the pixels of each electrode."""
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import cv2
@@ -115,6 +116,7 @@ def _averages(shape: tuple[int, int], to: tuple[int, int]) -> list[tuple[tuple[i
     return found
 
 
+@lru_cache(maxsize=8)
 def _aperture_matrix(
     electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int]
 ) -> "csr_array[np.float32]":

@@ -11,7 +11,7 @@ from smarttouch.running.pipeline import Pipeline
 
 @contextmanager
 def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iterator[None]:
-    """Warm a pipeline up, freeze garbage and keep images to one thread while the block runs.
+    """Warm a pipeline up, collect no old garbage and keep images to one thread in the block.
 
     Before a board is open: it would take the delay for a lost host. In simulated time nothing is
     late: images are kept to one thread, and the rest is saved.
@@ -19,13 +19,15 @@ def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iter
     threads = cv2.getNumThreads()
     # Images are small: a second thread costs more than it saves, and takes the other core.
     cv2.setNumThreads(1)
+    freezes = not simulated_time and not gc.get_freeze_count()
     if not simulated_time:
         pipeline.warm_up()
-        gc.collect()
+    # What a program has frozen for itself stays so.
+    if freezes:
         gc.freeze()
     try:
         yield
     finally:
         cv2.setNumThreads(threads)
-        if not simulated_time:
+        if freezes:
             gc.unfreeze()

@@ -1,6 +1,7 @@
 """Input in, scan sequence out: pure, without I/O and without a clock."""
 
 import contextlib
+import copy
 
 import numpy as np
 
@@ -170,14 +171,12 @@ class Pipeline:
 
         First calls import and allocate; in the loop that would cost a pulse.
         """
-        twin = Pipeline(
-            self._profile,
-            self._bank,
-            self._config,
-            self._timing,
-            vibrated=self._vibrated,
-            in_sums=self.table is not None,
-        )
+        twin = copy.copy(self)
+        twin._mapper = TactileMapper(self._profile, self._config.light_on_dark, self._config.tone)
+        twin._soft_start = SoftStart(self._profile.limits.ramp_s)
+        # What shares slots remembers nothing but what it has planned.
+        twin._scans = {}
+        twin.change_mode(self.mode)
         profile, force_n = self._profile, self._profile.force.full_n
         image = np.full((profile.optics.sensor_rows, profile.optics.sensor_columns), 230, np.uint8)
         image[::2, : profile.optics.sensor_columns // 2] = 20
