@@ -175,7 +175,7 @@ def _marked(picture: Sequence[str], mark: str) -> NDArray[np.bool_]:
 def _share(profile: Profile, bank: KernelBank, points: dict[Afferent, NDArray[np.bool_]]) -> Shared:
     kernels = {each: np.asarray(bank.kernels(each), np.float64) for each in points}
     judges = tuple(
-        FrameJudge(profile, each, full_wish(profile, each, own, bank.receptor[each]))
+        FrameJudge(profile, each, full_wish(profile, own, bank.receptor[each]))
         for each, own in kernels.items()
     )
     judge = judges[0] if len(judges) == 1 else MixedJudge(judges)

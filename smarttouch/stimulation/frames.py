@@ -116,7 +116,7 @@ class FrameSlots:
         self._blas = ThreadpoolController()
         kernels = [np.asarray(bank.kernels(each), np.float64) for each in afferents]
         judges = [
-            FrameJudge(profile, each, full_wish(profile, each, own, bank.receptor[each]))
+            FrameJudge(profile, each, full_wish(profile, own, bank.receptor[each]))
             for each, own in zip(afferents, kernels, strict=True)
         ]
         judge: SlotJudge = judges[0] if len(judges) == 1 else MixedJudge(judges)

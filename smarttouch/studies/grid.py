@@ -92,7 +92,11 @@ class Grid:
     def file(self, name: str) -> str | Path:
         """Return a file that lies beside the study, or the name as it is."""
         there = self._beside / name
-        return there if there.is_file() else name
+        try:
+            return there if there.is_file() else name
+        except (OSError, ValueError):
+            # A text, and no name of a file: too long, say.
+            return name
 
     def bank(self, choice: Choice) -> tuple[Profile, KernelBank]:
         """Return the profile with a choice's objective, and its kernels.

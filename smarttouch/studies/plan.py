@@ -1,9 +1,9 @@
 """Plan of a study: a TOML file of what is compared, on which fingers."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from smarttouch.profile.complaints import load_model
 from smarttouch.profile.table import Table, UnfitError
@@ -33,6 +33,16 @@ class Study(Table):
     """Letters that are felt; none if empty."""
     pages: tuple[str, ...] = Field(default=(), max_length=1000)
     """Pages that are felt, as for ``smarttouch read``."""
+
+    @model_validator(mode="after")
+    def _something_felt(self) -> Self:
+        if not (self.letters or self.pages):
+            raise UnfitError(
+                "letters is empty and there are no pages: give one of them",
+                about="letters",
+                problem="missing",
+            )
+        return self
 
     @field_validator("letters")
     @classmethod

@@ -1,7 +1,9 @@
 """A study from its plan to its table: finger by finger, on all cores, resumable."""
 
+import csv
 import hashlib
 import json
+import os
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
@@ -94,7 +96,8 @@ def run_study(
     with closing(_made(missing)) as made:
         for index, rows in made:
             path = missing[index].file
-            half = path.with_suffix(".part")
+            # Two runs may share a folder.
+            half = path.with_suffix(f".{os.getpid()}.part")
             write_bytes(half, as_csv(rows).encode())
             half.replace(path)
             kept[path] = rows
@@ -184,6 +187,6 @@ def _kept(path: Path) -> list[Row] | None:
         return None
     try:
         return from_csv(read_text(path, SmartTouchError, _MOST_PART_BYTES))
-    except (SmartTouchError, ValueError, TypeError):
+    except (SmartTouchError, ValueError, TypeError, csv.Error):
         # It is felt anew: that is slow, not wrong.
         return None

@@ -55,7 +55,7 @@ def judge_of(profile, afferent):
     """Judge by the wishes of the profile's bank, or of the default array's for one without."""
     known = load_profile("electric-mouse") if "x" in profile.name[:3] else profile
     bank = load_bank(known)
-    wish = full_wish(known, afferent, bank.kernels(afferent), bank.receptor[afferent])
+    wish = full_wish(known, bank.kernels(afferent), bank.receptor[afferent])
     if known is not profile:
         wish = np.full(len(profile.electrodes), np.median(wish))
     return FrameJudge(profile, afferent, wish)

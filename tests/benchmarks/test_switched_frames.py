@@ -61,7 +61,7 @@ def case(request, changed, quick):
     profile = changed(load_profile(board), keys)
     bank = load_bank(profile)
     kernels = np.asarray(bank.kernels(afferent), np.float64)
-    wish = full_wish(profile, afferent, kernels, bank.receptor[afferent])
+    wish = full_wish(profile, kernels, bank.receptor[afferent])
     judges = [FrameJudge(profile, afferent, wish)]
     for seed in range(SPREADS):
         kohm = np.random.default_rng(seed).uniform(0.7, 1.3, len(profile.electrodes))

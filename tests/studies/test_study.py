@@ -9,6 +9,7 @@ import pytest
 from smarttouch.errors import ProfileError, SmartTouchError
 from smarttouch.plotting.studies import study_figure
 from smarttouch.studies import run
+from smarttouch.studies.grid import Grid
 from smarttouch.studies.plan import Study, load_study
 from smarttouch.studies.rows import from_csv
 from smarttouch.studies.summary import NAMES, summed, table_rows
@@ -65,11 +66,12 @@ def test_more_fingers_are_added_to_those_that_are_there(rows, tmp_path):
     assert made == [(3, 3)]
 
 
-def test_a_broken_part_is_made_anew(tmp_path):
+@pytest.mark.parametrize("broken", ["finger,letter\n1,L\n", 'finger\n"' + 200_000 * "x"])
+def test_a_broken_part_is_made_anew(tmp_path, broken):
     one = SMALL.model_copy(update={"fingers": 1, "intensities": (1.0,), "modes": ("RA",)})
     found = run.run_study(one, Path(), tmp_path)
     (part,) = (tmp_path / "parts").iterdir()
-    part.write_text("finger,letter\n1,L\n")
+    part.write_text(broken)
     assert run.run_study(one, Path(), tmp_path) == found
 
 
@@ -98,9 +100,15 @@ def test_a_page_is_read_on_fingers(tmp_path):
     assert 0 <= row.silent_points <= 1
 
 
+def test_a_long_text_is_a_page_and_no_file(tmp_path):
+    text = "text:" + 300 * "it "
+    assert Grid(SMALL, tmp_path).file(text) == text
+
+
 @pytest.mark.parametrize(("text", "about"), [
     ('title = "x"\nfinger = 3', "finger"),
     ('title = "x"\nletters = "ABC1"', "letters"),
+    ('title = "x"\nletters = ""', "letters"),
     ('title = "x"\nkernels = ["best"]', "kernels"),
     ('title = "x"\nintensities = [2.0]', "intensities"),
     ("fingers = 2", "title"),

@@ -189,7 +189,7 @@ def reached(fields: Sequence[FieldMap], current: Array) -> list[Single]:
     return [field(many).reshape(*current.shape[:-1], -1) for field in fields]
 
 
-def full_wish(profile: Profile, afferent: Afferent, kernels: Array, receptor: Array) -> Array:
+def full_wish(profile: Profile, kernels: Array, receptor: Array) -> Array:
     """Return the activation of single kernels at full comfortable current, (E,) V/mm².
 
     Parameters

@@ -18,7 +18,7 @@ from ...raising import raises
 @pytest.fixture(scope="module", params=[Afferent.RA, Afferent.SAI], ids=lambda each: each.name)
 def judged(request, profile, bank):
     afferent = request.param
-    wish = full_wish(profile, afferent, bank.kernels(afferent), bank.receptor[afferent])
+    wish = full_wish(profile, bank.kernels(afferent), bank.receptor[afferent])
     return FrameJudge(profile, afferent, wish), Problem(profile, afferent)
 
 

@@ -22,7 +22,7 @@ BOTH = (Afferent.RA, Afferent.SAI)
 @pytest.fixture(scope="module")
 def judges(profile, bank):
     return [
-        FrameJudge(profile, each, full_wish(profile, each, bank.kernels(each), bank.receptor[each]))
+        FrameJudge(profile, each, full_wish(profile, bank.kernels(each), bank.receptor[each]))
         for each in BOTH
     ]
 

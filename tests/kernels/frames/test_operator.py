@@ -27,7 +27,7 @@ def make_operator(profile, bank):
 
     def make(afferent):
         if afferent not in made:
-            wish = full_wish(profile, afferent, bank.kernels(afferent), bank.receptor[afferent])
+            wish = full_wish(profile, bank.kernels(afferent), bank.receptor[afferent])
             made[afferent] = FrameOperator(FrameJudge(profile, afferent, wish))
         return made[afferent]
 

@@ -79,7 +79,7 @@ def test_points_join_slots_that_they_leave_within_bounds():
     profile = load_profile("optacon-24x6")
     bank, afferent = load_bank(profile), Afferent.SAI
     kernels = bank.kernels(afferent)
-    wish = full_wish(profile, afferent, kernels, bank.receptor[afferent])
+    wish = full_wish(profile, kernels, bank.receptor[afferent])
     operator = FrameOperator(FrameJudge(profile, afferent, wish))
     slots = 0
     for seed in range(6):

@@ -35,7 +35,7 @@ def make_judge(profile, changed):
             if kind == "one-against-all":
                 mine = load_profile("kajimoto-61")
                 bank = load_bank(mine)
-                wish = full_wish(mine, afferent, bank.kernels(afferent), bank.receptor[afferent])
+                wish = full_wish(mine, bank.kernels(afferent), bank.receptor[afferent])
             else:
                 mine = changed(profile, {"output.kind": kind, **keys})
                 wish = np.full(len(mine.electrodes), WISH_AF[afferent])
@@ -228,7 +228,7 @@ def test_a_point_that_breaks_its_bound_stands_alone_with_its_own_kernel():
     mine = load_profile("smarttouch-4x4")
     kernels = np.asarray(load_bank(mine).kernels(Afferent.SAI), np.float64)
     receptor = load_bank(mine).receptor[Afferent.SAI]
-    judge = FrameJudge(mine, Afferent.SAI, full_wish(mine, Afferent.SAI, kernels, receptor))
+    judge = FrameJudge(mine, Afferent.SAI, full_wish(mine, kernels, receptor))
     level = 0.6 * level_of([0, 15], 16)
     for slot in plan_switched_slots(judge, level, FrameBounds(0.01, 0.01), None, 2.4 * kernels):
         assert not slot.kept
