@@ -46,7 +46,7 @@ def test_round_trip(name, row, quick):
     layout = braille.layout(profile)
 
     exact = 0
-    lines = deliver_lines((layout.moving((each,)) for each in cells), reading)
+    lines = deliver_lines([layout.moving((each,)) for each in cells], reading)
     pictures = [each.picture for each in lines]
     for each, picture in zip(cells, pictures, strict=True):
         exact += layout.decode(picture, (each,), apart=False) == (each,)
