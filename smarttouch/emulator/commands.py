@@ -213,6 +213,7 @@ def emulate_sensor(
         ("zero", zero, -_LARGEST, _LARGEST),
         ("counts_per_n", abs(counts_per_n), 0.001, _LARGEST),
         ("noise", noise, 0, _LARGEST),
+        ("seed", seed, 0, math.inf),
     ):
         require_within(SmartTouchError, about, value, least, most)
     require_folder(books)

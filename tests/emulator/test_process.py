@@ -171,6 +171,7 @@ def test_ctrl_c_ends_a_board_without_a_host(start_board, tmp_path, linger):
         ("sensor serial-array --sensor=camera:0", "'camera 0' page FILE text STRING"),
         ("sensor hx711 --event=1_dance", "'1 dance' garbage"),
         ("sensor hx711 --noise=-1", "--noise -1"),
+        ("sensor hx711 --seed=-1", "--seed -1"),
         ("sensor hx711 --force=nan", "--force nan"),
         ("sensor hx711 --counts-per-n=0", "--counts-per-n 0"),
         ("sensor hx711 --path=/nowhere.csv", "/nowhere.csv"),
