@@ -39,7 +39,7 @@ _TILES = ((0.5, 0.5), (0.28, 0.3), (0.72, 0.7))
 _LEVEL_DEG = 1.0
 """Slope of lines above which a page is turned."""
 _OTHER_SIDE = 0.2
-"""How much surer dots must be that are lit from below for them to be the ones that are raised."""
+"""Least lead in certainty by which dots lit from below are taken for the raised ones."""
 _BOTH_SIDES = 0.6
 
 

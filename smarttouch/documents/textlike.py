@@ -53,7 +53,7 @@ _FEWEST_CAPITALS, _IN_LINE, _MOSTLY, _WIDE = 5, 0.07, 0.7, (0.3, 1.35)
 """Capitals or figures of a line: their number, how even they are in their heights, which part of
 them at least, and their usual width in heights; bars of a code are narrower."""
 _OWN, _BAND = (-0.7, 1.9), 2.1
-"""What a line covers over its baseline, and the bands beside it, in x-heights."""
+"""Extent of a line over its baseline, and of the bands beside it, in x-heights."""
 _FOREIGN = 0.4
 """Most ink of no line in either band, relative to that of its letters."""
 _TOUCHING = 1.3

@@ -32,7 +32,7 @@ from smarttouch.tactile_image import TactileImage
 _PULSE_US = PER_PULSE / (PLANNED * MOST_PER_US)
 """Period planned for each pulse of an electrode."""
 _Maker = tuple[PointSlots, Afferent] | tuple[FrameSlots, list[Afferent]]
-"""What makes slots, and of which rows of an activation."""
+"""Maker of slots, and the rows of an activation that it takes."""
 _BOTH = (Afferent.RA, Afferent.SAI)
 """Classes of opposite polarity: if both are due, points of one are the return of the other's."""
 

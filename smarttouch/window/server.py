@@ -158,6 +158,7 @@ def import_server() -> Any:
         If the extra is missing.
     """
     try:
+        # Two of them are only looked for: each is part of the extra.
         import starlette  # noqa: F401
         import uvicorn
         import websockets  # noqa: F401

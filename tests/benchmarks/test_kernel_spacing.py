@@ -1,4 +1,4 @@
-"""What lies between the places that a kernel is designed on.
+"""Activation between the places that a kernel is designed on.
 
 ``pytest tests/benchmarks/test_kernel_spacing.py --benchmark-only -n0 -s`` prints the largest effect
 on other classes, and on the own class beyond a pitch, at places that lie closer over that at those

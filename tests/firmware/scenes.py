@@ -1,4 +1,4 @@
-"""What hosts may do to a board, at random but the same each time."""
+"""Random lives of a host and its board, the same each time."""
 
 import numpy as np
 

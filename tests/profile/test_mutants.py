@@ -1,4 +1,4 @@
-"""Whatever a profile says, it is believed and of use, or refused in one sentence."""
+"""Profiles with any values: each is of use, or refused in one sentence."""
 
 import os
 import random

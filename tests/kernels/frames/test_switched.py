@@ -21,7 +21,7 @@ from ...reference.switched import SwitchedSearch, plan_switched_slots
 from .test_operator import LETTER_T, drawn, scattered
 
 WISH_AF = {Afferent.RA: 2.275, Afferent.SAI: 0.714}
-"""What three-state kernels reach on the 8 x 8 array at 2.4 mA."""
+"""Figures of three-state kernels on the 8 x 8 array at 2.4 mA."""
 
 
 @pytest.fixture(scope="module")
