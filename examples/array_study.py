@@ -1,6 +1,6 @@
 """
-Which array, which scan?
-========================
+Arrays and scans compared
+=========================
 
 A *study* puts letters on many simulated fingers in every combination of what is asked for, and
 reads them from the spikes. ``smarttouch study`` runs one from a file, on all cores or on a Dask

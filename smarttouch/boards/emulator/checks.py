@@ -28,7 +28,7 @@ FULL = 0xFFFF
 RAMP_MS = 500
 """Least time from zero to full."""
 CATCH_UP_MS = 150
-"""Part by which a rise may be ahead of that, as packets may be late."""
+"""Time by which a rise may be ahead of that, as packets may be late."""
 _LEEWAY = 2
 """Of an intensity in 1/65,535, for its rounding."""
 
