@@ -13,12 +13,17 @@ import pytest
 from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
+from smarttouch.boards import keeper
 from smarttouch.profile import DEFAULT_PROFILE, load_profile
 from smarttouch.realtime import prioritized
 from smarttouch.sources.frame import Frame, Pose
 
 from . import forks
+from .firmware import build
 from .safety.watch import Watch
+
+PATIENCE_S = 5
+"""How long boards and keepers bear a host's silence, where it is not what is tested."""
 
 # How long an example takes says how busy the machine is, and nothing of the code.
 settings.register_profile("no deadline", deadline=None)
@@ -67,10 +72,29 @@ def pytest_collection_finish():
     gc.freeze()
 
 
+@pytest.fixture(scope="session")
+def patient_keeper(tmp_path_factory):
+    """Return a keeper's program that bears a host's silence for long."""
+    path = tmp_path_factory.mktemp("keeper") / "keeper.py"
+    source = Path(keeper.__file__).read_text("utf-8")
+    usual = f"SILENCE_S = {keeper.SILENCE_S:g}"
+    assert source.count(usual) == 1
+    path.write_text(source.replace(usual, f"SILENCE_S = {PATIENCE_S}"), "utf-8")
+    return path
+
+
 @pytest.fixture(autouse=True)
-def patient_lines(monkeypatch):
-    """Boards that wait for a processor are not silent yet: their tests say what silence is."""
-    monkeypatch.setattr("smarttouch.boards.link_line.SILENCE_S", 5.0)
+def patient_lines(request, monkeypatch):
+    """Who waits for a processor is not silent yet: tests of silence are marked as such."""
+    monkeypatch.setattr("smarttouch.boards.link_line.SILENCE_S", PATIENCE_S)
+    if "silence" not in request.keywords:
+        changes = {
+            "smarttouch.boards.emulator.link.SILENCE_MS": 1000 * PATIENCE_S,
+            "smarttouch.boards.keeper.__file__": str(request.getfixturevalue("patient_keeper")),
+        }
+        monkeypatch.setattr(forks.Forked, "changes", changes)
+        monkeypatch.setattr(keeper, "__file__", changes["smarttouch.boards.keeper.__file__"])
+        monkeypatch.setattr(build, "silence_ms", 1000 * PATIENCE_S)
 
 
 @pytest.fixture(scope="session")

@@ -23,7 +23,9 @@ enum {
 enum { ST_POINTS = 0, ST_SUM = 1, ST_CURRENTS = 2, ST_STATES = 3 };
 
 #define ST_HEAD_BYTES 22u /* of a decoded packet before its payload */
+#ifndef ST_SILENCE_US /* another only in tests */
 #define ST_SILENCE_US 100000u
+#endif
 #define ST_ALIVE_US 20000u
 #define ST_LATE_US 250000u
 #define ST_LONGEST_US 1000000u

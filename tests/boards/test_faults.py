@@ -22,7 +22,7 @@ from tests.boards.fresh import until
 
 from ..raising import assert_says, raises
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.silence]
 
 HOST = """
 import sys, time
@@ -106,6 +106,7 @@ def test_a_killed_board_can_be_closed(make_limits):
 def test_a_board_that_hangs_is_told_of(make_limits, make_sequence):
     with EmulatorBoard("", make_limits()) as board:
         board._line.silence_s = SILENCE_S
+        board._line.answer_s = 1.0
         board.send(make_sequence(0))
         board.drain()
         os.kill(board.process_id, signal.SIGSTOP)

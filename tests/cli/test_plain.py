@@ -1,8 +1,10 @@
 """Runs without a picture: a line for each event, and speech."""
 
+import contextlib
 import io
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -49,6 +51,7 @@ def said(tmp_path_factory, monkeypatch):
         [*map(str, command), "-S", str(socket), "-t", "0"],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
+        start_new_session=True,
     )
     while server.poll() is None and not socket.exists():
         time.sleep(0.02)
@@ -63,7 +66,9 @@ def said(tmp_path_factory, monkeypatch):
         return found
 
     yield lines
-    server.terminate()
+    # Asked to end, it and its module sometimes wait for each other for ever.
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(server.pid, signal.SIGKILL)
     server.wait()
 
 

@@ -45,20 +45,9 @@ def test_kernels_go_there_and_their_sums_flow(machine):
             time.sleep(max(0.0, 0.05 - (board.clock.now_ns() - now_ns) / 1e9))
         report = board.report()
         assert (report.violations, report.slots) == (0, len(wanted))
-        # A last one goes on until the host says nothing any more.
-        now_ns = board.clock.now_ns()
-        board.send(sequence_of(lists, time_ns=now_ns - start + 1), times=1000)
-        time.sleep(0.1)
-        board._line.overtaken = True
-        time.sleep(0.5)
-        told = pulses()
-    np.testing.assert_array_equal(told["current_ua"][: len(wanted)], wanted)
+    told = pulses()
+    np.testing.assert_array_equal(told["current_ua"], wanted)
     _check_times(told)
-    last = told["number"] == told["number"][-1]
-    running_s = np.ptp(told["start_us"][last].astype(float)) / 1e6
-    # It was heard for a tenth of a second and its last heartbeat, and then for 100 ms.
-    assert 0.05 < running_s < 0.5
-    assert len(pulses()) == len(told)
 
 
 class OverSocket:
@@ -76,6 +65,7 @@ class OverSocket:
         return answer, []
 
 
+@pytest.mark.silence
 def test_noise_is_nothing_and_silence_is_zero_within_100_ms(machine):
     port, pulses = machine
     number = int(port.rpartition(":")[2])

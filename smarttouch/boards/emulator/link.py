@@ -16,7 +16,7 @@ from smarttouch.boards.emulator.firmware import Firmware
 from smarttouch.boards.emulator.rules import MAX_CURRENT_UA, MAX_SLOTS, Rules
 from smarttouch.boards.emulator.session import BoardSession
 from smarttouch.boards.emulator.skin import COMPLIANCE_V, Skin
-from smarttouch.boards.link_protocol import Feature, Kind, Output, Refusal
+from smarttouch.boards.link_protocol import SILENCE_MS, Feature, Kind, Output, Refusal
 from smarttouch.boards.link_sequence import WireSequence, decode_sequence, encode_volts
 from smarttouch.boards.link_session import WHOLE_HEAD_BYTES, Message, decode
 from smarttouch.wire.framing import Deframer
@@ -150,7 +150,7 @@ class LinkFirmware(Firmware):
         return answers
 
     def _advance(self, now_ns: int) -> None:
-        deadline_ns = self._heard_ns + protocol.SILENCE_MS * 1_000_000
+        deadline_ns = self._heard_ns + SILENCE_MS * 1_000_000
         self._execute(min(now_ns, deadline_ns))
         if now_ns >= deadline_ns and self._refusing is None:
             dropped = self._waiting
