@@ -102,7 +102,7 @@ class Board(Timely, ABC):
             kind = "weighted" if output is None else output.kind
             known = {"electrodes": limits.electrodes, "output": kind}
             self.capabilities = Capabilities(**(known | capabilities))
-        self._gate = SafetyGate(limits, self._time())
+        self._gate = SafetyGate(limits.on(output), self._time())
         self._opened = False
 
     @final

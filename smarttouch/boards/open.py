@@ -47,7 +47,7 @@ def require_gate(board: Board, limits: SafetyLimits) -> None:
     about = ""
     if type(gate) is not SafetyGate or "prove" in vars(gate):
         about, remedy = "gate", "leave _gate as it is"
-    elif gate.limits is not limits:
+    elif gate.limits not in (limits, limits.on(board._output)):
         about, remedy = "limits", "hand those that it is given to super().__init__"
     elif put := [name for name in final_names(Board) if name in vars(board)]:
         about, remedy = put[0], "implement the underscored methods of Board instead"

@@ -45,7 +45,7 @@ def slew_ma_s(profile: Profile, site: int) -> float:
 def _strongest_ma(profile: Profile) -> float:
     limits = profile.limits
     by_charge = 1000 * limits.charge_uc / profile.pulse.width_us
-    return min(limits.current_ma, by_charge, limits.total_ma or math.inf)
+    return min(limits.current_ma, by_charge, profile.total_ma)
 
 
 def _whole_ua(current_ma: float) -> float:

@@ -162,13 +162,18 @@ class _Judge:
         return np.array_split(index, max(1, len(index) // self._at_once))
 
     def _within_limits(self, shares: Array) -> NDArray[np.bool_]:
-        """Return which patterns keep the limits at full current of their peak, (P,)."""
+        """Return which patterns keep the limits at full current of their peak, (P,).
+
+        One of the poles is a single electrode: the source would drive what several share through
+        the last of them that touches the skin.
+        """
         total, electrode = self.limits_ma
         source_ma = self.full_ma / np.abs(shares).max(axis=1)
+        alone = np.abs(shares).max(axis=1) > 1 - _SLACK
         carried = np.abs(shares) * source_ma[:, None]
         # What the site's own electrode may carry, the profile has checked.
         carried[:, self.site] = 0.0
-        return np.asarray((source_ma <= total) & (carried <= electrode).all(axis=1))
+        return np.asarray(alone & (source_ma <= total) & (carried <= electrode).all(axis=1))
 
 
 def _local_search(judge: _Judge, problem: Problem, site: int) -> tuple[NDArray[np.int8], float]:
@@ -208,6 +213,9 @@ def _not_ruled_out(
     for depth, electrode in enumerate(order, 1):
         open_ = np.repeat(open_, 3, axis=0)
         open_[:, electrode] = np.tile(np.array([0, 1, -1], np.int8), len(open_) // 3)
+        # One pole is a single electrode.
+        fewer = np.minimum((open_ > 0).sum(axis=1), (open_ < 0).sum(axis=1))
+        open_ = open_[fewer <= 1]
         for row in margin:
             open_ = open_[_may_beat(open_, row, judge.admittance, order[depth:])]
         if len(open_) > _BRANCHES:

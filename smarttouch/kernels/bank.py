@@ -152,6 +152,8 @@ def problem_hash(profile: Profile) -> str:
         "skin": profile.skin.model_dump(exclude={"spread"}),
         "output": profile.output.model_dump(exclude={"masked", "wiring", "ua_per_count"}),
     }
+    if profile.output.kind == "three-state":
+        problem["poles"] = "one is single"
     if profile.output.masked:
         problem["masked"] = sorted(profile.output.masked)
     if profile.kernels.objective == "finger":

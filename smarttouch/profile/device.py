@@ -148,7 +148,10 @@ class Limits(Table):
     current_ma: float = Field(gt=0, le=CEILING_MA)
     """Largest current of any electrode."""
     total_ma: float | None = Field(default=None, gt=0, le=CEILING_TOTAL_MA)
-    """Largest current of all cathodes together in one slot; the project's ceiling if not given."""
+    """Largest current of all cathodes together in one slot; the project's ceiling if not given.
+
+    On a board with one source never more than a single electrode may carry.
+    """
     electrode_ma: tuple[Positive, ...] | None = None
     """Largest current of each electrode, where some must stay below ``current_ma``."""
     pulse_us: float = Field(gt=0, le=CEILING_PULSE_US)

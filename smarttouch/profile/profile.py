@@ -73,6 +73,19 @@ class Profile(Table):
         return given if self.frames.share is None else self.frames.share
 
     @property
+    def total_ma(self) -> float:
+        """Largest current of all cathodes of a slot.
+
+        One source drives the same current into however few electrodes still touch the skin: of a
+        switched board it is no more than a single electrode may carry.
+        """
+        limits = self.limits
+        total = limits.total_ma or CEILING_TOTAL_MA
+        if self.output.kind == "weighted":
+            return total
+        return min(total, limits.current_ma, 1000 * limits.charge_uc / self.pulse.width_us)
+
+    @property
     def design_total_ma(self) -> float | None:
         """Limit of total current in the design of kernels; None if none is needed.
 

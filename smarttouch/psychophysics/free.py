@@ -57,7 +57,7 @@ def up_to_the_ceiling(profile: Profile) -> Profile:
     # Sequences hold whole µA: charge and total have room for what rounding leaves over.
     rounding_ma = count / 2000
     by_charge_ma = 1000 * limits.charge_uc / profile.pulse.width_us - rounding_ma
-    by_total_ma = (limits.total_ma or np.inf) - rounding_ma
+    by_total_ma = profile.total_ma - rounding_ma
     most_ma = min(limits.current_ma, by_total_ma, by_charge_ma)
     ceiling_ma = [float(min(most_ma, each)) for each in limits.electrode_ma or [most_ma] * count]
     if (profile.threshold_ma >= ceiling_ma).any():

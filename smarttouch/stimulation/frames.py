@@ -18,7 +18,6 @@ from smarttouch.kernels.frames.mixed import MixedJudge
 from smarttouch.kernels.frames.operator import AIM, FrameOperator
 from smarttouch.kernels.frames.slots import plan_slots
 from smarttouch.profile import Profile
-from smarttouch.profile.ceilings import CEILING_TOTAL_MA
 from smarttouch.stimulation.kernel_sums import Found, KernelSums
 from smarttouch.stimulation.kernel_table import PER_UA, KernelLists, KernelTable
 from smarttouch.stimulation.points import Slots, constant_us, felt_at
@@ -138,7 +137,7 @@ class FrameSlots:
         self._planned_bounds = FrameBounds(
             _ROUNDING * frames.other, _ROUNDING * frames.spill, frames.uneven
         )
-        self._limit_ma = profile.limits.total_ma or CEILING_TOTAL_MA
+        self._limit_ma = profile.total_ma
         # Less what rounding hardly ever adds; where it does, a slot is shown point by point.
         self._planned_ma = self._limit_ma - 0.002 * np.sqrt(len(full_ma))
         felt = [felt_at(profile, each) for each in afferents]

@@ -1,7 +1,7 @@
 """Limits of every scan sequence, in whole microamperes, picocoulombs and nanoseconds."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
 
@@ -23,6 +23,7 @@ from smarttouch.profile.ceilings import (
     CEILING_TOTAL_MA,
     SHORTEST_RAMP_S,
 )
+from smarttouch.profile.device import Output
 
 PPB = 1_000_000_000
 """Parts per billion in 1, the unit in which intensity is compared."""
@@ -63,6 +64,9 @@ class SafetyLimits:
         Charge of a pulse over the electrode's area.
     session_s, session_mc : float
         Time with current and charge through an electrode, from opening a board to closing it.
+    one_source : bool
+        Whether one source drives all electrodes: the whole current then counts as if it flowed
+        through one of them, since the others may have come off the skin.
 
     Raises
     ------
@@ -86,6 +90,7 @@ class SafetyLimits:
     density_uc_cm2: float = CEILING_DENSITY_UC_CM2
     session_s: float = CEILING_SESSION_S
     session_mc: float = CEILING_SESSION_MC
+    one_source: bool = False
 
     def __post_init__(self) -> None:
         for name, ceiling in (
@@ -159,7 +164,14 @@ class SafetyLimits:
             density_uc_cm2=limits.density_uc_cm2,
             session_s=limits.session_s,
             session_mc=limits.session_mc,
+            one_source=profile.output.kind != "weighted",
         )
+
+    def on(self, output: Output | None) -> "SafetyLimits":
+        """Return the same limits, on a board with such an output."""
+        if output is None or output.kind == "weighted" or self.one_source:
+            return self
+        return replace(self, one_source=True)
 
     # -- in whole numbers --------------------------------------------------
 
@@ -192,7 +204,9 @@ class SafetyLimits:
 
     @cached_property
     def total_ua(self) -> int:
-        return math.floor(1000 * decimal(self.total_ma))
+        """Largest current of all cathodes of a slot, µA."""
+        most = decimal(self.total_ma)
+        return math.floor(1000 * (min(most, decimal(self.current_ma)) if self.one_source else most))
 
     @cached_property
     def pulse_whole_us(self) -> int:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import SafetyError
 from smarttouch.profile import Profile
-from smarttouch.profile.ceilings import CEILING_MEAN_MA, CEILING_TOTAL_MA
+from smarttouch.profile.ceilings import CEILING_MEAN_MA
 from smarttouch.stimulation.exposure import BURST_US, PLANNED
 from smarttouch.stimulation.ledger import net_charge_pc
 from smarttouch.stimulation.sequence import ScanSequence
@@ -135,7 +135,7 @@ class RechargeRules:
 
     @classmethod
     def of(cls, profile: Profile, timing: ScanTiming) -> Self:
-        total_ua = int(1000 * (profile.limits.total_ma or CEILING_TOTAL_MA))
+        total_ua = int(1000 * profile.total_ma)
         return cls(recharge_most_ua(profile.threshold_ma), total_ua, timing)
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from smarttouch.errors import SafetyError
 from smarttouch.profile.ceilings import LEAST_DISCHARGE_US
 from smarttouch.stimulation.exposure import PER_PC, Load
-from smarttouch.stimulation.limits import PPB, SafetyLimits
+from smarttouch.stimulation.limits import PPB, SafetyLimits, decimal
 from smarttouch.stimulation.recharge import prove_recharge
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.sums import SlotAdder, extent_us
@@ -122,11 +122,31 @@ def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int, adder: S
         if (charge_pc > limits.charge_pc).any():
             raise _above("charge_uc", charge_pc, limits.charge_pc, 1_000_000, "µC")
         highest_pc = int(charge_pc.max())
+    if limits.one_source:
+        _prove_one_source(limits, total_ua, sequence.width_us)
     _prove_intensity(limits, ppb, highest_ua, highest_pc)
     if sequence.recharge_ua is not None:
         passed_pc = np.abs(sequence.recharge_ua, dtype=np.float64) * sequence.recharge_us
         load[1] += PER_PC * passed_pc
     return load
+
+
+def _prove_one_source(
+    limits: SafetyLimits, total_ua: NDArray[np.floating], width_us: NDArray[np.uint16]
+) -> None:
+    """Raise unless one electrode alone may carry each slot's charge."""
+    charge_pc = total_ua.astype(np.float64) / 2 * width_us
+    most_pc = float(decimal(limits.charge_uc) * 10**6)
+    if charge_pc.max() > most_pc:
+        slot = int(charge_pc.argmax())
+        raise SafetyError(
+            f"slot {slot}: {charge_pc[slot] / 1e6:.3f} µC from one source are above the "
+            f"{limits.charge_uc:g} µC of a single electrode: lower the current or the pulse width",
+            limit="charge_uc",
+            value=charge_pc[slot] / 1e6,
+            allowed=limits.charge_uc,
+            slot=slot,
+        )
 
 
 def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int]:

@@ -8,6 +8,7 @@ import pytest
 from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.kernels import assignment
+from smarttouch.kernels.bank import load_bank
 from smarttouch.kernels.design import design_kernel
 from smarttouch.kernels.problem import Problem
 from smarttouch.kernels.switching import (
@@ -34,12 +35,15 @@ def small(changed):
 
 
 def by_trying_all(problem, site):
-    """Return the least worst other, or spill where that passes 0.2, of all assignments."""
+    """Return the least worst other, or spill where that passes 0.2, of all assignments.
+
+    Of those in which one pole is a single electrode.
+    """
     admittance, best = problem.profile.admittance, np.inf
     for chosen in itertools.product((0, 1, -1), repeat=len(problem.driven)):
         states = np.zeros(problem.electrodes, int)
         states[problem.driven] = chosen
-        if not ((states > 0).any() and (states < 0).any()):
+        if min((states > 0).sum(), (states < 0).sum()) != 1:
             continue
         shares = np.zeros(len(states))
         for pole in (1, -1):
@@ -129,6 +133,16 @@ def test_switched_currents_keep_the_limits(small):
     kept = design_three_state(Problem(mine, Afferent.RA), 1)
     assert abs(kept.peak_normalized[carrying]) * 2.4 <= 0.2
     assert kept.off_target > free.off_target
+
+
+@pytest.mark.parametrize("afferent", list(Afferent))
+def test_no_shipped_kernel_shares_a_source_between_all_poles(afferent):
+    """What several electrodes share flows through one of them where the others come off."""
+    profile = load_profile("smarttouch-4x4")
+    weights = load_bank(profile).kernels(afferent)
+    assert np.abs(weights).sum(axis=1) / 2 == pytest.approx(np.abs(weights).max(axis=1))
+    full_ma = profile.full_ma * np.abs(weights).max(axis=1)
+    assert (full_ma <= profile.total_ma).all()
 
 
 def test_one_of_n_is_one_against_all_others(small):

@@ -81,6 +81,8 @@ class Bounds:
         The strongest current at full intensity.
     full_us : int or None
         The longest pulse at full intensity where width carries it.
+    source_pc : int or None
+        Charge of a pulse of all cathodes, where one source drives them: others may be off the skin.
     session_us, session_pc : int
         Time with current, and charge through an electrode, of a whole session.
     """
@@ -99,6 +101,7 @@ class Bounds:
     recharge_ua: tuple | None
     session_us: int
     session_pc: int
+    source_pc: int | None = None
 
     @property
     def rounding_ua(self):
@@ -120,6 +123,7 @@ class Bounds:
             profile.pulse.width_us if profile.pulse.carrier == "width" else None,
             [exact(each) for each in profile.threshold_ma],
             area_mm2(profile.electrodes),
+            profile.output.kind != "weighted",
         )
 
     @classmethod
@@ -138,12 +142,14 @@ class Bounds:
             None if limits.full_us is None else dec(limits.full_us),
             thresholds,
             area,
+            getattr(limits, "one_source", False),
         )
 
     @classmethod
-    def _made(cls, limits, electrodes, full_ma, full_us, thresholds, area):
+    def _made(cls, limits, electrodes, full_ma, full_us, thresholds, area, one_source):
         own = limits.electrode_ma or [limits.current_ma] * electrodes
         total = TOTAL_MA if limits.total_ma is None else min(dec(limits.total_ma), TOTAL_MA)
+        total = min(total, dec(limits.current_ma)) if one_source else total
         known = thresholds is not None
         return cls(
             electrodes=electrodes,
@@ -164,6 +170,7 @@ class Bounds:
             session_pc=math.floor(
                 PC_IN_MC * min(SESSION_MC, _session(limits, "session_mc", SESSION_MC))
             ),
+            source_pc=math.floor(dec(limits.charge_uc) * 10**6) if one_source else None,
         )
 
 

@@ -60,6 +60,7 @@ def judge_alone_quickly(sequence, bounds):
         )
     spent_us = int(width.sum()) + int(sequence.discharge_us.sum(dtype=np.int64)) + recharge_us
     share_us = min(period_us, LONGEST_SHARE_US)
+    through = current.sum(axis=1) * width
     kept = {
         "rate": period_us * bounds.rate_hz >= 10**6,
         "period": spent_us <= period_us,
@@ -68,7 +69,8 @@ def judge_alone_quickly(sequence, bounds):
         "width": bool(((width >= 1) & (width <= bounds.pulse_us)).all()),
         "current": bool((current <= most_ua).all()),
         "total": int(np.maximum(signed, 0).sum(axis=1).max(initial=0)) <= bounds.total_ua,
-        "charge": peak_pc <= bounds.charge_pc,
+        "charge": peak_pc <= bounds.charge_pc
+        and (bounds.source_pc is None or int(through.max(initial=0)) <= 2 * bounds.source_pc),
         "discharge": bool((sequence.discharge_us >= LEAST_DISCHARGE_US).all()),
         "intensity": _keeps_intensity(peak_ua, peak_pc, Fraction(ppb, WHOLE), bounds),
         "strong pulses": int(strong.max()) * 10**6 <= STRONG_A_SECOND * share_us,

@@ -157,6 +157,9 @@ def keeps_charge(scan, bounds):
         abs(current) * width <= bounds.charge_pc
         for row, width in zip(scan.current_ua, scan.width_us, strict=True)
         for current in row
+    ) and all(
+        bounds.source_pc is None or sum(abs(each) for each in row) * width <= 2 * bounds.source_pc
+        for row, width in zip(scan.current_ua, scan.width_us, strict=True)
     )
 
 

@@ -96,9 +96,9 @@ def test_books_of_a_kit(tmp_path):
         board.advance((1 + index) * 10**9 + 10**8)
         books.write()
         found = judge_pulses(Pulses.of_books(tmp_path), bounds)
-        assert found == ([] if steps < 129 else ["current"])
+        assert found == ([] if steps < 129 else ["current", "total"])
     # Three pulses far apart; the first is as strong as a start from zero allows after a second.
-    assert judge_pulses(Pulses.of_books(tmp_path), bounds, 20 * MS) == ["current", "rise"]
+    assert judge_pulses(Pulses.of_books(tmp_path), bounds, 20 * MS) == ["current", "total", "rise"]
 
 
 def test_pulses_that_were_taken():

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.errors import SafetyError
+from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
@@ -52,6 +53,22 @@ GOOD = [[-2400, 1200, 600, 600]]
 
 def changed(**fields):
     return dataclasses.replace(sequence(GOOD), **fields)
+
+
+def test_one_source_drives_no_more_than_one_electrode_may_carry():
+    """Where all but one come off the skin, that one carries what they shared."""
+    shared, strong = [[1300, 1300, -1300, -1300]], [[1600, 1600, -1600, -1600]]
+    limits = dataclasses.replace(LIMITS, total_ma=10.0, electrode_ma=None)
+    for current, width, limit in ((shared, 200, "charge_uc"), (strong, 50, "total_ma")):
+        of_one = SafetyGate(limits.on(Output(kind="three-state")))
+        of_many = SafetyGate(limits.on(Output(kind="weighted")))
+        for gate in (of_one, of_many):
+            gate.prove(sequence([], intensity=0.0, time_ns=0))
+        of_many.prove(sequence(current, width=width))
+        with pytest.raises(SafetyError) as error:
+            of_one.prove(sequence(current, width=width))
+        assert (error.value.limit, error.value.slot) == (limit, 0)
+        of_one.prove(sequence(shared, width=190))
 
 
 def test_a_good_sequence_passes():
