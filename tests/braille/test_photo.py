@@ -128,13 +128,13 @@ def test_printed_dots(light_on_dark):
 
 
 def grey_picture(name):
-    picture = np.asarray(getattr(skimage.data, name)())
+    picture = np.asarray(getattr(skimage.data, name)())[:300, :400]
     return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
 
 
 def typed_page():
-    page = np.full((400, 500), 225, np.uint8)
-    for row in range(40, 380, 32):
+    page = np.full((250, 500), 225, np.uint8)
+    for row in range(40, 230, 32):
         text = "The quick brown fox jumps over ... iii : 1001 the lazy dog"
         cv2.putText(page, text, (30, row), cv2.FONT_HERSHEY_SIMPLEX, 0.8, 30, 2, cv2.LINE_AA)
     return page
@@ -155,7 +155,7 @@ OTHER = {
     "white": lambda: np.full((300, 400), 255, np.uint8),
     "black": lambda: np.zeros((300, 400), np.uint8),
     "tiny": lambda: np.full((8, 8), 200, np.uint8),
-    "noise": lambda: np.random.default_rng(1).integers(0, 256, (400, 400), np.uint8),
+    "noise": lambda: np.random.default_rng(1).integers(0, 256, (250, 300), np.uint8),
     "strip": lambda: np.random.default_rng(1).integers(0, 256, (8, 20_000), np.uint8),
     "two dots": lambda: printed(emboss(["⠃"]), 5.0).grey,
     **{
