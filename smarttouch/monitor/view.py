@@ -1,7 +1,7 @@
 """Recordings in the window, until a user has seen enough; and views that are saved."""
 
 import sys
-import threading
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,10 +17,12 @@ from smarttouch.window.view import RecordingsPage
 def show_recordings(paths: Sequence[Path], port: int = 0) -> None:
     """Serve the page of recordings until Ctrl-C."""
     with RecordingsPage(paths, port) as page:
-        print(f"window: {page.address} (Ctrl-C ends)", file=sys.stderr, flush=True)
-        open_browser(page.address)
         try:
-            threading.Event().wait()
+            print(f"window: {page.address} (Ctrl-C ends)", file=sys.stderr, flush=True)
+            open_browser(page.address)
+            # A signal that comes just before a wait does not end it.
+            while True:
+                time.sleep(0.2)
         except KeyboardInterrupt:
             return
 

@@ -63,7 +63,7 @@ def test_recordings_are_shown_until_ctrl_c(start_program, program_here, tmp_path
     with urlopen(address, timeout=20) as answer:
         assert answer.status == 200
     view.send_signal(signal.SIGINT)
-    assert view.wait(20) == 0
+    assert view.wait(60) == 0
 
 
 def test_a_page_stops_a_run(start_program, tmp_path):

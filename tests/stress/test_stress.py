@@ -20,7 +20,7 @@ WITHIN_S = float(os.environ.get("SMARTTOUCH_STRESS_WITHIN_S", "inf"))
 """Give 1 on a quiet machine: only there it is the run that takes the time."""
 SEED = int(os.environ.get("SMARTTOUCH_STRESS_SEED", "1"))
 WIRE_MS = 1.0
-pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240 + 60 * COUNT)]
+pytestmark = [pytest.mark.realtime, pytest.mark.silence, pytest.mark.timeout(240 + 60 * COUNT)]
 
 
 def stress(script, *numbers):
