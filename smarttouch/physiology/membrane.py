@@ -8,6 +8,7 @@ resistor (McNeal 1976). Membrane potentials are relative to rest.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -113,11 +114,11 @@ class Axon:
         field = np.zeros((*potential.shape[:-1], count))
         field[..., :nodes] = np.diff(slope, prepend=before, append=slope[..., -1:])
 
-        axial, self._leak = self.passive_parts(fiber, count)
+        self._leak = self.passive_parts(fiber, count)[1]
         self._sodium = np.full(count, _SODIUM_PER_US)
         if fiber.end == "passive":
             self._sodium[0] = 0.0
-        over_step = expm(np.vstack([axial, np.zeros_like(axial)]) * step_us)
+        over_step = _over_step(fiber, count, step_us)
         self._spread = over_step[:count, :count].T.copy()
         self.push = field @ over_step[:count, count:].T
 
@@ -161,6 +162,15 @@ class Axon:
         if driven_mv is not None:
             v += driven_mv
         return target_v + (v - target_v) * decay, gates
+
+
+@lru_cache(maxsize=16)
+def _over_step(fiber: Fiber, count: int, step_us: float) -> Array:
+    """Return what a step makes of potentials and of field, (2P, 2P) of P padded nodes."""
+    axial = Axon.passive_parts(fiber, count)[0]
+    found: Array = expm(np.vstack([axial, np.zeros_like(axial)]) * step_us)
+    found.setflags(write=False)
+    return found
 
 
 def _gates(v: Array) -> tuple[Array, Array]:
