@@ -174,10 +174,10 @@ def potential_mv(
         )
     flat, depth = points_mm.reshape(-1, 3)[:, :2], points_mm.reshape(-1, 3)[:, 2:]
     if skin.medium != "plane" and {shape for shape, _ in electrodes.kinds} <= {"disc", "annulus"}:
-        r2 = np.zeros((len(flat), len(electrodes)))
-        for axis in (0, 1):
-            away = flat[:, axis, None] - electrodes.position_mm[:, axis]
-            r2 += away * away
+        r2, across = (flat[:, k, None] - electrodes.position_mm[:, k] for k in (0, 1))
+        r2 *= r2
+        across *= across
+        r2 += across
         half_spaces = 2 if skin.medium == "infinite" else 1
         scale = 1 / (2 * np.pi * skin.conductivity * half_spaces)
         found = np.sqrt(r2, out=r2)
@@ -186,11 +186,12 @@ def potential_mv(
             # All of them without a copy.
             which = slice(None) if alone else those
             if shape == "disc":
-                found[:, which] = -potential.disc_potential(found[:, which], depth, outer / 2)
+                found[:, which] = potential.disc_potential(found[:, which], depth, outer / 2)
             else:
                 r = found[:, which]
-                found[:, which] = -potential.annulus_potential(r, depth, outer / 2, inner / 2)
+                found[:, which] = potential.annulus_potential(r, depth, outer / 2, inner / 2)
+        found *= -1000 * scale
     else:
         fields, scale = field(electrodes, skin, flat, depth)
-        found = fields.potential
-    return np.asarray(1000 * scale * found.reshape(*points_mm.shape[:-1], len(electrodes)))
+        found = 1000 * scale * fields.potential
+    return np.asarray(found.reshape(*points_mm.shape[:-1], len(electrodes)))

@@ -141,9 +141,20 @@ def disc(x: Array, y: Array, depth: float | Array, radius: float) -> Field:
 
 def disc_potential(r: Array, depth: float | Array, radius: float) -> Array:
     """Return the (anodic) potential alone of `disc`, at distances r from its axis."""
-    inner, outer, below = r - radius, r + radius, depth * depth
-    span = np.sqrt(inner * inner + below) + np.sqrt(outer * outer + below)
-    return np.asarray(np.arcsin(2 * radius / span) / radius)
+    below = np.asarray(depth * depth)
+    size = np.broadcast_shapes(np.shape(r), below.shape)
+    # In place: new memory for each of millions of values takes longer than the sums.
+    span, outer = np.empty(size), np.empty(size)
+    for found, away in ((span, -radius), (outer, radius)):
+        np.add(r, away, out=found)
+        np.square(found, out=found)
+        found += below
+        np.sqrt(found, out=found)
+    span += outer
+    np.divide(2 * radius, span, out=span)
+    np.arcsin(span, out=span)
+    span /= radius
+    return span
 
 
 def annulus_potential(r: Array, depth: float | Array, outer: float, inner: float) -> Array:
