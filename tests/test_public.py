@@ -45,7 +45,7 @@ def test_importing_it_imports_nothing_heavy():
 def test_a_run_in_ten_lines(tmp_path):
     profile = st.load_profile("electric-mouse")
     with (
-        st.open_source("text:to", profile, speed_mm_s=200) as source,
+        st.open_source("text:touch", profile, speed_mm_s=200) as source,
         st.open_display("emulator:", profile) as display,
     ):
         statistics = st.run(
@@ -61,8 +61,8 @@ def test_a_run_in_ten_lines(tmp_path):
 def test_steps_without_a_board_are_those_of_a_run():
     profile, sent = st.load_profile("electric-mouse"), []
     display = st.open_display("simulated:", profile)
-    st.run(st.open_source("text:to", profile, speed_mm_s=200), display, listeners=[sent.append])
-    stepped = list(st.steps(st.open_source("text:to", profile, speed_mm_s=200), profile))
+    st.run(st.open_source("text:touch", profile, speed_mm_s=200), display, listeners=[sent.append])
+    stepped = list(st.steps(st.open_source("text:touch", profile, speed_mm_s=200), profile))
     assert len(stepped) == len(sent) > 10
     for ours, run in zip(stepped, sent, strict=True):
         np.testing.assert_array_equal(ours.sequence.current_ua, run.sequence.current_ua)
