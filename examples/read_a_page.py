@@ -29,7 +29,7 @@ axes.imshow(plt.imread(path), cmap="gray")
 axes.set_axis_off()
 
 # %%
-# The first ten seconds of reading it. `smarttouch read photo.png` does the same in a terminal,
+# The first five seconds of reading it. `smarttouch read photo.png` does the same in a terminal,
 # with keys for lines and pauses.
 own = st.load_profile("electric-mouse")
 profile = profile_for_reading(own)
@@ -43,7 +43,7 @@ with tempfile.TemporaryDirectory() as folder:
     source = ReadingSource(text.title, profile, feed, cursor)
     with st.open_display("simulated:", profile) as display:
         statistics = st.run(
-            source, display, tone=shapes.tone, seconds=10, listeners=[FeltPicture(felt)]
+            source, display, tone=shapes.tone, seconds=5, listeners=[FeltPicture(felt)]
         )
     feed.close()
     picture = plt.imread(felt)
