@@ -25,6 +25,10 @@ def test_rows_are_the_same_when_a_worker_is_killed(tmp_path):
     with joblib.parallel_config("threading", n_jobs=1):
         here = run_study(STUDY, Path(), tmp_path / "here")
     killed = []
+
+    async def not_again():
+        """A killed worker is not replaced: the others do its work."""
+
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address=None
     ) as cluster:
@@ -32,6 +36,7 @@ def test_rows_are_the_same_when_a_worker_is_killed(tmp_path):
         def kill(_done, _total):
             if not killed:
                 killed.append(cluster.workers[0].pid)
+                cluster.workers[0].instantiate = not_again
                 os.kill(killed[0], signal.SIGKILL)
 
         with on_cluster(cluster.scheduler_address):
