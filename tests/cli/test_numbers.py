@@ -36,7 +36,7 @@ BASES = {
     "read": f"read text:i {SMALL} {PAGE}",
     "braille": "braille hello",
     "braille-display": f"braille-display listen:{free_port()} {SMALL} {PAGE}",
-    "legibility": "legibility text:touch",
+    "legibility": "legibility text:it --as braille",
     "mouse": f"mouse --texture text:I {PAGE}",
     "color": f"color tone:40Hz,8um {PAGE}",
     "replay": f"replay {{golden}} {PAGE}",
@@ -59,7 +59,8 @@ BASES = {
     "calibrate registration": "calibrate registration --simulate --output mine.toml --overwrite",
     "calibrate force": "calibrate force --simulate --output mine.toml --overwrite",
     "calibrate thresholds": (
-        "calibrate thresholds --simulate --electrodes 0 --output mine.toml --overwrite"
+        f"calibrate thresholds --simulate {SMALL} --electrodes 0 --repeats 1 --output felt.toml "
+        "--overwrite"
     ),
     "calibrate contact": (
         f"calibrate contact --board emulator: {SMALL} --output contact.toml --overwrite"
