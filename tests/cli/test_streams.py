@@ -50,7 +50,7 @@ def refused(code, said):
     return said.decode()
 
 
-@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("closed", [">&-", "<&- 2>&-", "<&- >&- 2>&-"])
 def test_closed_streams_lead_nowhere(shell, tmp_path, closed):
     done = shell(f"smarttouch {SHORT} --json f.json --record r.mcap {closed}")
     assert (done.returncode, done.stderr) == (0, b"")
@@ -60,7 +60,7 @@ def test_closed_streams_lead_nowhere(shell, tmp_path, closed):
 
 @pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
 def test_errors_are_told_where_that_stream_is_open(shell, closed):
-    done = shell(f"smarttouch {SHORT} --intensity 1 --board link:/dev/nothing {closed}")
+    done = shell(f"smarttouch board info link:/dev/nothing {closed}")
     assert done.returncode == 2
     assert (b"/dev/nothing" in done.stderr) == ("2>&-" not in closed)
     assert b"Traceback" not in done.stderr
@@ -74,7 +74,7 @@ def test_errors_are_told_where_that_stream_is_open(shell, closed):
 )  # fmt: skip
 def test_a_full_disk_behind_standard_output(tmp_path, command):
     # One of them is really started: how it ends is the interpreter's too.
-    start = subprocess.Popen if command == SHORT else Forked
+    start = subprocess.Popen if command == "profiles" else Forked
     with (
         Path("/dev/full").open("w") as full,
         start(
