@@ -66,8 +66,8 @@ def ink_agreement(page, touch):
 
 def test_the_sample_page(program, tmp_path):
     done = program(
-        "live", "--speed", 300, "--felt", "felt.png", "--json", "run.json", "--record", "run.mcap",
-        real=True,
+        "live", "--speed", 300, "--felt", "felt.png", "--anatomy", "paper", "--json", "run.json",
+        "--record", "run.mcap", real=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     figures = figures_of(tmp_path / "run.json")
@@ -125,7 +125,7 @@ def test_every_profile_runs(program_here, tmp_path, name):
     done = program_here(
         "live",
         "--board=simulated:",
-        "--sensor=text:Hi",
+        "--sensor=text:the",
         f"--profile={name}",
         "--speed=120",
         "--felt=felt.png",
