@@ -29,9 +29,9 @@ print(f"{path.name}: {path.stat().st_size // 1000} kB")
 assert_replays(path)
 
 # %%
-# A change that a finger would feel does not pass: here thresholds that are 5 % lower.
+# A change that a finger would feel does not pass: here full intensity at a lighter touch.
 changed = profile.model_dump()
-changed["perception"]["threshold_ma"] *= 0.95
+changed["force"]["full_n"] *= 0.9
 report = check_recording(path, profile=st.Profile.model_validate(changed))
 print("\n".join(report.describe().splitlines()[:3]))
 assert not report.exact
