@@ -217,12 +217,12 @@ def test_thresholds_with_trials_on_another_board(run, tmp_path):
     found = []
     for more in ((), ("--adaptive",)):
         done(
-            run("thresholds", "--simulate", "--repeats", 1, "--electrodes", "60",
+            run("thresholds", "--simulate", "--repeats", 1, "--electrodes", "30",
                 "--board", "memory:", "--profile", "kajimoto-61",
                 "--output", "mine.toml", "--overwrite", *more)
         )  # fmt: skip
         found.append(load_profile(tmp_path / "mine.toml"))
-    rising, tried = (each.perception.threshold_ma[60] for each in found)
+    rising, tried = (each.perception.threshold_ma[30] for each in found)
     assert rising != tried == pytest.approx(rising, rel=0.2)
 
 

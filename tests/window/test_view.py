@@ -131,11 +131,11 @@ def test_frame_100_is_as_it_was(recorded, profile, address, browser):
         page.wait_for_selector(".electrodes:not([data-step='0'])")
         page.set_viewport_size({"width": 360, "height": 740})
         assert page.evaluate("document.documentElement.scrollWidth") == 360
-        with urlopen(address.replace("view.html", "film/0/80-119.mp4"), timeout=30) as film:
+        with urlopen(address.replace("view.html", "film/0/100-119.mp4"), timeout=30) as film:
             data = base64.b64encode(film.read()).decode()
         blank = browser.new_page()
         duration_s, wide, end_s = blank.evaluate(PLAY, data)
-        assert duration_s == pytest.approx(20 / 25, abs=0.05)
+        assert duration_s == pytest.approx(10 / 25, abs=0.05)
         assert wide > 100
         assert end_s == pytest.approx(duration_s, abs=0.05)
         assert violations(page) == []
