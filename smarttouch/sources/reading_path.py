@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.documents.ink import separate_ink
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.text_lines import TextLine, find_lines
 from smarttouch.errors import SourceError, require_within
@@ -70,7 +71,7 @@ class ReadingPath:
     ) -> None:
         require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
         field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
-        lines = find_lines(page, light_on_dark) or [_whole(page)]
+        lines = find_lines(page, light_on_dark) or [_printed(page, light_on_dark)]
         self.lines = [sweep for line in lines for sweep in _sweeps(line, field[1])]
         self._force_n = _PRESS * profile.force.full_n
         self._phases = np.random.default_rng(seed).uniform(0, 2 * math.pi, 2).tolist()
@@ -128,10 +129,15 @@ def _at(table: Floats, time_s: float) -> Iterator[float]:
     return map(float, map(partial(np.interp, time_s, table[0]), table[1:]))
 
 
-def _whole(page: Page) -> TextLine:
-    """Return a page without lines as one very tall line."""
+def _printed(page: Page, light_on_dark: bool) -> TextLine:
+    """Return all print of a page without lines as one line; all of a page without print."""
     width_mm, height_mm = page.size_mm
-    return TextLine(0.0, width_mm, (height_mm,), height_mm, height_mm, 0.0)
+    y, x = separate_ink(page.grey, light_on_dark).ink.nonzero()
+    left, right, top, bottom = 0.0, width_mm, 0.0, height_mm
+    if len(x):
+        ends = (x.min(), x.max() + 1, y.min(), y.max() + 1)
+        left, right, top, bottom = (float(end) * page.mm_per_pixel for end in ends)
+    return TextLine(left, right, (bottom,), bottom - top, bottom - top, 0.0)
 
 
 def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:

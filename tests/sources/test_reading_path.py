@@ -60,6 +60,18 @@ def test_a_blank_page_is_read_in_strips(profile):
     assert path.lines[-1].bottom_mm == pytest.approx(30)
 
 
+@pytest.mark.parametrize("word", ["i", "Hi", "to", "L"])
+def test_a_word_too_short_for_a_line_is_read_where_it_is(profile, word):
+    page = print_text(word)
+    rows, columns = np.nonzero(page.grey < 128)
+    path = ReadingPath(page, profile, 40)
+    (line,) = path.lines
+    assert line.left_mm <= columns.min() * page.mm_per_pixel
+    assert line.right_mm >= columns.max() * page.mm_per_pixel
+    assert line.bottom_mm == pytest.approx(rows.max() * page.mm_per_pixel, abs=0.5)
+    assert path.duration_s < 2
+
+
 def test_the_finger_lands_settles_sweeps_and_lifts(profile):
     path = ReadingPath(print_text("one line\nand another"), profile, 40)
     times = np.arange(0, path.duration_s, 0.01)
