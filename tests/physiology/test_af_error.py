@@ -1,8 +1,11 @@
 """Errors of the AF against the cable model."""
 
+from functools import partial
+
 import pytest
 
 from smarttouch.physiology import af_error
+from smarttouch.physiology.membrane import threshold_ma
 
 # The shallowest, those of RA and SAI, and the deepest.
 DEPTHS_MM = (0.5, 0.7, 0.9, 2.0)
@@ -12,6 +15,8 @@ DEPTHS_MM = (0.5, 0.7, 0.9, 2.0)
 def table(profile):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(af_error, "DEPTHS_MM", DEPTHS_MM)
+        # What is asked of the figures below are not their last digits.
+        patch.setattr(af_error, "threshold_ma", partial(threshold_ma, step_us=5.0))
         rows = af_error.af_error_table(profile)
     return {(row.fiber, row.polarity, row.depth_mm): row for row in rows}
 

@@ -10,6 +10,8 @@ from smarttouch.physiology.drive_memory import DriveMemory
 from smarttouch.physiology.finger import Finger
 from smarttouch.profile import load_profile
 
+from ..close import assert_close
+
 EXACT_FROM = 0.9
 
 
@@ -45,8 +47,8 @@ def test_scaled_kernels_are_known(rows, bank, mode, amplitude):
     found, expected = memory.drive(again), dense(rows, again)
     may_fire = expected >= EXACT_FROM
     assert may_fire.any()
-    assert found[may_fire] == pytest.approx(expected[may_fire], abs=1e-5)
-    assert found == pytest.approx(expected, abs=0.01)
+    assert_close(found[may_fire], expected[may_fire], abs=1e-5)
+    assert_close(found, expected, abs=0.01)
 
 
 @given(
@@ -66,8 +68,8 @@ def test_drives_are_right_whatever_came_before(few_rows, seed, times, scale, noi
     again = whole_ua(scale * first + random.normal(0, noise_ua / 1000, first.shape))
     found, expected = memory.drive(again), dense(few_rows, again)
     may_fire = expected >= EXACT_FROM
-    assert found[may_fire] == pytest.approx(expected[may_fire], rel=1e-4)
-    assert found == pytest.approx(expected, abs=0.01)
+    assert_close(found[may_fire], expected[may_fire], rel=1e-4)
+    assert_close(found, expected, abs=0.01)
 
 
 def test_more_patterns_than_are_remembered(few_rows):
@@ -76,8 +78,8 @@ def test_more_patterns_than_are_remembered(few_rows):
     for _ in range(2):
         patterns = whole_ua(random.normal(0, 0.1, (300, few_rows[0].shape[1])))
         expected = dense(few_rows, patterns)
-        assert memory.drive(patterns) == pytest.approx(expected, abs=1e-4)
-        assert memory.drive(patterns[-5:]) == pytest.approx(expected[:, -5:], abs=1e-4)
+        assert_close(memory.drive(patterns), expected, abs=1e-4)
+        assert_close(memory.drive(patterns[-5:]), expected[:, -5:], abs=1e-4)
 
 
 def test_currents_of_nothing(few_rows):

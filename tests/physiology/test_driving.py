@@ -60,7 +60,7 @@ def test_thresholds_of_the_cable_under_a_disc(fiber, end, width_us):
         [s * under_a_disc(like, d, b) for d in (0.6, 1.1, 1.8) for b in (0.2, 0.7) for s in (1, -1)]
     )
     drive = load_driving(fiber, end, width_us).drive(potentials[..., None])[..., 0].max(axis=1)
-    cable = thresholds_ma(potentials, like, width_us, 0.5 / drive)
+    cable = thresholds_ma(potentials, like, width_us, 1 / drive)
     assert np.isfinite(cable).all()
     error = threshold_error(drive, cable)
     assert error.median < 0.04

@@ -33,9 +33,11 @@ def upright(source=disc_mv_per_ma, depth_mm=0.7, nodes=80, internode_mm=SPACING_
     return source(np.zeros(nodes), depth_mm + np.arange(nodes) * internode_mm)
 
 
-def polarities(potential, fiber, **options):
+def polarities(potential, fiber, step_us=5.0, **options):
+    """Thresholds in steps that serve where digits are of no account."""
     return [
-        threshold_ma(potential, fiber, cathodic=cathodic, **options) for cathodic in (True, False)
+        threshold_ma(potential, fiber, cathodic=cathodic, step_us=step_us, **options)
+        for cathodic in (True, False)
     ]
 
 
@@ -117,7 +119,7 @@ def test_an_independent_integrator_finds_the_same_threshold():
 @pytest.mark.parametrize(("end", "width_us"), [("passive", 50.0), ("active", 200.0)])
 def test_halving_the_step_changes_little(end, width_us):
     fiber = Fiber(end=end)
-    normal = polarities(upright(), fiber, width_us=width_us)
+    normal = polarities(upright(), fiber, width_us=width_us, step_us=2.0)
     halved = polarities(upright(), fiber, width_us=width_us, step_us=1.0)
     assert normal == pytest.approx(halved, rel=0.01)
 
@@ -152,7 +154,7 @@ def test_flat_fiber_prefers_the_cathode(depth_mm, source):
 def test_deeper_takes_more():
     depths_mm = [0.5, 0.7, 0.9, 1.4, 2.0]
     fiber = Fiber(end="through")
-    thresholds = [threshold_ma(flat(each), fiber, cathodic=True) for each in depths_mm]
+    thresholds = [threshold_ma(flat(each), fiber, cathodic=True, step_us=5.0) for each in depths_mm]
     assert np.all(np.diff(thresholds) > 0)
 
 
@@ -182,7 +184,7 @@ def test_a_small_passive_terminal_follows_the_field_and_lets_the_cathode_win():
 
 def test_thicker_fibers_fire_first():
     thin, thick = (
-        threshold_ma(flat(0.9), Fiber(diameter_um=each, end="through"), cathodic=True)
+        threshold_ma(flat(0.9), Fiber(diameter_um=each, end="through"), cathodic=True, step_us=5.0)
         for each in (2.0, 6.0)
     )
     assert thick < thin
@@ -190,9 +192,11 @@ def test_thicker_fibers_fire_first():
 
 def test_scales_with_the_potential():
     fiber = Fiber(end="through")
-    once = threshold_ma(flat(0.9), fiber, cathodic=True)
-    assert threshold_ma(5 * flat(0.9), fiber, cathodic=True) == pytest.approx(once / 5, rel=0.002)
-    assert threshold_ma(-flat(0.9), fiber, cathodic=False) == once
+    once, fifth = (
+        threshold_ma(scale * flat(0.9), fiber, cathodic=True, step_us=5.0) for scale in (1, 5)
+    )
+    assert fifth == pytest.approx(once / 5, rel=0.002)
+    assert threshold_ma(-flat(0.9), fiber, cathodic=False, step_us=5.0) == once
 
 
 @pytest.mark.parametrize(("scale", "problem"), [(1e-4, "too large"), (1e6, "too small")])
