@@ -219,8 +219,9 @@ class FaultyLine:
             self._behind = os.open(behind, os.O_RDWR | os.O_NOCTTY)
             tty.setraw(self._behind)
         os.set_blocking(self._behind, False)
-        self._lock = threading.Lock()
-        self._ends = None
+        self._lock, self._ends = threading.Lock(), None
+        self._come = select.epoll()
+        self._come.register(self._behind, select.EPOLLIN)
         self._closing = False
         self.plug_in()
         self._thread = threading.Thread(target=self._pump, daemon=True)
@@ -233,12 +234,15 @@ class FaultyLine:
         os.set_blocking(master, False)
         with self._lock:
             self._ends = (master, slave)
+            self._come.register(master, select.EPOLLIN)
         self.path.symlink_to(os.ttyname(slave))
 
     def pull_out(self):
         """Let the port be gone."""
         with self._lock:
             ends, self._ends = self._ends, None
+            if ends is not None:
+                self._come.unregister(ends[0])
         for end in ends or ():
             os.close(end)
         self.path.unlink(missing_ok=True)
@@ -246,6 +250,9 @@ class FaultyLine:
     @prioritized()
     def _pump(self):
         while not self._closing:
+            self._come.poll(0.05)
+            # What is written together comes together.
+            time.sleep(0.0002)
             with self._lock:
                 near = [] if self._ends is None else [self._ends[0]]
                 ready, _, _ = select.select([*near, self._behind], [], [], 0)
@@ -255,13 +262,13 @@ class FaultyLine:
                         pour(near, self.to_host(data))
                     else:
                         pour([self._behind], self.to_board(data))
-            time.sleep(0.0002)
 
     def close(self):
         self._closing = True
         self._thread.join()
         if self._ends is not None:
             self.pull_out()
+        self._come.close()
         os.close(self._behind)
 
 
