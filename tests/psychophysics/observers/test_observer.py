@@ -222,23 +222,23 @@ class TestTheThresholdsOfThePaper:
         subject = observer(seed=7, lapse=0.0)
         ratio = subject.ratio(afferent, MIDDLE)
         weber = weber_fraction(subject.frequency, standard_hz, ratio)
-        standard = train(standard_hz, afferent)
-        comparison = train(standard_hz * (1 + weber), afferent)
-        right = share(500, lambda: subject.respond("faster", [standard, comparison], "12"), "2")
-        right += share(500, lambda: subject.respond("faster", [comparison, standard], "12"), "1")
+        standard = train(standard_hz, afferent, seconds=0.2)
+        comparison = train(standard_hz * (1 + weber), afferent, seconds=0.2)
+        right = share(300, lambda: subject.respond("faster", [standard, comparison], "12"), "2")
+        right += share(300, lambda: subject.respond("faster", [comparison, standard], "12"), "1")
         assert right / 2 == pytest.approx(0.75, abs=0.035)
 
     def test_above_what_is_believed_it_guesses(self, observer, train):
         subject = observer(seed=1)
-        trial = [train(100), train(150)]
-        assert share(1000, lambda: subject.respond("faster", trial, "12"), "2") < 0.68
+        trial = [train(100, seconds=0.2), train(150, seconds=0.2)]
+        assert share(400, lambda: subject.respond("faster", trial, "12"), "2") < 0.68
 
 
 class TestTheTasks:
     def test_lapses_are_answers_at_random(self, observer, train):
         subject = observer(seed=3, lapse=0.4)
         trial = [train(20), train(40)]
-        felt = share(1000, lambda: subject.respond("faster", trial, "12"), "2")
+        felt = share(500, lambda: subject.respond("faster", trial, "12"), "2")
         assert felt == pytest.approx(subject.chance_higher(20, 40), abs=0.05)
         assert felt == pytest.approx(0.8, abs=0.05)
 
