@@ -186,15 +186,12 @@ class TestETactileKit(OneAgainstAll):
         assert set(slots["site"]) == set(range(4))
 
 
-class TestETactileKitOverTcp(TestETactileKit):
-    more = ("--tcp",)
-
-
 class TestETactileKitOf936c6c0(TestETactileKit):
     firmware, taken_for = "936c6c0", ("936c6c0",)
 
 
-class TestNewestETactileKit(TestETactileKit):
+class TestNewestETactileKitOverTcp(TestETactileKit):
+    more = ("--tcp",)
     # On a busy computer it passes for the one before it.
     firmware, taken_for = "newest", ("newest", "71adee2")
 

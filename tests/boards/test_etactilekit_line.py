@@ -101,7 +101,7 @@ def test_the_first_firmware_is_put_at_zero_and_refused(meet, half):
     assert meeting.books.slots == slots
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(
     firmware=st.sampled_from(sorted(PULSING)),
     noise=st.binary(max_size=12),

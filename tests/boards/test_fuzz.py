@@ -24,7 +24,7 @@ from smarttouch.boards.link_session import decode, encode
 from smarttouch.errors import SmartTouchError
 from smarttouch.wire.framing import Deframer
 
-BYTES = int(os.environ.get("SMARTTOUCH_FUZZ_BYTES", "100000"))
+BYTES = int(os.environ.get("SMARTTOUCH_FUZZ_BYTES", "50000"))
 MS = 1_000_000
 CURRENT = np.array([[300, -100, -100, -100]], np.int16)
 COLUMN = np.full(1, 100, np.uint16)

@@ -16,7 +16,7 @@ from smarttouch.boards.probe import one_each
 from smarttouch.stimulation.safety import SafetyLimits
 from tests.boards.told import MS, ToldKit
 
-PATTERNS = int(os.environ.get("SMARTTOUCH_PATTERNS", "300"))
+PATTERNS = int(os.environ.get("SMARTTOUCH_PATTERNS", "150"))
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
 PERIOD_US = 20_000
 

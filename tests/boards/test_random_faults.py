@@ -17,7 +17,7 @@ from smarttouch.errors import BoardError, BoardRestartedError
 from tests.boards.conftest import FIRMWARES
 from tests.boards.fresh import HANGS_S
 
-SECONDS = float(os.environ.get("SMARTTOUCH_FAULT_SECONDS", "3"))
+SECONDS = float(os.environ.get("SMARTTOUCH_FAULT_SECONDS", "2"))
 pytestmark = [pytest.mark.realtime, pytest.mark.silence]
 
 

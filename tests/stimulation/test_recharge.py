@@ -165,7 +165,7 @@ def test_without_slots_there_is_none():
     assert add_recharge(still, np.array([9000, -9000, 0, 0]), rules()) is still
 
 
-@settings(deadline=None, max_examples=10)
+@settings(deadline=None, max_examples=4)
 @given(st.integers(0, 2**32 - 1))
 def test_over_a_thousand_scans_nothing_builds_up(seed):
     """Scans of the same sign all the time, as those of one class are."""

@@ -118,6 +118,7 @@ def masked(request, changed):
     return profile, design_bank(profile)
 
 
+@settings(max_examples=40)
 @given(data=st.data())
 def test_a_masked_electrode_is_never_driven(masked, data):
     profile, bank = masked

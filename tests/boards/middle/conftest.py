@@ -127,6 +127,8 @@ class Middle:
 
     def arrived(self, now_ns):
         """Return what is due, in pieces that end with a frame, and what follows them."""
+        if not self.due:
+            return []
         data = b"".join(piece for due_ns, piece in self.due if due_ns <= now_ns)
         self.due = [each for each in self.due if each[0] > now_ns]
         *whole, rest = data.split(b"\0")

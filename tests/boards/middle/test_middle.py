@@ -14,7 +14,7 @@ from smarttouch.boards.link_protocol import ALIVE_MS, LATE_MS, SILENCE_MS
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.stimulation.sequence import ScanSequence
 
-RUNS = int(os.environ.get("SMARTTOUCH_MIDDLE_RUNS", "60"))
+RUNS = int(os.environ.get("SMARTTOUCH_MIDDLE_RUNS", "40"))
 RUNS_PER_BOARD = 20
 
 
@@ -76,7 +76,8 @@ def haunt(world, ending, time_ms):
             frame = world.to_board.hoard.pop(0)
         elif ending == "replayed" and passed_ms % 7 == 0:
             frame = world.to_board.old(arrived)
-        world.to_board.due.append((world.now_ns, frame))
+        if frame:
+            world.to_board.due.append((world.now_ns, frame))
         world.step()
     world.to_board.hoard = None if world.host is None else world.to_board.hoard
 
