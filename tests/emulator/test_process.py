@@ -21,20 +21,20 @@ from smarttouch.sources import open_source
 from smarttouch.sources.forces.force import open_force
 from smarttouch.sources.forces.load_cell import open_cell
 
+from ..forks import EMULATOR, Forked
+
 ZERO = b"\xff" + bytes(61)
 
 
 @pytest.fixture
 def start():
-    """Return a starter of emulators: the process and the name of its port."""
+    """Return a starter of emulators: the process, a fork or its own, and the name of its port."""
     started = []
 
-    def run(*arguments):
-        command = [sys.executable, "-m", "smarttouch.emulator", *arguments, "--port-only"]
+    def run(*arguments, program=Forked):
+        command = [*EMULATOR, *arguments, "--port-only"]
         command += [] if "--linger" in str(arguments) else ["--linger=2"]
-        process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+        process = program(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         started.append(process)
         assert select.select([process.stdout], [], [], 60)[0], "the emulator prints no port"
         return process, process.stdout.readline().strip()
@@ -48,7 +48,7 @@ def start():
 @pytest.fixture
 def start_board(start, tmp_path):
     """Return a starter of boards that keep books in the test's folder."""
-    return lambda *arguments: start("board", f"--books={tmp_path}", *arguments)
+    return lambda *arguments, **how: start("board", f"--books={tmp_path}", *arguments, **how)
 
 
 def connect(name):
@@ -80,7 +80,7 @@ def test_bytes_pass_as_they_are_before_a_host_sets_up_its_end(start_board):
 
 
 def test_a_kajimoto61_on_a_serial_port(start_board, tmp_path):
-    _, name = start_board("kajimoto61", "--event=0 open 5")
+    _, name = start_board("kajimoto61", "--event=0 open 5", program=subprocess.Popen)
     with serial.Serial(name, 921600, timeout=5) as port:
         port.write(ZERO)
         port.write(b"\xfe")
@@ -136,9 +136,9 @@ def test_one_host_after_another_and_discovery(start_board):
             wait_for(lambda: ask() == wanted % 0)
 
 
-@pytest.mark.parametrize("linger", ["inf", "1e30"])
-def test_ctrl_c_ends_a_board_without_a_host(start_board, tmp_path, linger):
-    process, _ = start_board("kajimoto61", f"--linger={linger}")
+@pytest.mark.parametrize(("linger", "program"), [("inf", subprocess.Popen), ("1e30", Forked)])
+def test_ctrl_c_ends_a_board_without_a_host(start_board, tmp_path, linger, program):
+    process, _ = start_board("kajimoto61", f"--linger={linger}", program=program)
     time.sleep(0.3)
     process.send_signal(signal.SIGINT)
     assert process.wait(60) == 0

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from smarttouch.errors import ExperimentError
 from smarttouch.psychophysics.rows import COLUMNS, About, RowFile, TrialRow, read_rows
 
+from ..forks import Forked
 from ..raising import raises
 
 ABOUT = About("frequency", "constant", "p1", "1", 7)
@@ -189,14 +190,15 @@ except ExperimentError as error:
 
 
 @pytest.fixture
-def start_writer():
+def start_writer(tmp_path):
     """Return a starter of processes that add a row for each number they read."""
-    started = []
+    started, program = [], tmp_path / "writer.py"
+    program.write_text(WRITER)
 
     def start(path, overwrite=False):
         told = [str(path), dataclasses.astuple(ABOUT), dataclasses.astuple(ROW), overwrite]
-        process = subprocess.Popen(
-            [sys.executable, "-c", WRITER, *map(repr, told)],
+        process = Forked(
+            [sys.executable, str(program), *map(repr, told)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
         started.append(process)
