@@ -33,6 +33,12 @@ def make_board(
     return board
 
 
+def _of_one_source(found: SafetyLimits, given: SafetyLimits, output: Output | None) -> bool:
+    """Return whether limits are those that were given, made narrower for one source."""
+    narrower = given.on(output)
+    return narrower is not given and found == narrower
+
+
 def require_gate(board: Board, limits: SafetyLimits) -> None:
     """Raise unless a board has the gate of these limits, on the machine's clock.
 
@@ -47,7 +53,7 @@ def require_gate(board: Board, limits: SafetyLimits) -> None:
     about = ""
     if type(gate) is not SafetyGate or "prove" in vars(gate):
         about, remedy = "gate", "leave _gate as it is"
-    elif gate.limits not in (limits, limits.on(board._output)):
+    elif gate.limits is not limits and not _of_one_source(gate.limits, limits, board._output):
         about, remedy = "limits", "hand those that it is given to super().__init__"
     elif put := [name for name in final_names(Board) if name in vars(board)]:
         about, remedy = put[0], "implement the underscored methods of Board instead"

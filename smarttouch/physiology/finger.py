@@ -249,7 +249,7 @@ class Finger:
         limits = self.profile.limits
         ranked = np.sort(rows, axis=1)
         each = float(limits.current_ma)
-        total = self.profile.total_ma
+        total = float(limits.total_ma or np.inf)
         share = np.clip(total - each * np.arange(rows.shape[1]), 0, each)
         # From the highest to the lowest, then inward; beyond the middle there is nothing to gain.
         return np.asarray(np.maximum(ranked[:, ::-1] - ranked, 0) @ share)

@@ -61,9 +61,9 @@ class TestFirmware(Contract):
             assert sizes == [10, 10 + 4 + 4 + 30 * 4]
             board.send(sequence_of(sequence.sums, time_ns=2 * 10**9, sums=None))
             board.drain(30)
+        state = fresh_state(self.folder)
         slots = read_slots(self.folder)["current_ua"]
         np.testing.assert_array_equal(slots, np.tile(sequence.current_ua, (2, 1)))
-        state = fresh_state(self.folder)
         assert (state["violations"], state["unsafe"], state["reason"]) == (0, 0, "stop")
 
 
