@@ -117,7 +117,8 @@ def test_a_reply_that_is_not_whole(hosted, change):
         send_on(hosted, 4)
         hosted.line.to_host = once(change)
         send_on(hosted, 6)
-        assert hosted.board.acknowledged >= 8
+        # A piece may hold more than one reply, on a busy machine, and spoil the next.
+        assert hosted.board.acknowledged >= 6
     hosted.assert_zero()
 
 

@@ -76,8 +76,9 @@ def test_the_sample_page(program, tmp_path):
     assert set(figures["latency_us"]) == {"p50", "p99", "max"}
     assert_safe(figures)
     page, delivered, felt = panels(tmp_path / "felt.png", 3)
-    assert ink_agreement(page, delivered) > 0.5
-    assert ink_agreement(page, felt) > 0.4
+    # On a busy machine a part is not delivered; in simulated time, below, more is asked for.
+    assert ink_agreement(page, delivered) > 0.2
+    assert ink_agreement(page, felt) > 0.2
     sequences = messages(tmp_path / "run.mcap", "/sequence")
     # A busy machine may be late: what is dropped then is recorded too, without a number.
     sent = [sequence for sequence in sequences if sequence["number"]]
@@ -134,7 +135,13 @@ def test_every_profile_runs(program_here, tmp_path, name):
     )
     assert done.returncode == 0, done.stderr
     assert_safe(figures_of(tmp_path / "run.json"))
-    assert (tmp_path / "felt.png").stat().st_size > 1000
+    if name.startswith("line"):
+        assert (tmp_path / "felt.png").stat().st_size > 1000
+        return
+    page, delivered, felt = panels(tmp_path / "felt.png", 3)
+    # Measured: .58 and .53 at least.
+    assert ink_agreement(page, delivered) > 0.5
+    assert ink_agreement(page, felt) > 0.4
 
 
 def test_sai_and_light_on_dark(program_here, tmp_path):
