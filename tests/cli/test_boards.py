@@ -126,8 +126,12 @@ def test_a_killed_host(start_program, kit):
 
 def test_info_of_the_newest_kit_tells_how_long_it_goes_on(program_here, start_emulator):
     _, port, _ = start_emulator(32, "etactilekit", "--firmware=newest")
-    done = program_here("board", "info", f"etactilekit:{port}")
-    assert done.returncode == 0, done.stderr
+    # On a busy computer it may pass for the one before it: then once more.
+    for _ in range(10):
+        done = program_here("board", "info", f"etactilekit:{port}")
+        assert done.returncode == 0, done.stderr
+        if "newest" in done.stdout:
+            break
     assert "newest" in done.stdout
     assert "520 ms" in done.stdout
 
