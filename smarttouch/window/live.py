@@ -1,6 +1,7 @@
 """The window of a run: a listener that keeps the newest step, and pages that ask for it."""
 
 import asyncio
+import contextlib
 import itertools
 import json
 import sys
@@ -226,7 +227,9 @@ class Window(Listener):
         """Stop where a page has lost its connection."""
         from starlette.responses import Response
 
-        await self._stop()
+        # The end that is asked for may come first, and the server's with it.
+        with contextlib.suppress(asyncio.CancelledError):
+            await self._stop()
         return Response(status_code=204)
 
     async def _stop(self) -> None:
