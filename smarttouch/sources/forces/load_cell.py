@@ -27,6 +27,8 @@ from smarttouch.wire.port import LINE_ERRORS, Port, open_port
 
 FIRST_READING_S = 5.0
 """Time limit of the first reading: some boards restart when the port opens, for two seconds."""
+MUTE_S = 2.0
+"""Least time without a reading after which a cell counts as mute."""
 RETRY_S = 0.25
 """Interval of attempts to reopen a lost port."""
 JOIN_S = 2.0
@@ -119,7 +121,7 @@ class LoadCell(Closing):
             return self._watch.reading(time.perf_counter_ns())
 
     def collect(self, seconds: float) -> NDArray[np.float64]:
-        """Wait, and return the raw readings that arrived meanwhile, (N,).
+        """Wait, and return the raw readings that arrived meanwhile, (N,); one at least.
 
         Raises
         ------
@@ -129,13 +131,16 @@ class LoadCell(Closing):
         with self._news:
             self._collected = []
         self._closing.wait(seconds)
+        # Where this computer stood still, its cable is no worse for it.
+        patience_s = max(seconds, MUTE_S)
         with self._news:
+            self._news.wait_for(lambda: bool(self._collected), patience_s - seconds)
             came, self._collected = self._collected, None
         if not came:
             raise self._mute(
-                f"no reading came from the {self.title} in {seconds:g} s: check its cable and "
+                f"no reading came from the {self.title} in {patience_s:g} s: check its cable and "
                 "power",
-                seconds,
+                patience_s,
             )
         return np.array(came, np.float64)
 

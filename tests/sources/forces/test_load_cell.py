@@ -335,7 +335,7 @@ def test_newtons_and_raw_readings_from_a_port(make_cell, in_grams, kind, data):
         seen = set(came)
         until(lambda: seen.update(raw.collect(0.3)) or seen == {50, 51})
         cell.data = lambda number: b""
-        mute = {"problem": "mute", "value": cell.line.name, "allowed": 0.05}
+        mute = {"problem": "mute", "value": cell.line.name, "allowed": load_cell.MUTE_S}
         with raises(SourceError, about="port", **mute):
             [raw.collect(0.05) for _ in range(3)]
 
