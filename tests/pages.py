@@ -3,9 +3,10 @@
 The blocks of a page (`console`, `sh`, `bash`, `python`, and files that it names) are run in their
 order, in an empty folder with the files that they read (`tests/page_files.py`); what fails is told
 by page and line. Unlike a reader's: commands that run until somebody ends them have the `SHORT`
-options added, devices and places have `STAND_INS`, what would set up an environment (`ENVIRONMENT`)
-is left out, and a command that fails is tried again (`TRIES`). A comment before a block says what
-of it is not run: ``<!-- not run: "text in a line", "text in another": why -->``.
+options added, devices and places have `STAND_INS`, BRLTTY is waited for at a free port, what would
+set up an environment (`ENVIRONMENT`) is left out, and a command that fails is tried again
+(`TRIES`). A comment before a block says what of it is not run: ``<!-- not run: "text in a line",
+"text in another": why -->``.
 """
 
 import argparse
@@ -14,6 +15,7 @@ import os
 import re
 import shlex
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -121,6 +123,16 @@ def blocks(page: Path) -> Iterator[Block]:
         file = ""
 
 
+def _free_place(words: list[str]) -> list[str]:
+    """Return a command's words with a free port for BRLTTY's usual one, which others may have."""
+    name, *rest = words or [""]
+    if name != "braille-display":
+        return words
+    with socket.create_server(("127.0.0.1", 0)) as one:
+        address = f"listen:{one.getsockname()[1]}"
+    return [name, address, *(rest[1:] if rest and not rest[0].startswith("-") else rest)]
+
+
 class PageError(Exception):
     """A command or a block that did not end well."""
 
@@ -189,7 +201,7 @@ class Reader:
             return
         program, *rest = words
         if Path(program).name == "smarttouch":
-            rest = self._short([self._stand_in(word) for word in rest])
+            rest = self._short(_free_place([self._stand_in(word) for word in rest]))
             make_named(" ".join(rest), self._here)
             command = [str(PROGRAM), *rest]
         elif program == "python":
