@@ -5,10 +5,10 @@ Run with::
     pytest tests/benchmarks/test_frame_to_bytes.py --benchmark-only \
         --benchmark-columns=median,iqr,rounds
 
-Each figure is a time on the machine at hand; both chains take turns in one run. `test_scans`
-prints the table of ways to scan as Markdown: p50 and p99 of frames that all differ, by themselves
-and in turn with one another, and what a frame allocates at once until it is proved, beside the
-size of its sequence.
+Each figure is a time on the machine at hand; both chains take turns in one run. `test_ratio`
+prints a table of both as Markdown, and `test_scans` one of the ways to scan: p50 and p99 of frames
+that all differ, by themselves and in turn with one another, and what a frame allocates at once
+until it is proved, beside the size of its sequence.
 """
 
 import statistics
@@ -164,14 +164,17 @@ def test_ratio(benchmark, make_bank, quick, side, shape, capsys):
     image, weights = letter(*shape), balanced_weights(side)
     ours = Ours(grid_profile(side), make_bank(weights, weights), [image])
     plain = Plain(side, [image])
+    alone = in_turn({"ours": ours}, 5 if quick else 1000)["ours"]
     took = in_turn({"ours": ours, "plain": plain}, 2 if quick else 15)
     ratio = statistics.median(p / o for o, p in zip(took["ours"], took["plain"], strict=True))
     benchmark.extra_info["plain over ours"] = round(ratio, 1)
+    times = [*quantiles(alone), *(statistics.median(each) for each in took.values())]
+    cells = " | ".join(f"{each:,.0f}" for each in times)
     with capsys.disabled():
         print(
-            f"\n{side * side} electrodes from {shape[1]}x{shape[0]}: ours "
-            f"{statistics.median(took['ours']):.0f} µs, plain "
-            f"{statistics.median(took['plain']):.0f} µs, ratio {ratio:.0f}"
+            "\n| electrodes | frame | p50, µs | p99, µs | in turn, µs | the plain chain, µs "
+            "| over ours |\n|---|---|---|---|---|---|---|\n"
+            f"| {side * side:,} | {shape[1]} × {shape[0]} | {cells} | {ratio:.0f} |"
         )
     benchmark.pedantic(ours, rounds=1)
 
