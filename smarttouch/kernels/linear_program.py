@@ -41,6 +41,18 @@ _RESCUES: tuple[Options, ...] = (
 """Solver options to try one after the other, from a cold start, if an answer is not confirmed."""
 
 
+class _SilentHighs(highspy.Highs):
+    """Solver without a word: version 1.16 prints its name before an option can forbid it."""
+
+    def __init__(self) -> None:
+        # With types, which the library's own methods have not.
+        highspy.Highs.__init__(self)
+
+    def enableCallbacks(self) -> None:  # noqa: N802
+        self.setOptionValue("output_flag", False)
+        highspy.Highs.enableCallbacks(self)
+
+
 class LinearProgram:
     """Minimize t such that rows·w ≤ slope·t + bound, aims·w ≥ 1, Σw = 0.
 
@@ -80,7 +92,7 @@ class LinearProgram:
         self._worst = worst or (lambda excess: np.flatnonzero(excess > _TOLERANCE))
         self._count = rows.shape[1]
         self._given = np.zeros(len(rows), bool)
-        self._solver = highspy.Highs()
+        self._solver = _SilentHighs()
         for name, value in (_OPTIONS | (options or {})).items():
             self._solver.setOptionValue(name, value)
         self._solver.addVars(
