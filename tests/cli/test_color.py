@@ -157,7 +157,8 @@ def test_a_finger_on_the_board_needs_a_word_on_force(run_color, monkeypatch):
 
 
 def test_what_is_missing_for_a_picture_is_said_before_anything_is_felt(program_here, monkeypatch):
-    for name in [each for each in sys.modules if each.partition(".")[0] == "matplotlib"]:
+    imported = [each for each in sys.modules if each.partition(".")[0] == "matplotlib"]
+    for name in {"matplotlib", *imported}:
         monkeypatch.setitem(sys.modules, name, None)
     done = program_here(
         "color", "tone:30Hz,8um", "--intensity", 1, "--board", "simulated:", "--plot", "a.png"
