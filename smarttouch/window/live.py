@@ -1,16 +1,11 @@
-"""The window of a run: a listener that keeps the newest step, and pages that ask for it."""
+"""The window of a run: a listener that keeps the newest step, for pages that ask for it."""
 
-import asyncio
-import contextlib
-import itertools
 import json
 import sys
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from smarttouch.delivered.live import LiveFinger
 from smarttouch.drawing.source import DrawSource
@@ -20,43 +15,16 @@ from smarttouch.physiology.finger import Finger
 from smarttouch.realtime import prioritized
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
+from smarttouch.sources.source import Source
 from smarttouch.stopping import StopRequest
+from smarttouch.window.pages import Page, Pages
 from smarttouch.window.pictures import array_message, felt_message, finger_message, picture_message
-from smarttouch.window.server import PageServer, import_server, open_browser
+from smarttouch.window.server import PageServer, open_browser
 from smarttouch.window.steering import Steering
 
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from starlette.websockets import WebSocket
-
-MOST_PAGES = 16
-MOST_HZ = 60
-MOST_MESSAGES_PER_S = 400
-"""Of one page; one that sends more loses its connection."""
-_BEAT_S = 0.2
-"""Longest time without a message to a page: its answer says that it is alive."""
 _EVENTS = 200
-_TOLD_WITHIN_S = 0.5
 _LOOK_S = 0.02
 _SWITCH_S = 0.0005
-
-
-@dataclass
-class _Page:
-    """One page that is connected."""
-
-    number: int
-    waits: bool = True
-    """Whether it has drawn what it was sent last."""
-    shown: StepResult | None = None
-    events: int = 0
-    felt: str = ""
-    drawn: int = 0
-    """Changes of the drawing that it has seen."""
-    heard: int = 0
-    """Messages of this second."""
-    second: int = 0
 
 
 class Window(Listener):
@@ -99,28 +67,18 @@ class Window(Listener):
         show: Callable[[str], object] | None = None,
     ) -> None:
         super().__init__()
-        import_server()
-        from starlette.routing import Route, WebSocketRoute
-
         self._run_stop, self._keys, self._keys_help = stop, keys or {}, keys_help
         self._alone, self._blind, self._show = alone, blind, show or _announce
         self._seed, self._anatomy = finger, anatomy
-        self.server = PageServer(
-            port,
-            [
-                WebSocketRoute("/socket", self._connected),
-                Route("/stop", self._stopped, methods=["POST"]),
-            ],
-        )
-        self.steering: Steering | None = None
+        self._pages = Pages(self)
+        self.server = PageServer(port, self._pages.routes())
+        self.steering: Steering
+        self.hello = ""
         self._latest: StepResult | None = None
         self._encoded: tuple[StepResult | None, str] = (None, "null")
         self._events: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_EVENTS)
         self._event_count = 0
         self._event_lock = threading.Lock()
-        self._pages: dict[int, _Page] = {}
-        self._numbers = itertools.count(1)
-        self._over, self._all_told = threading.Event(), threading.Event()
         self._live: LiveFinger | None = None
         self._felt = ""
         self._switch_s: float | None = None
@@ -135,6 +93,16 @@ class Window(Listener):
     def pages(self) -> int:
         """Number of pages that are connected."""
         return len(self._pages)
+
+    @property
+    def source(self) -> Source:
+        """Source of the run."""
+        return self._context.source
+
+    @property
+    def ended(self) -> str:
+        """Last message to a page."""
+        return json.dumps(self._ended)
 
     def prepare(self, run: RunContext) -> None:
         """Serve the page, and begin to simulate a finger for it."""
@@ -152,7 +120,7 @@ class Window(Listener):
             "array": array_message(run.profile),
             "finger": None if finger is None else finger_message(finger),
         }
-        self._hello = json.dumps(hello)
+        self.hello = json.dumps(hello)
         # Whoever draws must not hold the loop up for a whole default interval of 5 ms.
         if sys.getswitchinterval() > _SWITCH_S:
             self._switch_s = sys.getswitchinterval()
@@ -166,8 +134,7 @@ class Window(Listener):
     def step(self, result: StepResult) -> None:
         """Keep the newest; and see whether whoever steers is still there."""
         self._latest = result
-        if self.steering is not None:
-            self.steering.look_after()
+        self.steering.look_after()
 
     def event(self, event: Event) -> None:
         """Keep an event for the pages, unless it would tell an answer."""
@@ -183,13 +150,12 @@ class Window(Listener):
 
     def close(self) -> None:
         """Tell pages that the run is over, and serve no more."""
-        if self._over.is_set():
+        if self._pages.over.is_set():
             return
-        self._over.set()
+        self._pages.over.set()
         if self._live is not None:
             self._live.abandon()
-        if self._pages:
-            self._all_told.wait(_TOLD_WITHIN_S)
+        self._pages.wait()
         self.server.close()
         if self._switch_s is not None:
             sys.setswitchinterval(self._switch_s)
@@ -209,7 +175,7 @@ class Window(Listener):
         latest = feeling = None
         try:
             live.prepare(self._context)
-            while not self._over.wait(_LOOK_S):
+            while not self._pages.over.wait(_LOOK_S):
                 if self._latest is not None and self._latest is not latest and self._pages:
                     latest = self._latest
                     live.step(latest)
@@ -218,113 +184,16 @@ class Window(Listener):
                     self._felt = json.dumps(felt_message(feeling))
         except SmartTouchError as error:
             # What is delivered does not depend on it.
-            if not self._over.is_set():
+            if not self._pages.over.is_set():
                 self.notes.append(f"the window shows no finger any more: {error}")
         finally:
             live.close()
 
-    async def _stopped(self, request: "Request") -> "Response":
-        """Stop where a page has lost its connection."""
-        from starlette.responses import Response
+    def has_seen(self, page: Page) -> bool:
+        """Return whether there is nothing new for a page."""
+        return self._latest is page.shown and page.events == self._event_count
 
-        # The end that is asked for may come first, and the server's with it.
-        with contextlib.suppress(asyncio.CancelledError):
-            await self._stop()
-        return Response(status_code=204)
-
-    async def _stop(self) -> None:
-        assert self.steering is not None
-        # A board may wait for its line: nobody else is to wait for that.
-        await asyncio.to_thread(self.steering.stop)
-
-    async def _connected(self, socket: "WebSocket") -> None:
-        from starlette.websockets import WebSocketDisconnect
-
-        await socket.accept()
-        if len(self._pages) >= MOST_PAGES or self._over.is_set():
-            await socket.close(1013, "too many pages")
-            return
-        assert self.steering is not None
-        page = _Page(next(self._numbers))
-        self._pages[page.number] = page
-        feeding = asyncio.create_task(self._feed(socket, page))
-        try:
-            while True:
-                message = await socket.receive()
-                if message["type"] == "websocket.disconnect":
-                    break
-                text = message.get("text")
-                if text is None or not await self._take(page, text):
-                    await socket.close(1008, "not understood")
-                    break
-        except (WebSocketDisconnect, RuntimeError):
-            pass
-        finally:
-            feeding.cancel()
-            del self._pages[page.number]
-            self.steering.leave(page.number)
-            if not self._pages and self._over.is_set():
-                self._all_told.set()
-            # It may have failed on the lost connection.
-            await asyncio.gather(feeding, return_exceptions=True)
-
-    async def _take(self, page: _Page, text: str) -> bool:
-        """Do what a page says; return False if that is no message."""
-        assert self.steering is not None
-        second = int(time.monotonic())
-        page.heard = page.heard + 1 if second == page.second else 1
-        page.second = second
-        if page.heard > MOST_MESSAGES_PER_S:
-            return False
-        self.steering.hear(page.number)
-        verb, _, rest = text.partition(" ")
-        if text == "seen":
-            page.waits = True
-        elif text == "stop":
-            await self._stop()
-        elif text == "steer":
-            self.steering.steer(page.number)
-        elif text == "leave":
-            self.steering.leave(page.number)
-        elif verb in ("do", "draw"):
-            try:
-                await self._act(page, verb, rest)
-            except ValueError:
-                return False
-        else:
-            return False
-        return True
-
-    async def _act(self, page: _Page, verb: str, rest: str) -> None:
-        assert self.steering is not None
-        source = self._context.source
-        if verb == "do" and rest.startswith("key:"):
-            # It may wait for the source's line: a stop must not wait for that.
-            await asyncio.to_thread(self.steering.act, page.number, rest)
-        elif verb == "do":
-            self.steering.act(page.number, rest)
-        elif not isinstance(source, DrawSource):
-            raise ValueError(rest)
-        elif self.steering.steer(page.number):
-            await asyncio.to_thread(source.draw, rest)
-
-    async def _feed(self, socket: "WebSocket", page: _Page) -> None:
-        """Send the newest to one page whenever it has drawn what it has."""
-        await socket.send_text(self._hello)
-        sent_s = 0.0
-        while True:
-            await asyncio.sleep(1 / MOST_HZ)
-            over = self._over.is_set()
-            idle = self._latest is page.shown and page.events == self._event_count
-            if over or (page.waits and not (idle and time.monotonic() - sent_s < _BEAT_S)):
-                sent_s, page.waits = time.monotonic(), False
-                await socket.send_text(self._update(page))
-            if over:
-                await socket.send_text(json.dumps(self._ended))
-                await socket.close(1000)
-                return
-
-    def _update(self, page: _Page) -> str:
+    def update(self, page: Page) -> str:
         """Return a message with all that a page has not seen yet."""
         latest = self._latest
         with self._event_lock:
@@ -339,16 +208,14 @@ class Window(Listener):
         if self._felt is not page.felt:
             page.felt = self._felt
             parts.append(f'"felt":{self._felt}')
-        source = self._context.source
-        if isinstance(source, DrawSource) and source.changes != page.drawn:
-            drawn = source.message()
+        if isinstance(self.source, DrawSource) and self.source.changes != page.drawn:
+            drawn = self.source.message()
             page.drawn = drawn["changes"]
             parts.append(f'"drawn":{json.dumps(drawn)}')
         page.shown, page.events = latest, count
         return "{" + ",".join(parts) + "}"
 
-    def _state(self, page: _Page, latest: StepResult | None) -> dict[str, Any]:
-        assert self.steering is not None
+    def _state(self, page: Page, latest: StepResult | None) -> dict[str, Any]:
         run, steers = self._context, self.steering.page
         time_ns = 0 if latest is None else latest.input.time_ns
         now, dose, statistics = run.controls.state(time_ns), run.board.dose, run.statistics

@@ -14,7 +14,8 @@ from websockets.sync.client import connect as open_socket
 from smarttouch.errors import SmartTouchError
 from smarttouch.events import Note, RunFailed, TrialEvent
 from smarttouch.profile import load_profile
-from smarttouch.window.live import MOST_PAGES, Window
+from smarttouch.window.live import Window
+from smarttouch.window.pages import MOST_PAGES
 from smarttouch.window.server import MOST_MESSAGE_BYTES
 from smarttouch.window.steering import LOST_S
 
