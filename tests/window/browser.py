@@ -36,7 +36,13 @@ def opened(browser, address, width=1440, height=900, **options):
     wrong = []
     page = browser.new_page(viewport={"width": width, "height": height}, **options)
     page.on("pageerror", lambda error: wrong.append(str(error)))
-    page.on("requestfailed", lambda request: wrong.append(request.url))
+
+    def failed(request):
+        # A stop is said twice: once one is heard, nobody may be there for the other.
+        if not request.url.endswith("/stop"):
+            wrong.append(request.url)
+
+    page.on("requestfailed", failed)
     try:
         page.goto(address)
         yield page
