@@ -29,7 +29,9 @@ Array = NDArray[np.float64]
 
 
 REMEMBERED = 256
-"""Number of cached frame plans: a finger that rests, or comes back, needs no new plan."""
+"""Number of plans kept of frames found anew: a finger that rests, or comes back, needs no new one.
+
+Where kernels are added up the last one will do: others take longer to fetch than to make."""
 
 _ROUNDING = 0.99
 """Part of a bound that plans keep, so that whole µA keep all of it down to a third of full
@@ -147,6 +149,7 @@ class FrameSlots:
         self._none = np.empty(0, np.intp)
         self._widths_us = constant_us(len(self._points_ma), profile.pulse.width_us)
         self._plans: OrderedDict[bytes, SlotAllocation] = OrderedDict()
+        self._most_plans = REMEMBERED if planned else 1
         self._sums = None
         self._afferents = afferents
         self.table: KernelTable | None = None
@@ -188,7 +191,7 @@ class FrameSlots:
         asked = activation if intensity > 0 else 0 * activation
         if (plan := self._plans.get(key := asked.tobytes())) is None:
             plan = self._plans[key] = self._plan(asked)
-            if len(self._plans) > REMEMBERED:
+            if len(self._plans) > self._most_plans:
                 self._plans.popitem(last=False)
         else:
             self._plans.move_to_end(key)
