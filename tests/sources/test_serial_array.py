@@ -21,9 +21,15 @@ from ..said import numbers_in
 
 
 class Line(PtyLine):
-    """The device's end of a port; can be pulled out."""
+    """The device's end of a port; can be pulled out.
+
+    What is written comes when the system gets round to it: whoever reads waits for `sent` bytes.
+    """
+
+    sent = 0
 
     def send(self, data):
+        self.sent += len(data)
         deadline = time.monotonic() + 60
         while data := self.write(data):
             assert time.monotonic() < deadline, "nobody reads"
@@ -55,11 +61,13 @@ def frame(number, rows=4, columns=5):
     return encode_frame(number, 0, np.full((rows, columns), number % 256, np.uint8))
 
 
-def grab_all(source):
-    shots = []
-    while (shot := source.grab(0.05)) is not None:
-        shots.append(shot)
-    return shots
+def grab_all(source, sent):
+    """Return the shots in so many bytes since the source was opened, however late they come."""
+    shots, deadline = [], time.monotonic() + 60
+    while source._heard < sent:
+        assert time.monotonic() < deadline, "not all of it ever came"
+        shots.append(source.grab(0))
+    return [shot for shot in shots if shot is not None]
 
 
 def books(shots):
@@ -70,7 +78,7 @@ def test_frames_one_by_one(line, source):
     for number in range(3):
         before_ns = time.perf_counter_ns()
         line.send(frame(number))
-        shot = source.grab(1)
+        shot = source.grab(60)
         assert shot.missed == 0
         assert before_ns <= shot.taken_ns <= time.perf_counter_ns()
         np.testing.assert_array_equal(shot.image, np.full((4, 5), number))
@@ -79,7 +87,7 @@ def test_frames_one_by_one(line, source):
 
 def test_of_many_at_once_the_newest_is_taken_and_all_are_counted(line, source):
     line.send(b"".join(frame(number) for number in range(20)))
-    shots = grab_all(source)
+    shots = grab_all(source, line.sent)
     assert books(shots) == source.frames == 20
     assert shots[-1].image[0, 0] == 19
     assert source.passed_over == 20 - len(shots)
@@ -92,16 +100,19 @@ def test_large_frames_come_in_pieces(line, source):
     line.send(data[:1500])
     assert source.grab(0) is None
     line.send(data[1500:])
-    np.testing.assert_array_equal(source.grab(1).image, image)
+    np.testing.assert_array_equal(source.grab(60).image, image)
 
 
 def test_what_came_before_anyone_listened_is_nobodys(line):
     source = SerialArrayDevice(line.name)
     source.open()
     line.send(frame(0) + frame(1)[:9])
-    assert source.grab(0.02) is None
+    deadline = time.monotonic() + 60
+    while source._port.in_waiting < line.sent:
+        assert time.monotonic() < deadline, "not all of it ever came"
+    assert source.grab(0) is None
     line.send(frame(1)[9:] + frame(7))
-    shot = source.grab(1)
+    shot = source.grab(60)
     source.close()
     assert (shot.image[0, 0], source.frames, source.lost, source.garbled) == (7, 1, 0, 0)
     assert source.notes == []
@@ -112,14 +123,14 @@ def test_gaps_and_garbage_are_noted_once(line, source):
     broken[-6] ^= 0x40
     for data in (frame(0), bytes(broken), frame(2), b"\1\2\3\0", frame(14)):
         line.send(data)
-        source.grab(0.05)
+        grab_all(source, line.sent)
     assert (source.frames, source.lost, source.garbled) == (3, 12, 2)
     assert counted(source.notes, line) == [[2], [12]]
 
 
 def test_one_lost_frame(line, source):
     line.send(frame(0) + frame(2))
-    grab_all(source)
+    grab_all(source, line.sent)
     assert counted(source.notes, line) == [[1]]
 
 
@@ -131,29 +142,29 @@ def counted(notes, line):
 
 def test_a_device_that_starts_anew_has_lost_nothing(line, source):
     line.send(frame(500) + frame(0) + frame(1))
-    assert books(grab_all(source)) == 3
+    assert books(grab_all(source, line.sent)) == 3
     assert source.notes == []
 
 
 def test_a_load_cell_on_the_same_line_and_a_name(line, source):
     line.send(encode_info(0, "patch µ") + encode_force(0, 0, 1) + frame(0) + encode_force(1, 0, 2))
-    assert books(grab_all(source)) == 1
+    assert books(grab_all(source, line.sent)) == 1
     assert source.device == "patch µ"
     assert source.notes == []
 
 
 def test_silence_gives_no_image(line, source):
     line.send(frame(0))
-    assert source.grab(1) is not None
+    assert source.grab(60) is not None
     assert source.grab(0.01) is None
 
 
 def test_a_port_that_is_gone(line, source):
     line.send(frame(0))
-    assert source.grab(1) is not None
+    assert source.grab(60) is not None
     line.pull_out()
     with raises(SourceLostError, about="port", problem="gone", value=source.title):
-        source.grab(1)
+        source.grab(60)
     source.close()
     source.close()
     with raises(SourceError, about="port", problem="missing", value=line.name):
@@ -162,14 +173,14 @@ def test_a_port_that_is_gone(line, source):
 
 def test_after_it_was_gone_nothing_counts_as_lost(line, source, monkeypatch):
     line.send(frame(0))
-    assert source.grab(1) is not None
+    assert source.grab(60) is not None
     source.close()
     second = Line()
     monkeypatch.setattr(source, "_name", second.name)
     source.open()
     assert source.grab(0) is None
     second.send(frame(300))
-    assert source.grab(1) is not None
+    assert source.grab(60) is not None
     source.close()
     second.pull_out()
     assert (source.lost, source.notes) == (0, [])
@@ -181,7 +192,7 @@ def test_bytes_that_are_no_frames_from_the_start_on(line, source, monkeypatch):
     line.send(b"Reading: 12.3 g\r\n")
     odd = {"problem": "malformed", "value": line.name, "remedy": "baud"}
     with raises(SourceError, about="port", **odd) as caught:
-        source.grab(0)
+        grab_all(source, line.sent)
     assert "921600" in str(caught.value)
 
 
@@ -210,10 +221,11 @@ def test_frames_over_tcp():
         device, _ = listener.accept()
         with device:
             assert source.grab(0) is None
-            device.sendall(b"".join(frame(number, 64, 64) for number in range(50)))
-            shots = grab_all(source)
+            data = b"".join(frame(number, 64, 64) for number in range(50))
+            device.sendall(data)
+            shots = grab_all(source, len(data))
         with raises(SourceLostError, about="port", problem="gone", value=source.title):
-            source.grab(1)
+            source.grab(60)
         source.close()
     assert books(shots) == 50
     assert shots[-1].image[0, 0] == 49
