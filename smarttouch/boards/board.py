@@ -156,7 +156,8 @@ class Board(Timely, ABC):
         BoardRestartedError
             If the board was lost and is back: begin again at intensity 0.
         SequenceLateError
-            If it, or one before it, was too late to be sent: begin again at intensity 0.
+            If it, or one before it, was too late to be sent: begin again at intensity 0. Where
+            time is what sequences claim, none is late.
         BoardStoppedError
             If the board was stopped.
         BoardError
@@ -170,7 +171,7 @@ class Board(Timely, ABC):
         Capabilities.require(self.capabilities, sequence, times)
         proved = self._gate.prove(sequence, times)
         try:
-            if not self.simulated_time:
+            if self._time() is not None or self.on_a_finger:
                 self._refuse_late(self._due_ns)
             number = self._send(proved, times)
         except SequenceLateError:

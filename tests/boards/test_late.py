@@ -33,6 +33,12 @@ class ToldClock:
         self.waited.set()
 
 
+class Felt(MemoryBoard):
+    """As if a finger were on it: where none is, and time is what is claimed, nothing is late."""
+
+    on_a_finger = True
+
+
 def limits(electrodes):
     return SafetyLimits(electrodes, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
 
@@ -47,7 +53,7 @@ def pulses(electrodes, step, level_ua=1000):
 
 @pytest.mark.parametrize(("late_ns", "sent"), [(0, 2), (LATE_NS, 2), (LATE_NS + 1, 1)])
 def test_a_tenth_of_a_second_is_the_limit(late_ns, sent):
-    board = MemoryBoard("", limits(8))
+    board = Felt("", limits(8))
     board._clock = ToldClock()
     with board:
         board.send(pulses(8, 0))
@@ -61,10 +67,22 @@ def test_a_tenth_of_a_second_is_the_limit(late_ns, sent):
     assert (len(board.sequences), board.dropped_late) == (sent, 2 - sent)
 
 
+def test_without_finger_and_clock_nothing_is_late():
+    """Same seed, same sequences: also where the computer stood still in between."""
+    board = MemoryBoard("", limits(8))
+    board._clock = ToldClock()
+    with board:
+        board.send(pulses(8, 0))
+        due_ns = board.clock.time_ns
+        board.clock.time_ns += HOUR_NS
+        board.send(pulses(8, 1), due_ns=due_ns)
+    assert [sequence.intensity for sequence in board.sequences] == [0, 1]
+
+
 @pytest.mark.parametrize("pause_ns", [3 * LATE_NS, HOUR_NS])
 def test_after_a_pause_it_begins_at_zero(pause_ns):
     """Also after an hour of sleep: the clock runs on while the machine is suspended."""
-    board = MemoryBoard("", limits(8))
+    board = Felt("", limits(8))
     board._clock = ToldClock()
     with board:
         board.send(pulses(8, 0))

@@ -207,11 +207,12 @@ def test_every_frame_of_an_array_is_read_dropped_or_lost(start, profile, tmp_pat
         wait_for(lambda: see().stale)
     assert process.wait(60) == 0
     account = json.loads(books.read_text())
-    assert account["sent"] == 300
+    # None is sent while the line is full, as it is where the reader stands still.
+    assert account["sent"] + account["dropped"] >= 300 >= account["sent"]
     assert account["garbage"] == 0
     assert sensor.frames == len(read) + sensor.dropped_frames
     # What was sent while the port was opened, as many frames as that takes, was nobody's.
-    assert 0 < sensor.frames <= 300
+    assert 0 < sensor.frames <= account["sent"]
 
 
 @pytest.mark.realtime

@@ -29,12 +29,16 @@ def on_page(browser, running):
 
 
 def test_pixels_are_the_delivered_sequence(on_page, profile):
+    def driven():
+        """Return what is drawn, and its sequence; none after a machine has stood still."""
+        found = drawn(page, profile)
+        sequence = run.results[found["number"]].sequence
+        return (found, sequence) if sequence.slots else None
+
     with on_page() as (run, page):
         wait_for(lambda: len(run.results) > 25)
         for _ in range(3):
-            found = drawn(page, profile)
-            sequence = run.results[found["number"]].sequence
-            assert sequence.slots
+            found, sequence = wait_for(driven)
             expected = colors(strongest(sequence), profile)
             assert np.array_equal(found["colors"], expected)
             page.wait_for_timeout(100)
