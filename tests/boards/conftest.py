@@ -347,5 +347,5 @@ def hosted(
     if "silence" not in request.keywords:
         # Nor is a host late that has to wait for a processor.
         for module in ("boards.link", "boards.streamed", "boards.timely", "stimulation.safety"):
-            monkeypatch.setattr(f"smarttouch.{module}.LATE_NS", 60_000_000_000)
+            monkeypatch.setattr(f"smarttouch.{module}.LATE_NS", 60 * SECOND)
     return Hosted(request.param, starters, faulty_line, tmp_path, monkeypatch)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from smarttouch.boards.emulator.delivery_log import read_slots
+from smarttouch.boards.etactilekit import ETactileKitBoard
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe import one_each
 from smarttouch.stimulation.safety import SafetyLimits
@@ -183,6 +184,10 @@ def test_another_polarity_and_rate_are_set_in_between(monkeypatch, firmware):
 @pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
 def test_over_a_line_too_none_is_left_out(start_emulator, tmp_path, monkeypatch, firmware):
     monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
+    # On a machine that stands still what waits would give way to what is newer, or be late.
+    monkeypatch.setattr(ETactileKitBoard, "room_s", 60.0)
+    for module in ("streamed", "timely"):
+        monkeypatch.setattr(f"smarttouch.boards.{module}.LATE_NS", 60 * 10**9)
     _, port = start_emulator(
         f"--books={tmp_path}", f"--firmware={firmware}", protocol="etactilekit"
     )

@@ -171,8 +171,8 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(
     assert "[5, 9]" in done.stderr
     fresh_state(books)
     slots = read_slots(books)
-    # The measurement itself went through all of them; the run did not.
-    run = slots[slots["number"] > slots["number"].min() + 5]
+    # The measurement itself went through all of them, for as long as it took; the run did not.
+    run = slots[slots["number"] > slots["number"].max() - 20]
     assert len(run) > 100
     assert not {5, 9} & set(run["site"].tolist())
 
