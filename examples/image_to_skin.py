@@ -15,9 +15,8 @@ import smarttouch as st
 # %%
 # 5 x 5 discs. A copy of a profile is checked as a file is; its other tables stay as they are.
 OWN = """
-array = {layout = "grid", rows = 5, columns = 5, pitch_x_mm = 2, pitch_y_mm = 2, diameter_mm = 1}
-optics = {sensor_rows = 64, sensor_columns = 64, field_width_mm = 9, field_height_mm = 9, \
-magnification = 1}
+array = {layout="grid", rows=5, columns=5, pitch_x_mm=2, pitch_y_mm=2, diameter_mm=1}
+optics = {sensor_rows=64, sensor_columns=64, field_width_mm=9, field_height_mm=9, magnification=1}
 """
 CAN = {"max_current_ma": 3, "max_slots": 99, "time_to_zero_ms": 0, "firmware": "list"}
 profile = st.load_profile("electric-mouse").model_copy(update=tomllib.loads(OWN))
