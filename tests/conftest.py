@@ -27,8 +27,11 @@ PATIENCE_S = 5
 """How long boards and keepers bear a host's silence, where it is not what is tested."""
 NEVER_LATE_NS = 60_000_000_000
 """How late a sequence may be, and still be sent, where that is not what is tested."""
-PACED = ("running.loop", "boards.link", "boards.streamed", "boards.timely")
-"""What knows lateness, in a program that is a run."""
+LATENESS = [
+    f"smarttouch.{module}.LATE_NS"
+    for module in ("running.loop", "boards.link", "boards.streamed", "boards.timely")
+]
+"""Bounds of what boards and the loop call late."""
 
 # How long an example takes says how busy the machine is, and nothing of the code.
 settings.register_profile("no deadline", deadline=None)
@@ -95,17 +98,19 @@ def patient_keeper(tmp_path_factory):
 def patient_lines(request, monkeypatch):
     """Who waits for a processor is neither silent nor late yet.
 
-    Tests of silence and lateness of programs are marked as such, ``silence``.
+    Tests of silence are marked as such, and those of lateness.
     """
     monkeypatch.setattr("smarttouch.boards.link_line.SILENCE_S", PATIENCE_S)
     if "silence" not in request.keywords:
         changes = {
             "smarttouch.boards.emulator.link.SILENCE_MS": 1000 * PATIENCE_S,
             "smarttouch.boards.keeper.__file__": str(request.getfixturevalue("patient_keeper")),
-        } | {f"smarttouch.{module}.LATE_NS": NEVER_LATE_NS for module in PACED}
+        } | dict.fromkeys(LATENESS, NEVER_LATE_NS)
         monkeypatch.setattr(forks.Forked, "changes", changes)
         monkeypatch.setattr(keeper, "__file__", changes["smarttouch.boards.keeper.__file__"])
         monkeypatch.setattr(build, "silence_ms", 1000 * PATIENCE_S)
+        for name in () if "lateness" in request.keywords else LATENESS:
+            monkeypatch.setattr(name, NEVER_LATE_NS)
 
 
 @pytest.fixture(scope="session")

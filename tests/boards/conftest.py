@@ -344,8 +344,4 @@ def hosted(
     request, start_emulator, start_firmware, start_cortex_m3, faulty_line, tmp_path, monkeypatch
 ):
     starters = start_emulator, start_firmware, start_cortex_m3
-    if "silence" not in request.keywords:
-        # Nor is a host late that has to wait for a processor.
-        for module in ("boards.link", "boards.streamed", "boards.timely", "stimulation.safety"):
-            monkeypatch.setattr(f"smarttouch.{module}.LATE_NS", 60 * SECOND)
     return Hosted(request.param, starters, faulty_line, tmp_path, monkeypatch)
