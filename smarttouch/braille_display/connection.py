@@ -154,12 +154,18 @@ class BrlttyConnection:
         self._closing = True
         if self._thread.is_alive():
             self._thread.join(JOIN_S)
-        for each in (self._line, self._listener):
-            if each is not None:
-                each.close()
-        self._line = self._listener = None
 
     def _keep(self) -> None:
+        """Hold the connection until closing; nobody else closes what is waited on here."""
+        try:
+            self._hold()
+        finally:
+            for each in (self._line, self._listener):
+                if each is not None:
+                    each.close()
+            self._line = None
+
+    def _hold(self) -> None:
         wait = threading.Event()
         while not self._closing:
             line = self._line or self._connect()
