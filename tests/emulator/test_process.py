@@ -217,22 +217,31 @@ def test_every_frame_of_an_array_is_read_dropped_or_lost(start, profile, tmp_pat
 
 @pytest.mark.realtime
 def test_a_cell_with_all_faults_and_orders(start, profile, changed):
-    events = ["--event=0.4 garbage 0.6", "--event=1.2 nan 0.3", "--event=1.8 unplug 0.4"]
-    process, name = start("sensor", "hx711", "--force=0.6", "--counts-per-n=1000", *events)
+    arguments = ("--force=0.6", "--counts-per-n=1000", "--event=0 unplug 0")
+    process, name = start("sensor", "hx711", *arguments)
     in_newtons = changed(profile, {"force.curve": (-80.0, 0.001)})
-    with open_force(f"hx711:{name}", in_newtons) as force:
-        for _ in events:
-            wait_for(lambda: force.read(0) > 0)
-            assert force.read(0) == pytest.approx(0.6, abs=0.4)
-            wait_for(lambda: math.isnan(force.read(0)))
-        wait_for(lambda: force.read(0) > 0)
-        assert force._cell._readings.garbled > 0
-        assert force._cell._watch._none > 0
-        assert force._cell._watch._absence.times == 1
-        assert len(force.notes) >= len(events)
-    with open_cell(f"hx711:{name}") as cell:
-        process.stdin.write("weight 200\n")
+
+    def order(words):
+        process.stdin.write(f"{words}\n")
         process.stdin.flush()
+
+    with open_force(f"hx711:{name}", in_newtons) as force:
+        readings, watch = force._cell._readings, force._cell._watch
+        before = watch._absence.times
+        for fault, seen in (
+            ("garbage 0.6", lambda: readings.garbled > 0),
+            ("nan 0.3", lambda: watch._none > 0),
+            ("unplug 0.4", lambda: watch._absence.times > before),
+        ):
+            wait_for(lambda: force.read(0) > 0)
+            assert force.read(0) == pytest.approx(0.6, abs=0.4, nan_ok=True)
+            order(fault)
+            wait_for(lambda seen=seen: math.isnan(force.read(0)) and seen())
+        wait_for(lambda: force.read(0) > 0)
+        assert watch._absence.times == before + 1
+        assert len(force.notes) >= 3
+    with open_cell(f"hx711:{name}") as cell:
+        order("weight 200")
         wait_for(lambda: cell.reading() > 81_600)
         process.send_signal(signal.SIGTERM)
         assert process.wait(60) == 0
