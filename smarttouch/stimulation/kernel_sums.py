@@ -149,20 +149,49 @@ class KernelSums:
         size = np.fromiter(map(len, parts), np.intp, count)
         index = order.take(np.fromiter(chain.from_iterable(parts), np.intp))
         chosen, owner = active.take(index), owner.take(index)
+        ends = size.cumsum()
+        starts = ends - size
         levels = np.zeros((count, self._points_n))
         slot = np.arange(count).repeat(size)
         levels[slot, self._points.take(chosen)] = wanted.take(chosen)
-        aimed, kernels_ma = aimed.take(index), self._scratch_ma[: len(chosen)]
-        # With "raise", numpy would fill a copy first.
-        self.kernels_ma.take(chosen, axis=0, out=kernels_ma, mode="clip")
-        kernels_ma *= aimed[:, None]
-        ends = size.cumsum()
-        starts = ends - size
-        current_ma = np.add.reduceat(kernels_ma, starts, axis=0) if count else kernels_ma
+        aimed = aimed.take(index)
+        current_ma = self._added(chosen, aimed, slot, starts)
         first = owner.take(starts)
         do = np.zeros((2, count), np.float32)
         lists = np.concatenate([[0], ends]), chosen, aimed
         return Found(levels, current_ma, size, do, first, most_ma, *lists)
+
+    def _added(
+        self,
+        kernel: NDArray[np.intp],
+        share: Array,
+        slot: NDArray[np.intp],
+        start: NDArray[np.intp],
+    ) -> Array:
+        """Return shares of kernels added up in slots, (S, E) mA.
+
+        The first of all slots at once, then the second, and so on: a slot that has no more gets
+        nothing of the first kernel of all.
+
+        Parameters
+        ----------
+        kernel, share : ndarray, (N,)
+            Of one slot after the other.
+        slot : ndarray, (N,) intp
+        start : ndarray, (S,) intp
+            Where each slot begins.
+        """
+        place = np.arange(len(slot)) - start.take(slot)
+        shape = int(place.max(initial=0)) + 1, len(start)
+        rows, shares = np.zeros(shape, np.intp), np.zeros(shape)
+        rows[place, slot], shares[place, slot] = kernel, share
+        if rows.size > len(self._scratch_ma):
+            self._scratch_ma = np.empty((rows.size, self._electrodes))
+        added_ma = self._scratch_ma[: rows.size]
+        # With "raise", numpy would fill a copy first.
+        self.kernels_ma.take(rows.ravel(), axis=0, out=added_ma, mode="clip")
+        added_ma *= shares.reshape(-1, 1)
+        return np.asarray(np.add.reduce(added_ma.reshape(*shape, self._electrodes)))
 
 
 def _parts(
