@@ -123,7 +123,7 @@ def _groups(
         kind = np.where(listed, np.where(size == 1, POINTS, SUM), kind)
         pairs = np.column_stack([sums.kernel, sums.amplitude]).astype("<u2")
         first = sums.first.tolist()
-    rows = _rows(sequence, switched)
+    rows = _rows(sequence, switched) if kind.max() >= CURRENTS else None
     new = np.ones(slots, np.bool_)
     new[1:] = (kind[1:] == SUM) | (np.diff(kind) != 0) | (np.diff(shape) != 0)
     starts = np.flatnonzero(new).tolist()
@@ -135,7 +135,7 @@ def _groups(
         if count > _U16_MAX:
             raise _too_many(count)
         parts.append(_GROUP.pack(what, int(shape[start]), count))
-        body = pairs[first[start] : first[end]] if what <= SUM else rows[start:end]
+        body = pairs[first[start] : first[end]] if rows is None or what <= SUM else rows[start:end]
         parts.append(body.tobytes())
     return parts
 

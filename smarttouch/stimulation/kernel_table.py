@@ -21,6 +21,8 @@ SHIFT = 17
 """A weight of 2^15 times an amplitude of 4 is one µA: 2^17."""
 MOST_KERNELS = 0xFFFF
 _BLOCK = 1 << 15
+_ABOVE = 1 << 30
+"""Above what any slot's electrodes carry together, µA; a multiple of 2^16."""
 
 Shared = Mapping[Afferent, tuple[NDArray[np.float64], NDArray[np.intp]]]
 
@@ -46,9 +48,11 @@ class KernelTable:
     shared: dict[Afferent, int]
 
     @cached_property
-    def weights_so_far(self) -> NDArray[np.float64]:
-        """Sum of each kernel's weights from electrode 0 to each one, (K, E), whole numbers."""
+    def ua_so_far(self) -> NDArray[np.float64]:
+        """What each kernel gives electrodes 0 to each one together, (K, E) µA, at amplitude 1."""
         summed = np.cumsum(self.weights, axis=1, dtype=np.float64)
+        # By a power of two: exact.
+        summed *= 2.0**-SHIFT
         summed.setflags(write=False)
         return summed
 
@@ -120,23 +124,24 @@ class KernelLists:
         Of weights times amplitudes, added up, the sum from electrode 0 to each one is rounded to
         whole µA, halves upward; an electrode gets the difference of two of these.
         """
-        first, slots, summed = self.first, len(self.first) - 1, self.table.weights_so_far
-        found = np.empty((slots, summed.shape[1]), np.int16)
+        first, slots, so_far = self.first, len(self.first) - 1, self.table.ua_so_far
+        found = np.empty((slots, so_far.shape[1]), np.int16)
+        amplitude = self.amplitude.astype(np.float64)[:, None]
         # By as many slots as stay in the processor's cache.
-        step = max(1, _BLOCK // summed.shape[1])
+        step = max(1, _BLOCK // so_far.shape[1])
         for start in range(0, slots, step):
             rows = slice(start, min(start + step, slots))
             pairs = slice(first[start], first[rows.stop])
-            # In doubles all of it is exact: sums stay far below 2^53.
-            scaled = summed[self.kernel[pairs]]
-            scaled *= self.amplitude[pairs, None]
+            # In doubles all of it is exact: sums stay far below 2^36, in parts of 2^-17.
+            scaled = so_far[self.kernel[pairs]]
+            scaled *= amplitude[pairs]
             if len(scaled) > rows.stop - start:
                 scaled = np.add.reduceat(scaled, first[rows] - first[start], axis=0)
-            scaled += 1 << SHIFT - 1
-            scaled *= 2.0**-SHIFT
-            np.floor(scaled, out=scaled)
-            found[rows, 0] = scaled[:, 0]
-            np.subtract(scaled[:, 1:], scaled[:, :-1], out=found[rows, 1:], casting="unsafe")
+            scaled += _ABOVE + 0.5
+            # Nothing is negative now, and cut off is rounded down; what is above 16 bits cancels.
+            whole = scaled.astype(np.int64).astype(np.int16)
+            found[rows, 0] = whole[:, 0]
+            np.subtract(whole[:, 1:], whole[:, :-1], out=found[rows, 1:])
         return found
 
     def joined(self, other: "KernelLists") -> "KernelLists":
