@@ -55,7 +55,7 @@ class Timely:
 
     @final
     def _is_late(self, due_ns: int) -> bool:
-        return not self.simulated_time and self.clock.now_ns() - due_ns > LATE_NS
+        return self.clock.now_ns() - due_ns > LATE_NS
 
     @final
     def _refuse_late(self, due_ns: int) -> None:

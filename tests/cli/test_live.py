@@ -154,7 +154,7 @@ def test_sai_and_light_on_dark(program_here, tmp_path):
 
 def recorded(program_here, tmp_path, name, seed):
     options = ("--sensor=text:same", "--speed=200", f"--seed={seed}", f"--record={name}")
-    done = program_here("live", "--board", "simulated:", *options, "--quiet")
+    done = program_here("live", "--board", "memory:", *options, "--quiet")
     assert done.returncode == 0, done.stderr
     sequences = messages(tmp_path / name, "/sequence")
     return [

@@ -204,15 +204,21 @@ def test_every_frame_of_an_array_is_read_dropped_or_lost(start, profile, tmp_pat
             return look
 
         wait_for(lambda: see() and sensor._device._before >= 299)
-        wait_for(lambda: see().stale)
+
+        def is_over():
+            """While the line is full none is sent: others come instead, after a while."""
+            before = sensor.frames
+            time.sleep(0.5)
+            return see().stale and sensor.frames == before
+
+        wait_for(is_over)
     assert process.wait(60) == 0
     account = json.loads(books.read_text())
-    # None is sent while the line is full, as it is where the reader stands still.
-    assert account["sent"] + account["dropped"] >= 300 >= account["sent"]
+    assert account["sent"] == 300
     assert account["garbage"] == 0
     assert sensor.frames == len(read) + sensor.dropped_frames
     # What was sent while the port was opened, as many frames as that takes, was nobody's.
-    assert 0 < sensor.frames <= account["sent"]
+    assert 0 < sensor.frames <= 300
 
 
 @pytest.mark.realtime
@@ -227,18 +233,19 @@ def test_a_cell_with_all_faults_and_orders(start, profile, changed):
 
     with open_force(f"hx711:{name}", in_newtons) as force:
         readings, watch = force._cell._readings, force._cell._watch
-        before = watch._absence.times
         for fault, seen in (
             ("garbage 0.6", lambda: readings.garbled > 0),
             ("nan 0.3", lambda: watch._none > 0),
-            ("unplug 0.4", lambda: watch._absence.times > before),
+            ("unplug 0.4", lambda: watch._absence.times > 0),
         ):
-            wait_for(lambda: force.read(0) > 0)
-            assert force.read(0) == pytest.approx(0.6, abs=0.4, nan_ok=True)
+            # One reading: the next may have come late, and be none.
+            found = [math.nan]
+            wait_for(lambda found=found: found.append(force.read(0)) or found[-1] > 0)
+            assert found[-1] == pytest.approx(0.6, abs=0.4)
             order(fault)
             wait_for(lambda seen=seen: math.isnan(force.read(0)) and seen())
         wait_for(lambda: force.read(0) > 0)
-        assert watch._absence.times == before + 1
+        assert watch._absence.times == 1
         assert len(force.notes) >= 3
     with open_cell(f"hx711:{name}") as cell:
         order("weight 200")
