@@ -1,5 +1,6 @@
 """Driver of boards that implement our own protocol over a serial line."""
 
+import time
 from collections import deque
 from dataclasses import replace
 from typing import Any, Never
@@ -36,7 +37,14 @@ from smarttouch.stimulation.limits import parts_per_billion
 from smarttouch.stimulation.safety import Rise, SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.framing import LARGEST_PACKET
-from smarttouch.wire.port import Port, UsbIdentity, identity_of, open_port, reopen_port
+from smarttouch.wire.port import (
+    Port,
+    UsbIdentity,
+    device_of,
+    identity_of,
+    open_port,
+    reopen_port,
+)
 
 RECOVER_S = 3.0
 """Time to wait for a lost port."""
@@ -44,6 +52,10 @@ AGAIN_S = 0.04
 """Time after which a sequence without an ACK is sent again, unless it is too late for it."""
 IN_FLIGHT = 1
 """Sequences sent but not yet begun: the board has one place for them."""
+AFTER_ZERO_S = 0.02
+"""Time after a stop in which the board's count of slots must stand still: a period at 50 Hz."""
+IMPOSSIBLE_SHARE = 1.1
+"""Part of the compliance that no voltage of a slot can exceed."""
 OPEN_SHARE = 0.97
 """Part of the compliance: if every slot reaches it, nothing touches the electrodes."""
 
@@ -70,7 +82,15 @@ class LinkBoard(Board):
         self._in_flight: dict[int, bytes] = {}
         self._repeated: deque[int] = deque(maxlen=64)
         """Sequences sent more than once: they may be answered more than once."""
-        self._packets_before = 0
+        self._account_before: tuple[Any, ...] = ()
+        """Account of the board when it was opened, or opened again after its line was lost."""
+        self._slots_sent = 0
+        """Slots sent since then, repetitions included."""
+        self._unsafe_refused = 0
+        """Sequences refused as unsafe since then, and those sent again: they may count twice."""
+        self._stop_answered = False
+        self._suspicion = ""
+        """Fault found by the thread that reads, until the board is latched."""
         self._identity: UsbIdentity | None = None
         self._in_flight_due_ns = 0
         self._in_flight_ppb = 0
@@ -86,6 +106,10 @@ class LinkBoard(Board):
 
     # -- the contract ------------------------------------------------------
 
+    @property
+    def device(self) -> str | None:
+        return device_of(self._line.name) if self._line.name else None
+
     def _open(self) -> None:
         if not self._line.name:
             raise BoardError(
@@ -93,15 +117,19 @@ class LinkBoard(Board):
             )
         port = open_port(self._line.name)
         self._identity = identity_of(port)
+        self._packets_before = 0
         self._start(port)
-        self._packets_before = sum(self._status()[-2:])
+        self._packets_before = sum(self._account_before[-2:])
 
     def _start(self, port: Port, known: Capabilities | None = None) -> None:
         self._in_flight.clear()
         self._rise.restart()
+        self._stop_answered, self._suspicion = False, ""
         self._line.open(port)
         try:
             self._shake_hands(known)
+            self._account_before = self._status()
+            self._slots_sent = self._unsafe_refused = 0
         except BaseException:
             self._line.close()
             raise
@@ -128,6 +156,7 @@ class LinkBoard(Board):
             self._in_flight_due_ns, self._in_flight_ppb = self._due_ns, ppb
             self._again_s = self._line.now_s() + AGAIN_S
             self._sent.append((self._number, sequence))
+            self._slots_sent += sequence.slots * times
         if not self._write_in_time(self._number, payload):
             with self._line.news:
                 self._in_flight.pop(self._number, None)
@@ -199,6 +228,9 @@ class LinkBoard(Board):
 
         It has the same number: the board recognizes it if only the ACK was lost.
         """
+        if self._suspicion:
+            self._line.fail(self._latch(self._suspicion))
+            return
         # Nothing newer can go out between the look and the write.
         with self._line.writing:
             with self._line.news:
@@ -208,6 +240,7 @@ class LinkBoard(Board):
                 self._again_s = now_s + AGAIN_S
                 number, payload = next(iter(self._in_flight.items()))
                 self._repeated.append(number)
+                self._unsafe_refused += 1
             self._write_in_time(number, payload)
 
     def _stop(self) -> None:
@@ -219,16 +252,49 @@ class LinkBoard(Board):
             return
         try:
             self._line.ask(Kind.STOP)
+            self._stop_answered = True
         except BoardError:
             # A lost board has been reported, or will be at the next send.
             if self._line.fault is None:
                 raise
 
     def _close(self) -> None:
-        self._line.close()
+        try:
+            # Who halts does not wait, and a fault is one already.
+            if self._stop_answered and not self._halted and self._line.fault is None:
+                self._check_zero()
+        finally:
+            self._line.close()
+
+    def _check_zero(self) -> None:
+        """Latch the board if it delivers slots after it has confirmed a stop."""
+        slots = self._checked_account()[1]
+        time.sleep(AFTER_ZERO_S)
+        if self._checked_account()[1] != slots:
+            raise self._latch("the board delivered pulses after it had confirmed zero")
+
+    def _checked_account(self) -> tuple[Any, ...]:
+        """Return the board's account; latch the board if it tells of what was not sent."""
+        told, before, limits = self._status(), self._account_before, self._gate.limits
+        violations, slots = told[3] - before[3], told[1] - before[1]
+        largest_ma = limits.total_ua / 1000 if limits.one_source else limits.current_ua.max() / 1000
+        if violations > self._unsafe_refused:
+            raise self._latch(
+                f"the board counted {violations} violations of its own rules, and refused "
+                f"{self._unsafe_refused} sequences for one"
+            )
+        if slots > self._slots_sent:
+            raise self._latch(
+                f"the board delivered {slots} slots where {self._slots_sent} were sent"
+            )
+        if told[4] > max(before[4], largest_ma):
+            raise self._latch(
+                f"the board delivered {told[4]:g} mA, above the {largest_ma:g} mA that may be sent"
+            )
+        return told
 
     def report(self) -> BoardReport:
-        told = self._status()
+        told = self._checked_account()
         refused = max(0, sum(told[-2:]) - self._packets_before)
         return replace(BoardReport(*told[:7]), refused_packets=refused)
 
@@ -328,8 +394,12 @@ class LinkBoard(Board):
             return self._line.session.refuse()
         volts = decode_volts(message.payload)
         if len(volts) == sequence.slots and len(volts):
-            self._measured.append((sequence, volts))
             compliance = self.capabilities.compliance_v
+            if compliance is not None and volts.max() > IMPOSSIBLE_SHARE * compliance:
+                self._suspicion = (
+                    f"the board measured {volts.max():.0f} V with a source of {compliance:g} V"
+                )
+            self._measured.append((sequence, volts))
             self.lifted = compliance is not None and bool((volts >= OPEN_SHARE * compliance).all())
         return None
 
@@ -343,6 +413,7 @@ class LinkBoard(Board):
         self.refused += 1
         line = self._line
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
+            self._unsafe_refused += 1
             # Clocks differ: what rose too fast for the board's begins anew at zero.
             fault = line.lost if rule == Rule.RISE else line.gone
             line.fail(fault(f"refused sequence {message.about} as unsafe: {words}", "refused"))

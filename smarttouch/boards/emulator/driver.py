@@ -40,6 +40,7 @@ class EmulatorBoard(LinkBoard):
     """
 
     on_a_finger = False
+    device = None
 
     def __init__(
         self,
