@@ -54,8 +54,8 @@ IN_FLIGHT = 1
 """Sequences sent but not yet begun: the board has one place for them."""
 AFTER_ZERO_S = 0.02
 """Time after a stop in which the board's count of slots must stand still: a period at 50 Hz."""
-IMPOSSIBLE_SHARE = 1.1
-"""Part of the compliance that no voltage of a slot can exceed."""
+MOST_COMPLIANCES = 2.1
+"""Bound of a slot's voltage: sources of both poles at their limit reach twice the compliance."""
 OPEN_SHARE = 0.97
 """Part of the compliance: if every slot reaches it, nothing touches the electrodes."""
 
@@ -401,7 +401,7 @@ class LinkBoard(Board):
         volts = decode_volts(message.payload)
         if len(volts) == sequence.slots and len(volts):
             compliance = self.capabilities.compliance_v
-            if compliance is not None and volts.max() > IMPOSSIBLE_SHARE * compliance:
+            if compliance is not None and volts.max() > MOST_COMPLIANCES * compliance:
                 self._suspicion = (
                     f"the board measured {volts.max():.0f} V with a source of {compliance:g} V"
                 )

@@ -75,7 +75,7 @@ elif fault == "after zero":
         if "_report" in vars(each):
             change(each, "_report", after_zero)
 elif fault == "volts":
-    change(link, "encode_volts", lambda encode: lambda volts: encode(np.full(len(volts), 450.0)))
+    change(link, "encode_volts", lambda encode: lambda volts: encode(np.full(len(volts), 650.0)))
 elif fault == "beside":
     change(kit.ETactileKitFirmware, "_pulses", beside)
 else:
