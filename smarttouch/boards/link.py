@@ -16,7 +16,7 @@ from smarttouch.boards.link_line import ANSWER_S, LinkLine
 from smarttouch.boards.link_lists import encode_lists
 from smarttouch.boards.link_offer import accepted
 from smarttouch.boards.link_protocol import Kind, Refusal, Rule
-from smarttouch.boards.link_sequence import decode_volts, encode_sequence
+from smarttouch.boards.link_sequence import decode_volts
 from smarttouch.boards.link_session import Message
 from smarttouch.boards.link_setup import (
     OVERHEAD,
@@ -30,7 +30,13 @@ from smarttouch.boards.probe import probe_sequences
 from smarttouch.boards.recovery import start_anew
 from smarttouch.boards.slow_line import slow_line_notes
 from smarttouch.clock import LATE_NS
-from smarttouch.errors import BoardError, BoardFaultError, LineLostError
+from smarttouch.errors import (
+    BoardError,
+    BoardFaultError,
+    EmergencyStopError,
+    KernelTableError,
+    LineLostError,
+)
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.kernel_table import KernelTable
 from smarttouch.stimulation.limits import parts_per_billion
@@ -52,6 +58,8 @@ AGAIN_S = 0.04
 """Time after which a sequence without an ACK is sent again, unless it is too late for it."""
 IN_FLIGHT = 1
 """Sequences sent but not yet begun: the board has one place for them."""
+OLD_PACKETS = slice(8, 10)
+"""Places of packets refused as old and as of another session in a board's account."""
 AFTER_ZERO_S = 0.02
 """Time after a stop in which the board's count of slots must stand still: a period at 50 Hz."""
 MOST_COMPLIANCES = 2.1
@@ -119,7 +127,7 @@ class LinkBoard(Board):
         self._identity = identity_of(port)
         self._packets_before = 0
         self._start(port)
-        self._packets_before = sum(self._account_before[-2:])
+        self._packets_before = sum(self._account_before[OLD_PACKETS])
 
     def _start(self, port: Port, known: Capabilities | None = None) -> None:
         self._in_flight.clear()
@@ -165,15 +173,9 @@ class LinkBoard(Board):
 
     def _encoded(self, sequence: ScanSequence, times: int) -> bytes:
         can = self.capabilities
-        if self._line.session.version == protocol.NEWEST:
-            room = (can.packet_bytes or LARGEST_PACKET) - OVERHEAD
-            switched = self._kind != "weighted"
-            return encode_lists(sequence, times, can.measures, switched, self._image, room)
-        return encode_sequence(
-            self._kind, sequence.period_us, sequence.width_us, sequence.discharge_us,
-            sequence.site, sequence.current_ua, times, can.measures,
-            sequence.recharge_ua, sequence.recharge_us,
-        )  # fmt: skip
+        room = (can.packet_bytes or LARGEST_PACKET) - OVERHEAD
+        switched = self._kind != "weighted"
+        return encode_lists(sequence, times, can.measures, switched, self._image, room)
 
     def keep_kernels(self, table: KernelTable) -> None:
         self._table = table
@@ -186,7 +188,10 @@ class LinkBoard(Board):
         if self._table is None or not can.kernel_bytes or not can.packet_bytes:
             return
         image = KernelImage.of(self._table, can.kernel_bytes, can.most_kernels)
-        give_kernels(self._line, image, can.packet_bytes, self._go_on_unless_stopped)
+        try:
+            give_kernels(self._line, image, can.packet_bytes, self._go_on_unless_stopped)
+        except KernelTableError as other:
+            raise self._latch(str(other)) from None
         self._image = image
 
     def _drop_late(self) -> Never:
@@ -301,7 +306,7 @@ class LinkBoard(Board):
 
     def report(self) -> BoardReport:
         told = self._checked_account()
-        refused = max(0, sum(told[-2:]) - self._packets_before)
+        refused = max(0, sum(told[OLD_PACKETS]) - self._packets_before)
         return replace(BoardReport(*told[:7]), refused_packets=refused)
 
     def drain(self, timeout_s: float = ANSWER_S) -> None:
@@ -353,9 +358,8 @@ class LinkBoard(Board):
 
     def _shake_hands(self, known: Capabilities | None) -> None:
         self._line.begin(lambda offer: self._take_offer(offer, known), self._stopped)
-        if self._line.session.version == protocol.NEWEST:
-            give_limits(self._line, self._gate.limits)
-            self._give_kernels()
+        give_limits(self._line, self._gate.limits)
+        self._give_kernels()
         self.notes += slow_line_notes(self._status)
 
     def _take_offer(self, answer: Message, known: Capabilities | None) -> None:
@@ -368,6 +372,8 @@ class LinkBoard(Board):
 
     def _hear(self, message: Message) -> None:
         """Handle an unrequested packet."""
+        if message.state & protocol.SWITCH_OPEN and self._has_switch:
+            self._line.fail(self._emergency())
         match message.kind:
             case Kind.ALIVE:
                 if len(message.payload) == protocol.ALIVE.size:
@@ -409,8 +415,24 @@ class LinkBoard(Board):
             self.lifted = compliance is not None and bool((volts >= OPEN_SHARE * compliance).all())
         return None
 
+    @property
+    def _has_switch(self) -> bool:
+        return hasattr(self, "capabilities") and self.capabilities.emergency_switch
+
+    def _emergency(self) -> EmergencyStopError:
+        return EmergencyStopError(
+            f"the emergency switch of the board at {self._line.name} was opened: all electrodes "
+            "are at zero; close it, then begin again",
+            about="board",
+            problem="emergency",
+            value=self._line.name,
+        )
+
     def _refused(self, message: Message) -> None:
         why, rule, words = reason_of(message)
+        if why == Refusal.EMERGENCY:
+            self._line.fail(self._emergency())
+            return
         if why in (Refusal.GARBLED, Refusal.OLD, Refusal.FOREIGN):
             # Our own part of it is sent again; REPORT counts the rest.
             return
