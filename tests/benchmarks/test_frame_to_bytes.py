@@ -217,7 +217,6 @@ def test_scans(benchmark, make_bank, quick, side, frames, capsys):
         p50, p99 = quantiles(alone)
         rows.append(f"| {side * side:,} | {name} | {' | '.join(cells)} | {plain_us / p50:,.1f} |")
         benchmark.extra_info[name] = {"p50 µs": round(p50), "p99 µs": round(p99)}
-    kept = "yes" if keeps else "no"
     with capsys.disabled():
         print(
             "\n| electrodes | scan | p50, µs | p99, µs | p50 in turn, µs | p99 in turn, µs "
