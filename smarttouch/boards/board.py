@@ -12,7 +12,6 @@ from smarttouch.boards.capabilities import BOTH, BoardReport, Capabilities, Pola
 from smarttouch.boards.host_statistics import HostStatistics
 from smarttouch.boards.impedance import Impedance
 from smarttouch.boards.latch import latch, refuse_latched
-from smarttouch.boards.open_boards import OpenBoard
 from smarttouch.boards.timely import Timely
 from smarttouch.errors import (
     BoardError,
@@ -113,7 +112,6 @@ class Board(Timely, ABC):
             self.capabilities = Capabilities(**(known | capabilities))
         self._gate = SafetyGate(limits.on(output), self._time())
         self._opened = False
-        self._entry: OpenBoard | None = None
 
     @final
     def open(self) -> None:
@@ -127,13 +125,7 @@ class Board(Timely, ABC):
         self._gate.begin_session()
         self._begin_unless_halted()
         self._host_statistics = HostStatistics(self._gate.limits.electrodes)
-        if self.on_a_finger:
-            self._entry = OpenBoard(self.halt, self._most_ma())
-        try:
-            self._open()
-        except BaseException:
-            self._leave()
-            raise
+        self._open()
         self._opened = True
         if not isinstance(getattr(self, "capabilities", None), Capabilities):
             self.close()
@@ -318,22 +310,9 @@ class Board(Timely, ABC):
             try:
                 self.stop()
             finally:
-                try:
-                    self._close()
-                finally:
-                    self._leave()
+                self._close()
             if self._fault_found is not None:
                 raise self._fault_found
-
-    def _most_ma(self) -> float:
-        """Return the most current that it may drive, mA; 0 where another board drives it."""
-        return self._gate.limits.total_ua / 1000
-
-    @final
-    def _leave(self) -> None:
-        if self._entry is not None:
-            self._entry.close()
-            self._entry = None
 
     def keep_kernels(self, table: KernelTable) -> None:
         """Give the board the kernels of the sequences to come, if it keeps any.

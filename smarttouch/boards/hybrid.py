@@ -70,9 +70,6 @@ class HybridBoard(Board):
         self.notes += shaking.notes
         shaking.share_notes(self.notes)
 
-    def _most_ma(self) -> float:
-        return 0.0
-
     def _time(self) -> Now | None:
         return self.electric._time()
 

@@ -5,6 +5,7 @@ import os
 import signal
 import stat
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,8 @@ from smarttouch.errors import SmartTouchError
 from smarttouch.posix import fcntl
 from smarttouch.stopping import RunStopped
 
+ENDED_WITHIN_S = 3.0
+"""Of being asked by `stop_all`."""
 _MARK = "stopped"
 _MARK_BYTES = 200
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
@@ -35,7 +38,7 @@ def announced() -> Iterator[None]:
         If they cannot: a run that could not be stopped from elsewhere does not begin.
     """
     try:
-        path = state_folder() / f"{os.getpid()}.run"
+        path = _folder() / f"{os.getpid()}.run"
         number, hidden = _new_file()
         try:
             # Held as long as we live, however we end: a file that nobody holds means nothing.
@@ -67,11 +70,11 @@ def running() -> list[int]:
     Whatever else lies in their folder is passed over.
     """
     found = []
-    for path in listed():
+    for path in _listed():
         process, dot, ending = path.name.partition(".")
         if not (process.isascii() and process.isdigit() and dot + ending == ".run"):
             continue
-        with regular(path) as number:
+        with _regular(path) as number:
             if number is None:
                 continue
             try:
@@ -84,6 +87,45 @@ def running() -> list[int]:
     return found
 
 
+def stop_all() -> int:
+    """End every run of this user with all electrodes at zero; return how many there were.
+
+    What was started before and has not begun yet does not begin.
+
+    Raises
+    ------
+    SmartTouchError
+        If some have not ended in time, or those that are just starting could not be kept from it.
+    """
+    # First the mark: who is not listed yet will find it before it begins.
+    no_mark: SmartTouchError | None = None
+    try:
+        leave_mark()
+    except SmartTouchError as error:
+        no_mark = error
+    asked = running()
+    for process in asked:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(process, signal.SIGTERM)
+    deadline = time.monotonic() + ENDED_WITHIN_S
+    while (left := running()) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    if left:
+        raise SmartTouchError(
+            f"{len(left)} of {len(asked)} runs have not ended within {ENDED_WITHIN_S:g} s (process "
+            f"{left[0]}): switch the board off",
+            about="runs",
+            problem="late",
+            value=tuple(left),
+            allowed=ENDED_WITHIN_S,
+        )
+    if no_mark is not None:
+        raise no_mark
+    # Who is started after this is newer than the mark, in the system's steps of 10 ms too.
+    time.sleep(0.02)
+    return len(asked)
+
+
 def leave_mark() -> int:
     """Let no process that has been started until now begin current; return the time, ns.
 
@@ -94,7 +136,7 @@ def leave_mark() -> int:
     """
     time_ns = now_ns()
     try:
-        mark = state_folder() / _MARK
+        mark = _folder() / _MARK
         number, hidden = _new_file()
         with os.fdopen(number, "w") as file:
             file.write(f"{_boot()} {time_ns}")
@@ -123,14 +165,9 @@ def refuse_if_stopped() -> None:
     RunStopped
         As if it had been in time to be asked by a signal: no current is to begin.
     """
-    if is_stopped():
-        raise RunStopped(signal.SIGTERM, "smarttouch stop")
-
-
-def is_stopped() -> bool:
-    """Return whether ``smarttouch stop`` came after this process was started."""
     mark_ns = _mark_ns()
-    return mark_ns is not None and started_ns() < mark_ns <= now_ns()
+    if mark_ns is not None and started_ns() < mark_ns <= now_ns():
+        raise RunStopped(signal.SIGTERM, "smarttouch stop")
 
 
 def started_ns() -> int:
@@ -144,7 +181,7 @@ def started_ns() -> int:
 
 def _mark_ns() -> int | None:
     """Return the time of the last stop since the machine was started, None if there was none."""
-    with regular(state_folder() / _MARK) as number:
+    with _regular(_folder() / _MARK) as number:
         if number is None:
             return None
         words = os.read(number, _MARK_BYTES).decode("ascii", "replace").split()
@@ -161,19 +198,9 @@ def _boot() -> str:
         return "-"
 
 
-def state_folder() -> Path:
-    """Return the folder of this user's runs and open boards, which nobody else can enter.
-
-    Raises
-    ------
-    SmartTouchError
-        If it cannot be made.
-    """
+def _folder() -> Path:
     try:
-        folder = user_state_path("smarttouch", appauthor=False, ensure_exists=True)
-        if folder.stat().st_mode & 0o077:
-            folder.chmod(0o700)
-        return folder
+        return user_state_path("smarttouch", appauthor=False, ensure_exists=True)
     except OSError as error:
         message = f"cannot make the folder {error.filename} for the state of runs: {error.strerror}"
         raise SmartTouchError(
@@ -181,10 +208,9 @@ def state_folder() -> Path:
         ) from None
 
 
-def listed() -> list[Path]:
-    """Return all files of that folder."""
+def _listed() -> list[Path]:
     try:
-        return sorted(state_folder().iterdir())
+        return sorted(_folder().iterdir())
     except OSError as error:
         message = f"cannot look for runs in {error.filename}: {error.strerror}"
         raise SmartTouchError(
@@ -194,12 +220,12 @@ def listed() -> list[Path]:
 
 def _new_file() -> tuple[int, Path]:
     """Return a new file's descriptor and its path, a name that nothing else has."""
-    number, path = tempfile.mkstemp(prefix=".", suffix=".new", dir=state_folder())
+    number, path = tempfile.mkstemp(prefix=".", suffix=".new", dir=_folder())
     return number, Path(path)
 
 
 @contextmanager
-def regular(path: Path) -> Iterator[int | None]:
+def _regular(path: Path) -> Iterator[int | None]:
     """Open a file for reading; None for what is no file, cannot be read, or would block."""
     try:
         number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
