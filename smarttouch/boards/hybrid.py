@@ -60,6 +60,7 @@ class HybridBoard(Board):
     simulated_time: ClassVar[bool] = _electric("simulated_time")
     on_a_finger: ClassVar[bool] = _electric("on_a_finger")
     capabilities: Capabilities = _vibrating()
+    shares_budget = False  # the electrode board has its own
 
     def __init__(self, electric: Board, shaking: VibratorBoard) -> None:
         self.electric, self.shaking = electric, shaking

@@ -42,8 +42,9 @@ class Timely:
     @final
     def _go_on_unless_stopped(self) -> None:
         if self._stopped.is_set():
+            again = "open a new display" if self._halted else "open it again"
             raise BoardStoppedError(
-                "the board was stopped, all electrodes are at zero: open it again before sending",
+                f"the board was stopped, all electrodes are at zero: {again} before sending",
                 about="board",
                 problem="stopped",
             )
