@@ -138,6 +138,8 @@ def _told_as_stopped(watch: SignalWatch) -> Iterator[None]:
     except BoardStoppedError:
         if watch.number:
             raise RunStopped(watch.number) from None
+        # By the mark alone: the signal is on its way.
+        refuse_if_stopped()
         raise
 
 
