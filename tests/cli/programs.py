@@ -15,7 +15,7 @@ from smarttouch.errors import SmartTouchError
 from smarttouch.sources.forces.force import FixedForce
 
 KIND, URL = sys.argv[1:3]
-TEXT = "text:" + "Hello " * 100
+TEXT = "text:" + "Hello " * 40
 FORCE = None if URL == "emulator:" else FixedForce("0.5")
 
 
