@@ -207,7 +207,6 @@ class _Signals:
         """Whether the main thread is in a run, which ends by itself."""
         self._count = 0
         self._pipe: tuple[int, int] | None = None
-        self._wakes = False
 
     def install(self) -> None:
         """Handle those that would end the process at once; only the main thread can."""
@@ -221,10 +220,9 @@ class _Signals:
             os.set_blocking(self._pipe[1], False)
             threading.Thread(target=self._watch, name="signals", daemon=True).start()
             atexit.register(_program.await_runs)
-        # Unless the program's event loop has its own: the handler then writes by itself.
+        # At once, too, where the main thread is busy; unless the program's event loop has its own.
         before = signal.set_wakeup_fd(self._pipe[1], warn_on_full_buffer=False)
-        self._wakes = before in (-1, self._pipe[1])
-        if not self._wakes:
+        if before not in (-1, self._pipe[1]):
             signal.set_wakeup_fd(before)
         for number in free:
             signal.signal(number, _on_signal)
@@ -245,7 +243,8 @@ class _Signals:
     def handle(self, number: int) -> None:
         """In the main thread: let its run end, or end whatever else it does."""
         self._count += 1
-        if self._pipe is not None and not self._wakes:
+        if self._pipe is not None:
+            # By itself: an event loop that was started since has its own in place of the pipe.
             with contextlib.suppress(BlockingIOError):
                 os.write(self._pipe[1], bytes([number]))
         if self.orderly:

@@ -261,14 +261,19 @@ def test_handlers_of_signals_are_there_while_a_board_is_open():
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
-@pytest.mark.parametrize("loop_has_it", [False, True])
-def test_a_signal_ends_a_process_whatever_its_event_loop_does(loop_has_it):
+@pytest.mark.parametrize("loop_starts", [None, "before", "after"])
+def test_a_signal_ends_a_process_whatever_its_event_loop_does(loop_starts):
+    def start_loop():
+        _, own = os.pipe()
+        os.set_blocking(own, False)
+        signal.set_wakeup_fd(own)
+
     def work(say):
-        if loop_has_it:
-            _, own = os.pipe()
-            os.set_blocking(own, False)
-            signal.set_wakeup_fd(own)
+        if loop_starts == "before":
+            start_loop()
         with Plain() as board:
+            if loop_starts == "after":
+                start_loop()
             say()
             try:
                 time.sleep(PATIENCE_S)
