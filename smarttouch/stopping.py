@@ -41,8 +41,8 @@ def thread_states() -> Iterator[tuple[int, str]]:
                 yield int(task.name), (task / "stat").read_text().rpartition(") ")[2][0]
 
 
-class RunStopped(BaseException):
-    """A signal, or what counts as one, ended the program before a board was open.
+class RunStopped(SystemExit):
+    """A signal, or what counts as one, ends the program: with 128 and the signal's number.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class RunStopped(BaseException):
 
     def __init__(self, number: int, by: str | None = None) -> None:
         super().__init__(by or SIGNALS[signal.Signals(number)])
-        self.number = number
+        self.number, self.code = number, 128 + number
 
 
 @dataclass
@@ -91,11 +91,15 @@ class StopRequest:
             with contextlib.suppress(SmartTouchError):
                 tell()
 
+    def always_tell(self, tell: Callable[[], None]) -> None:
+        """Call a function whenever the end is requested, from now on."""
+        with self._lock:
+            self._told.append(tell)
+
     @contextmanager
     def telling(self, tell: Callable[[], None]) -> Iterator[None]:
         """Call a function once the end is requested, during the block or before it."""
-        with self._lock:
-            self._told.append(tell)
+        self.always_tell(tell)
         try:
             if self.event.is_set():
                 tell()

@@ -2,6 +2,7 @@
 
 import fcntl
 import gc
+import itertools
 import os
 import signal
 import sys
@@ -32,6 +33,8 @@ LATENESS = [
     for module in ("running.loop", "boards.link", "boards.streamed", "boards.timely")
 ]
 """Bounds of what boards and the loop call late."""
+
+_STATES = itertools.count()
 
 # How long an example takes says how busy the machine is, and nothing of the code.
 settings.register_profile("no deadline", deadline=None)
@@ -81,6 +84,13 @@ def pytest_collection_finish():
     """Let the garbage collector pass over what the whole run needs: modules and tests."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(autouse=True)
+def own_state(tmp_path_factory, monkeypatch):
+    """Let no board of one test count, or be stopped, in another; it is made when it is needed."""
+    folder = tmp_path_factory.getbasetemp() / f"state{next(_STATES)}"
+    monkeypatch.setenv("XDG_STATE_HOME", str(folder))
 
 
 @pytest.fixture(scope="session")

@@ -12,6 +12,7 @@ from smarttouch.boards.capabilities import BOTH, BoardReport, Capabilities, Pola
 from smarttouch.boards.host_statistics import HostStatistics
 from smarttouch.boards.impedance import Impedance
 from smarttouch.boards.latch import latch, refuse_latched
+from smarttouch.boards.stoppable import enter, leave
 from smarttouch.boards.timely import Timely
 from smarttouch.errors import (
     BoardError,
@@ -64,6 +65,8 @@ class Board(Timely, ABC):
     """Whether such boards may keep kernels, and slots should be sums of these."""
     on_a_finger: ClassVar[bool] = True
     """Whether a finger may be on it."""
+    shares_budget: ClassVar[bool] = True
+    """Whether current of its own counts in what all displays of a user may drive together."""
     ua_per_count: float | None = None
     """Current scale of the board, if it can be measured."""
     timing: ScanTiming = ScanTiming()
@@ -115,12 +118,32 @@ class Board(Timely, ABC):
 
     @final
     def open(self) -> None:
-        """Connect, shake hands, and put all electrodes at zero."""
+        """Connect, shake hands, and put all electrodes at zero.
+
+        Other processes can stop a board that a finger may be on from before this begins.
+
+        Raises
+        ------
+        BoardStoppedError
+            If the board, or this program, was stopped for good.
+        BoardError
+            If the displays of this user could drive more current together than
+            `CEILING_USER_MA`, and whatever keeps the board from opening.
+        """
         if self._opened:
             raise BoardError(
                 "the board is open already: close it first", about="board", problem="open"
             )
         refuse_latched(self.device)
+        enter(self)
+        try:
+            self._open_announced()
+        except BaseException:
+            leave(self)
+            raise
+
+    @final
+    def _open_announced(self) -> None:
         # A new run starts from zero intensity, and its time may start anew.
         self._gate.begin_session()
         self._begin_unless_halted()
@@ -310,9 +333,25 @@ class Board(Timely, ABC):
             try:
                 self.stop()
             finally:
-                self._close()
+                try:
+                    self._close()
+                finally:
+                    leave(self)
             if self._fault_found is not None:
                 raise self._fault_found
+
+    @property
+    @final
+    def announced(self) -> bool:
+        """Whether ``smarttouch stop`` is to reach it, from its opening to its closing."""
+        return self.on_a_finger or (self._time() is not None and not self.simulated_time)
+
+    @property
+    @final
+    def budget_ua(self) -> int:
+        """Its part of the current that all displays of a user may drive together, µA."""
+        counts = self.on_a_finger and self.shares_budget
+        return self._gate.limits.total_ua if counts else 0
 
     def keep_kernels(self, table: KernelTable) -> None:
         """Give the board the kernels of the sequences to come, if it keeps any.

@@ -61,6 +61,7 @@ class HybridBoard(Board):
     on_a_finger: ClassVar[bool] = _electric("on_a_finger")
     capabilities: Capabilities = _vibrating()
     device: str | None = _electric("device")
+    shares_budget = False  # the electrode board has its own
 
     def __init__(self, electric: Board, shaking: VibratorBoard) -> None:
         self.electric, self.shaking = electric, shaking

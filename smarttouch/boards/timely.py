@@ -46,8 +46,9 @@ class Timely:
         if self._stopped.is_set():
             if self._fault_found is not None:
                 raise self._fault_found
+            again = "open a new display" if self._halted else "open it again"
             raise BoardStoppedError(
-                "the board was stopped, all electrodes are at zero: open it again before sending",
+                f"the board was stopped, all electrodes are at zero: {again} before sending",
                 about="board",
                 problem="stopped",
             )

@@ -56,6 +56,8 @@ class VibratorBoard(Board):
         If an option is wrong, or the extra ``audio`` is missing.
     """
 
+    shares_budget = False
+
     def __init__(
         self,
         rest: str,

@@ -35,6 +35,7 @@ CEILING_MEAN_MA = 0.5
 BURST_S = 0.04
 CEILING_SESSION_S = 3600.0
 CEILING_SESSION_MC = 1800.0
+CEILING_USER_MA = 20.0
 ADVISORY_RMS_MA_CM2 = 2.0
 
 CEILINGS = (
@@ -136,6 +137,13 @@ CEILINGS = (
         CEILING_SESSION_MC,
         "mC",
         "Ours: an hour at the mean current above.",
+    ),
+    Ceiling(
+        "current of all displays of a user together",
+        CEILING_USER_MA,
+        "mA",
+        "Ours: two displays at the ceiling of a slot; their clocks are their own, so pulses of two "
+        "displays cannot be kept apart.",
     ),
 )
 """All enforced ceilings. `ADVISORY_RMS_MA_CM2` is reported and not enforced: IEC 60601-2-10 wants

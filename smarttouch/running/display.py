@@ -76,6 +76,8 @@ class Display(Closing):
                 remedy="vibrators",
             )
         self.board: Board = board
+        # With no run, too: a program may drive the board itself.
+        self._stop.always_tell(board.halt)
         self.notes_told = 0
         """Number of the board's notes that earlier runs have reported."""
 
@@ -90,7 +92,7 @@ class Display(Closing):
         return self._stop
 
     def stop(self) -> None:
-        """End the run with all electrodes at zero, from any thread; for good."""
+        """Put all electrodes at zero and end the run, from any thread; it opens no more."""
         self._stop.ask("the display was stopped")
 
     @contextmanager

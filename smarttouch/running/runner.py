@@ -8,6 +8,7 @@ from typing import Any
 
 from smarttouch.afferent import Mode
 from smarttouch.boards.board import Board, BoardReport
+from smarttouch.boards.stoppable import stoppable_run
 from smarttouch.clock import Clock, SimulatedClock
 from smarttouch.errors import BoardStoppedError, SmartTouchError, SourceError
 from smarttouch.events import Advice, Note, RunFailed
@@ -107,11 +108,14 @@ class Runner:
         """
         with contextlib.ExitStack() as stack:
             ending = self.display.stopping
+            # First of all, so that it ends last: whoever stops the run waits for its recording.
+            to_its_end = stack.enter_context(stoppable_run(self._stop, self.display.board))
             stack.enter_context(ending.telling(lambda: self._stop.ask(ending.reason)))
             for listener in reversed(self._listeners):
                 stack.callback(listener.close)
             stack.callback(self.source.close)
             context, pipeline = self._prepared()
+            to_its_end()
             report: BoardReport | None = None
             ended = "fault"
             try:

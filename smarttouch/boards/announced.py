@@ -1,12 +1,14 @@
-"""Runs on this machine: a second process can find and stop them, also while they start."""
+"""Processes that drive boards: others find and stop them, and know how much current they may."""
 
 import contextlib
 import os
+import select
 import signal
 import stat
 import tempfile
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -19,6 +21,9 @@ from smarttouch.stopping import RunStopped
 
 ENDED_WITHIN_S = 3.0
 """Of being asked by `stop_all`."""
+_STOP, _WAKE = b"\0", b"\1"
+"""Written to the pipe of a process: by who asks it to stop, and by itself."""
+_TOTAL_BYTES = 12
 _MARK = "stopped"
 _MARK_BYTES = 200
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
@@ -28,40 +33,90 @@ _STARTED = 19
 _IMPORTED_NS = now_ns()
 
 
-@contextmanager
-def announced() -> Iterator[None]:
-    """Let other processes know of this one as long as the block runs.
+class Announcement:
+    """File that tells other processes of this one, and the pipe on which they ask it to stop.
+
+    Parameters
+    ----------
+    on_request : callable, optional
+        Called in a thread of its own when `stop_all` asks, with a named pipe for it; a process
+        without it is asked by a signal.
 
     Raises
     ------
     SmartTouchError
-        If they cannot: a run that could not be stopped from elsewhere does not begin.
+        If there is no place for it: what could not be stopped from elsewhere does not begin.
     """
-    try:
-        path = _folder() / f"{os.getpid()}.run"
-        number, hidden = _new_file()
+
+    def __init__(self, on_request: Callable[[], None] | None = None) -> None:
+        self._withdrawn, self._lock = False, threading.Lock()
+        self._path = _folder() / f"{os.getpid()}.run"
+        self._pipe = None if on_request is None else self._path.with_suffix(".stop")
         try:
-            # Held as long as we live, however we end: a file that nobody holds means nothing.
-            fcntl.flock(number, fcntl.LOCK_EX)
-            hidden.replace(path)
-        except OSError:
-            os.close(number)
-            hidden.unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        file = Path(error.filename2 or error.filename or path)
-        raise SmartTouchError(
-            f"cannot write {file}, by which smarttouch stop would find this run: "
-            f"{error.strerror}; move what is there out of the way",
-            about="file",
-            problem="unwritable",
-            value=file,
-        ) from None
-    try:
-        yield
-    finally:
-        path.unlink(missing_ok=True)
-        os.close(number)
+            if self._pipe is not None:
+                # First of all: who finds the file finds the pipe.
+                self._pipe.unlink(missing_ok=True)
+                os.mkfifo(self._pipe, 0o600)
+                # For writing too, by which it never ends and `withdraw` wakes its reader.
+                flags = os.O_RDWR | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC
+                self._requests = os.open(self._pipe, flags)
+            self._number, hidden = _new_file()
+            try:
+                # Held as long as we live, however we end: a file that nobody holds means nothing.
+                fcntl.flock(self._number, fcntl.LOCK_EX)
+                hidden.replace(self._path)
+            except OSError:
+                os.close(self._number)
+                hidden.unlink(missing_ok=True)
+                raise
+        except OSError as error:
+            file = Path(error.filename2 or error.filename or self._path)
+            raise SmartTouchError(
+                f"cannot write {file}, by which smarttouch stop would find this run: "
+                f"{error.strerror}; move what is there out of the way",
+                about="file",
+                problem="unwritable",
+                value=file,
+            ) from None
+        if on_request is not None:
+            threading.Thread(
+                target=self._wait, args=(on_request,), name="stop requests", daemon=True
+            ).start()
+
+    def declare(self, total_ua: int) -> None:
+        """State the largest total current of all boards that this process has open, µA."""
+        os.pwrite(self._number, f"{total_ua:<{_TOTAL_BYTES}}".encode("ascii"), 0)
+
+    def others_ua(self) -> int:
+        """Return the sum of what all other processes have declared, µA."""
+        return sum(total for process, total in _held().items() if process != os.getpid())
+
+    def withdraw(self) -> None:
+        """Remove it: nothing of this process is to be stopped."""
+        self._path.unlink(missing_ok=True)
+        os.close(self._number)
+        if self._pipe is not None:
+            self._pipe.unlink(missing_ok=True)
+            with self._lock:
+                self._withdrawn = True
+                os.write(self._requests, _WAKE)
+
+    def close_inherited(self) -> None:
+        """Let go of it in a forked process: it remains the parent's."""
+        os.close(self._number)
+        if self._pipe is not None:
+            os.close(self._requests)
+
+    def _wait(self, on_request: Callable[[], None]) -> None:
+        while True:
+            select.select([self._requests], [], [])
+            asked = _STOP in os.read(self._requests, 64)
+            with self._lock:
+                if self._withdrawn:
+                    os.close(self._requests)
+                    return
+            if asked:
+                on_request()
 
 
 def running() -> list[int]:
@@ -69,7 +124,12 @@ def running() -> list[int]:
 
     Whatever else lies in their folder is passed over.
     """
-    found = []
+    return list(_held())
+
+
+def _held() -> dict[int, int]:
+    """Return what each process that is announced has declared, µA."""
+    found = {}
     for path in _listed():
         process, dot, ending = path.name.partition(".")
         if not (process.isascii() and process.isdigit() and dot + ending == ".run"):
@@ -78,12 +138,15 @@ def running() -> list[int]:
             if number is None:
                 continue
             try:
-                fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                # Shared: two that look at once do not take each other for a run.
+                fcntl.flock(number, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except BlockingIOError:
-                found.append(int(process))
+                declared = os.pread(number, _TOTAL_BYTES, 0).strip()
+                found[int(process)] = int(declared) if declared.isdigit() else 0
             else:
-                with contextlib.suppress(OSError):
-                    path.unlink()
+                for each in (path, path.with_suffix(".stop")):
+                    with contextlib.suppress(OSError):
+                        each.unlink()
     return found
 
 
@@ -105,8 +168,7 @@ def stop_all() -> int:
         no_mark = error
     asked = running()
     for process in asked:
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(process, signal.SIGTERM)
+        _ask_to_stop(process)
     deadline = time.monotonic() + ENDED_WITHIN_S
     while (left := running()) and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -124,6 +186,26 @@ def stop_all() -> int:
     # Who is started after this is newer than the mark, in the system's steps of 10 ms too.
     time.sleep(0.02)
     return len(asked)
+
+
+def _ask_to_stop(process: int) -> None:
+    """Ask a process on its pipe; by a signal where it has none, as commands do."""
+    try:
+        flags = os.O_WRONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC
+        number = os.open(_folder() / f"{process}.stop", flags)
+    except OSError:
+        number = -1
+    try:
+        if number >= 0 and stat.S_ISFIFO(os.fstat(number).st_mode):
+            # Full: it was asked often enough.
+            with contextlib.suppress(BlockingIOError, BrokenPipeError):
+                os.write(number, _STOP)
+        else:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process, signal.SIGTERM)
+    finally:
+        if number >= 0:
+            os.close(number)
 
 
 def leave_mark() -> int:
@@ -165,9 +247,14 @@ def refuse_if_stopped() -> None:
     RunStopped
         As if it had been in time to be asked by a signal: no current is to begin.
     """
-    mark_ns = _mark_ns()
-    if mark_ns is not None and started_ns() < mark_ns <= now_ns():
+    if stopped_since_start():
         raise RunStopped(signal.SIGTERM, "smarttouch stop")
+
+
+def stopped_since_start() -> bool:
+    """Return whether ``smarttouch stop`` came after this process was started."""
+    mark_ns = _mark_ns()
+    return mark_ns is not None and started_ns() < mark_ns <= now_ns()
 
 
 def started_ns() -> int:
@@ -200,7 +287,11 @@ def _boot() -> str:
 
 def _folder() -> Path:
     try:
-        return user_state_path("smarttouch", appauthor=False, ensure_exists=True)
+        path = user_state_path("smarttouch", appauthor=False, ensure_exists=True)
+        if path.stat().st_mode & 0o077:
+            # No other account of the machine sees what runs, or asks it to stop.
+            path.chmod(0o700)
+        return path
     except OSError as error:
         message = f"cannot make the folder {error.filename} for the state of runs: {error.strerror}"
         raise SmartTouchError(

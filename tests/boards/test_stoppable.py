@@ -1,0 +1,298 @@
+"""Boards that a finger may be on are announced by their opening, and share one budget."""
+
+import contextlib
+import os
+import signal
+import stat
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from smarttouch.boards import stoppable
+from smarttouch.boards.announced import running, stop_all
+from smarttouch.boards.board import Board
+from smarttouch.boards.hybrid import HybridBoard
+from smarttouch.boards.open import make_board
+from smarttouch.boards.vibrators import VibratorBoard
+from smarttouch.errors import BoardError, BoardStoppedError, LineLostError, SmartTouchError
+from smarttouch.profile.ceilings import CEILING_TOTAL_MA, CEILING_USER_MA
+from smarttouch.stimulation.safety import SafetyLimits
+
+from ..raising import raises
+
+PATIENCE_S = 20
+LIMITS = SafetyLimits(
+    electrodes=4, current_ma=2.0, pulse_us=200.0, charge_uc=0.4, rate_hz=50.0, duty=0.5,
+    ramp_s=1.0, full_ma=2.0,
+)  # fmt: skip
+
+
+class Plain(Board):
+    """A board without a line, which a finger may be on."""
+
+    opened = 0
+
+    def __init__(self, total_ma=CEILING_TOTAL_MA):
+        super().__init__(
+            replace(LIMITS, total_ma=total_ma),
+            max_current_ma=5.0, max_slots=8, time_to_zero_ms=0.0, firmware="plain",
+        )  # fmt: skip
+
+    def _open(self):
+        self.opened += 1
+
+    def _send(self, sequence, times):
+        return 1
+
+    def _stop(self): ...
+
+
+class Lost(Plain):
+    """A board that does not confirm zero."""
+
+    def _halt(self):
+        raise LineLostError("lost", about="board", problem="lost")
+
+
+@contextlib.contextmanager
+def in_child(work):
+    """Do something in a forked process, to whose end the block may come; yield its number."""
+    ready, begun = os.pipe()
+    child = os.fork()
+    if child == 0:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        try:
+            work(lambda: os.write(begun, b"."))
+            os._exit(0)
+        finally:
+            os._exit(1)
+    os.close(begun)
+    assert os.read(ready, 1) == b"."
+    os.close(ready)
+    try:
+        yield child
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(child, signal.SIGKILL)
+        with contextlib.suppress(ChildProcessError):
+            os.waitpid(child, 0)
+
+
+def waiting(*boards):
+    """Return what opens boards, says so, and waits."""
+
+    def work(say):
+        for board in boards:
+            board.open()
+        say()
+        signal.pause()
+
+    return work
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.005)
+
+
+def test_a_board_is_announced_while_it_is_open():
+    with Plain():
+        assert running() == [os.getpid()]
+        with Plain(5.0):
+            assert running() == [os.getpid()]
+        assert running() == [os.getpid()]
+    assert running() == []
+
+
+@pytest.mark.parametrize("url", ["memory:", "simulated:"])
+def test_one_that_no_finger_can_be_on_is_not(url, profile):
+    limits = SafetyLimits.of(profile)
+    with make_board(url, limits, profile.output):
+        assert running() == []
+
+
+@pytest.mark.parametrize("fails", ["open", "stopped"])
+def test_one_that_does_not_open_is_not(monkeypatch, fails):
+    board = Plain()
+    if fails == "open":
+        monkeypatch.setattr(Plain, "_open", lambda _: 1 / 0)
+    else:
+        board.halt()
+    with pytest.raises(ZeroDivisionError if fails == "open" else BoardStoppedError):
+        board.open()
+    assert running() == []
+
+
+def test_the_folder_and_its_files_are_for_their_owner_alone(own_state):
+    with Plain():
+        (folder,) = Path(os.environ["XDG_STATE_HOME"]).iterdir()
+        files = {each.suffix: stat.S_IMODE(each.stat().st_mode) for each in folder.iterdir()}
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    assert files == {".run": 0o600, ".stop": 0o600}
+    assert list(folder.iterdir()) == []
+
+
+def too_much(total_ma):
+    return raises(
+        BoardError,
+        about="limits.total_ma", problem="too large", value=total_ma, allowed=CEILING_USER_MA,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("total_ma", [10.0, 5.0, 0.001])
+def test_boards_of_a_process_share_the_budget(total_ma):
+    with contextlib.ExitStack() as stack:
+        for _ in range(min(8, round(CEILING_USER_MA / total_ma))):
+            stack.enter_context(Plain(total_ma))
+        one_more = Plain(10.0)
+        if total_ma < 1:
+            stack.enter_context(one_more)
+            return
+        with too_much(CEILING_USER_MA + 10.0):
+            one_more.open()
+        assert one_more.opened == 0
+    with one_more:
+        assert one_more.opened == 1
+
+
+def test_boards_of_all_processes_share_the_budget():
+    with in_child(waiting(Plain())) as child, Plain():
+        with too_much(CEILING_USER_MA + 0.001):
+            Plain(0.001).open()
+        # One that is gone counts nothing, however it ended.
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        with Plain():
+            pass
+
+
+def test_of_boards_that_open_at_once_too_many_never_do():
+    def work(say):
+        say()
+        for _ in range(40):
+            with contextlib.suppress(BoardError), Plain():
+                # Looked at while it is open: what is declared is never above the ceiling, but for
+                # what others declare that will be refused.
+                os.write(open_now, b"+")
+                time.sleep(0.001)
+                os.write(open_now, b"-")
+
+    looked, open_now = os.pipe()
+    with contextlib.ExitStack() as stack:
+        for child in [stack.enter_context(in_child(work)) for _ in range(4)]:
+            os.waitpid(child, 0)
+    os.close(open_now)
+    most = count = 0
+    while signs := os.read(looked, 4096):
+        for sign in signs.decode():
+            count += 1 if sign == "+" else -1
+            most = max(most, count)
+    os.close(looked)
+    assert 1 <= most <= 2
+
+
+def test_a_board_with_vibrators_counts_once(profile, tmp_path):
+    limits = SafetyLimits.of(profile)
+
+    def hybrid(name):
+        electric = Plain()
+        electric._gate = type(electric._gate)(limits, electric._time())
+        return HybridBoard(electric, VibratorBoard(str(tmp_path / f"{name}.wav"), limits))
+
+    with hybrid("a"), hybrid("b"):
+        assert running() == [os.getpid()]
+        assert sum(stoppable._program._boards.values()) == 2 * round(1000 * limits.total_ma)
+
+
+def test_who_stops_a_board_that_confirms_no_zero_learns_of_it():
+    def work(say):
+        with Lost():
+            say()
+            time.sleep(PATIENCE_S)
+
+    late = {"about": "runs", "problem": "late"}
+    with in_child(work) as child, raises(SmartTouchError, **late, value=(child,)):
+        stop_all()
+
+
+def test_a_stop_is_for_good_in_a_process_that_goes_on():
+    def work(say):
+        board = Plain()
+        board.open()
+        say()
+        wait_for(lambda: board._halted)
+        wait_for(lambda: not running())
+        for each in (board, Plain()):
+            board.close()
+            with pytest.raises(BoardStoppedError):
+                each.open()
+
+    with in_child(work) as child:
+        assert stop_all() == 1
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+def test_a_forked_process_does_not_drive_the_boards_of_its_parent():
+    with Plain() as board:
+        with in_child(lambda say: say() if board._stopped.is_set() else None) as child:
+            assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        assert running() == [os.getpid()]
+        assert not board._stopped.is_set()
+
+
+def test_handlers_of_signals_are_there_while_a_board_is_open():
+    def work(say):
+        default = [signal.SIG_DFL] * 2
+        numbers = (signal.SIGTERM, signal.SIGHUP)
+        for number in numbers:
+            signal.signal(number, signal.SIG_DFL)
+        for _ in range(2):
+            with Plain():
+                assert [signal.getsignal(each) for each in numbers] != default
+            assert [signal.getsignal(each) for each in numbers] == default
+        assert signal.set_wakeup_fd(-1) == -1
+        say()
+
+    with in_child(work) as child:
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+@pytest.mark.parametrize("loop_starts", [None, "before", "after"])
+def test_a_signal_ends_a_process_whatever_its_event_loop_does(loop_starts):
+    def start_loop():
+        _, own = os.pipe()
+        os.set_blocking(own, False)
+        signal.set_wakeup_fd(own)
+
+    def work(say):
+        if loop_starts == "before":
+            start_loop()
+        with Plain() as board:
+            if loop_starts == "after":
+                start_loop()
+            say()
+            try:
+                time.sleep(PATIENCE_S)
+            finally:
+                wait_for(lambda: board._halted)
+
+    with in_child(_ending(work)) as child:
+        os.kill(child, signal.SIGTERM)
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert code == 128 + signal.SIGTERM
+
+
+def _ending(work):
+    """Return work whose SystemExit ends the process as the interpreter would."""
+
+    def ends(say):
+        try:
+            work(say)
+        except SystemExit as ended:
+            os._exit(ended.code)
+
+    return ends

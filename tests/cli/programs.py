@@ -1,0 +1,94 @@
+"""Programs of the package's own users, for tests that stop them: ``programs.py KIND URL``.
+
+Each drives a board for a minute and, when it is stopped, goes on as if nothing had happened; it
+prints how each of its attempts ended.
+"""
+
+import os
+import signal
+import sys
+import threading
+import time
+
+import smarttouch as st
+from smarttouch.errors import SmartTouchError
+from smarttouch.sources.forces.force import FixedForce
+
+KIND, URL = sys.argv[1:3]
+TEXT = "text:" + "Hello " * 40
+FORCE = None if URL == "emulator:" else FixedForce("0.5")
+
+
+def attempt(name, work):
+    """Do something, and print by what it ended."""
+    try:
+        work()
+    except SmartTouchError as error:
+        print(name, type(error).__name__, flush=True)
+    else:
+        print(name, "done", flush=True)
+
+
+def run():
+    recorder = st.Recorder(f"{os.getpid()}.mcap")
+    source = st.open_source(TEXT, display.profile)
+    done = st.run(source, display, intensity=1.0, seconds=60, listeners=[recorder], force=FORCE)
+    print("ended by", done.ended, flush=True)
+
+
+def drive(board, seconds=60.0):
+    """Send to an open board without a run."""
+    source, ends_s = st.open_source(TEXT, display.profile), time.monotonic() + seconds
+    for step in st.steps(source, display.profile, intensity=0.05, scan="points"):
+        board.send(step.sequence)
+        time.sleep(step.sequence.period_us / 1e6)
+        if time.monotonic() > ends_s:
+            return
+
+
+def drive_opened():
+    with display.board as board:
+        drive(board)
+
+
+def drive_anew():
+    with st.open_display(URL).board as board:
+        drive(board, 0.1)
+
+
+def stop_display():
+    """Stop what another thread drives, as a program's own button does."""
+    time.sleep(0.5)
+    display.stop()
+
+
+display = st.open_display(URL)
+if KIND == "own handler":
+    signal.signal(signal.SIGTERM, lambda *_: print("own handler", flush=True))
+if KIND == "display":
+    threading.Thread(target=stop_display).start()
+if KIND == "thread":
+    thread = threading.Thread(target=attempt, args=("run", run), daemon=True)
+    thread.start()
+    while thread.is_alive():
+        thread.join(0.1)
+elif KIND in ("run", "own handler"):
+    attempt("run", run)
+elif KIND == "left open":
+    display.board.open()
+    attempt("drive", lambda: drive(display.board))
+    attempt("send", lambda: drive(display.board, 0.1))
+else:
+    attempt("drive", drive_opened)
+attempt("again", drive_opened)
+if KIND != "display":
+    attempt("another", drive_anew)
+    attempt(
+        "another run",
+        lambda: st.run(
+            st.open_source("text:a", display.profile),
+            st.open_display(URL),
+            intensity=1.0,
+            force=FORCE,
+        ),
+    )

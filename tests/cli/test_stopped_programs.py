@@ -1,0 +1,140 @@
+"""Programs that use the package by themselves are stopped as commands are, and drive no more."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from smarttouch.boards.emulator.delivery_log import read_state
+from smarttouch.recording.reader import Recording
+
+from ..forks import Forked
+
+pytestmark = pytest.mark.realtime
+
+PATIENCE_S = 60
+SOURCE = Path(__file__).with_name("programs.py")
+ROUNDS = int(os.environ.get("SMARTTOUCH_STOP_ROUNDS", "3"))
+REFUSED = dict.fromkeys(("again", "another", "another run"), "BoardStoppedError")
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def start(start_emulator, tmp_path):
+    """Return a starter of programs, each with a board of its own: the process and its books."""
+    started = []
+
+    def start_one(kind, url=None):
+        _, port, books = start_emulator(64, "link")
+        process = Forked(
+            [sys.executable, str(SOURCE), kind, url or f"link:{port}"],
+            cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        started.append(process)
+        return process, books
+
+    yield start_one
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def told(process):
+    """Return what the program says of its attempts, once it has ended."""
+    out, errors = process.communicate(timeout=PATIENCE_S)
+    assert errors == ""
+    return dict(line.rsplit(" ", 1) for line in out.splitlines() if "ended by" not in line), out
+
+
+def is_whole(path):
+    """Return whether a recording was closed, and holds steps to its end."""
+    recording = Recording(path)
+    return any(True for _ in recording.steps()) and recording.whole
+
+
+@pytest.mark.parametrize(
+    ("kind", "first"),
+    [
+        ("run", {"run": "done"}),
+        ("thread", {"run": "done"}),
+        ("own handler", {"run": "done"}),
+        ("board", {"drive": "BoardStoppedError"}),
+        ("left open", {"drive": "BoardStoppedError", "send": "BoardStoppedError"}),
+    ],
+)
+def test_smarttouch_stop_ends_what_a_program_drives(start, start_program, tmp_path, kind, first):
+    process, books = start(kind)
+    wait_for(lambda: read_state(books)["slots"] > 50)
+    stop = start_program("stop")
+    assert stop.communicate(timeout=PATIENCE_S)[0].split()[0] == "1"
+    assert stop.returncode == 0
+    after = read_state(books)
+    assert after["state"] == "shorted"
+    if "run" in first:
+        assert is_whole(tmp_path / f"{process.pid}.mcap")
+    attempts, out = told(process)
+    assert attempts == first | REFUSED | ({"again": "BoardError"} if kind == "left open" else {})
+    assert "own handler" not in out
+    assert process.returncode == 0
+    assert read_state(books)["slots"] == after["slots"]
+
+
+def test_a_display_that_is_stopped_stops_what_drives_its_board(start):
+    process, books = start("display")
+    attempts, _ = told(process)
+    assert attempts == {"drive": "BoardStoppedError", "again": "BoardStoppedError"}
+    assert read_state(books)["state"] == "shorted"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("kind", ["run", "thread", "board"])
+def test_a_signal_ends_a_program_at_zero_with_its_recording(start, tmp_path, kind, number):
+    process, books = start(kind)
+    wait_for(lambda: read_state(books)["slots"] > 50)
+    process.send_signal(number)
+    process.communicate(timeout=PATIENCE_S)
+    # In another thread only the system's own end is left; the board falls silent by itself.
+    assert process.returncode == (-number if kind == "thread" else 128 + number)
+    if kind == "thread":
+        return
+    assert (read_state(books)["state"], read_state(books)["reason"]) == ("shorted", "stop")
+    if kind == "run":
+        assert is_whole(tmp_path / f"{process.pid}.mcap")
+
+
+def test_a_program_keeps_a_handler_of_its_own(start, tmp_path):
+    process, books = start("own handler")
+    wait_for(lambda: read_state(books)["slots"] > 50)
+    process.send_signal(signal.SIGTERM)
+    assert process.stdout.readline() == "own handler\n"
+    before = read_state(books)["slots"]
+    wait_for(lambda: read_state(books)["slots"] > before)
+
+
+def test_a_stop_at_any_instant_reaches_every_program(start, start_program):
+    draw = random.Random(33)
+    for _ in range(ROUNDS):
+        # Two, as the budget of a user is.
+        programs = [start(kind) for kind in draw.sample(["run", "board", "left open"], 2)]
+        # Later than their start, by more than the system's steps of it.
+        time.sleep(draw.uniform(0.05, 2.0))
+        stop = start_program("stop")
+        stop.communicate(timeout=PATIENCE_S)
+        assert stop.returncode == 0
+        slots = [read_state(books)["slots"] for _, books in programs]
+        for process, _ in programs:
+            attempts, _ = told(process)
+            assert set(attempts.values()) <= {"done", "BoardStoppedError", "BoardError"}
+            assert attempts["another"] == attempts["another run"] == "BoardStoppedError"
+        assert [read_state(books)["slots"] for _, books in programs] == slots
