@@ -141,7 +141,8 @@ def replay(
     path : Path or str
         The recording.
     display : Display
-        Its profile may be another than the recorded one.
+        Its profile may be another than the recorded one. Where a finger may be on the board, the
+        recording lowers its limits, never raises them, and the recorded force presses nothing.
     listeners, force, stop
         See `run`.
     **settings

@@ -25,6 +25,7 @@ from smarttouch.running.display import Display
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.runner import Runner
 from smarttouch.running.step import StepResult
+from smarttouch.sources.forces.force import ForceSource
 from smarttouch.stopping import StopRequest
 
 STOP_KEYS = ("q", "Q", "\x1b", "\x03", "\x04", "")
@@ -83,6 +84,7 @@ class ThresholdProcedure:
         say: Callable[[str], None],
         stop: StopRequest,
         opened: Callable[[Board, StopRequest], AbstractContextManager[Board]],
+        force: ForceSource | None = None,
     ) -> None:
         """Measure electrode after electrode.
 
@@ -98,6 +100,8 @@ class ThresholdProcedure:
         stop : StopRequest
         opened : callable
             Opens a board for a block.
+        force : ForceSource, optional
+            Finger force; see `Runner`.
 
         Raises
         ------
@@ -141,6 +145,7 @@ class ThresholdProcedure:
                 source,
                 display,
                 RunConfig(scan="points", seed=self.seed),
+                force=force,
                 listeners=listeners,
                 # Current is what the procedure asks for.
                 first_level=1.0,

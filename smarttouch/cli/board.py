@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch.cli.options import ProfileOption
+from smarttouch.cli.options import ForceOption, ProfileOption
 from smarttouch.emulator.commands import emulate_board
 from smarttouch.monitor.driving import asks_a_board, drives_a_board, opened, the_stop
 from smarttouch.terminal import print_table
@@ -90,6 +90,7 @@ def try_out(
         float | None,
         typer.Option(metavar="S", help="For each electrode; waits for a key if not given."),
     ] = None,
+    force: ForceOption = None,
     profile: ProfileOption = None,
 ) -> None:
     """Walk through the electrodes, each against all others, from zero up to a small current."""
@@ -101,6 +102,7 @@ def try_out(
     from smarttouch.running.display import open_display
     from smarttouch.running.listener import OnEvent
     from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
+    from smarttouch.sources.forces.force import opened_force
 
     display = open_display(url, profile)
     if current_ma is None:
@@ -128,8 +130,8 @@ def try_out(
         else:
             walk.go_on()
 
-    with keyboard_listener(on_key):
-        run_walk(walk, display, [OnEvent(say)], stop, partial(opened, display.board))
+    with opened_force(force, display.profile) as pressing, keyboard_listener(on_key):
+        run_walk(walk, display, [OnEvent(say)], stop, partial(opened, display.board), pressing)
     count = len(display.profile.electrodes)
     typer.echo(f"{walk.tried} of {count} electrodes tried; all are at zero.")
 
@@ -156,6 +158,7 @@ def calibrate_scale(
     from smarttouch.running.display import open_display
     from smarttouch.running.listener import OnStep
     from smarttouch.running.walk import Walk, run_walk
+    from smarttouch.sources.forces.force import FixedForce
 
     # Before anything pulses; the voltage is not known yet.
     check_reading(current_ma * ohm / 1000 if volts is None else volts, ohm, current_ma)
@@ -175,7 +178,10 @@ def calibrate_scale(
             f"on the array: {ohm:g} ohm between it and all others."
         )
         typer.echo("Peak voltage across it, V: ", nl=False)
-        run_walk(walk, display, [OnStep(take_answer)], the_stop(), partial(opened, display.board))
+        # No finger is there: a resistor takes the current, whatever the force.
+        pressing = FixedForce(f"{display.profile.force.full_n:g}")
+        opening = partial(opened, display.board)
+        run_walk(walk, display, [OnStep(take_answer)], the_stop(), opening, pressing)
         try:
             volts = float(answer)
         except ValueError:

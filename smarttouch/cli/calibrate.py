@@ -7,6 +7,7 @@ import typer
 
 from smarttouch.cli.calibrate_steps import CalibrationOptions, ask, finish, missing, weights_laid
 from smarttouch.cli.option_groups import takes_options
+from smarttouch.cli.options import ForceOption
 from smarttouch.monitor.driving import drives_a_board, opened, the_stop
 
 calibrate = typer.Typer(
@@ -185,6 +186,7 @@ def thresholds(
         int, typer.Option(metavar="N", min=1, max=10, help="Of the rising current.")
     ] = 3,
     seed: Annotated[int, typer.Option(min=0, help="Of pauses, starts and the simulation.")] = 0,
+    force: ForceOption = None,
     simulate: _Simulate = False,
 ) -> None:
     """Per electrode, the current first felt and the strongest that is comfortable."""
@@ -193,6 +195,7 @@ def thresholds(
     from smarttouch.cli.choices import require_answers
     from smarttouch.errors import BoardStoppedError, CalibrationError
     from smarttouch.monitor.keyboard import keyboard_listener
+    from smarttouch.sources.forces.force import opened_force
 
     simulated = simulate or board.startswith("emulator:")
     file = calibration.file("thresholds", simulated, board)
@@ -209,9 +212,9 @@ def thresholds(
         seed=seed,
         simulate=simulate,
     )
-    with procedure.progress() as progress:
+    with opened_force(force, file.profile) as pressing, procedure.progress() as progress:
         try:
-            procedure.measure(progress, keyboard_listener, typer.echo, the_stop(), opened)
+            procedure.measure(progress, keyboard_listener, typer.echo, the_stop(), opened, pressing)
         except BoardStoppedError:
             raise procedure.stopped(progress) from None
     told = procedure.put_down(progress)

@@ -26,7 +26,7 @@ from smarttouch.running.regulation import make_regulator, masked_where_broken
 from smarttouch.running.report import figures_of
 from smarttouch.running.statistics import RunStatistics
 from smarttouch.running.step import StepResult
-from smarttouch.sources.forces.force import ForceSource
+from smarttouch.sources.forces.force import ForceSource, opened_force
 from smarttouch.sources.source import Source, StimulusSource
 from smarttouch.stimulation.limits import rms_ma_cm2
 from smarttouch.stopping import StopRequest
@@ -45,7 +45,8 @@ class Runner:
     display : Display
     config : RunConfig
     force : ForceSource, optional
-        Finger force; that of the source or board if not given.
+        Finger force. If not given: where a finger may be on the board, that of the profile's
+        ``force.source``, else what source or board measure; elsewhere that of the source or board.
     listeners : iterable of Listener or callable
         Follow the run; a plain function is given each `StepResult`.
     controls : callable, optional
@@ -111,6 +112,9 @@ class Runner:
             for listener in reversed(self._listeners):
                 stack.callback(listener.close)
             stack.callback(self.source.close)
+            if self._force is None and self.display.on_a_finger:
+                profile = self.display.profile
+                self._force = stack.enter_context(opened_force(profile.force.source, profile))
             context, pipeline = self._prepared()
             report: BoardReport | None = None
             ended = "fault"
@@ -144,8 +148,11 @@ class Runner:
         config, source, board = self.config, self.source, self.display.board
         self._require_a_level()
         profile = self.display.profile
+        if self.display.on_a_finger:
+            profile = source.narrowed(profile)
         if config.measure:
             with self._opened(self._stop):
+                self._require_force()
                 profile = masked_where_broken(board, profile, self._advise)
         bank = self._load_kernels(profile)
         vibrated = self.display.vibrators_url is not None
@@ -266,16 +273,25 @@ class Runner:
             )
 
     def _require_force(self) -> None:
-        source, board = self.source, self.display.board
-        if not (source.knows_force or self._force is not None or board.capabilities.force):
-            raise SourceError(
-                f"no force of the finger is known: {source.title} and the board tell none, so "
-                "there would be no current: give a source of force, for example hx711:PORT, or "
-                "fixed:0.5 (N)",
-                about="force",
-                problem="missing",
-                remedy="force",
-            )
+        """Raise where no force can open the current."""
+        source, force, board = self.source, self._force, self.display.board
+        finger = self.display.on_a_finger
+        title = source.title if force is None else force.title
+        if force is not None and (force.is_live or not finger):
+            return
+        if force is None and (
+            board.capabilities.force or source.measures_force or (source.knows_force and not finger)
+        ):
+            return
+        raise SourceError(
+            f"the finger's force is not measured: neither {title} nor the board does, so there "
+            "would be no current: give a source of force, for example hx711:PORT, or, where "
+            "nothing measures it and a person presses, "
+            f"fixed:{self.display.profile.force.full_n:g} (N)",
+            about="force",
+            problem="missing",
+            remedy="force",
+        )
 
     def _warn_of_simulation(self, profile: Profile) -> None:
         """Say so where a real finger is to feel what was found on none."""

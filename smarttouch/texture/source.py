@@ -119,6 +119,7 @@ class MouseSource(StimulusSource):
         self.fastest_hz = _possible_hz(rate_hz, fastest_hz, profile.limits.rate_hz)
         self.duration_s = motion.duration_s
         self.knows_force = motion.knows_force or press_n is not None
+        self.measures_force = motion.measures_force
         self.texture, self.motion, self.mode = texture, motion, mode
         self.merged = 0
         """Ridges that passed under an electrode in the same frame as another."""

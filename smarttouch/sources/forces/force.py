@@ -2,7 +2,9 @@
 
 import math
 from abc import ABC, abstractmethod
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,6 +22,10 @@ _COLUMNS = ("time_s", "force_n")
 
 class ForceSource(Device, ABC):
     """Source of finger force, opened by its URL."""
+
+    is_live: ClassVar[bool] = True
+    """Whether the force is that of a finger that presses now, measured or stated by a person; any
+    other opens no current on a board that a finger may be on."""
 
     @abstractmethod
     def read(self, time_ns: int) -> float:
@@ -44,6 +50,11 @@ def open_force(url: str, profile: Profile) -> ForceSource:
     return source
 
 
+def opened_force(url: str | None, profile: Profile) -> AbstractContextManager["ForceSource | None"]:
+    """Return a source of finger force that is open for a block, or None where none is named."""
+    return nullcontext() if url is None else open_force(url, profile)
+
+
 def open_fixed(rest: str, profile: Profile) -> ForceSource:
     """Open ``fixed:N``, a constant force in newtons, if there is no measurement."""
     return FixedForce(rest)
@@ -55,7 +66,7 @@ def open_recorded(rest: str, profile: Profile) -> ForceSource:
 
 
 class FixedForce(ForceSource):
-    """Constant force.
+    """Constant force, which a person states to be there.
 
     Parameters
     ----------
@@ -103,6 +114,8 @@ class RecordedForce(ForceSource):
     SourceError
         If the file is missing or wrong, with the line number.
     """
+
+    is_live = False
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"force of {path.name}")
