@@ -52,11 +52,12 @@ def stricter(own: Profile, other: Profile) -> Profile:
         limits["electrode_ma"] = tuple(each_ma.tolist())
     own_ma = own.full_ma.astype(np.float64)
     full_ma = np.minimum(np.minimum(matched(other.full_ma), each_ma), most_ma)
-    # Whole microamperes, where it is lowered.
-    full_ma = np.where(full_ma < own_ma, np.floor(1000 * full_ma + 1e-6) / 1000, own_ma)
+    # Currents are single precision: what is lowered is lowered to the whole microampere below.
+    lower = full_ma < own_ma * (1 - 1e-6)
+    full_ma = np.where(lower, np.floor(1000 * full_ma - 1e-3) / 1000, own_ma)
     threshold_ma = np.minimum(own.threshold_ma, matched(other.threshold_ma))
     perception = own.perception.model_dump()
-    if (full_ma < own_ma).any():
+    if lower.any():
         perception["comfort_ma"] = tuple(full_ma.tolist())
     if (threshold_ma < own.threshold_ma).any():
         # What was comfortable stays as it is.
