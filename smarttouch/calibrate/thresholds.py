@@ -25,7 +25,6 @@ from smarttouch.running.display import Display
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.runner import Runner
 from smarttouch.running.step import StepResult
-from smarttouch.sources.forces.force import ForceSource
 from smarttouch.stopping import StopRequest
 
 STOP_KEYS = ("q", "Q", "\x1b", "\x03", "\x04", "")
@@ -84,7 +83,7 @@ class ThresholdProcedure:
         say: Callable[[str], None],
         stop: StopRequest,
         opened: Callable[[Board, StopRequest], AbstractContextManager[Board]],
-        force: ForceSource | None = None,
+        force: str | None = None,
     ) -> None:
         """Measure electrode after electrode.
 
@@ -100,8 +99,8 @@ class ThresholdProcedure:
         stop : StopRequest
         opened : callable
             Opens a board for a block.
-        force : ForceSource, optional
-            Finger force; see `Runner`.
+        force : str, optional
+            URL of the finger's force; see `Runner`.
 
         Raises
         ------

@@ -102,7 +102,6 @@ def try_out(
     from smarttouch.running.display import open_display
     from smarttouch.running.listener import OnEvent
     from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
-    from smarttouch.sources.forces.force import opened_force
 
     display = open_display(url, profile)
     if current_ma is None:
@@ -130,8 +129,8 @@ def try_out(
         else:
             walk.go_on()
 
-    with opened_force(force, display.profile) as pressing, keyboard_listener(on_key):
-        run_walk(walk, display, [OnEvent(say)], stop, partial(opened, display.board), pressing)
+    with keyboard_listener(on_key):
+        run_walk(walk, display, [OnEvent(say)], stop, partial(opened, display.board), force)
     count = len(display.profile.electrodes)
     typer.echo(f"{walk.tried} of {count} electrodes tried; all are at zero.")
 
@@ -158,7 +157,6 @@ def calibrate_scale(
     from smarttouch.running.display import open_display
     from smarttouch.running.listener import OnStep
     from smarttouch.running.walk import Walk, run_walk
-    from smarttouch.sources.forces.force import FixedForce
 
     # Before anything pulses; the voltage is not known yet.
     check_reading(current_ma * ohm / 1000 if volts is None else volts, ohm, current_ma)
@@ -179,9 +177,9 @@ def calibrate_scale(
         )
         typer.echo("Peak voltage across it, V: ", nl=False)
         # No finger is there: a resistor takes the current, whatever the force.
-        pressing = FixedForce(f"{display.profile.force.full_n:g}")
+        force = f"fixed:{display.profile.force.full_n:g}"
         opening = partial(opened, display.board)
-        run_walk(walk, display, [OnStep(take_answer)], the_stop(), opening, pressing)
+        run_walk(walk, display, [OnStep(take_answer)], the_stop(), opening, force)
         try:
             volts = float(answer)
         except ValueError:

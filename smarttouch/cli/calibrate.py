@@ -195,7 +195,6 @@ def thresholds(
     from smarttouch.cli.choices import require_answers
     from smarttouch.errors import BoardStoppedError, CalibrationError
     from smarttouch.monitor.keyboard import keyboard_listener
-    from smarttouch.sources.forces.force import opened_force
 
     simulated = simulate or board.startswith("emulator:")
     file = calibration.file("thresholds", simulated, board)
@@ -212,9 +211,9 @@ def thresholds(
         seed=seed,
         simulate=simulate,
     )
-    with opened_force(force, file.profile) as pressing, procedure.progress() as progress:
+    with procedure.progress() as progress:
         try:
-            procedure.measure(progress, keyboard_listener, typer.echo, the_stop(), opened, pressing)
+            procedure.measure(progress, keyboard_listener, typer.echo, the_stop(), opened, force)
         except BoardStoppedError:
             raise procedure.stopped(progress) from None
     told = procedure.put_down(progress)

@@ -1,6 +1,7 @@
 """Options that every command takes that runs, said once; and what a run is made of by them."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -199,10 +200,10 @@ class RunOptions(OptionGroup):
             Other parameters of `run_in_terminal`.
         """
         from smarttouch.monitor.session import Outputs, run_in_terminal
-        from smarttouch.sources.forces.force import opened_force
+        from smarttouch.sources.forces.force import open_force
 
         outputs = Outputs(**{each.name: getattr(self, each.name) for each in fields(Outputs)})
-        with opened_force(self.force, profile) as force:
+        with nullcontext() if self.force is None else open_force(self.force, profile) as force:
             display = self.display(source.narrowed(profile) if self.on_a_finger else profile)
             keep()
             run_in_terminal(source, display, config, outputs, force=force, **more)

@@ -26,7 +26,7 @@ from smarttouch.running.regulation import make_regulator, masked_where_broken
 from smarttouch.running.report import figures_of
 from smarttouch.running.statistics import RunStatistics
 from smarttouch.running.step import StepResult
-from smarttouch.sources.forces.force import ForceSource, opened_force
+from smarttouch.sources.forces.force import ForceSource, open_force
 from smarttouch.sources.source import Source, StimulusSource
 from smarttouch.stimulation.limits import rms_ma_cm2
 from smarttouch.stopping import StopRequest
@@ -44,9 +44,10 @@ class Runner:
         Closed at the end.
     display : Display
     config : RunConfig
-    force : ForceSource, optional
-        Finger force. If not given: where a finger may be on the board, that of the profile's
-        ``force.source``, else what source or board measure; elsewhere that of the source or board.
+    force : ForceSource or str, optional
+        Finger force, or its URL. If not given: where a finger may be on the board, that of the
+        profile's ``force.source``, else what source or board measure; elsewhere that of the source
+        or board.
     listeners : iterable of Listener or callable
         Follow the run; a plain function is given each `StepResult`.
     controls : callable, optional
@@ -75,7 +76,7 @@ class Runner:
         display: Display,
         config: RunConfig,
         *,
-        force: ForceSource | None = None,
+        force: ForceSource | str | None = None,
         listeners: Iterable[Listener | Callable[[StepResult], object]] = (),
         controls: MakeControls = Controls,
         first_level: float | None = None,
@@ -85,7 +86,11 @@ class Runner:
         opened: Callable[[StopRequest], AbstractContextManager[Board]] | None = None,
         clock: Clock | None = None,
     ) -> None:
-        self.source, self.display, self.config, self._force = source, display, config, force
+        self.source, self.display, self.config = source, display, config
+        if force is None and display.on_a_finger:
+            force = display.profile.force.source
+        self._force = None if isinstance(force, str) else force
+        self._force_url = force if isinstance(force, str) else None
         self.statistics = RunStatistics()
         self._listeners = as_listeners(listeners)
         self._controls, self._load_kernels = controls, load_kernels
@@ -112,9 +117,8 @@ class Runner:
             for listener in reversed(self._listeners):
                 stack.callback(listener.close)
             stack.callback(self.source.close)
-            if self._force is None and self.display.on_a_finger:
-                profile = self.display.profile
-                self._force = stack.enter_context(opened_force(profile.force.source, profile))
+            if self._force_url is not None:
+                self._force = stack.enter_context(open_force(self._force_url, self.display.profile))
             context, pipeline = self._prepared()
             report: BoardReport | None = None
             ended = "fault"

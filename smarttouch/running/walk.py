@@ -132,7 +132,7 @@ def run_walk(
     listeners: Iterable[Listener],
     stop: StopRequest,
     opened: Callable[[StopRequest], AbstractContextManager[Board]] | None = None,
-    force: ForceSource | None = None,
+    force: ForceSource | str | None = None,
 ) -> None:
     """Run a walk on a display; the arguments are those of `Runner`."""
     Runner(

@@ -87,7 +87,8 @@ class MouseSource(StimulusSource):
     scale : float
         Millimeters of the texture for one of the hand.
     press_n : float, N, optional
-        Finger force, where the motion does not report it.
+        Force of a virtual finger, where the motion does not report it; boards that a finger may
+        be on need another source.
 
     Raises
     ------

@@ -17,7 +17,7 @@ from smarttouch.running.display import open_display
 from smarttouch.running.runner import Runner
 from smarttouch.running.walk import Walk
 from smarttouch.sources import open_source
-from smarttouch.sources.forces.force import ForceSource, open_force
+from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.source import Source, StimulusSource
 from smarttouch.sources.stimulus import Stimulus
 from smarttouch.texture.source import MouseSource, open_motion_over
@@ -93,12 +93,11 @@ def test_a_force_that_is_made_up_presses_on_no_finger(flows, profile, tmp_path, 
     refused = {"about": "force", "problem": "missing", "remedy": "force"}
     with raises(SourceError, **refused):
         flows(source())
-    with raises(SourceError, **refused), open_force(f"recorded:{table}", profile) as force:
-        flows(source(), force)
+    with raises(SourceError, **refused):
+        flows(source(), f"recorded:{table}")
     # Stated by a person, for this run or in the profile, or measured by the board.
     for newtons, expected in (("0.9", True), ("0", False)):
-        with open_force(f"fixed:{newtons}", profile) as force:
-            assert flows(source(), force) is expected
+        assert flows(source(), f"fixed:{newtons}") is expected
         assert flows(source(), in_profile=f"fixed:{newtons}") is expected
         assert flows(source(), on_board_n=float(newtons)) is expected
     # No finger can be there: the source's virtual finger presses, whatever the profile names.

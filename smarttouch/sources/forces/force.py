@@ -2,7 +2,6 @@
 
 import math
 from abc import ABC, abstractmethod
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import ClassVar
 
@@ -48,11 +47,6 @@ def open_force(url: str, profile: Profile) -> ForceSource:
     )
     source: ForceSource = opener(rest, profile)
     return source
-
-
-def opened_force(url: str | None, profile: Profile) -> AbstractContextManager["ForceSource | None"]:
-    """Return a source of finger force that is open for a block, or None where none is named."""
-    return nullcontext() if url is None else open_force(url, profile)
 
 
 def open_fixed(rest: str, profile: Profile) -> ForceSource:
