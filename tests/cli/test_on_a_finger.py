@@ -38,9 +38,9 @@ def test_no_command_drives_a_real_board_that_nobody_controls(program_here, comma
         ("live",), ("live", "--measure"), ("live", "--force", "recorded:a.csv"),
         ("read", "text:a"), ("mouse",), ("color", "tone:30Hz,8um+press:0.5N"),
         ("experiment", "run", "detection"),
-        ("experiment", "free", "--seconds", 1, "--profile", "kajimoto-61"),
-        ("board", "test", "--seconds", 1, "--current-ma", 0.5),
-        ("calibrate", "thresholds", "--output", "mine.toml", "--electrodes", 5),
+        ("experiment", "free", "--seconds", "1", "--profile", "kajimoto-61"),
+        ("board", "test", "--seconds", "1", "--current-ma", "0.5"),
+        ("calibrate", "thresholds", "--output", "mine.toml", "--electrodes", "5"),
     ],
     ids=" ".join,
 )  # fmt: skip
