@@ -51,7 +51,7 @@ ForceOption = Annotated[
         "--force",
         metavar="URL",
         rich_help_panel=FINGER,
-        help="hx711:, loadcell:; fixed:N where nothing measures it and a person presses.",
+        help="hx711:, loadcell:, or fixed:N where unmeasured.",
     ),
 ]
 AnatomyOption = Annotated[
