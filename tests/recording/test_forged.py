@@ -156,7 +156,7 @@ def test_numbers_that_no_run_has(tmp_path, goldens, topic, key, value):
         play(path)
 
 
-def test_where_steps_are_missing_nothing_is_felt(tmp_path, goldens):
+def test_where_steps_are_missing_there_is_no_current(tmp_path, goldens):
     about, messages = take_apart(next(each for each in goldens if each.stem == "ra"))
     # A step every 50 ms.
     kept = [each for each in messages if each[3] < 5 or each[3] > 12]
