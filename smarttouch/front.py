@@ -36,7 +36,7 @@ def run(
     *,
     mode: Mode | str = Mode.RA,
     listeners: Listeners = (),
-    force: ForceSource | None = None,
+    force: ForceSource | str | None = None,
     stop: StopRequest | None = None,
     **settings: Any,
 ) -> RunStatistics:
@@ -51,8 +51,10 @@ def run(
         Which afferents are driven: RA, SAI, PC or natural.
     listeners : iterable of Listener or callable
         Follow the run; a plain function is given each `StepResult`.
-    force : ForceSource, optional
-        Finger force; that of the source or board if not given.
+    force : ForceSource or str, optional
+        Finger force, or its URL. On boards that a finger may be on, it must be measured by the
+        source, the board or this, or be stated (``"fixed:0.9"``, also as the profile's
+        ``force.source``); elsewhere that of the source or board if not given.
     stop : StopRequest, optional
         Ends the run from elsewhere; so does `Display.stop`.
     **settings
@@ -130,7 +132,7 @@ def replay(
     display: Display,
     *,
     listeners: Listeners = (),
-    force: ForceSource | None = None,
+    force: ForceSource | str | None = None,
     stop: StopRequest | None = None,
     **settings: Any,
 ) -> RunStatistics:
@@ -141,7 +143,8 @@ def replay(
     path : Path or str
         The recording.
     display : Display
-        Its profile may be another than the recorded one.
+        Its profile may be another than the recorded one. Where a finger may be on the board, the
+        recording lowers its limits, never raises them, and the recorded force presses nothing.
     listeners, force, stop
         See `run`.
     **settings

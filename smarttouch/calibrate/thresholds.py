@@ -83,6 +83,7 @@ class ThresholdProcedure:
         say: Callable[[str], None],
         stop: StopRequest,
         opened: Callable[[Board, StopRequest], AbstractContextManager[Board]],
+        force: str | None = None,
     ) -> None:
         """Measure electrode after electrode.
 
@@ -98,6 +99,8 @@ class ThresholdProcedure:
         stop : StopRequest
         opened : callable
             Opens a board for a block.
+        force : str, optional
+            URL of the finger's force; see `Runner`.
 
         Raises
         ------
@@ -141,6 +144,7 @@ class ThresholdProcedure:
                 source,
                 display,
                 RunConfig(scan="points", seed=self.seed),
+                force=force,
                 listeners=listeners,
                 # Current is what the procedure asks for.
                 first_level=1.0,

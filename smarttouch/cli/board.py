@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch.cli.options import ProfileOption
+from smarttouch.cli.options import ForceOption, ProfileOption
 from smarttouch.emulator.commands import emulate_board
 from smarttouch.monitor.driving import asks_a_board, drives_a_board, opened, the_stop
 from smarttouch.terminal import print_table
@@ -104,6 +104,7 @@ def try_out(
         float | None,
         typer.Option(metavar="S", help="For each electrode; waits for a key if not given."),
     ] = None,
+    force: ForceOption = None,
     profile: ProfileOption = None,
 ) -> None:
     """Walk through the electrodes, each against all others, from zero up to a small current."""
@@ -143,7 +144,7 @@ def try_out(
             walk.go_on()
 
     with keyboard_listener(on_key):
-        run_walk(walk, display, [OnEvent(say)], stop, partial(opened, display.board))
+        run_walk(walk, display, [OnEvent(say)], stop, partial(opened, display.board), force)
     count = len(display.profile.electrodes)
     typer.echo(f"{walk.tried} of {count} electrodes tried; all are at zero.")
 
@@ -189,7 +190,10 @@ def calibrate_scale(
             f"on the array: {ohm:g} ohm between it and all others."
         )
         typer.echo("Peak voltage across it, V: ", nl=False)
-        run_walk(walk, display, [OnStep(take_answer)], the_stop(), partial(opened, display.board))
+        # No finger is there: a resistor takes the current, whatever the force.
+        force = f"fixed:{display.profile.force.full_n:g}"
+        opening = partial(opened, display.board)
+        run_walk(walk, display, [OnStep(take_answer)], the_stop(), opening, force)
         try:
             volts = float(answer)
         except ValueError:

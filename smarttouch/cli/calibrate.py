@@ -7,6 +7,7 @@ import typer
 
 from smarttouch.cli.calibrate_steps import CalibrationOptions, ask, finish, missing, weights_laid
 from smarttouch.cli.option_groups import takes_options
+from smarttouch.cli.options import ForceOption
 from smarttouch.monitor.driving import drives_a_board, opened, the_stop
 
 calibrate = typer.Typer(
@@ -185,6 +186,7 @@ def thresholds(
         int, typer.Option(metavar="N", min=1, max=10, help="Of the rising current.")
     ] = 3,
     seed: Annotated[int, typer.Option(min=0, help="Of pauses, starts and the simulation.")] = 0,
+    force: ForceOption = None,
     simulate: _Simulate = False,
 ) -> None:
     """Per electrode, the current first felt and the strongest that is comfortable."""
@@ -211,7 +213,7 @@ def thresholds(
     )
     with procedure.progress() as progress:
         try:
-            procedure.measure(progress, keyboard_listener, typer.echo, the_stop(), opened)
+            procedure.measure(progress, keyboard_listener, typer.echo, the_stop(), opened, force)
         except BoardStoppedError:
             raise procedure.stopped(progress) from None
     told = procedure.put_down(progress)

@@ -1,6 +1,5 @@
 """``smarttouch color``: a vibration as tactile primary colors."""
 
-import math
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -97,7 +96,7 @@ def color(
     mixture = mix(answers, trace.duration_s, chosen, bank, places, timing, shaken)
     seconds = None if is_spec(source) else run.seconds
     config = run.config(mixture.mode, seconds=seconds, seed=seed)
-    vibration = ColorSource(source, chosen, mixture, press_n(chosen) if run.pressed else math.nan)
+    vibration = ColorSource(source, chosen, mixture, press_n(chosen))
     vibration.url = source
     vibration.notes += notes(mixture, answers)
     price = None

@@ -40,8 +40,8 @@ def sit(
     if sitting.session.over:
         say(sitting.after())
         return
-    pressing_n = press_n(sitting.profile) if options.pressed else None
-    source = sitting.source(pressing_n, in_real_time=options.board_url != _SIMULATED)
+    in_real_time = options.board_url != _SIMULATED
+    source = sitting.source(press_n(sitting.profile), in_real_time=in_real_time)
     try:
         options.start(
             source,
@@ -76,8 +76,7 @@ def free_run(
         with bank_progress(options.quiet) as progress:
             offered = tuple(sorted(load_bank(raised, progress).weights))
         log = stack.enter_context(FreeLog(output or numbered(Path("free.csv"))))
-        pressed_n = press_n(raised) if options.pressed else None
-        source = FreeSource(raised, offered, log, afferent, site, rate_hz, pressed_n)
+        source = FreeSource(raised, offered, log, afferent, site, rate_hz, press_n(raised))
         source.url = "experiment:free"
         options.start(
             source,

@@ -92,7 +92,7 @@ def mouse(
             rate_hz,
             fastest_hz,
             scale,
-            press_n(chosen) if run.pressed else None,
+            press_n(chosen),
         )
         source.url = texture
         run.start(source, chosen, config, partial(saved.keep, context))

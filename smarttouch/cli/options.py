@@ -45,6 +45,15 @@ FingerOption = Annotated[
         help="Whose afferents are drawn, or judge.",
     ),
 ]
+ForceOption = Annotated[
+    str | None,
+    typer.Option(
+        "--force",
+        metavar="URL",
+        rich_help_panel=FINGER,
+        help="hx711:, loadcell:, or fixed:N where unmeasured.",
+    ),
+]
 AnatomyOption = Annotated[
     str,
     typer.Option(

@@ -21,14 +21,22 @@ def replay(
     ] = False,
     profile: Annotated[
         str | None,
-        typer.Option(metavar="NAME|FILE", help="Another than the recorded one."),
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Another than the recorded one; a real board takes its usual one or this, and "
+            "the recording only lowers its limits.",
+        ),
     ] = None,
     board: Annotated[
         str, typer.Option(metavar="URL", help="What to play into; not with --check.")
     ] = "emulator:",
     force: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="Today's finger; the recorded force if not given."),
+        typer.Option(
+            metavar="URL",
+            help="Today's finger; if not given, a real board's own sensor, elsewhere the recorded "
+            "force.",
+        ),
     ] = None,
     intensity: Annotated[
         float | None,
@@ -40,7 +48,6 @@ def replay(
     ] = None,
 ) -> None:
     """Let a finger feel once more what was recorded, or prove that it still would."""
-    from smarttouch.profile import load_profile
     from smarttouch.recording.reader import Recording
 
     if check:
@@ -53,9 +60,10 @@ def replay(
     from smarttouch.recording.controls import RecordedControls
     from smarttouch.recording.source import RecordingSource
 
-    run = replace(run, board=board, force=force, intensity=intensity)
+    run = replace(run, board=board, force=force, intensity=intensity, profile=profile)
     recording = Recording(file)
-    chosen = recording.profile if profile is None else load_profile(profile)
+    recorded = profile is None and not run.on_a_finger
+    chosen = recording.profile if recorded else run.load_profile()
     config = recording_config(recording, **run.settings("scan", "softness"))
     with RecordingSource(recording) as source:
         source.url = f"recording:{file}"

@@ -1,7 +1,7 @@
 """Options that every command takes that runs, said once; and what a run is made of by them."""
 
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import nullcontext
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,6 +15,7 @@ from smarttouch.cli.options import (
     KEPT,
     AnatomyOption,
     FingerOption,
+    ForceOption,
     JsonOption,
     ProfileOption,
     QuietOption,
@@ -68,14 +69,7 @@ class RunOptions(OptionGroup):
         ),
     ] = False
     profile: ProfileOption = None
-    force: Annotated[
-        str | None,
-        typer.Option(
-            metavar="URL",
-            rich_help_panel=FINGER,
-            help="hx711:, loadcell:, recorded:, fixed:N, or source's.",
-        ),
-    ] = None
+    force: ForceOption = None
     intensity: Annotated[
         float | None,
         typer.Option(
@@ -159,11 +153,6 @@ class RunOptions(OptionGroup):
 
         return may_touch_a_finger(self.board_url)
 
-    @property
-    def pressed(self) -> bool:
-        """True if force has to be made up: nobody measures it, and no finger is there."""
-        return self.force is None and not self.on_a_finger
-
     def load_profile(self) -> "Profile":
         """Return the profile that was asked for, or the board's usual one."""
         from smarttouch.boards.open import default_profile
@@ -214,10 +203,7 @@ class RunOptions(OptionGroup):
         from smarttouch.sources.forces.force import open_force
 
         outputs = Outputs(**{each.name: getattr(self, each.name) for each in fields(Outputs)})
-        with ExitStack() as stack:
-            force = None
-            if self.force is not None:
-                force = stack.enter_context(open_force(self.force, profile))
-            display = self.display(profile)
+        with nullcontext() if self.force is None else open_force(self.force, profile) as force:
+            display = self.display(source.narrowed(profile) if self.on_a_finger else profile)
             keep()
             run_in_terminal(source, display, config, outputs, force=force, **more)

@@ -105,6 +105,9 @@ class ForceLaw(Table):
     """Force from which intensity is full; above ``contact_n``."""
     curve: tuple[float, ...] | None = Field(default=None, min_length=2, max_length=6)
     """Coefficients of a polynomial, lowest first, from the reading of a load cell to newtons."""
+    source: str | None = Field(default=None, pattern=r"^[a-z0-9_]+:.")
+    """Source of force where a finger may be on the board and a run names none, for example
+    ``hx711:/dev/ttyUSB1``, or ``fixed:0.9`` (N) where nothing measures it and a person presses."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

@@ -170,7 +170,7 @@ class FreeSource(StimulusSource, Listener):
         To begin with; the middle if None.
     rate_hz : float, Hz
     press_n : float, N, optional
-        Finger force, where there is no force sensor.
+        Force of a virtual finger; boards that a finger may be on need another source.
 
     Raises
     ------

@@ -54,7 +54,7 @@ class ExperimentSource(StimulusSource, Listener):
     course : TrialTiming
         Timing of a trial.
     press_n : float, N, optional
-        Finger force, where there is no force sensor; no other source is used then.
+        Force of a virtual finger; boards that a finger may be on need another source.
     clock : Clock, optional
         Tells when a key was pressed between two stimuli; the time of the last one counts if
         not given.

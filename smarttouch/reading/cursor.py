@@ -71,6 +71,7 @@ class Cursor(Protocol):
     """Interface of cursors over the lines of a feed."""
 
     knows_force: bool
+    measures_force: bool
 
     def at(self, time_ns: int) -> Spot | None:
         """Return the position of the finger; None at the end. Times rise from call to call."""
@@ -98,6 +99,7 @@ class SweepingCursor:
     """
 
     knows_force = True
+    measures_force = False
 
     def __init__(
         self,
@@ -188,6 +190,7 @@ class FollowingCursor:
         self._feed, self._source = feed, source
         self._origin: Place | None = None
         self.knows_force = source.knows_force
+        self.measures_force = source.measures_force
 
     @property
     def keys(self) -> dict[str, Callable[[], None]]:

@@ -40,6 +40,7 @@ class ReadingSource(OpticalSource):
         super().__init__(title)
         self._name = title
         self.knows_force = cursor.knows_force
+        self.measures_force = cursor.measures_force
         self.index = -1
         """Index of the line under the finger."""
         self._feed, self._cursor = feed, cursor

@@ -1,5 +1,6 @@
 """Reader of recordings, also of those that were cut or damaged."""
 
+import math
 import os
 import struct
 from collections.abc import Generator, Iterator
@@ -32,6 +33,7 @@ from smarttouch.recording.chunks import (
 from smarttouch.recording.decoder import RecordedStep, StepDecoder
 from smarttouch.recording.schemas import FORMAT, METADATA
 from smarttouch.recording.settings import RunSettings, read_settings
+from smarttouch.stimulation.sequence_limits import LONGEST_PERIOD_US
 
 _CHUNK = struct.Struct("<QQQ")
 """Head of a chunk: first time, last time, decompressed bytes."""
@@ -161,14 +163,44 @@ class Recording:
         return self._table("versions")
 
     def steps(self) -> Generator[RecordedStep, None, None]:
-        """Yield all steps that are complete, in order."""
+        """Yield all steps that are complete, in order.
+
+        Raises
+        ------
+        RecordingError
+            If a number of one is none that a run can have.
+        """
         decoder = StepDecoder(len(self.profile.electrodes))
         for topic, message in self.messages():
             if topic != "/event":
                 step = decoder.take(topic, message.sequence, message.data)
                 if step is not None:
+                    self._require_possible(step, message.log_time - self.started_unix_ns)
                     yield step
         self.broken_steps = decoder.broken
+
+    def _require_possible(self, recorded: RecordedStep, at_ns: int) -> None:
+        """Raise if the numbers of a step, which is filed at a time of the run, are impossible."""
+        step, sequence = recorded.step, recorded.step.sequence
+        for name, value, least, most in (
+            ("time_ns", step.input.time_ns, at_ns, at_ns),
+            ("age_ns", step.input.age_ns, 0, math.inf),
+            ("period_us", sequence.period_us, 1, LONGEST_PERIOD_US),
+            ("asked_us", step.asked_us, 0, LONGEST_PERIOD_US),
+            ("recharge_us", sequence.recharge_us, 0, sequence.period_us),
+            ("level", step.level, 0, 1),
+            ("intensity", sequence.intensity, 0, 1),
+        ):
+            # No comparison holds of NaN.
+            if not least <= value <= most:
+                raise RecordingError(
+                    f"{self.path} has a step {at_ns / 1e9:.3f} s after its start whose {name} is "
+                    f"{str(value)[:24]}, which no run has: it was not made by recording",
+                    about=name,
+                    problem="impossible",
+                    value=value,
+                    allowed=(least, most),
+                )
 
     def events(self) -> Iterator[tuple[int, str]]:
         """Yield the time of each event, ns since the start of the run, and its text."""

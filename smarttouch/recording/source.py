@@ -3,12 +3,14 @@
 from dataclasses import replace
 from pathlib import Path
 
-from smarttouch.errors import SourceError
+from smarttouch.clock import LATE_NS
+from smarttouch.errors import RecordingError, SourceError
 from smarttouch.profile import Profile
+from smarttouch.profile.stricter import stricter
 from smarttouch.recording.decoder import RecordedStep
 from smarttouch.recording.reader import Recording
 from smarttouch.sources.source import Source
-from smarttouch.sources.stimulus import Input
+from smarttouch.sources.stimulus import Input, Stimulus
 
 
 def open_recording(rest: str, profile: Profile, *, unpaced: bool = False) -> "RecordingSource":
@@ -45,9 +47,11 @@ class RecordingSource(Source):
     """
 
     knows_force = True
+    """Only where no finger is: on a board with one the force is live."""
 
     def __init__(self, recording: Recording, unpaced: bool = False) -> None:
         super().__init__(recording.path.name)
+        self._recording = recording
         self.duration_s = recording.duration_s
         self._unpaced = unpaced
         self._steps = recording.steps()
@@ -79,8 +83,33 @@ class RecordingSource(Source):
         self._seen = True
         given = self._now.step.input
         age_ns = 0 if self._unpaced else max(0, time_ns - given.time_ns)
+        # Where steps are missing there is no current.
+        stale = given.stale or (not self._unpaced and time_ns > _end_ns(self._now) + LATE_NS)
         number = self.frames - 1
-        return replace(given, time_ns=time_ns, number=number, age_ns=age_ns)
+        return replace(given, time_ns=time_ns, number=number, age_ns=age_ns, stale=stale)
+
+    def narrowed(self, profile: Profile) -> Profile:
+        """Return a profile whose limits are within those of the recorded one, too.
+
+        Raises
+        ------
+        RecordingError
+            If it holds stimuli for another number of electrodes.
+        """
+        was = self._recording.profile
+        count, recorded = len(profile.electrodes), len(was.electrodes)
+        first = self._ahead or self._now
+        if count != recorded and first is not None and isinstance(first.step.input, Stimulus):
+            raise RecordingError(
+                f"{self.title} holds stimuli for {recorded} electrodes, the profile {profile.name} "
+                f"has {count}: give the profile of the display that they are to go to",
+                about="electrodes",
+                problem="conflict",
+                value=recorded,
+                allowed=count,
+                remedy="profile",
+            )
+        return stricter(profile, was)
 
     def close(self) -> None:
         """Let go of the file; what was passed and not read is dropped."""

@@ -72,9 +72,7 @@ class Inputs:
             return None
         self.statistics.seen += given.number != self._last_seen
         self._last_seen = given.number
-        force_n = given.force_n
-        if self.force is not None or self.board.force_n is not None:
-            force_n = self._force_n(given, time_ns)
+        force_n = self._force_n(given, time_ns)
         blind = given.stale or math.isnan(force_n)
         self.statistics.blind += blind
         if blind is not self._blind:
@@ -95,14 +93,19 @@ class Inputs:
         return given, level
 
     def _force_n(self, given: Input, time_ns: int) -> float:
-        """Return the force of whoever was asked, NaN if unknown; the board may lower it."""
-        on_board = self.board.force_n
+        """Return the force that counts, NaN if unknown; a force on the board may lower it.
+
+        On a board that a finger may be on, only force of that finger counts.
+        """
+        on_board, virtual = self.board.force_n, not self.board.on_a_finger
         if self.force is not None:
-            force_n = self.force.read(time_ns)
-        elif self.source.knows_force or on_board is None:
+            force_n = self.force.read(time_ns) if virtual or self.force.is_live else math.nan
+        elif self.source.measures_force or (
+            virtual and (self.source.knows_force or on_board is None)
+        ):
             force_n = given.force_n
         else:
-            force_n = on_board
+            force_n = math.nan if on_board is None else on_board
         if on_board is None or math.isnan(force_n):
             return force_n
         return min(force_n, on_board)

@@ -27,7 +27,7 @@ from smarttouch.running.regulation import make_regulator, masked_where_broken
 from smarttouch.running.report import figures_of
 from smarttouch.running.statistics import RunStatistics
 from smarttouch.running.step import StepResult
-from smarttouch.sources.forces.force import ForceSource
+from smarttouch.sources.forces.force import ForceSource, open_force
 from smarttouch.sources.source import Source, StimulusSource
 from smarttouch.stimulation.limits import rms_ma_cm2
 from smarttouch.stopping import StopRequest
@@ -45,8 +45,10 @@ class Runner:
         Closed at the end.
     display : Display
     config : RunConfig
-    force : ForceSource, optional
-        Finger force; that of the source or board if not given.
+    force : ForceSource or str, optional
+        Finger force, or its URL. If not given: where a finger may be on the board, that of the
+        profile's ``force.source``, else what source or board measure; elsewhere that of the source
+        or board.
     listeners : iterable of Listener or callable
         Follow the run; a plain function is given each `StepResult`.
     controls : callable, optional
@@ -75,7 +77,7 @@ class Runner:
         display: Display,
         config: RunConfig,
         *,
-        force: ForceSource | None = None,
+        force: ForceSource | str | None = None,
         listeners: Iterable[Listener | Callable[[StepResult], object]] = (),
         controls: MakeControls = Controls,
         first_level: float | None = None,
@@ -85,7 +87,11 @@ class Runner:
         opened: Callable[[StopRequest], AbstractContextManager[Board]] | None = None,
         clock: Clock | None = None,
     ) -> None:
-        self.source, self.display, self.config, self._force = source, display, config, force
+        self.source, self.display, self.config = source, display, config
+        if force is None and display.on_a_finger:
+            force = display.profile.force.source
+        self._force = None if isinstance(force, str) else force
+        self._force_url = force if isinstance(force, str) else None
         self.statistics = RunStatistics()
         self._listeners = as_listeners(listeners)
         self._controls, self._load_kernels = controls, load_kernels
@@ -114,6 +120,8 @@ class Runner:
             for listener in reversed(self._listeners):
                 stack.callback(listener.close)
             stack.callback(self.source.close)
+            if self._force_url is not None:
+                self._force = stack.enter_context(open_force(self._force_url, self.display.profile))
             context, pipeline = self._prepared()
             to_its_end()
             report: BoardReport | None = None
@@ -148,8 +156,11 @@ class Runner:
         config, source, board = self.config, self.source, self.display.board
         self._require_a_level()
         profile = self.display.profile
+        if self.display.on_a_finger:
+            profile = source.narrowed(profile)
         if config.measure:
             with self._opened(self._stop):
+                self._require_force()
                 profile = masked_where_broken(board, profile, self._advise)
         bank = self._load_kernels(profile)
         vibrated = self.display.vibrators_url is not None
@@ -270,16 +281,25 @@ class Runner:
             )
 
     def _require_force(self) -> None:
-        source, board = self.source, self.display.board
-        if not (source.knows_force or self._force is not None or board.capabilities.force):
-            raise SourceError(
-                f"no force of the finger is known: {source.title} and the board tell none, so "
-                "there would be no current: give a source of force, for example hx711:PORT, or "
-                "fixed:0.5 (N)",
-                about="force",
-                problem="missing",
-                remedy="force",
-            )
+        """Raise where no force can open the current."""
+        source, force, board = self.source, self._force, self.display.board
+        finger = self.display.on_a_finger
+        title = source.title if force is None else force.title
+        if force is not None and (force.is_live or not finger):
+            return
+        if force is None and (
+            board.capabilities.force or source.measures_force or (source.knows_force and not finger)
+        ):
+            return
+        raise SourceError(
+            f"the finger's force is not measured: neither {title} nor the board does, so there "
+            "would be no current: give a source of force, for example hx711:PORT, or, where "
+            "nothing measures it and a person presses, "
+            f"fixed:{self.display.profile.force.full_n:g} (N)",
+            about="force",
+            problem="missing",
+            remedy="force",
+        )
 
     def _warn_of_simulation(self, profile: Profile) -> None:
         """Say so where a real finger is to feel what was found on none."""

@@ -16,6 +16,7 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.listener import Listener
 from smarttouch.running.runner import Runner
+from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.source import StimulusSource
 from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stopping import StopRequest
@@ -131,12 +132,14 @@ def run_walk(
     listeners: Iterable[Listener],
     stop: StopRequest,
     opened: Callable[[StopRequest], AbstractContextManager[Board]] | None = None,
+    force: ForceSource | str | None = None,
 ) -> None:
     """Run a walk on a display; the arguments are those of `Runner`."""
     Runner(
         walk,
         display,
         RunConfig(scan="points"),
+        force=force,
         listeners=listeners,
         # The strength is what the walk was given.
         first_level=1.0,

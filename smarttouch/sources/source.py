@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from typing import ClassVar
 
 from smarttouch.events import Emit, emit_nowhere
+from smarttouch.profile import Profile
 from smarttouch.sources.device import Device
 from smarttouch.sources.frame import Frame
 from smarttouch.sources.stimulus import Input, Stimulus
@@ -24,13 +25,20 @@ class Source(Device, ABC):
     emit: Emit = staticmethod(emit_nowhere)
     """Hands on events of the source; set by the run."""
     knows_force: bool = False
-    """Whether its inputs tell how hard the finger presses."""
+    """Whether its inputs have a force."""
+    measures_force: bool = False
+    """Whether that force is measured on a finger while it runs. Any other force presses only on
+    boards that no finger can be on."""
     frames: int = 0
     """Distinct frames or stimuli that it delivered."""
     dropped_frames: int = 0
     """Those that came but were never read."""
     keys_help: ClassVar[str] = ""
     """Words on its keys."""
+
+    def narrowed(self, profile: Profile) -> Profile:
+        """Return the profile that plans what the source gives to a finger; never a wider one."""
+        return profile
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:

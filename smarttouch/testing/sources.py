@@ -94,6 +94,7 @@ class SourceContract:
             assert math.isnan(frame.force_n) or frame.force_n >= 0
             pose = frame.pose
             assert np.isfinite([pose.x_mm, pose.y_mm, pose.angle_rad]).all()
+        assert source.knows_force or not source.measures_force
         if source.knows_force:
             assert not all(math.isnan(frame.force_n) for frame in frames)
 

@@ -41,7 +41,7 @@ class Motion(Device, ABC):
 
     def __init__(self, title: str) -> None:
         super().__init__(title)
-        self.knows_force = False
+        self.knows_force = self.measures_force = False
         self.force_n = math.nan
         self.origin_mm: tuple[float, float] | None = None
 

@@ -87,7 +87,8 @@ class MouseSource(StimulusSource):
     scale : float
         Millimeters of the texture for one of the hand.
     press_n : float, N, optional
-        Finger force, where the motion does not report it.
+        Force of a virtual finger, where the motion does not report it; boards that a finger may
+        be on need another source.
 
     Raises
     ------
@@ -119,6 +120,7 @@ class MouseSource(StimulusSource):
         self.fastest_hz = _possible_hz(rate_hz, fastest_hz, profile.limits.rate_hz)
         self.duration_s = motion.duration_s
         self.knows_force = motion.knows_force or press_n is not None
+        self.measures_force = motion.measures_force
         self.texture, self.motion, self.mode = texture, motion, mode
         self.merged = 0
         """Ridges that passed under an electrode in the same frame as another."""

@@ -33,6 +33,7 @@ class SourceMotion(Motion):
         self._source = source
         self.notes = source.notes
         self.knows_force = source.knows_force
+        self.measures_force = source.measures_force
         self.duration_s = source.duration_s
         self._first: Pose | None = None
 

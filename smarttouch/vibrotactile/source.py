@@ -33,7 +33,7 @@ class ColorSource(StimulusSource, Listener):
         Profile of the finger.
     mixture : Mixture
     force_n : float, N
-        Force of a virtual finger; NaN if it has another source.
+        Force of a virtual finger; NaN for none.
     """
 
     ended = "the end of the trace"

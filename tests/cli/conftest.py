@@ -20,6 +20,9 @@ from smarttouch.errors import SmartTouchError
 from ..forks import EMULATOR, PROGRAM, Forked
 from ..raising import assert_says
 
+PRESSED = ("--force", "fixed:1")
+"""Where nothing measures force on a board that a finger may be on."""
+
 
 def says(kind=SmartTouchError, *names, **attributes):
     """Return a check that an error is of just this type, with these names and attributes.

@@ -16,7 +16,7 @@ from smarttouch.errors import BoardError
 
 from ..boards.fresh import fresh_state, until
 from ..forks import PROGRAM, Forked
-from .conftest import refused, says
+from .conftest import PRESSED, refused, says
 
 KITS = {
     "kajimoto61": (61, "kajimoto61"),
@@ -55,7 +55,7 @@ def state_of(books):
 def test_live_end_to_end_ends_in_zero(program_here, tmp_path, kit):
     url, books = kit
     done = program_here(
-        "live", "--board", url, "--intensity", 1, "--seconds", 1.7, "--json", "run.json"
+        "live", "--board", url, *PRESSED, "--intensity", 1, "--seconds", 1.7, "--json", "run.json"
     )
     assert done.returncode == 0, done.stderr
     # That one goes on by itself if its line breaks, and who runs it is warned.
@@ -81,7 +81,7 @@ def test_packets_that_come_twice_are_told_of(program_here, monkeypatch, tmp_path
         return encode(session, kind, *more) * (1 + (kind == Kind.SEQUENCE))
 
     monkeypatch.setattr(HostSession, "encode", twice)
-    live = ("live", "--board", kit[0], "--intensity", 0, "--seconds", 1)
+    live = ("live", "--board", kit[0], *PRESSED, "--intensity", 0, "--seconds", 1)
     done = program_here(*live, "--json", "run.json")
     assert done.returncode == 0, done.stderr
     figures = json.loads((tmp_path / "run.json").read_text())
@@ -95,7 +95,7 @@ def test_packets_that_come_twice_are_told_of(program_here, monkeypatch, tmp_path
 def test_a_signal_ends_in_zero(start_program, kit):
     url, books = kit
     how = signal.SIGTERM if url.startswith("kajimoto61") else signal.SIGINT
-    running = start_program("live", "--board", url, "--intensity", "1")
+    running = start_program("live", "--board", url, *PRESSED, "--intensity", "1")
     wait_for_pulses(books)
     running.send_signal(how)
     running.communicate(timeout=60)
@@ -112,7 +112,7 @@ def wait_for_pulses(books):
 def test_a_killed_host(start_program, kit):
     """The host-clocked board is at zero by itself, the other by its keeper."""
     url, books = kit
-    running = start_program("board", "test", url, "--seconds", 30, "--current-ma", 0.5)
+    running = start_program("board", "test", url, *PRESSED, "--seconds", 30, "--current-ma", 0.5)
     wait_for_pulses(books)
     # By then its current has risen, and nothing changes any more.
     time.sleep(0.5)
@@ -167,7 +167,7 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(
     assert "masked = [5, 9]" in done.stdout
     assert found["impedance_kohm"][5] is None
     text = ("--sensor", "text:oooo")
-    done = program_here("live", "--board", url, "--intensity", 1, "--measure", *text)
+    done = program_here("live", "--board", url, *PRESSED, "--intensity", 1, "--measure", *text)
     assert done.returncode == 0, done.stderr
     assert "30 of 32" in done.stderr
     assert "[5, 9]" in done.stderr
@@ -190,14 +190,14 @@ def test_measuring_without_a_finger_says_so(program_here, start_emulator, tmp_pa
     found = json.loads((tmp_path / "found.json").read_text())
     assert found["condition"] == ["open"] * 16
     assert found["impedance_kohm"] == [None] * 16
-    done = program_here("live", "--board", *small, "--measure", "--intensity", 1)
+    done = program_here("live", "--board", *small, *PRESSED, "--measure", "--intensity", 1)
     says(BoardError, about="finger", problem="missing")(refused(done))
 
 
 @on("etactilekit")
 def test_a_walk_through_the_electrodes(program_here, kit):
     url, books = kit
-    done = program_here("board", "test", url, "--seconds", 0.15, "--current-ma", 0.3)
+    done = program_here("board", "test", url, *PRESSED, "--seconds", 0.15, "--current-ma", 0.3)
     assert done.returncode == 0, done.stderr
     assert "32 of 32 electrodes" in done.stdout
     state = state_of(books)

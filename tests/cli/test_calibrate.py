@@ -27,7 +27,7 @@ from smarttouch.sources.flat_field import FlatField
 
 from ..boards.fresh import fresh_state, until
 from ..forks import EMULATOR, Forked
-from .conftest import says
+from .conftest import PRESSED, says
 
 
 @pytest.fixture
@@ -229,8 +229,8 @@ def test_thresholds_with_trials_on_another_board(run, tmp_path):
 @pytest.mark.realtime
 def test_thresholds_stop_at_once(start_at_a_terminal, start_emulator, tmp_path):
     _, port, books = start_emulator()
-    arguments = ("calibrate", "thresholds", "--board", f"link:{port}", "--output", "mine.toml")
-    process, keys = start_at_a_terminal(*arguments, "--electrodes", "5")
+    arguments = ("calibrate", "thresholds", "--board", f"link:{port}", *PRESSED)
+    process, keys = start_at_a_terminal(*arguments, "--output", "mine.toml", "--electrodes", "5")
     until(lambda: read_state(books)["slots"])
     os.write(keys, b"q")
     out, err = process.communicate(timeout=60)

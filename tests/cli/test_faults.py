@@ -13,6 +13,7 @@ from smarttouch.boards.emulator.delivery_log import read_state
 from smarttouch.running.pipeline import Pipeline
 
 from ..boards.fresh import fresh_state
+from .conftest import PRESSED
 
 pytestmark = pytest.mark.realtime
 
@@ -33,7 +34,7 @@ def running(start_program, start_emulator):
     """A run that delivers pulses to an emulator of its own."""
     emulator, port, books = start_emulator(64, "link", "--linger=0.2")
     host = start_program(
-        "live", "--board", f"link:{port}", "--intensity", "1", "--json", "run.json"
+        "live", "--board", f"link:{port}", *PRESSED, "--intensity", "1", "--json", "run.json"
     )
     wait_for(lambda: read_state(books)["slots"] > 50)
     return host, emulator, books
@@ -88,7 +89,7 @@ def test_the_board_dies_and_its_port_with_it(start_program, start_emulator, tmp_
     name = tmp_path / "port"
     name.symlink_to(port)
     host = start_program(
-        "live", "--board", f"link:{name}", "--intensity", "1", "--json", "run.json"
+        "live", "--board", f"link:{name}", *PRESSED, "--intensity", "1", "--json", "run.json"
     )
     wait_for(lambda: read_state(books)["slots"] > 50)
     name.unlink()
@@ -126,7 +127,7 @@ def test_an_exception_in_a_stage(monkeypatch, capsys, start_emulator, stage):
     else:
         monkeypatch.setattr("smarttouch.monitor.screen.Screen.step", broken)
     monkeypatch.setattr(
-        sys, "argv", ["smarttouch", "live", "--board", f"link:{port}", "--intensity", "1"]
+        sys, "argv", ["smarttouch", "live", "--board", f"link:{port}", *PRESSED, "--intensity", "1"]
     )
     with pytest.raises(SystemExit) as caught:
         cli.main()

@@ -4,6 +4,7 @@ import pytest
 
 from smarttouch.boards.open import may_touch_a_finger
 
+from ..boards.fresh import fresh_state
 from .conftest import refused, says
 
 
@@ -29,3 +30,30 @@ def test_no_command_drives_a_real_board_that_nobody_controls(program_here, comma
     board = ("link:/dev/nowhere",) if command[0] == "board" else ("--board", "link:/dev/nowhere")
     about = "keyboard" if command[0] == "board" else "intensity"
     says(about=about, problem="missing")(refused(program_here(*command, *board)))
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("live",), ("live", "--measure"), ("live", "--force", "recorded:a.csv"),
+        ("read", "text:a"), ("mouse",), ("color", "tone:30Hz,8um+press:0.5N"),
+        ("experiment", "run", "detection"),
+        ("experiment", "free", "--seconds", "1", "--profile", "kajimoto-61"),
+        ("board", "test", "--seconds", "1", "--current-ma", "0.5"),
+        ("calibrate", "thresholds", "--output", "mine.toml", "--electrodes", "5"),
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_no_command_drives_a_real_board_whose_finger_nobody_measures(
+    start_at_a_terminal, start_emulator, tmp_path, command
+):
+    (tmp_path / "a.csv").write_text("time_s,force_n\n0,0.9\n10,0.9\n")
+    kind, electrodes = ("etactilekit", 32) if "--measure" in command else ("kajimoto61", 61)
+    _, port, books = start_emulator(electrodes, kind)
+    url = f"{kind}:{port}"
+    board = (url,) if command[0] == "board" else ("--board", url)
+    process, _ = start_at_a_terminal(*command, *board)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert "--force" in errors
+    assert fresh_state(books)["max_current_ma"] == 0

@@ -10,10 +10,14 @@ import typer
 from typer.testing import CliRunner
 
 from smarttouch.cli.replay import replay
-from smarttouch.errors import BoardError, ProfileError, RecordingError
+from smarttouch.errors import BoardError, ProfileError, RecordingError, SourceError
 from smarttouch.profile import load_profile
 from smarttouch.recording.reader import Recording
 from smarttouch.recording.repair import repair
+
+from ..boards.fresh import fresh_state
+from ..recording.forged import put_together, take_apart
+from .conftest import refused, says
 
 GOLDEN = Path(__file__).parents[1] / "recording" / "goldens" / "kajimoto.mcap"
 
@@ -67,13 +71,18 @@ def into():
 
 
 @pytest.mark.parametrize("scale", [0.00244, 2440.0, 1.0, 9.99])
-def test_a_misread_unit_in_a_recording_reaches_no_board(forge, port, into, scale):
-    far, name = port
-    error = into(forge("output.ua_per_count", scale), f"kajimoto61:{name}")
-    assert isinstance(error, BoardError)
-    assert "ua_per_count" in str(error)
-    with pytest.raises(BlockingIOError):
-        os.read(far, 1)
+def test_a_misread_unit_in_a_recording_reaches_no_board(forge, port, into, monkeypatch, scale):
+    """The outputs of a board with a finger on it are described by its user's profile."""
+    outputs = []
+
+    def made(_url, _limits, output):
+        outputs.append(output)
+        raise BoardError("seen")
+
+    monkeypatch.setattr("smarttouch.running.display.make_board", made)
+    path = forge("output.ua_per_count", scale)
+    assert isinstance(into(path, f"kajimoto61:{port[1]}"), BoardError)
+    assert [each.ua_per_count for each in outputs] == [None]
 
 
 NONSENSE = [
@@ -98,6 +107,44 @@ def test_what_a_profile_may_not_say_a_recording_may_not(forge, port, into, key, 
     assert isinstance(into(forge(key, value), f"kajimoto61:{name}"), RecordingError)
     with pytest.raises(BlockingIOError):
         os.read(far, 1)
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(
+    ("comfort_ma", "expected_ma"),
+    # Above what the user's profile allows, and below it.
+    [(4.998, 2.4), (1.2, 1.2)],
+)
+def test_a_recording_brings_to_a_finger_neither_limits_nor_force(
+    program_here, start_emulator, tmp_path, comfort_ma, expected_ma
+):
+    about, messages = take_apart(GOLDEN.with_name("ra.mcap"))
+    profile = json.loads(about["profile"])
+    profile["limits"] |= {"current_ma": 5.0, "charge_uc": 0.5, "ramp_s": 0.5}
+    profile["pulse"]["width_us"] = 100
+    profile["force"] |= {"contact_n": 1e-6, "full_n": 2e-6, "source": "fixed:1"}
+    profile["perception"] |= {"comfort_ma": [comfort_ma] * 64, "threshold_ma": 0.6}
+    for topic, content, _, _ in messages:
+        if topic == "/finger":
+            content["force_n"] = 20.0
+        if topic == "/sequence":
+            content["level"] = 1.0
+    put_together(tmp_path / "a.mcap", about | {"profile": json.dumps(profile)}, messages)
+    for events, most_ma in ((("--event=0 force 0",), 0.0), ((), expected_ma)):
+        _, port, books = start_emulator(64, "link", *events)
+        board = ("--board", f"link:{port}", "--intensity", 1)
+        for command in (("replay", "a.mcap"), ("live", "--source", "recording:a.mcap")):
+            done = program_here(*command, *board)
+            assert done.returncode == 0, done.stderr
+        state = fresh_state(books)
+        assert (state["unsafe"], state["violations"]) == (0, 0)
+        assert 0.5 * most_ma <= state["max_current_ma"] <= most_ma * 1.02
+    # A board without a sensor of force: a person says that one presses, or there is no run.
+    _, port, books = start_emulator(61, "kajimoto61")
+    for command in (("replay", "a.mcap"), ("live", "--source", "text:on")):
+        done = program_here(*command, "--board", f"kajimoto61:{port}", "--intensity", 1)
+        says(SourceError, about="force", problem="missing", remedy="force")(refused(done))
+    assert fresh_state(books)["max_current_ma"] == 0
 
 
 @pytest.mark.parametrize(("key", "value"), NONSENSE)

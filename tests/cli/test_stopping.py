@@ -16,7 +16,7 @@ from smarttouch.boards.stoppable import announced
 from smarttouch.wire.pty_line import PtyLine
 
 from ..forks import PROGRAM, Forked
-from .conftest import refused, says
+from .conftest import PRESSED, refused, says
 
 pytestmark = pytest.mark.realtime
 
@@ -110,7 +110,7 @@ def test_a_terminal_that_has_stopped_reading_keeps_nobody(
     keys, terminal = stuck_terminal
     emulator, port, books = start_emulator(64, "link", "--linger=0.2")
     process = Forked(
-        [PROGRAM, "live", "--board", f"link:{port}", "--json", "run.json"],
+        [PROGRAM, "live", "--board", f"link:{port}", *PRESSED, "--json", "run.json"],
         cwd=tmp_path, stdin=terminal, stdout=terminal, stderr=terminal,
     )  # fmt: skip
     os.write(keys, b"+" * 20)

@@ -11,7 +11,7 @@ from smarttouch.reading.window import pixel_of
 class Stands:
     """A cursor that is where it is told to be."""
 
-    knows_force, keys = True, {}
+    knows_force, measures_force, keys = True, False, {}
 
     def __init__(self, *spots):
         self.spots = list(spots)

@@ -18,6 +18,7 @@ from smarttouch.recording.reader import Recording
 from smarttouch.recording.repair import is_sound, repair
 from smarttouch.recording.source import RecordingSource
 from smarttouch.running.controls import ControlState
+from smarttouch.stimulation.sequence_limits import LONGEST_PERIOD_US
 
 from ..raising import raises
 from .forged import damage, forge, put_together, take_apart
@@ -129,3 +130,38 @@ def test_a_board_that_holds_without_a_voltage(tmp_path, goldens):
     put_together(path, {**about, "settings": json.dumps(settings)}, messages)
     with raises(RecordingError, about="settings.compliance_v", problem="missing", value=path):
         check_recording(path)
+
+
+@pytest.mark.parametrize(
+    ("topic", "key", "value"),
+    [
+        ("/sequence", "period_us", 0), ("/sequence", "period_us", LONGEST_PERIOD_US + 1),
+        ("/sequence", "period_us", 2**63),
+        pytest.param("/sequence", "period_us", 10**400, id="endless"),
+        ("/sequence", "asked_us", 2**63), ("/sequence", "recharge_us", 2**40),
+        ("/sequence", "level", 1.5), ("/sequence", "level", -0.1),
+        ("/sequence", "intensity", float("nan")), ("/sequence", "intensity", 2.0),
+        ("/finger", "time_ns", 2**62), ("/finger", "time_ns", -1), ("/finger", "age_ms", -1),
+    ],
+)  # fmt: skip
+def test_numbers_that_no_run_has(tmp_path, goldens, topic, key, value):
+    """Of the last step: what comes before it is played, and then nothing waits for ever."""
+    about, messages = take_apart(next(each for each in goldens if each.stem == "ra"))
+    at = max(at for at, each in enumerate(messages) if each[0] == topic)
+    name, content, time_ns, index = messages[at]
+    messages[at] = (name, content | {key: value}, time_ns, index)
+    path = tmp_path / "forged.mcap"
+    put_together(path, about, messages)
+    with raises(RecordingError, about=key.replace("age_ms", "age_ns"), problem="impossible"):
+        play(path)
+
+
+def test_where_steps_are_missing_there_is_no_current(tmp_path, goldens):
+    about, messages = take_apart(next(each for each in goldens if each.stem == "ra"))
+    # A step every 50 ms.
+    kept = [each for each in messages if each[3] < 5 or each[3] > 12]
+    path = tmp_path / "forged.mcap"
+    put_together(path, about, kept)
+    with contextlib.closing(RecordingSource(Recording(path))) as source:
+        stale = [source.read(time_ms * 10**6).stale for time_ms in (240, 345, 355, 640, 655)]
+    assert stale == [False, False, True, True, False]

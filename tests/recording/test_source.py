@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.errors import RecordingError, SourceError
+from smarttouch.profile import load_profile
 from smarttouch.recording.source import open_recording
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
@@ -89,3 +90,18 @@ def test_what_cannot_be_played(tmp_path, record, profile):
         open_recording(str(tmp_path / "none.mcap"), profile)
     with raises(SourceError, about="file", problem="empty", value=tmp_path / "run.mcap"):
         open_recording(str(record(tmp_path / "run.mcap", [])), profile)
+
+
+@pytest.mark.parametrize(("name", "other"), [("color", "kajimoto-61"), ("kajimoto", None)])
+def test_on_a_finger_the_profile_is_narrowed_and_stimuli_stay_on_their_array(
+    goldens, profile, name, other
+):
+    path = next(each for each in goldens if each.stem == name)
+    with open_recording(str(path), profile) as source:
+        if other is None:
+            # Frames go to any array.
+            assert source.narrowed(profile).full_ma.max() <= profile.full_ma.max()
+        else:
+            assert source.narrowed(profile) is profile
+            with raises(RecordingError, about="electrodes", problem="conflict", value=64):
+                source.narrowed(load_profile(other))

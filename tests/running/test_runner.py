@@ -23,6 +23,7 @@ from smarttouch.running.display import open_display
 from smarttouch.running.listener import Listener
 from smarttouch.running.runner import Runner
 from smarttouch.sources import open_source
+from smarttouch.sources.forces.force import open_force
 from smarttouch.sources.source import StimulusSource
 from smarttouch.sources.stimulus import Stimulus
 
@@ -185,7 +186,7 @@ def test_a_simulated_calibration_is_no_finger_s(profile, source, monkeypatch):
             noting = Noting()
             Runner(
                 open_source("text:a", profile, speed_mm_s=400), display, RunConfig(intensity=0.5),
-                listeners=[noting],
+                force=open_force("fixed:0.9", profile), listeners=[noting],
             ).run()  # fmt: skip
             notes.append([each for each in noting.events if isinstance(each, Advice)])
     assert not any("thresholds" in str(each) for each in notes[0])

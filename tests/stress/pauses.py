@@ -43,7 +43,7 @@ STEP_UA = 50
 class Bars(OpticalSource):
     """A finger that lies on the same bars for ever."""
 
-    knows_force = True
+    knows_force = measures_force = True
 
     def __init__(self, profile):
         super().__init__("bars")

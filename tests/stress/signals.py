@@ -19,7 +19,7 @@ NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 def one(draw, number, kind, stuck, folder):
     """Start a run, end it by a signal, and return what came of it."""
     board = Emulated(kind)
-    run = ["live", "--board", board.url, "--seconds", "60"]
+    run = ["live", "--board", board.url, "--force", "fixed:1", "--seconds", "60"]
     ends = None
     if stuck:
         *ends, name = stuck_terminal(b"+" * 20)

@@ -25,7 +25,8 @@ def one(draw, folder):
     begin, hosts = time.monotonic(), []
     for board, start_s in zip(boards, starts, strict=True):
         time.sleep(max(0.0, begin + start_s - time.monotonic()))
-        run = ["live", "--board", board.url, "--seconds", "60", "--intensity", "1"]
+        run = ["live", "--board", board.url, "--force", "fixed:1", "--intensity", "1"]
+        run += ["--seconds", "60"]
         delay_s = draw.uniform(0.0, IMPORTING_S)
         hosts.append(start_host(run, state, out=state / "out", delay_s=delay_s))
     # Later than the last, by more than the system's steps of the time when it was started.

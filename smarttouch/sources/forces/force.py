@@ -3,6 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,6 +21,10 @@ _COLUMNS = ("time_s", "force_n")
 
 class ForceSource(Device, ABC):
     """Source of finger force, opened by its URL."""
+
+    is_live: ClassVar[bool] = True
+    """Whether the force is that of a finger that presses now, measured or stated by a person; any
+    other opens no current on a board that a finger may be on."""
 
     @abstractmethod
     def read(self, time_ns: int) -> float:
@@ -55,7 +60,7 @@ def open_recorded(rest: str, profile: Profile) -> ForceSource:
 
 
 class FixedForce(ForceSource):
-    """Constant force.
+    """Constant force, which a person states to be there.
 
     Parameters
     ----------
@@ -103,6 +108,8 @@ class RecordedForce(ForceSource):
     SourceError
         If the file is missing or wrong, with the line number.
     """
+
+    is_live = False
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"force of {path.name}")

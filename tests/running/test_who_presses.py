@@ -1,0 +1,155 @@
+"""Where a finger may be on the board, only its own force opens current."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smarttouch.afferent import Afferent
+from smarttouch.boards.memory import MemoryBoard
+from smarttouch.clock import SimulatedClock
+from smarttouch.errors import ProfileError, SourceError
+from smarttouch.reading.window import press_n
+from smarttouch.running.config import RunConfig
+from smarttouch.running.display import open_display
+from smarttouch.running.runner import Runner
+from smarttouch.running.walk import Walk
+from smarttouch.sources import open_source
+from smarttouch.sources.forces.force import ForceSource
+from smarttouch.sources.source import Source, StimulusSource
+from smarttouch.sources.stimulus import Stimulus
+from smarttouch.texture.source import MouseSource, open_motion_over
+from smarttouch.texture.textures import open_texture
+
+from ..raising import raises
+
+GOLDEN = Path(__file__).parents[1] / "recording" / "goldens" / "ra.mcap"
+
+
+class Pattern(StimulusSource):
+    """One electrode, with a force that is made up or measured."""
+
+    knows_force = True
+
+    def __init__(self, profile, measured=False):
+        super().__init__("a pattern")
+        self.measures_force, self._press_n = measured, press_n(profile)
+
+    def read(self, time_ns):
+        activation = np.zeros((len(Afferent), 64), np.float32)
+        activation[Afferent.RA, 27] = 1
+        return Stimulus(activation, time_ns, self._press_n, 20_000)
+
+
+def mouse(profile, folder):
+    rows = [f"{k / 100},{k / 5},5,0.9" for k in range(200)]
+    path = folder / "path.csv"
+    path.write_text("\n".join(["time_s,x_mm,y_mm,force_n", *rows]))
+    surface = open_texture("grating:2mm")
+    return MouseSource(surface, open_motion_over(surface, f"path:{path}", profile), profile)
+
+
+VIRTUAL = {
+    "text": lambda profile, _: open_source("text:on", profile),
+    "recording": lambda profile, _: open_source(f"recording:{GOLDEN}", profile),
+    "stimuli": lambda profile, _: Pattern(profile),
+    "walk": lambda profile, _: Walk(profile, 1.0, 0.5, sites=[27]),
+    "mouse": mouse,
+}
+"""Sources whose force is made up."""
+
+
+@pytest.fixture
+def flows(monkeypatch, profile, bank):
+    """Return what runs a source on a board that a finger may be on: whether current flowed."""
+
+    def run(source, force=None, *, on_board_n=None, in_profile=None, on_a_finger=True):
+        law = profile.force.model_dump() | {"source": in_profile}
+        display = open_display("memory:", profile.model_copy(update={"force": law}))
+        board = display.board
+        with monkeypatch.context() as patch:
+            patch.setattr(MemoryBoard, "on_a_finger", on_a_finger)
+            board._clock, board.force_n = SimulatedClock(), on_board_n
+            board.capabilities = replace(board.capabilities, force=on_board_n is not None)
+            Runner(
+                source, display, RunConfig(intensity=1.0, seconds=2.0), force=force,
+                load_kernels=lambda _: bank, clock=board._clock,
+            ).run()  # fmt: skip
+        return any(each.current_ua.any() for each in board.sequences)
+
+    return run
+
+
+@pytest.mark.parametrize("name", VIRTUAL)
+def test_a_force_that_is_made_up_presses_on_no_finger(flows, profile, tmp_path, name):
+    table = tmp_path / "force.csv"
+    table.write_text("time_s,force_n\n0,0.9\n10,0.9\n")
+
+    def source():
+        return VIRTUAL[name](profile, tmp_path)
+
+    refused = {"about": "force", "problem": "missing", "remedy": "force"}
+    with raises(SourceError, **refused):
+        flows(source())
+    with raises(SourceError, **refused):
+        flows(source(), f"recorded:{table}")
+    # Stated by a person, for this run or in the profile, or measured by the board.
+    for newtons, expected in (("0.9", True), ("0", False)):
+        assert flows(source(), f"fixed:{newtons}") is expected
+        assert flows(source(), in_profile=f"fixed:{newtons}") is expected
+        assert flows(source(), on_board_n=float(newtons)) is expected
+    # No finger can be there: the source's virtual finger presses, whatever the profile names.
+    assert flows(source(), on_a_finger=False, in_profile="hx711:/dev/nowhere")
+
+
+def test_a_source_that_measures_force_needs_no_other(flows, profile):
+    assert flows(Pattern(profile, measured=True))
+
+
+def test_a_recorded_force_opens_nothing_for_programs_without_a_runner(profile, bank):
+    from smarttouch.running.controls import Controls, ControlState
+    from smarttouch.running.inputs import Inputs
+    from smarttouch.running.pipeline import Pipeline
+    from smarttouch.running.statistics import RunStatistics
+
+    class Recorded(ForceSource):
+        is_live = False
+
+        def read(self, _time_ns):
+            return 0.9
+
+    display, pipeline = open_display("link:/dev/nowhere", profile), Pipeline(profile, bank)
+    controls = Controls(ControlState(pipeline.mode))
+    for force in (None, Recorded("a table")):
+        inputs = Inputs(
+            Pattern(profile), force, display.board, pipeline, controls, RunStatistics(), print
+        )
+        given, _ = inputs.read(0, 0)
+        assert given.force_n == 0
+
+
+def test_nothing_that_ships_measures_force_by_itself():
+    """Who adds a source that does, says so here."""
+    import importlib
+    import pkgutil
+
+    import smarttouch
+
+    for module in pkgutil.walk_packages(smarttouch.__path__, "smarttouch."):
+        if module.name.partition(".")[2].partition(".")[0] not in ("__main__", "testing"):
+            importlib.import_module(module.name)
+    kinds = [Source]
+    for kind in kinds:
+        kinds += kind.__subclasses__()
+    ours = [each for each in kinds if each.__module__.startswith("smarttouch.")]
+    assert len(ours) > 10
+    assert not [each for each in ours if each.measures_force]
+
+
+@pytest.mark.parametrize("value", ["0.5", "fixed:", "", 0.5, math.nan])
+def test_what_names_no_source_of_force(profile, value):
+    law = profile.force.model_dump() | {"source": value}
+    with raises(ProfileError, about="force.source"):
+        profile.model_copy(update={"force": law})
