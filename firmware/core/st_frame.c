@@ -59,13 +59,13 @@ void st_say(st_board *board, uint8_t kind, uint64_t session, uint32_t number, ui
             uint32_t about, const uint8_t *payload, size_t size)
 {
     writer to = { &board->port, { 0 }, 0, 1, true };
-    uint8_t head[ST_HEAD_BYTES] = { ST_VERSION, kind };
+    uint8_t head[ST_HEAD_BYTES] = { ST_VERSION, kind, board->open ? 1u : 0u };
     uint8_t crc[4];
-    (void)st_put_u32(head + 2, number);
-    (void)st_put_u32(head + 6, (uint32_t)session);
-    (void)st_put_u32(head + 10, (uint32_t)(session >> 32));
-    (void)st_put_u32(head + 14, heard);
-    (void)st_put_u32(head + 18, about);
+    (void)st_put_u32(head + 3, number);
+    (void)st_put_u32(head + 7, (uint32_t)session);
+    (void)st_put_u32(head + 11, (uint32_t)(session >> 32));
+    (void)st_put_u32(head + 15, heard);
+    (void)st_put_u32(head + 19, about);
     (void)st_put_u32(crc, st_crc32(st_crc32(0, head, sizeof head), payload, size));
     encode(&to, head, sizeof head);
     encode(&to, payload, size);
@@ -120,8 +120,8 @@ bool st_take_byte(st_board *board, uint8_t byte, uint64_t now_us, uint32_t *size
         return false;
     }
     const uint8_t *body = board->config.buffer[stream->packet];
-    /* Version, kind, number and CRC at least. */
-    if (broken || filled < 10u || st_crc32(0, body, filled - 4u) != st_u32(body + filled - 4u)) {
+    /* Version, kind, state, number and CRC at least. */
+    if (broken || filled < 11u || st_crc32(0, body, filled - 4u) != st_u32(body + filled - 4u)) {
         board->books.framing_errors++;
         return false;
     }
@@ -134,12 +134,12 @@ void st_parse(const uint8_t *body, uint32_t size, st_message *message)
     memset(message, 0, sizeof *message);
     message->version = body[0];
     message->kind = body[1];
-    message->number = st_u32(body + 2);
-    /* Of any other version no more is known; version 3 has the same head. */
-    if ((message->version == ST_VERSION || message->version == 3u) && size >= ST_HEAD_BYTES) {
-        message->session = st_u32(body + 6) | ((uint64_t)st_u32(body + 10) << 32);
-        message->heard = st_u32(body + 14);
-        message->about = st_u32(body + 18);
+    message->number = st_u32(body + 3);
+    /* Of any other version no more is known. */
+    if (message->version == ST_VERSION && size >= ST_HEAD_BYTES) {
+        message->session = st_u32(body + 7) | ((uint64_t)st_u32(body + 11) << 32);
+        message->heard = st_u32(body + 15);
+        message->about = st_u32(body + 19);
         message->payload = body + ST_HEAD_BYTES;
         message->size = size - ST_HEAD_BYTES;
     }
