@@ -59,9 +59,10 @@ void st_say(st_board *board, uint8_t kind, uint64_t session, uint32_t number, ui
             uint32_t about, const uint8_t *payload, size_t size)
 {
     writer to = { &board->port, { 0 }, 0, 1, true };
-    uint8_t head[ST_HEAD_BYTES] = { ST_VERSION, kind, board->open ? 1u : 0u };
+    uint8_t head[ST_HEAD_BYTES] = { ST_VERSION, kind };
     uint8_t crc[4];
-    (void)st_put_u32(head + 3, number);
+    (void)st_put_u32(head + 2, number);
+    head[6] = board->open ? 1u : 0u;
     (void)st_put_u32(head + 7, (uint32_t)session);
     (void)st_put_u32(head + 11, (uint32_t)(session >> 32));
     (void)st_put_u32(head + 15, heard);
@@ -120,8 +121,8 @@ bool st_take_byte(st_board *board, uint8_t byte, uint64_t now_us, uint32_t *size
         return false;
     }
     const uint8_t *body = board->config.buffer[stream->packet];
-    /* Version, kind, state, number and CRC at least. */
-    if (broken || filled < 11u || st_crc32(0, body, filled - 4u) != st_u32(body + filled - 4u)) {
+    /* Version, kind, number and CRC at least. */
+    if (broken || filled < 10u || st_crc32(0, body, filled - 4u) != st_u32(body + filled - 4u)) {
         board->books.framing_errors++;
         return false;
     }
@@ -134,7 +135,7 @@ void st_parse(const uint8_t *body, uint32_t size, st_message *message)
     memset(message, 0, sizeof *message);
     message->version = body[0];
     message->kind = body[1];
-    message->number = st_u32(body + 3);
+    message->number = st_u32(body + 2);
     /* Of any other version no more is known. */
     if (message->version == ST_VERSION && size >= ST_HEAD_BYTES) {
         message->session = st_u32(body + 7) | ((uint64_t)st_u32(body + 11) << 32);

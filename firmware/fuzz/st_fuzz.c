@@ -116,11 +116,9 @@ static void say(uint8_t kind, uint32_t about, const uint8_t *payload, size_t siz
                                 board.session.said, about };
     body[0] = ST_VERSION;
     body[1] = kind;
-    body[2] = 0;
+    body[6] = 0;
     for (unsigned word = 0; word < 5u; word++) {
-        for (unsigned byte = 0; byte < 4u; byte++) {
-            body[3u + 4u * word + byte] = (uint8_t)(words[word] >> (8u * byte));
-        }
+        (void)st_put_u32(body + (word == 0u ? 2u : 3u + 4u * word), words[word]);
     }
     if (size > 0u) {
         memcpy(body + ST_HEAD_BYTES, payload, size);
