@@ -99,7 +99,9 @@ class Scan:
 
     def nominal(self):
         """Return the currents of the slots, (S, E); of one source its share, rounded up."""
-        rows = np.array([each for _, _, each in self.slots], np.int64).reshape(len(self.slots), -1)
+        if not self.slots:
+            return np.zeros((0, 1), np.int64)
+        rows = np.array([each for _, _, each in self.slots], np.int64)
         if not self.source_ua:
             return rows
         poles = [np.maximum(1, (rows == pole).sum(axis=1, keepdims=True)) for pole in (1, -1)]
@@ -134,6 +136,8 @@ class Judge:
     coming: tuple = ()
     """Scan, start of its next pass, and passes left."""
     most_net_pc: int = 0
+    flowing: list = field(default_factory=list)
+    """Starts of all passes with slots."""
 
     def begin(self, limits, switched=False):
         self.limits, self.switched = limits.capped(switched), switched
@@ -163,6 +167,7 @@ class Judge:
             window = self._window(start_us, None)[2]
             self.most_net_pc = max(self.most_net_pc, self._net(window, one.net_pc[None]).max())
             self.passes.append(one)
+            self.flowing += [start_us] * one.flows
             self.coming = (scan, start_us + scan.period_us, left - 1) if left > 1 else ()
         self.passes, self.starts = self.passes[-300:], self.starts[-300:]
 
@@ -198,8 +203,8 @@ class Judge:
         burst_us = min(scan.period_us, 40_000)
         return (
             _above(Rule.MEAN, one.charge_pc, 500 * burst_us)
-            or self._intensity(scan, self.allowed(start_us))
             or _above(Rule.FELT, one.felt, 1500 * burst_us // 1_000_000)
+            or self._intensity(scan, self.allowed(start_us))
             or self._over_time(scan, one, start_us, now_us)
         )
 
@@ -217,7 +222,9 @@ class Judge:
             return Rule.FIT, NOTHING, NOTHING, busy_us, scan.period_us
         on_us = sum(width for width, _, _ in scan.slots) + scan.recharge_us
         allowed = limits.duty * scan.period_us
-        return (Rule.DUTY, NOTHING, NOTHING, on_us, allowed // 100) if 100 * on_us > allowed else None
+        return (
+            (Rule.DUTY, NOTHING, NOTHING, on_us, allowed // 100) if 100 * on_us > allowed else None
+        )
 
     def _slots(self, scan):
         limits = self.limits

@@ -19,7 +19,7 @@ from smarttouch.boards.link_session import HostSession
 from smarttouch.wire.framing import Deframer
 
 ROOM = 1 << 22
-_RECHARGE = 4
+_RECHARGE, _SWITCH = 4, 16
 BOOKS = ("sequences", "slots", "pulses", "violations", "framing_errors", "old_packets",
          "foreign_packets")  # fmt: skip
 
@@ -37,12 +37,14 @@ class Core:
     columns = tuple(np.zeros(ROOM // 4, np.uint32) for _ in range(4))
     starts, currents = np.zeros(ROOM // 4, np.uint64), np.zeros(ROOM, np.int16)
 
-    def __init__(self, library, electrodes, output="weighted", ramp_ms=500, real_time=False):
+    def __init__(
+        self, library, electrodes, output="weighted", ramp_ms=500, real_time=False, switch=False
+    ):
         self._core = ctypes.CDLL(str(library))
         for name in ("st_rig_new", "st_rig_reason"):
             getattr(self._core, name).restype = ctypes.c_void_p
         self.electrodes = electrodes
-        features = 11 + _RECHARGE * (output == "weighted")
+        features = 11 + _RECHARGE * (output == "weighted") + _SWITCH * switch
         self._name = ctypes.create_string_buffer(NAME.encode())
         self._rig = ctypes.c_void_p(
             self._core.st_rig_new(
@@ -89,6 +91,10 @@ class Core:
     def hang_up(self, now_us):
         self._core.st_rig_hang_up(self._rig, ctypes.c_uint64(now_us))
         self.take()
+
+    def switch(self, is_open):
+        """Open or close the emergency switch."""
+        self._core.st_rig_switch(self._rig, is_open)
 
     def zero(self):
         self._core.st_rig_zero(self._rig)

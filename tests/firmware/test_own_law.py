@@ -29,13 +29,14 @@ class Life:
         self.talk, self.judge = Talk(core), Judge(ELECTRODES, ramp)
         self.switched, self.ramp = output != "weighted", ramp
         self.number, self.free_us, self.decided = 0, 0, Counter()
-        self.begun, self.started = [], []
+        self.begun, self.talk.pulses = [], []
 
     def begin(self, limits=None):
         """Begin a session, some of which allow little."""
-        self.judge.stop(self.talk.now_us)
-        self._note()
-        self.talk.say(Kind.STOP) if self.number else None
+        if self.number:
+            self.judge.stop(self.talk.now_us)
+            self.talk.say(Kind.STOP)
+            self._note()
         pick = self.rng.choice
         self.limits = limits or Limits(
             period_us=int(pick([0, 5000, 8000])),
@@ -92,7 +93,7 @@ class Life:
         seconds = -(-self.judge.flowing_us // 1_000_000)
         told = [int.from_bytes(report.payload[at:][:4], "little") for at in (41, 45, 49)]
         assert told == [self.judge.most_net_pc, seconds, charge_uc]
-        assert sorted(self.begun) == sorted(self.started)
+        assert self.begun == self.judge.flowing
 
     def _note(self):
         """Compare the starts of passes, by the pulse of their first slot."""
@@ -119,7 +120,9 @@ class Life:
             self._recharge(scan)
         if self.ramp:
             allowed = self.judge.allowed(self.judge.start_us(self.talk.now_us))
-            scan.intensity = min(FULL, allowed + int(rng.choice([-5000, 0, 0, 1], p=[.3, .3, .3, .1])))
+            scan.intensity = min(
+                FULL, allowed + int(rng.choice([-5000, 0, 0, 1], p=[0.3, 0.3, 0.3, 0.1]))
+            )
             scan.intensity = max(0, scan.intensity)
         return scan
 
@@ -187,7 +190,7 @@ class Life:
 def often(life):
     """Begin sessions and cut them off, 4 ms each: more scans than a second may begin."""
     limits = Limits(ramp_ms=500, current_ua=(5000,) * ELECTRODES)
-    short = Scan(5000, [(20, 20, (5, -5, 0, 0))], intensity=0)
+    short = Scan(5000, [(20, 20, (2, -2, 0, 0))], intensity=0)
     for _ in range(260):
         life.begin(limits).send(short)
         life.wait(4000)
@@ -199,7 +202,7 @@ def net(life):
     """Scans whose charge has one sign, and after a second of the other: any last passes count."""
     life.begin(Limits(felt_ua=(5000,) * ELECTRODES))
     for sign in (-1, 1, -1):
-        one = Scan(20_000, [(200, 40, (sign * 900, -sign * 900, 0, 0))] * 5)
+        one = Scan(20_000, [(200, 40, (sign * 1200, -sign * 1200, 0, 0))] * 5)
         for _ in range(60):
             life.send(one)
             life.wait(20_000)
@@ -225,10 +228,10 @@ def felt(life):
 def charge(life):
     """The same for charge of either sign, which 500 µA on the mean carry."""
     life.begin(Limits(felt_ua=(5000,) * ELECTRODES))
-    pair = [(200, 40, (5000, -5000, 0, 0)), (200, 40, (-5000, 5000, 0, 0))]
+    pair = [(200, 40, (2500, -2500, 0, 0)), (200, 40, (-2500, 2500, 0, 0))]
     for _ in range(40):
-        life.send(Scan(39_900, pair * 10))
-        life.send(Scan(40_000, pair * 10, times=30))
+        life.send(Scan(39_900, pair * 19))
+        life.send(Scan(40_000, pair * 20, times=30))
     assert life.decided[Rule.CHARGE_IN_SECOND] > 5
     life.report()
     return life
@@ -308,8 +311,8 @@ LIVES = (often, net, felt, charge, session, rise, recharge, limits)
 def make_life():
     cores = []
 
-    def make(built, seed=0, output="weighted", ramp=True):
-        cores.append(Core(built, ELECTRODES, output, 500 if ramp else 0))
+    def make(built, seed=0, output="weighted", ramp=True, switch=False):
+        cores.append(Core(built, ELECTRODES, output, 500 if ramp else 0, switch=switch))
         return Life(cores[-1], seed, output, ramp)
 
     yield make
@@ -384,31 +387,53 @@ def test_a_core_without_one_rule_is_found_out(make_life, tmp_path, name):
 
 def test_the_switch_ends_what_flows(make_life):
     """Once it is open nothing begins; closing it begins nothing either."""
-    life = make_life(library()).begin(Limits())
-    talk, scan = life.talk, Scan(20_000, [(100, 40, (20, -20, 0, 0))] * 20, 50, 0)
-    life.send(scan)
+    life = make_life(library(), switch=True).begin(Limits())
+    talk, scan = life.talk, Scan(20_000, [(100, 40, (3, -3, 0, 0))] * 20, 50, 0)
+    reasons = []
+
+    def refusal(answers):
+        (refused,) = (each for each in answers if each.kind == Kind.NAK)
+        reasons.append(protocol.NAK.unpack(refused.payload)[0])
+        return refused
+
+    talk.say(Kind.SEQUENCE, 1, scan.payload())
     talk.wait(1000, 100)
     assert talk.pulses
     life.core.switch(True)
-    (told,) = talk.wait(100, 100)
-    assert protocol.NAK.unpack(told.payload)[0] == Refusal.EMERGENCY
+    told = refusal(talk.wait(100, 100))
     assert (told.about, told.state, talk.pulses) == (0, 1, [])
     assert life.core.reason == "emergency"
-    (refused,) = talk.say(Kind.SEQUENCE, 2, scan.payload())
-    assert protocol.NAK.unpack(refused.payload)[0] == Refusal.EMERGENCY
+    refusal(talk.say(Kind.SEQUENCE, 2, scan.payload()))
     assert {each.state for each in talk.wait(50_000)} == {1}
-    half = talk.begin
-    half()
+    talk.begin()
     assert not talk.host.begun
     life.core.switch(False)
-    talk.wait(20_000)
-    (refused,) = talk.say(Kind.SEQUENCE, 3, scan.payload()) or [None]
-    assert refused is None or protocol.NAK.unpack(refused.payload)[0] == Refusal.EMERGENCY
-    talk.begin()
-    talk.say(Kind.LIMITS, payload=Limits().payload())
+    talk.wait(40_000)
+    assert talk.pulses == []
+    # The same BEGIN comes again: the challenge is still good.
+    talk.say(Kind.BEGIN)
     assert talk.host.begun
+    talk.say(Kind.LIMITS, payload=Limits().payload())
     (begun,) = talk.say(Kind.SEQUENCE, 1, scan.payload())
     assert (begun.kind, begun.state) == (Kind.ACK, 0)
+    assert reasons == [Refusal.EMERGENCY] * 2
+
+
+@pytest.mark.parametrize("at_us", [0, 70, 2790, 3000, 11_000, 19_990, 20_000, 99_000])
+def test_at_whatever_time_the_switch_opens(make_life, at_us):
+    life = make_life(library(), ramp=False, switch=True).begin(Limits())
+    talk = life.talk
+    scan = Scan(20_000, [(100, 40, (900, -900, 0, 0))] * 20, 50, FULL, 9000, (-60, 60, 0, 0))
+    talk.say(Kind.SEQUENCE, 1, scan.payload())
+    talk.say(Kind.SEQUENCE, 2, scan.payload())
+    talk.wait(at_us, 10)
+    life.core.switch(True)
+    answers = talk.wait(40_000, 10)
+    assert talk.pulses == []
+    assert sum(each.kind == Kind.NAK for each in answers) == 1
+    driven_pc = life.core.driven_pc()
+    talk.wait(200_000)
+    assert life.core.driven_pc() == driven_pc
 
 
 @pytest.mark.parametrize("piece", [1, 7, 64, 1000])
