@@ -289,9 +289,9 @@ class Judge:
             at_us = start_us + index * scan.period_us
             felt, charge, net = self._window(at_us, now_us)
             own = np.repeat(one.net_pc[None], index + 1, axis=0)
-            found = (felt.sum(axis=0) + (index + 1) * one.felt,
-                     charge.sum(axis=0) + (index + 1) * one.charge_pc, self._net(net, own))  # fmt: skip
-            most = np.maximum(most, found)
+            felt_in = felt.sum(axis=0) + (index + 1) * one.felt
+            charge_in = charge.sum(axis=0) + (index + 1) * one.charge_pc
+            most = np.maximum(most, (felt_in, charge_in, self._net(net, own)))
             starts = sum(each >= at_us - _SECOND_US for each in self.starts)
             often = max(often, starts + index + 1)
         allowed = (1500, 500_000_000, 50_000_000)
