@@ -262,7 +262,7 @@ def rise(life):
     flowing = [(100, 40, (100, -100, 0, 0))]
     for slots, times, wait_us, claims in (
         ([], 1, 20_000, 40), ([(100, 40, (0, 0, 0, 0))], 1, 20_000, 20), (flowing, 1, 20_000, 40),
-        ([], 1, 14_990_000, 1), (flowing, 1, 14_990_000, 2), (flowing, 1, 15_020_001, 2),
+        ([], 1, 14_990_000, 1), (flowing, 1, 14_990_000, 2), (flowing, 1, 15_040_001, 2),
         (flowing, 3, 20_000, 12),
     ):  # fmt: skip
         for _ in range(claims):
